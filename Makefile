@@ -1,0 +1,66 @@
+# The front door. `make demo` shows it, `make test` proves it; both do all their own set-up.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+LOCK := requirements/dev.lock
+READY := $(VENV)/.ready
+export UV_PYTHON_DOWNLOADS := never
+export UV_NO_PROGRESS := 1
+
+# Two workers suit two cores; what a test starts is on free ports, so that they do not meet.
+PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
+
+.PHONY: help setup demo up test check lint lock bench bench-broker bench-gestures bench-handover clean
+
+help:  ## say what there is
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
+
+setup: $(READY)  ## install everything that demo and test need into .venv
+
+$(READY): $(LOCK) requirements/uv.lock pyproject.toml
+	@command -v $(PYTHON) >/dev/null || { echo "there is no $(PYTHON) on this machine; install Python 3.11 to 3.13, or name another with make PYTHON=…" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; ok = (3, 11) <= sys.version_info[:2] <= (3, 13); sys.exit(not ok and f"Handover needs Python 3.11 to 3.13, and $(PYTHON) is {sys.version.split()[0]}; choose another with make PYTHON=python3.12")'
+	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/uv.lock
+	@$(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes $(LOCK)
+	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: setup  ## a person and a robot work through the bin-picking process (ONCE=1: end after it)
+	@$(BIN)/handover demo $(if $(filter 1 yes true,$(ONCE)),--once) $(ARGS)
+
+up: setup  ## every service, nobody simulated but the robot
+	@$(BIN)/handover up $(ARGS)
+
+test: setup lint  ## every check and every test
+	@$(PYTEST) $(ARGS)
+
+check: setup lint  ## what an everyday change needs: lint, types, structure and the quick tests
+	@$(PYTEST) -m "not slow" $(ARGS)
+
+lint: setup
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+	@$(BIN)/python -m datamodels.schemas --check
+
+lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds hashes)
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) pyproject.toml -o requirements/run.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra dev pyproject.toml -o requirements/dev.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/uv.in -o requirements/uv.lock
+
+bench: bench-broker bench-gestures bench-handover  ## measure everything
+
+bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
+	@$(BIN)/python -m benchmarks.broker
+
+bench-gestures: setup  ## the gesture controller: frames a second, cost of 50 gloves
+	@$(BIN)/python -m benchmarks.gesture_controller $(if $(DATA),--data $(DATA))
+
+bench-handover: setup  ## from the held gesture to the robot; cold start; memory
+	@$(BIN)/python -m benchmarks.handover
+
+clean:  ## remove what setup made (not your data in .handover)
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
