@@ -1,0 +1,47 @@
+"""The contexts that come with us, by the names under which the world knows them.
+
+The files are our own: they hold the words of our vocabulary and those of the NGSI-LD core, expanded as the
+published contexts expand them.
+"""
+
+import json
+import re
+from copy import deepcopy
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+HANDOVER_URL: Final = "https://w3id.org/handover/context.jsonld"
+SMART_DATA_MODELS_URL: Final = "https://smartdatamodels.org/context.jsonld"
+SHOP4CF_URL: Final = "https://raw.githubusercontent.com/shop4cf/data-models/master/docs/shop4cfcontext.jsonld"
+CORE_URL: Final = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context.jsonld"
+
+_FILES: Final = {
+    HANDOVER_URL: "handover.jsonld",
+    SMART_DATA_MODELS_URL: "smartdatamodels.jsonld",
+    SHOP4CF_URL: "shop4cf.jsonld",
+    CORE_URL: "ngsi-ld-core.jsonld",
+}
+_ANY_CORE = re.compile(r"https?://uri\.etsi\.org/ngsi-ld/v1/ngsi-ld-core-context(-v1\.[0-9])?\.jsonld")
+
+
+def resolve(url: str) -> dict[str, Any] | None:
+    """Return the JSON-LD document `{"@context": …}` of `url` if it is shipped, None if it is not.
+
+    Every published version of the core context answers with the same words: they only ever grew. The
+    document is the caller's own.
+    """
+    name = _FILES.get(CORE_URL if _ANY_CORE.fullmatch(url) else url)
+    return None if name is None else deepcopy(_document(name))
+
+
+def handover_context() -> dict[str, Any]:
+    """Return our own context, as the document `{"@context": …}` that is served at /context.jsonld."""
+    return deepcopy(_document(_FILES[HANDOVER_URL]))
+
+
+@cache
+def _document(name: str) -> dict[str, Any]:
+    text = files("datamodels.contexts").joinpath(name).read_text(encoding="utf-8")
+    document: dict[str, Any] = json.loads(text)
+    return document

@@ -1,0 +1,349 @@
+"""The entities of the shop floor: what is planned, what goes on, who and what takes part, what went wrong.
+
+The SHOP4CF data models and, for the four that were never published as data, our own. An entity is frozen;
+attributes that the vocabulary does not know are kept as they came (normalized) in `model_extra`.
+"""
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic.alias_generators import to_camel
+from pydantic.json_schema import SkipJsonSchema
+from pydantic_core import CoreSchema
+
+from datamodels import forms
+from datamodels.attributes import (
+    DateTime,
+    GeoProperty,
+    Links,
+    Moment,
+    Number,
+    Numbers,
+    Property,
+    PropertyOrRelationship,
+    Relationship,
+    TaskLocation,
+    Uri,
+    Whole,
+    Words,
+    plain,
+)
+from datamodels.errors import DataModelError, explained
+from datamodels.forms import Bare, Form
+from datamodels.states import DeviceState, RequestedStatus, Severity, TaskStatus
+from datamodels.times import as_written
+
+__all__ = [
+    "TYPES",
+    "Alert",
+    "Asset",
+    "DataModelError",
+    "Device",
+    "DeviceState",
+    "Entity",
+    "Form",
+    "Location",
+    "Material",
+    "Person",
+    "Process",
+    "ProcessDefinition",
+    "RequestedStatus",
+    "ResourceSpecification",
+    "Severity",
+    "Task",
+    "TaskDefinition",
+    "TaskStatus",
+    "read",
+]
+
+_OWN_MEMBERS = {"id": "id", "type": "type", "@context": "context"}
+_TIMES = {"createdAt": "created_at", "modifiedAt": "modified_at"}
+
+
+class Entity(BaseModel):
+    """Anything the broker knows: an `id` (a URI), a `type` and attributes.
+
+    Its subclasses are the types of the vocabulary; `Entity` itself takes any type.
+    """
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="allow",
+        alias_generator=to_camel,
+        validate_by_name=True,
+        validate_by_alias=True,
+        allow_inf_nan=False,
+    )
+
+    id: Uri
+    type: str | tuple[str, ...] = ""
+    context: SkipJsonSchema[Any] = Field(None, alias="@context")
+    created_at: SkipJsonSchema[Moment | None] = None
+    modified_at: SkipJsonSchema[Moment | None] = None
+
+    @classmethod
+    def ngsi_type(cls) -> str:
+        """Return the entity type as NGSI-LD names it."""
+        return cls.__name__
+
+    @classmethod
+    def from_ngsild(cls, data: Mapping[str, Any], form: Form | None = None) -> Self:
+        """Return the entity that `data` describes, in whichever form.
+
+        Without `form`, each attribute is read for what it looks like; a bare JSON object with a
+        member `value` looks like a concise attribute, so give `Form.KEY_VALUES` where such values may come.
+        Raises `DataModelError`, which names the entity, the attribute and the rule.
+        """
+        if not isinstance(data, Mapping):
+            raise DataModelError(f"an entity is a JSON object, not {type(data).__name__}")
+        given = {
+            key: Bare(value) if form is Form.KEY_VALUES and key not in forms.ENTITY_MEMBERS else value
+            for key, value in data.items()
+        }
+        for name in (given.keys() & _names(cls)) - _aliases(
+            cls
+        ):  # an attribute that is only called like a field
+            given[name] = forms.normalized_attribute(given[name])
+        try:
+            return cls.model_validate(given, by_alias=True, by_name=False)
+        except ValidationError as error:
+            raise DataModelError(explained(cls.ngsi_type(), data, error.errors())) from None
+
+    def to_normalized(self) -> dict[str, Any]:
+        """Return the entity in normalized form, as JSON has it."""
+        written: dict[str, Any] = {"id": self.id, "type": plain(self.type)}
+        for name, field in type(self).model_fields.items():
+            value = getattr(self, name)
+            if name not in _OWN_MEMBERS.values() and name not in _TIMES.values() and value is not None:
+                written[field.alias or name] = value.to_normalized()
+        written |= self.model_extra or {}
+        for alias, name in _TIMES.items():
+            if (moment := getattr(self, name)) is not None:
+                written[alias] = as_written(moment)
+        if self.context is not None:
+            written["@context"] = self.context
+        return written
+
+    def to_concise(self) -> dict[str, Any]:
+        """Return the entity in concise form: nothing is lost, `from_ngsild` brings it back."""
+        return forms.to_concise(self.to_normalized())
+
+    def to_key_values(self) -> dict[str, Any]:
+        """Return the entity as bare values (also called simplified): kinds, times and so on are lost."""
+        fields = type(self).model_fields.items()
+        links = [field.alias or name for name, field in fields if isinstance(getattr(self, name), Links)]
+        return forms.to_key_values(self.to_normalized(), link_lists=links)
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        return ((name, value) for name, value in super().__repr_args__() if value is not None)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        declared = _names(cls) | _aliases(cls)
+        data: dict[str, Any] = {}
+        for key, value in given.items():
+            if key in declared:
+                if not _is_deleted(value):
+                    data[key] = value
+            elif key in forms.ENTITY_MEMBERS or key.startswith("@"):
+                data[key] = value
+            else:
+                data[key] = forms.normalized_attribute(value)
+        if cls is not Entity:
+            data.setdefault("type", cls.ngsi_type())
+        return data
+
+    @model_validator(mode="after")
+    def _check_type(self) -> Self:
+        types = (self.type,) if isinstance(self.type, str) else self.type
+        if not all(types) or not types:
+            raise ValueError("has no type")
+        if type(self) is not Entity and self.ngsi_type() not in types:
+            raise ValueError(f"its type is {', '.join(types)}")
+        return self
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        written = handler.resolve_ref_schema(handler(schema))
+        written["properties"] = {**written["properties"], "type": {"const": cls.ngsi_type()}}
+        required = (key for key in written["properties"] if key in {*written["required"], "type"})
+        written["required"] = list(required)
+        return written
+
+
+class ProcessDefinition(Entity):
+    """A process that can be run: its BPMN 2.0, as XML or as the URL of the XML."""
+
+    name: Property[str]
+    version: Property[str]
+    bpmn: Property[str]
+    description: Property[str] | None = None
+
+
+class TaskDefinition(Entity):
+    """A kind of Task: what it asks for, and of whom."""
+
+    name: Property[str]
+    description: Property[str] | None = None
+    gesture: Property[str] | None = None
+    command_id: Property[Whole] | None = None
+    required_skills: Property[Words] | None = None
+    work_parameters_schema: Property[dict[str, Any]] | None = None
+    is_part_of: Relationship | None = None
+
+
+class ResourceSpecification(Entity):
+    """A kind of resource: what it can do."""
+
+    name: Property[str]
+    resource_type: Property[str]
+    skills: Property[Words] | None = None
+    parameters: Property[dict[str, Any]] | None = None
+
+
+class Location(Entity):
+    """A place with a name, perhaps part of another."""
+
+    name: Property[str]
+    location: GeoProperty | None = None
+    is_part_of: Relationship | None = None
+
+
+class Process(Entity):
+    """A process that is run: how far it is, and the Tasks it is made of so far."""
+
+    is_defined_by: Relationship
+    status: Property[TaskStatus]
+    work_parameters: Property[dict[str, Any]] | None = None
+    output_parameters: Property[dict[str, Any]] | None = None
+    is_composed_of: Links[Relationship] | None = None
+
+
+class Task(Entity):
+    """A piece of work that is asked of somebody: the resources it involves, the first being the doer.
+
+    `requested_status` is what somebody wishes of it while it goes on; `deadline` is when it must be taken up.
+    """
+
+    is_defined_by: Relationship
+    status: Property[TaskStatus]
+    involves: Links[Relationship] | None = None
+    happens_at: Links[TaskLocation] | None = None
+    description: Property[str] | None = None
+    work_parameters: Property[dict[str, Any]] | None = None
+    output_parameters: Property[dict[str, Any]] | None = None
+    requested_status: Property[RequestedStatus] | None = None
+    deadline: Property[DateTime] | None = None
+
+
+class Device(Entity):
+    """A machine, a robot, a sensor or a glove; `performer` is the component that acts for it."""
+
+    controlled_property: Property[Words]
+    category: Property[Words] | None = None
+    source: PropertyOrRelationship | None = None
+    serial_number: Property[str] | None = None
+    value: Property[Any] | None = None
+    device_state: Property[DeviceState] | None = None
+    battery_level: Property[Number] | None = None
+    relative_position: Property[Numbers] | None = None
+    is_specified_by: Links[Relationship] | None = None
+    command_id: Property[Whole] | None = None
+    performer: Property[str] | None = None
+
+
+class Material(Entity):
+    """Something that is worked on or used up."""
+
+    description: Property[str] | None = None
+    state: Property[Any] | None = None
+    is_specified_by: Links[Relationship] | None = None
+
+
+class Asset(Entity):
+    """Something that is used and kept: a tool, a carrier, a fixture."""
+
+    description: Property[str] | None = None
+    state: Property[Any] | None = None
+    is_specified_by: Links[Relationship] | None = None
+
+
+class Person(Entity):
+    """Somebody who works here; `performer` is the component through which they are asked."""
+
+    first_name: Property[str] | None = None
+    last_name: Property[str] | None = None
+    state: Property[Any] | None = None
+    is_specified_by: Links[Relationship] | None = None
+    performer: Property[str] | None = None
+
+
+class Alert(Entity):
+    """Something happened that a person should know of; it stands until `valid_to`."""
+
+    category: Property[str]
+    date_issued: Property[DateTime]
+    alert_source: Relationship
+    sub_category: Property[str] | None = None
+    severity: Property[Severity] | None = None
+    description: Property[str] | None = None
+    valid_from: Property[DateTime] | None = None
+    valid_to: Property[DateTime] | None = None
+    location: GeoProperty | None = None
+    source: PropertyOrRelationship | None = None
+    human_verified: Property[Annotated[bool, Field(strict=True)]] | None = None
+
+
+TYPES: dict[str, type[Entity]] = {
+    model.ngsi_type(): model
+    for model in (
+        ProcessDefinition,
+        TaskDefinition,
+        ResourceSpecification,
+        Location,
+        Process,
+        Task,
+        Device,
+        Material,
+        Asset,
+        Person,
+        Alert,
+    )
+}
+"""The vocabulary: each entity type and its model."""
+
+
+def read(data: Mapping[str, Any], form: Form | None = None) -> Entity:
+    """Return the entity that `data` describes as the model of its type; a plain `Entity` for a foreign type.
+
+    Raises `DataModelError`, as `Entity.from_ngsild` does.
+    """
+    if not isinstance(data, Mapping):
+        return Entity.from_ngsild(data, form)
+    given = data.get("type")
+    types = given if isinstance(given, list | tuple) else (given,)
+    model = next((TYPES[name] for name in types if isinstance(name, str) and name in TYPES), Entity)
+    return model.from_ngsild(data, form)
+
+
+@cache
+def _names(model: type[Entity]) -> frozenset[str]:
+    return frozenset(model.model_fields)
+
+
+@cache
+def _aliases(model: type[Entity]) -> frozenset[str]:
+    return frozenset(field.alias or name for name, field in model.model_fields.items())
+
+
+def _is_deleted(value: Any) -> bool:
+    return value == forms.NULL or (
+        isinstance(value, Mapping) and forms.NULL in (value.get("value"), value.get("object"))
+    )

@@ -1,0 +1,212 @@
+"""The three ways to write an entity: normalized (all of it), concise (shorter), keyValues (bare values).
+
+Plain functions on JSON objects, for any entity type (ETSI GS CIM 009, clauses 4.5.1 to 4.5.17). Concise and
+normalized carry the same; keyValues loses kinds, times and other metadata.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any, Final
+
+
+class Form(StrEnum):
+    """A way to write an entity."""
+
+    NORMALIZED = "normalized"
+    CONCISE = "concise"
+    KEY_VALUES = "keyValues"
+
+
+@dataclass(frozen=True, slots=True)
+class Bare:
+    """A value without its attribute, as keyValues has it; never to be mistaken for an attribute."""
+
+    value: Any
+
+
+MEMBERS: Final = MappingProxyType(
+    {
+        "Property": "value",
+        "Relationship": "object",
+        "GeoProperty": "value",
+        "LanguageProperty": "languageMap",
+        "JsonProperty": "json",
+        "VocabProperty": "vocab",
+        "ListProperty": "valueList",
+        "ListRelationship": "objectList",
+    }
+)
+"""Each kind of attribute, and the member that holds what it says."""
+
+_KINDS: Final = MappingProxyType({m: k for k, m in MEMBERS.items() if k != "GeoProperty"})
+
+METADATA: Final = frozenset(
+    {
+        "type", "observedAt", "unitCode", "datasetId", "instanceId", "createdAt", "modifiedAt", "deletedAt",
+        "lang", "valueType", "objectType", "previousValue", "previousObject", "previousLanguageMap",
+        "previousJson", "previousVocab", "previousValueList", "previousObjectList", "entity", "entityList",
+        "ngsildproof",
+    }
+)  # fmt: skip
+"""Members of an attribute that are not attributes of the attribute."""
+
+ENTITY_MEMBERS: Final = frozenset(
+    {"id", "type", "scope", "createdAt", "modifiedAt", "deletedAt", "expiresAt", "@context"}
+)
+"""Members of an entity that are not attributes."""
+
+GEOMETRIES: Final = frozenset(
+    {"Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon", "GeometryCollection"}
+)
+
+NULL: Final = "urn:ngsi-ld:null"
+"""What stands in a change where something was deleted."""
+
+
+def kind_of(attribute: Any) -> str | None:
+    """Return the kind of a normalized attribute, None for anything else."""
+    kind = attribute.get("type") if isinstance(attribute, Mapping) else None
+    if isinstance(kind, str) and (member := MEMBERS.get(kind)) is not None and member in attribute:
+        return kind
+    return None
+
+
+def is_geometry(value: Any) -> bool:
+    """Say whether `value` is a GeoJSON geometry."""
+    if not isinstance(value, Mapping) or value.get("type") not in GEOMETRIES:
+        return False
+    return isinstance(value.get("coordinates", value.get("geometries")), list | tuple)
+
+
+def are_instances(value: Any) -> bool:
+    """Say whether `value` is a list of attributes: the instances that `datasetId` tells apart."""
+    return isinstance(value, list) and bool(value) and all(kind_of(item) for item in value)
+
+
+def normalized_attribute(given: Any) -> Any:
+    """Return an attribute of any form in normalized form (a list, if it has several instances)."""
+    if isinstance(given, Bare):
+        return _from_bare(given.value)
+    if are_instances(given):
+        return [normalized_attribute(instance) for instance in given]
+    if not isinstance(given, Mapping):
+        return {"type": "Property", "value": given}
+    kind = kind_of(given) or _concise_kind(given)
+    if kind is None:
+        return {"type": "GeoProperty" if is_geometry(given) else "Property", "value": given}
+    return {"type": kind, **with_normalized_members(given, MEMBERS[kind])}
+
+
+def with_normalized_members(attribute: Mapping[str, Any], member: str) -> dict[str, Any]:
+    """Return an attribute whose attributes are normalized; `member` and the metadata stay as they are."""
+    return {
+        key: value if key == member or _is_metadata(key) else normalized_attribute(value)
+        for key, value in attribute.items()
+        if key != "type"
+    }
+
+
+def to_concise(entity: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a normalized entity in concise form; `normalized_attribute` brings every attribute back."""
+    return {
+        name: attribute if _is_entity_member(name) else _concise(attribute)
+        for name, attribute in entity.items()
+    }
+
+
+def to_key_values(entity: Mapping[str, Any], link_lists: Collection[str] = ()) -> dict[str, Any]:
+    """Return a normalized entity as bare values.
+
+    `link_lists` names the Properties whose value is a list of Relationships; they become lists of URIs.
+    """
+    bare = {
+        name: attribute if _is_entity_member(name) else _bare(attribute) for name, attribute in entity.items()
+    }
+    return bare | {name: [link["object"] for link in bare[name]] for name in link_lists}
+
+
+def _is_metadata(name: str) -> bool:
+    return name in METADATA or name.startswith("@")
+
+
+def _is_entity_member(name: str) -> bool:
+    return name in ENTITY_MEMBERS or name.startswith("@")
+
+
+def _concise_kind(given: Mapping[str, Any]) -> str | None:
+    if "type" in given:
+        return None
+    kind = next((kind for member, kind in _KINDS.items() if member in given), None)
+    return "GeoProperty" if kind == "Property" and is_geometry(given["value"]) else kind
+
+
+def bare_instances(value: Any) -> dict[str, Any] | None:
+    """Return the values of an attribute with several instances by datasetId; None if it has only one."""
+    if not isinstance(value, Mapping) or len(value) != 1 or not isinstance(value.get("dataset"), Mapping):
+        return None
+    instances = dict(value["dataset"])
+    named = all(name == "@none" or ":" in name for name in instances)
+    return instances if instances and named else None
+
+
+def _from_bare(value: Any) -> Any:
+    instances = bare_instances(value)
+    if instances is not None:
+        return [
+            _from_bare(said) if name == "@none" else {**_from_bare(said), "datasetId": name}
+            for name, said in instances.items()
+        ]
+    if isinstance(value, Mapping) and len(value) == 1:
+        (member,) = value
+        if member in {"languageMap", "json", "vocab"}:
+            return {"type": _KINDS[member], member: value[member]}
+    return {"type": "GeoProperty" if is_geometry(value) else "Property", "value": value}
+
+
+def _concise(attribute: Any) -> Any:
+    if isinstance(attribute, list):
+        return [_concise_instance(instance) for instance in attribute]
+    kind = kind_of(attribute)
+    if kind is None:
+        return attribute
+    alone = len(attribute) == 2  # its type and what it says, nothing else
+    if alone and kind == "GeoProperty" and is_geometry(attribute["value"]):
+        return attribute["value"]
+    if alone and kind == "Property" and not _is_ambiguous(attribute["value"]):
+        return attribute["value"]
+    short = _concise_members(attribute, MEMBERS[kind])
+    return short if _concise_kind(short) == kind else {"type": kind, **short}
+
+
+def _concise_instance(attribute: Mapping[str, Any]) -> dict[str, Any]:
+    """Return one of several instances, with its type: else the list could be the value of a Property."""
+    kind = attribute["type"]
+    return {"type": kind, **_concise_members(attribute, MEMBERS[kind])}
+
+
+def _concise_members(attribute: Mapping[str, Any], member: str) -> dict[str, Any]:
+    return {
+        key: value if key == member or _is_metadata(key) else _concise(value)
+        for key, value in attribute.items()
+        if key != "type"
+    }
+
+
+def _is_ambiguous(value: Any) -> bool:
+    """Say whether a value standing alone could be taken for something else than the value of a Property."""
+    if isinstance(value, str):
+        return value.startswith("urn:")
+    read: dict[str, Any] | list[Any] = normalized_attribute(value)
+    return read != {"type": "Property", "value": value}
+
+
+def _bare(attribute: Any) -> Any:
+    if isinstance(attribute, list):
+        return {"dataset": {item.get("datasetId", "@none"): _bare(item) for item in attribute}}
+    kind = kind_of(attribute)
+    if kind is None:
+        return attribute
+    said = attribute[MEMBERS[kind]]
+    return {MEMBERS[kind]: said} if kind in {"LanguageProperty", "JsonProperty", "VocabProperty"} else said

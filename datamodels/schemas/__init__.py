@@ -1,0 +1,103 @@
+"""JSON Schemas of the vocabulary in normalized form, for those who check entities without our models.
+
+Generated from the models: `python -m datamodels.schemas` writes them, with `--check` it only says whether
+they are current.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+from datamodels.entities import TYPES, Entity
+
+FOLDER = Path(__file__).parent
+
+
+class _Normalized(GenerateJsonSchema):
+    """An attribute that may be left out is left out in normalized form: never null, and without a default."""
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+
+def schema_of(model: type[Entity]) -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of `model` in normalized form."""
+    generated = model.model_json_schema(schema_generator=_Normalized, mode="validation")
+    name = model.ngsi_type()
+    return {
+        "$schema": GenerateJsonSchema.schema_dialect,
+        "$id": f"https://w3id.org/handover/schemas/{name}.json",
+        "title": name,
+        **_shortened(_untitled(generated)),
+    }
+
+
+def written(model: type[Entity]) -> str:
+    """Return the text of the schema file of `model`."""
+    return json.dumps(schema_of(model), indent=2, ensure_ascii=False) + "\n"
+
+
+def outdated(folder: Path = FOLDER) -> list[Path]:
+    """Return the schema files in `folder` that are missing or not as the models have it."""
+    return [
+        path
+        for name, model in TYPES.items()
+        if not (path := folder / f"{name}.json").is_file()
+        or path.read_text(encoding="utf-8") != written(model)
+    ]
+
+
+def write(folder: Path = FOLDER) -> list[Path]:
+    """Write every schema file that is not current, and return which."""
+    paths = outdated(folder)
+    for path in paths:
+        path.write_text(written(TYPES[path.stem]), encoding="utf-8", newline="\n")
+    return paths
+
+
+def _shortened(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema with one definition of a Property, in place of one for each type of value.
+
+    It reads better so, and the names of pydantic's definitions are free to change between versions.
+    """
+    kinds = {name: made for name, made in schema["$defs"].items() if name.startswith("Property_")}
+    definitions = {name: made for name, made in schema["$defs"].items() if name not in kinds}
+    values = {name: made["properties"]["value"] for name, made in kinds.items()}
+    for made in kinds.values():
+        members = {key: value for key, value in made["properties"].items() if key != "value"}
+        definitions["Property"] = {**made, "properties": members}
+    short: dict[str, Any] = _referred({**schema, "$defs": dict(sorted(definitions.items()))}, values)
+    return short
+
+
+def _referred(schema: Any, values: Mapping[str, Any]) -> Any:
+    """Return the schema with each Property of `values` told as the common one with a value of its own."""
+    if isinstance(schema, list):
+        return [_referred(item, values) for item in schema]
+    if not isinstance(schema, Mapping):
+        return schema
+    name = str(schema.get("$ref", "")).removeprefix("#/$defs/")
+    if name not in values:
+        return {key: _referred(value, values) for key, value in schema.items()}
+    value = _referred(values[name], values)
+    return {"$ref": "#/$defs/Property"} | ({"properties": {"value": value}} if value else {})
+
+
+def _untitled(schema: Any) -> Any:
+    """Return the schema without pydantic's titles, which say nothing new, and with short descriptions."""
+    if isinstance(schema, list):
+        return [_untitled(item) for item in schema]
+    if not isinstance(schema, Mapping):
+        return schema
+    return {
+        key: value.partition("\n")[0] if key == "description" and isinstance(value, str) else _untitled(value)
+        for key, value in schema.items()
+        if not (key == "title" and isinstance(value, str))
+    }

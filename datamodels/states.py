@@ -1,0 +1,45 @@
+"""The words that a state may be: of a Task, a device, an alarm, and of what is asked of a Task."""
+
+from enum import StrEnum
+
+
+class TaskStatus(StrEnum):
+    """How far a Task or a Process is; the last two are final."""
+
+    PENDING = "pending"
+    ASSIGNED = "assigned"
+    IN_PROGRESS = "inProgress"
+    PAUSED = "paused"
+    COMPLETED = "completed"
+    FAILED = "failed"
+
+
+class RequestedStatus(StrEnum):
+    """What somebody asks of a Task that is under way; its performer answers by moving `status`."""
+
+    PAUSED = "paused"
+    IN_PROGRESS = "inProgress"
+    CANCELLED = "cancelled"
+
+
+class DeviceState(StrEnum):
+    """How a device is."""
+
+    OK = "ok"
+    IDLE = "idle"
+    BUSY = "busy"
+    PAUSED = "paused"
+    CHARGING = "charging"
+    OUT_OF_BATTERY = "outOfBattery"
+    FOR_MAINTENANCE = "forMaintenance"
+    ERROR = "error"
+
+
+class Severity(StrEnum):
+    """How grave an Alert is."""
+
+    INFORMATIONAL = "informational"
+    LOW = "low"
+    MEDIUM = "medium"
+    HIGH = "high"
+    CRITICAL = "critical"
