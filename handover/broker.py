@@ -1,0 +1,235 @@
+"""The context broker as seen from a component: an asynchronous NGSI-LD client that works with any broker.
+
+Nothing here goes beyond ETSI GS CIM 009; the @context travels in the Link header of every request, so
+that types and attributes mean the same whoever asks.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from typing import Any, Self, TypeVar
+from urllib.parse import quote
+
+import httpx
+import orjson
+
+from datamodels.entities import Entity
+from handover.errors import Problem
+from handover.settings import Settings
+from handover.telemetry import get_logger
+
+log = get_logger(__name__)
+
+JSON = "application/json"
+PAGE = 500
+"""Entities asked for at once; brokers commonly refuse more than 1000."""
+
+AnEntity = TypeVar("AnEntity", bound=Entity)
+NgsiLd = Mapping[str, Any]
+
+
+class BrokerError(Problem):
+    """The broker refused; `status`, `title` and `detail` are its words."""
+
+
+class NotFound(BrokerError):
+    """There is no such entity, attribute or subscription."""
+
+
+class AlreadyExists(BrokerError):
+    """An entity or subscription with this id is there already."""
+
+
+class BrokerUnavailable(BrokerError):
+    """The broker cannot be reached, or cannot answer now; trying again later may help."""
+
+
+class BrokerClient:
+    """Talks to the broker of `settings`; use it as an asynchronous context manager.
+
+    Every method raises `BrokerUnavailable` when the broker does not answer, and another `BrokerError` when
+    it refuses. `transport` puts another httpx transport in place, an ASGI one for example.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        *,
+        transport: httpx.AsyncBaseTransport | None = None,
+        timeout_s: float = 10.0,
+    ) -> None:
+        headers = {
+            "Accept": JSON,
+            "Link": f'<{settings.context_url}>; rel="http://www.w3.org/ns/json-ld#context"; '
+            'type="application/ld+json"',
+        }
+        if settings.broker_tenant:
+            headers["NGSILD-Tenant"] = settings.broker_tenant
+        self.url = settings.broker_url
+        self._http = httpx.AsyncClient(
+            base_url=f"{settings.broker_url}/ngsi-ld/v1",
+            headers=headers,
+            timeout=timeout_s,
+            transport=transport,
+            trust_env=False,
+        )
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._http.aclose()
+
+    async def probe(self) -> None:
+        """Return if the broker answers a small question; raise `BrokerUnavailable` if not."""
+        await self._call("GET", "/entities", params={"type": "Device", "limit": 1})
+
+    async def create(self, entity: Entity | NgsiLd) -> None:
+        """Create an entity; raise `AlreadyExists` if its id is taken."""
+        await self._call("POST", "/entities", body=_as_ngsild(entity))
+
+    async def retrieve(self, entity_id: str) -> dict[str, Any]:
+        """Return an entity in normalized form; raise `NotFound` if there is none."""
+        response = await self._call("GET", f"/entities/{_in_path(entity_id)}")
+        entity: dict[str, Any] = orjson.loads(response.content)
+        return entity
+
+    async def get(self, entity_id: str, model: type[AnEntity]) -> AnEntity:
+        """Return an entity as `model`."""
+        return model.from_ngsild(await self.retrieve(entity_id))
+
+    async def query(self, **selection: Any) -> list[dict[str, Any]]:
+        """Return all entities that match, in normalized form, however many pages they fill.
+
+        `selection` holds the query parameters of NGSI-LD (clause 6.4.3.2): `type`, `id`, `id_pattern`,
+        `attrs`, `q`; lists are joined with commas.
+        """
+        return [entity async for entity in self._pages(selection)]
+
+    async def find(self, model: type[AnEntity], **selection: Any) -> list[AnEntity]:
+        """Return all entities of `model` that match; one that does not fit is logged and left out."""
+        found: list[AnEntity] = []
+        for entity in await self.query(type=model.ngsi_type(), **selection):
+            try:
+                found.append(model.from_ngsild(entity))
+            except ValueError as error:
+                log.warning("entity does not fit its data model", entity=entity.get("id"), error=str(error))
+        return found
+
+    async def update(self, entity_id: str, attributes: NgsiLd) -> None:
+        """Overwrite existing attributes (PATCH …/attrs).
+
+        Raises `NotFound` if the entity is not there, `BrokerError` with the reasons if an attribute is not.
+        """
+        answer = await self._call("PATCH", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
+        _require_all_done(
+            answer, "notUpdated", lambda left: f"{left.get('attributeName')}: {left.get('reason')}"
+        )
+
+    async def append(self, entity_id: str, attributes: NgsiLd) -> None:
+        """Overwrite or add attributes (POST …/attrs); raise `NotFound` if the entity is not there."""
+        await self._call("POST", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
+
+    async def upsert(self, entities: Sequence[Entity | NgsiLd]) -> None:
+        """Create the entities, or update the attributes given of those that are there (one batch)."""
+        response = await self._call(
+            "POST",
+            "/entityOperations/upsert",
+            params={"options": "update"},
+            body=[_as_ngsild(entity) for entity in entities],
+        )
+        _require_all_done(response, "errors", _batch_error)
+
+    async def delete(self, entity_id: str) -> None:
+        """Delete an entity; raise `NotFound` if there is none."""
+        await self._call("DELETE", f"/entities/{_in_path(entity_id)}")
+
+    async def ensure_subscription(self, subscription: NgsiLd) -> None:
+        """Make sure that exactly this subscription (with its `id`) is there, however often it is called."""
+        try:
+            await self._call("POST", "/subscriptions", body=subscription)
+        except AlreadyExists:
+            change = {key: value for key, value in subscription.items() if key not in {"id", "@context"}}
+            await self._call("PATCH", f"/subscriptions/{_in_path(subscription['id'])}", body=change)
+
+    async def delete_subscription(self, subscription_id: str) -> None:
+        """Delete a subscription; raise `NotFound` if there is none."""
+        await self._call("DELETE", f"/subscriptions/{_in_path(subscription_id)}")
+
+    async def _pages(self, selection: Mapping[str, Any]) -> AsyncIterator[dict[str, Any]]:
+        params = {_parameter(name): _joined(value) for name, value in selection.items() if value is not None}
+        offset = 0
+        while True:
+            page = await self._call("GET", "/entities", params={**params, "limit": PAGE, "offset": offset})
+            entities = orjson.loads(page.content)
+            for entity in entities:
+                yield entity
+            if len(entities) < PAGE:
+                return
+            offset += PAGE
+
+    async def _call(
+        self, method: str, path: str, *, params: Mapping[str, Any] | None = None, body: Any = None
+    ) -> httpx.Response:
+        content = None if body is None else orjson.dumps(body)
+        headers = {} if body is None else {"Content-Type": JSON}
+        try:
+            response = await self._http.request(method, path, params=params, content=content, headers=headers)
+        except (httpx.TransportError, asyncio.IncompleteReadError) as error:
+            reason = str(error) or type(error).__name__
+            raise BrokerUnavailable(
+                503, "Broker unavailable", f"{self.url} does not answer: {reason}"
+            ) from error
+        if response.is_success:
+            return response
+        raise _refusal(response, f"{method} {path}")
+
+
+def _refusal(response: httpx.Response, act: str) -> BrokerError:
+    try:
+        problem = orjson.loads(response.content)
+    except orjson.JSONDecodeError:
+        problem = {}
+    if not isinstance(problem, dict):
+        problem = {}
+    title = str(problem.get("title") or response.reason_phrase)
+    detail = str(problem.get("detail") or response.text[:500])
+    kind = str(problem.get("type", "about:blank"))
+    status = response.status_code
+    error_class = BrokerError
+    if status == httpx.codes.NOT_FOUND:
+        error_class = NotFound
+    elif status == httpx.codes.CONFLICT:
+        error_class = AlreadyExists
+    elif status >= httpx.codes.INTERNAL_SERVER_ERROR or status == httpx.codes.TOO_MANY_REQUESTS:
+        error_class = BrokerUnavailable
+    return error_class(status, title, f"{detail} ({act})", kind)
+
+
+def _require_all_done(answer: httpx.Response, undone: str, in_words: Callable[[NgsiLd], str]) -> None:
+    """Raise `BrokerError` if a broker that did a part says, in the list `undone`, what it did not do."""
+    if answer.status_code == httpx.codes.MULTI_STATUS:
+        left = orjson.loads(answer.content).get(undone, [])
+        if left:
+            raise BrokerError(400, "Refused in part", "; ".join(in_words(one) for one in left))
+
+
+def _as_ngsild(entity: Entity | NgsiLd) -> NgsiLd:
+    return entity.to_normalized() if isinstance(entity, Entity) else entity
+
+
+def _in_path(entity_id: str) -> str:
+    return quote(entity_id, safe=":")
+
+
+def _parameter(name: str) -> str:
+    return "idPattern" if name == "id_pattern" else name
+
+
+def _joined(value: Any) -> Any:
+    return ",".join(value) if isinstance(value, list | tuple | set | frozenset) else value
+
+
+def _batch_error(error: Mapping[str, Any]) -> str:
+    problem = error.get("error", {})
+    reason = problem.get("detail") or problem.get("title") if isinstance(problem, Mapping) else problem
+    return f"{error.get('entityId')}: {reason}"

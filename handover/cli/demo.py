@@ -1,0 +1,99 @@
+"""The demonstration: a simulated operator and a simulated robot work through the bin-picking process."""
+
+import asyncio
+import sys
+import time
+from datetime import UTC, datetime
+from typing import Any
+
+import httpx
+
+from datamodels.entities import Task
+from handover.broker import BrokerClient, BrokerError
+from handover.cli.glove import bridge_words
+from handover.cli.launcher import Launcher
+from handover.cli.services import SERVICES, service_named
+from handover.cli.story import Say, Story
+from handover.errors import UsageError
+from handover.settings import Settings
+
+DEFINITION = "bin-picking"
+GLOVE = "glove-1"
+LOOK_EVERY_S = 0.15
+FINISHED = {"completed", "failed"}
+
+
+async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) -> None:
+    """Start everything, run the process, tell its story; stay until stopped unless `once`.
+
+    Raises `UsageError` with the reason when the process does not complete within `timeout_s`.
+    """
+    began_s = time.monotonic()
+    async with Launcher(SERVICES, settings, say) as launcher:
+        await launcher.keep("simulated-operator", _operator())
+        say(f"{', '.join(service.name for service in SERVICES)}: ready in {time.monotonic() - began_s:.1f} s")
+        try:
+            async with asyncio.timeout(timeout_s):
+                await run_process(settings, say)
+        except TimeoutError:
+            raise UsageError(
+                f"the process did not complete within {timeout_s:.0f} s; "
+                f"the logs in {settings.data_dir / 'logs'} say more"
+            ) from None
+        if not once:
+            say("")
+            say("Everything stays up; Ctrl-C ends it. To run the process again, in another terminal:")
+            say(f"  .venv/bin/handover process start {DEFINITION}")
+            await asyncio.Event().wait()
+
+
+async def run_process(settings: Settings, say: Say) -> None:
+    """Start the bin-picking process and tell its story to the end; raise `UsageError` if it fails."""
+    orchestrator = service_named("task-orchestrator").url()
+    began = datetime.now(UTC)
+    async with (
+        httpx.AsyncClient(base_url=orchestrator, trust_env=False) as http,
+        BrokerClient(settings) as broker,
+    ):
+        answer = await http.post("/processes", json={"definition": DEFINITION})
+        if not answer.is_success:
+            raise UsageError(f"the process could not be started: {answer.text}")
+        process_id = str(answer.json()["id"])
+        instance = process_id.rsplit(":", 1)[-1]
+        say(f"{0:6.1f} s  process   {instance} begins")
+        story = Story(began, say)
+        tasks = f"^{settings.entity_id('Task', instance)}-.*"
+        while True:
+            process = await _look(http, process_id)
+            story.tell(await _tasks(broker, tasks))
+            if process.get("status") in FINISHED:
+                break
+            await asyncio.sleep(LOOK_EVERY_S)
+    seconds = (datetime.now(UTC) - began).total_seconds()
+    if process["status"] == "failed":
+        raise UsageError(
+            f"the process failed after {seconds:.1f} s: {process.get('reason', 'no reason given')}"
+        )
+    say(f"{seconds:6.1f} s  process   completed")
+    say(story.summary())
+
+
+async def _look(http: httpx.AsyncClient, process_id: str) -> dict[str, Any]:
+    """Return what the orchestrator says of the process; empty while it is being started again."""
+    try:
+        answer = await http.get(f"/processes/{process_id}")
+    except httpx.TransportError:
+        return {}
+    seen: dict[str, Any] = answer.json() if answer.is_success else {}
+    return seen
+
+
+async def _tasks(broker: BrokerClient, id_pattern: str) -> list[Task]:
+    try:
+        return await broker.find(Task, id_pattern=id_pattern)
+    except BrokerError:
+        return []
+
+
+def _operator() -> list[str]:
+    return [sys.executable, "-m", "glove_sdk_bridge", *bridge_words(["simulate", "--glove", GLOVE])]

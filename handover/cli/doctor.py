@@ -1,0 +1,81 @@
+"""The doctor: what this machine lacks, in one line each, and how to mend it."""
+
+import importlib.util
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from handover.cli.launcher import make_room
+from handover.cli.services import SERVICES
+from handover.errors import UsageError
+from handover.service import require_free
+from handover.settings import Settings
+
+OPTIONAL_PROGRAMS = {
+    "chromium": "needed only to test the pages",
+    "mosquitto": "needed only to test MQTT notifications",
+    "docker": "needed only to run the containers",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing looked at; `needed` says whether Handover cannot work without it."""
+
+    about: str
+    ok: bool
+    words: str
+    needed: bool = True
+
+
+def examine(settings: Settings) -> list[Finding]:
+    """Look at the machine and return every finding."""
+    return [*_python(), *_disk(settings), *_ports(settings), *_serial(), *_programs()]
+
+
+def _python() -> Iterator[Finding]:
+    version = ".".join(str(part) for part in sys.version_info[:3])
+    fits = (3, 11) <= sys.version_info[:2] <= (3, 13)
+    yield Finding("Python", fits, version if fits else f"{version}; 3.11 to 3.13 is needed")
+    for package in ("uvloop", "httptools"):
+        there = importlib.util.find_spec(package) is not None
+        yield Finding(package, there, "installed" if there else "not installed; slower without", needed=False)
+
+
+def _disk(settings: Settings) -> Iterator[Finding]:
+    try:
+        make_room(settings.data_dir)
+    except UsageError as error:
+        yield Finding("data directory", False, str(error))
+    else:
+        free_gib = shutil.disk_usage(settings.data_dir).free / 2**30
+        yield Finding("data directory", True, f"{settings.data_dir.absolute()}, {free_gib:.0f} GiB free")
+
+
+def _ports(settings: Settings) -> Iterator[Finding]:
+    for service in SERVICES:
+        try:
+            require_free(settings.host, service.port(), service.port_setting)
+        except UsageError as error:
+            yield Finding(service.name, False, f"{error} (or it is running already)", needed=False)
+        else:
+            yield Finding(service.name, True, f"port {service.port()} is free")
+
+
+def _serial() -> Iterator[Finding]:
+    ports = sorted([*Path("/dev").glob("ttyUSB*"), *Path("/dev").glob("ttyACM*")])
+    if not ports:
+        yield Finding("serial glove", False, "none plugged in; the simulated one serves", needed=False)
+    for port in ports:
+        usable = os.access(port, os.R_OK | os.W_OK)
+        mend = "usable" if usable else "no permission; add yourself to the group dialout and log in again"
+        yield Finding(f"serial port {port}", usable, mend, needed=False)
+
+
+def _programs() -> Iterator[Finding]:
+    for program, purpose in OPTIONAL_PROGRAMS.items():
+        there = shutil.which(program)
+        yield Finding(program, there is not None, there or purpose, needed=False)

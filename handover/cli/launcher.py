@@ -1,0 +1,190 @@
+"""The launcher: starts the services as processes, watches them, starts again what dies, stops them all.
+
+What a service prints goes to `logs/` in the data directory; no service outlives the launcher, even one
+that is killed.
+"""
+
+import asyncio
+import contextlib
+import os
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+import httpx
+
+from handover.cli.services import Service
+from handover.errors import UsageError
+from handover.service import LIFELINE, require_free
+from handover.settings import Settings
+
+READY_WITHIN_S = 30.0
+STOP_WITHIN_S = 2.0
+LEAST_FREE_BYTES = 50 * 1024 * 1024
+LARGEST_LOG_BYTES = 10 * 1024 * 1024
+NO_USE = 2
+"""What a process ends with when starting it again would not help."""
+FIRST_RESTART_S, LAST_RESTART_S = 0.2, 5.0
+
+
+@dataclass
+class Running:
+    """A process that the launcher keeps running; `url` is None where there is nothing to ask."""
+
+    name: str
+    command: Sequence[str]
+    url: str | None
+    log: Path
+    process: asyncio.subprocess.Process | None = None
+    restart_s: float = FIRST_RESTART_S
+    started_s: float = field(default_factory=time.monotonic)
+
+    def last_words(self) -> str:
+        """Return the last line it logged, which says why it ended."""
+        with contextlib.suppress(OSError):
+            lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
+            if lines:
+                return lines[-1]
+        return f"it said nothing; see {self.log}"
+
+
+class Launcher:
+    """Keeps `services` running while the context lasts; `say` gets a line when a person should know."""
+
+    def __init__(self, services: Sequence[Service], settings: Settings, say: Callable[[str], None]) -> None:
+        self._services = services
+        self._data_dir = settings.data_dir.absolute()
+        self._settings = settings
+        self._say = say
+        self._running: list[Running] = []
+        self._watchers: list[asyncio.Task[None]] = []
+        self._stopping = False
+
+    async def __aenter__(self) -> Self:
+        make_room(self._data_dir)
+        for service in self._services:
+            require_free(self._settings.host, service.port(), service.port_setting)
+        try:
+            for service in self._services:
+                await self.add(service.name, [sys.executable, "-m", service.module], service.url())
+            await self._all_ready()
+        except BaseException:
+            await self.stop()
+            raise
+        for running in self._running:
+            self._watchers.append(asyncio.create_task(self._keep(running)))
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.stop()
+
+    async def add(self, name: str, command: Sequence[str], url: str | None = None) -> None:
+        """Start one more process."""
+        running = Running(name, command, url, self._data_dir / "logs" / f"{name}.log")
+        await self._start(running)
+        self._running.append(running)
+
+    async def keep(self, name: str, command: Sequence[str]) -> None:
+        """Start one more process and start it again whenever it ends, unless it says that this is no use."""
+        await self.add(name, command)
+        self._watchers.append(asyncio.create_task(self._keep(self._running[-1])))
+
+    async def stop(self) -> None:
+        """End every process: ask, wait two seconds, insist."""
+        self._stopping = True
+        for watcher in self._watchers:
+            watcher.cancel()
+        alive = [r.process for r in self._running if r.process and r.process.returncode is None]
+        for process in alive:
+            with contextlib.suppress(ProcessLookupError):
+                process.terminate()
+        waits = [asyncio.create_task(process.wait()) for process in alive]
+        if waits:
+            await asyncio.wait(waits, timeout=STOP_WITHIN_S)
+        for process in alive:
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+        await asyncio.gather(*waits)
+
+    async def _start(self, running: Running) -> None:
+        running.log.parent.mkdir(parents=True, exist_ok=True)
+        if running.log.exists() and running.log.stat().st_size > LARGEST_LOG_BYTES:
+            running.log.replace(running.log.with_suffix(".log.1"))
+        environment = {
+            **os.environ,
+            LIFELINE: "1",
+            "HANDOVER_DATA_DIR": str(self._data_dir),
+            "PYTHONUNBUFFERED": "1",
+        }
+        with running.log.open("ab") as log:
+            running.process = await asyncio.create_subprocess_exec(
+                *running.command,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                env=environment,
+                start_new_session=True,
+            )
+        running.started_s = time.monotonic()
+
+    async def _all_ready(self) -> None:
+        deadline_s = time.monotonic() + READY_WITHIN_S
+        async with httpx.AsyncClient(timeout=2.0, trust_env=False) as http:
+            await asyncio.gather(*(self._ready(http, running, deadline_s) for running in self._running))
+
+    async def _ready(self, http: httpx.AsyncClient, running: Running, deadline_s: float) -> None:
+        reason = "it does not answer"
+        while time.monotonic() < deadline_s:
+            if running.process is not None and running.process.returncode is not None:
+                raise UsageError(f"{running.name} could not start: {running.last_words()}")
+            with contextlib.suppress(httpx.TransportError):
+                answer = await http.get(f"{running.url}/readyz")
+                if answer.is_success:
+                    return
+                reason = answer.text
+            await asyncio.sleep(0.05)
+        raise UsageError(
+            f"{running.name} is not ready after {READY_WITHIN_S:.0f} s: {reason}; see {running.log}"
+        )
+
+    async def _keep(self, running: Running) -> None:
+        while True:
+            assert running.process is not None  # noqa: S101 - started before it is watched
+            code = await running.process.wait()
+            if self._stopping:
+                return
+            if running.url is None and code == NO_USE:
+                self._say(f"{running.name} has ended: {running.last_words()}")
+                return
+            if time.monotonic() - running.started_s > LAST_RESTART_S:
+                running.restart_s = FIRST_RESTART_S
+            how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
+            self._say(f"{running.name} {how}; starting it again ({running.last_words()})")
+            await asyncio.sleep(running.restart_s)
+            running.restart_s = min(2 * running.restart_s, LAST_RESTART_S)
+            await self._start(running)
+
+
+def make_room(data_dir: Path) -> None:
+    """Make the data directory; raise `UsageError` in one line when it cannot hold anything."""
+    try:
+        data_dir.mkdir(parents=True, exist_ok=True)
+        probe = data_dir / ".writable"
+        probe.write_bytes(b"x" * 4096)
+        probe.unlink()
+        free_bytes = shutil.disk_usage(data_dir).free
+    except OSError as error:
+        raise UsageError(
+            f"the data directory {data_dir} cannot be used: {error.strerror}; choose another with --data-dir"
+        ) from None
+    if free_bytes < LEAST_FREE_BYTES:
+        raise UsageError(
+            f"the disk of {data_dir} is full ({free_bytes // 2**20} MB left, {LEAST_FREE_BYTES // 2**20} MB "
+            "needed); make room or choose another with --data-dir"
+        )

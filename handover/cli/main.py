@@ -1,0 +1,147 @@
+"""The `handover` command: everything a person starts, watches and asks."""
+
+import asyncio
+import os
+import runpy
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from handover.cli import process
+from handover.cli.demo import demo as run_demo
+from handover.cli.doctor import examine
+from handover.cli.glove import bridge_words
+from handover.cli.launcher import Launcher
+from handover.cli.services import SERVICES, service_named
+from handover.errors import HandoverError, Problem, UsageError
+from handover.settings import Settings, origins
+
+app = typer.Typer(
+    help="People and robots hand work to each other.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.add_typer(process.app, name="process")
+
+DataDir = Annotated[
+    Path | None, typer.Option("--data-dir", help="Where everything that must survive is kept.")
+]
+
+
+@app.command()
+def demo(
+    once: Annotated[
+        bool, typer.Option("--once", help="End after the process, with 0 if it completed.")
+    ] = False,
+    timeout_s: Annotated[float, typer.Option("--timeout", help="Seconds the process may take.")] = 300.0,
+    data_dir: DataDir = None,
+) -> None:
+    """Everything, simulated, with the bin-picking process."""
+    say("A person and a robot empty a bin together: simulated operator with glove-1, simulated UR10.")
+    _until_stopped(run_demo(_settings(data_dir), once=once, timeout_s=timeout_s, say=say))
+
+
+@app.command()
+def up(data_dir: DataDir = None) -> None:
+    """Every service with the simulated robot; nobody wears a glove, no process is started."""
+    _until_stopped(_up(_settings(data_dir)))
+
+
+async def _up(settings: Settings) -> None:
+    async with Launcher(SERVICES, settings, say):
+        for service in SERVICES:
+            say(f"{service.name:<20} {service.url()}")
+        say("ready; Ctrl-C ends it")
+        await asyncio.Event().wait()
+
+
+@app.command()
+def run(
+    service: Annotated[str, typer.Argument(help=", ".join(service.name for service in SERVICES))],
+    port: Annotated[int | None, typer.Option("--port", help="Listen here instead.")] = None,
+    data_dir: DataDir = None,
+) -> None:
+    """One service in the foreground."""
+    chosen = service_named(service)
+    if port is not None:
+        os.environ[chosen.port_setting] = str(port)
+    _settings(data_dir)
+    runpy.run_module(chosen.module, run_name="__main__", alter_sys=True)
+
+
+@app.command(
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+)
+def glove(context: typer.Context) -> None:
+    """A glove becomes frames: forward, serial, replay, record, simulate, calibrate."""
+    from glove_sdk_bridge.__main__ import main as bridge  # noqa: PLC0415 - only this command needs it
+
+    raise typer.Exit(bridge(bridge_words(context.args), program="handover glove"))
+
+
+@app.command()
+def settings() -> None:
+    """Every setting, its value and where it comes from."""
+    known = list(origins([service.settings for service in SERVICES]))
+    width = max(len(setting.name) for setting in known)
+    for setting in known:
+        say(f"{setting.name:<{width}}  {setting.value or '-':<36} {setting.origin:<12} {setting.description}")
+
+
+@app.command()
+def doctor(data_dir: DataDir = None) -> None:
+    """What this machine lacks, in one line each."""
+    findings = examine(_settings(data_dir))
+    for finding in findings:
+        say(f"{'ok     ' if finding.ok else 'missing'}  {finding.about}: {finding.words}")
+    if not all(finding.ok or not finding.needed for finding in findings):
+        raise typer.Exit(1)
+
+
+def say(line: str) -> None:
+    """Print one line at once, whether a terminal or a file reads it."""
+    print(line, flush=True)
+
+
+def main() -> None:
+    """Run the command; what a person can mend is said in one line, without a traceback."""
+    try:
+        app()
+    except Problem as problem:
+        raise SystemExit(_one_line(problem, 1)) from None
+    except UsageError as error:
+        raise SystemExit(_one_line(error, 2)) from None
+    except HandoverError as error:
+        raise SystemExit(_one_line(error, 1)) from None
+
+
+def _one_line(error: HandoverError, code: int) -> int:
+    print(f"handover: {error}", file=sys.stderr)
+    return code
+
+
+def _settings(data_dir: Path | None) -> Settings:
+    if data_dir is not None:
+        os.environ["HANDOVER_DATA_DIR"] = str(data_dir.absolute())
+    return Settings.load()
+
+
+def _until_stopped(work: Any) -> None:
+    """Run `work` until it ends or a person stops it with Ctrl-C or SIGTERM."""
+
+    async def watched() -> None:
+        import signal  # noqa: PLC0415
+
+        task = asyncio.ensure_future(work)
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, task.cancel)
+        try:
+            await task
+        except asyncio.CancelledError:
+            say("stopped")
+
+    asyncio.run(watched())

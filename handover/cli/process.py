@@ -1,0 +1,96 @@
+"""`handover process`: deploy BPMN files, start, list, show and cancel processes."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import httpx
+import orjson
+import typer
+
+from handover.cli.services import service_named
+from handover.errors import UsageError
+
+app = typer.Typer(help="Processes: deploy, start, list, show, cancel.", no_args_is_help=True)
+
+
+@app.command()
+def deploy(file: Annotated[Path, typer.Argument(help="A BPMN 2.0 file.")]) -> None:
+    """Make a process known to the orchestrator."""
+    try:
+        bpmn = file.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{file} cannot be read: {error.strerror}") from None
+    answer = _ask("POST", "/definitions", content=bpmn, headers={"Content-Type": "application/xml"})
+    print(f"{answer['name']} version {answer['version']} deployed")
+
+
+@app.command()
+def start(
+    definition: Annotated[str, typer.Argument(help="The name of the process definition.")],
+    parameters: Annotated[
+        list[str] | None, typer.Option("--set", help="A parameter, name=value; the value is JSON or text.")
+    ] = None,
+) -> None:
+    """Start a process."""
+    given = dict(_parameter(parameter) for parameter in parameters or [])
+    answer = _ask("POST", "/processes", json={"definition": definition, "parameters": given})
+    print(f"{answer['id']} started")
+
+
+@app.command("list")
+def list_processes() -> None:
+    """List the process definitions and the processes."""
+    for definition in _ask("GET", "/definitions"):
+        print(f"definition  {definition['name']:<24} version {definition['version']}")
+    for process in _ask("GET", "/processes"):
+        print(f"process     {process['id']:<56} {process['status']}")
+
+
+@app.command()
+def show(process: Annotated[str, typer.Argument(help="The id of the process.")]) -> None:
+    """Show all that is known of a process."""
+    print(orjson.dumps(_ask("GET", f"/processes/{process}"), option=orjson.OPT_INDENT_2).decode())
+
+
+@app.command()
+def cancel(process: Annotated[str, typer.Argument(help="The id of the process.")]) -> None:
+    """Cancel a process; the Tasks that are being done are asked to stop."""
+    _ask("POST", f"/processes/{process}/cancel")
+    print(f"{process} is being cancelled")
+
+
+def _ask(method: str, path: str, **content: Any) -> Any:
+    orchestrator = service_named("task-orchestrator").url()
+    try:
+        answer = httpx.request(method, f"{orchestrator}{path}", timeout=30, trust_env=False, **content)
+    except httpx.TransportError:
+        raise UsageError(
+            f"the task orchestrator does not answer at {orchestrator}; start it with: handover up"
+        ) from None
+    if answer.is_success:
+        return answer.json() if answer.content else None
+    raise UsageError(_refusal(answer))
+
+
+def _refusal(answer: httpx.Response) -> str:
+    try:
+        problem = answer.json()
+    except ValueError:
+        return f"the orchestrator answered {answer.status_code}: {answer.text[:200]}"
+    faults = [
+        f"  line {fault.get('line', '?')}, {fault.get('element') or 'the file'}: {fault['message']}"
+        for fault in problem.get("errors", [])
+    ]
+    if faults:
+        return "\n".join([f"{problem.get('title')}:", *faults])
+    return str(problem.get("detail") or problem.get("title"))
+
+
+def _parameter(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not equals or not name:
+        raise UsageError(f'a parameter is given as name=value, not "{text}"')
+    try:
+        return name, orjson.loads(value)
+    except orjson.JSONDecodeError:
+        return name, value

@@ -1,0 +1,50 @@
+"""The services of a cell, as the command line knows them: name, module and port."""
+
+from dataclasses import dataclass
+
+from handover.errors import UsageError
+from handover.settings import Settings
+from services.context_broker.settings import BrokerSettings
+from services.gesture_controller.settings import ControllerSettings
+from services.task_orchestrator.settings import OrchestratorSettings
+from services.trajectory_tool.settings import TrajectorySettings
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """One service; `port_field` is the setting that says where it listens."""
+
+    name: str
+    module: str
+    settings: type[Settings]
+    port_field: str
+
+    @property
+    def port_setting(self) -> str:
+        """Return the name of the environment variable that sets the port."""
+        return f"HANDOVER_{self.port_field.upper()}"
+
+    def port(self) -> int:
+        """Return the port it listens on."""
+        return int(getattr(self.settings.load(), self.port_field))
+
+    def url(self) -> str:
+        """Return where it answers on this machine."""
+        return self.settings.load().url_of(self.port())
+
+
+SERVICES = (
+    Service("context-broker", "services.context_broker", BrokerSettings, "broker_port"),
+    Service("task-orchestrator", "services.task_orchestrator", OrchestratorSettings, "orchestrator_port"),
+    Service("gesture-controller", "services.gesture_controller", ControllerSettings, "controller_port"),
+    Service("trajectory-tool", "services.trajectory_tool", TrajectorySettings, "trajectory_port"),
+)
+
+
+def service_named(name: str) -> Service:
+    """Return the service called `name`; raise `UsageError` with the names there are."""
+    for service in SERVICES:
+        if service.name == name:
+            return service
+    known = ", ".join(service.name for service in SERVICES)
+    raise UsageError(f'there is no service "{name}"; the services are {known}')

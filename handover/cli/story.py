@@ -1,0 +1,96 @@
+"""The story of a process: what happens to its Tasks, told line by line as it happens."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+from datamodels.entities import Task, TaskStatus
+
+Say = Callable[[str], None]
+
+
+@dataclass
+class Story:
+    """Follows the Tasks of one process; `tell` is given them again and again, and says only what is new."""
+
+    began: datetime
+    say: Say
+    _told: dict[str, set[str]] = field(default_factory=dict)
+    _asked_at: dict[str, datetime] = field(default_factory=dict)
+    done: list[Task] = field(default_factory=list)
+
+    def tell(self, tasks: Sequence[Task]) -> None:
+        """Say what has happened to `tasks` since the last time."""
+        for task in sorted(tasks, key=self._when):
+            told = self._told.setdefault(task.id, set())
+            status = task.status.value
+            if not told:
+                self._asked_at[task.id] = self._when(task)
+                self._line(task, self._asked(task))
+                told.add(TaskStatus.PENDING)
+            if status in told or status in {TaskStatus.PENDING, TaskStatus.ASSIGNED, TaskStatus.IN_PROGRESS}:
+                if status is TaskStatus.IN_PROGRESS and TaskStatus.PAUSED in told:
+                    told.discard(TaskStatus.PAUSED)
+                    self._line(task, "goes on")
+                continue
+            told.add(status)
+            if status is TaskStatus.PAUSED:
+                self._line(task, "pauses")
+            else:
+                self.done.append(task)
+                self._line(task, self._ended(task))
+
+    def summary(self) -> str:
+        """Return the closing sentence: who did how much, and how long it took them."""
+        people = [task for task in self.done if "commandId" in outputs_of(task)]
+        robots = [task for task in self.done if task not in people]
+        gestures = {str(outputs_of(task).get("gesture")) for task in people}
+        return (
+            f"{len(self.done)} Tasks: {len(people)} by the operator with {len(gestures)} different gestures "
+            f"in {self._took_s(people):.1f} s, {len(robots)} by the robot in {self._took_s(robots):.1f} s"
+        )
+
+    def _took_s(self, tasks: Sequence[Task]) -> float:
+        return sum((self._when(task) - self._asked_at[task.id]).total_seconds() for task in tasks)
+
+    def _asked(self, task: Task) -> str:
+        asked = parameters_of(task)
+        if "gesture" in asked or "commandId" in asked:
+            return f'is asked: "{asked.get("description", "")}"; show {asked.get("gesture", "the gesture")}'
+        return f"takes over: {asked.get('operation', 'work')}"
+
+    def _ended(self, task: Task) -> str:
+        seconds = (self._when(task) - self._asked_at[task.id]).total_seconds()
+        given = outputs_of(task)
+        if task.status.value is TaskStatus.FAILED:
+            return f"failed after {seconds:.1f} s: {given.get('reason', 'no reason given')}"
+        if given.get("by") == "screen":
+            return f"confirmed on the screen after {seconds:.1f} s"
+        if "gesture" in given:
+            held_s = given["heldMs"] / 1000
+            return f"showed {given['gesture']} for {held_s:.1f} s, {seconds:.1f} s after being asked"
+        operation = parameters_of(task).get("operation", "work")
+        found = {True: ", part found", False: ", no part found"}.get(given.get("found", ""), "")
+        return f"{operation} done in {seconds:.1f} s{found}"
+
+    def _line(self, task: Task, words: str) -> None:
+        at_s = (self._when(task) - self.began).total_seconds()
+        self.say(f"{max(at_s, 0):6.1f} s  {self._who(task):<9} {words}")
+
+    def _who(self, task: Task) -> str:
+        involved = task.involves or ()
+        return involved[0].object.rsplit(":", 1)[-1] if involved else "nobody"
+
+    def _when(self, task: Task) -> datetime:
+        return task.status.observed_at or self.began
+
+
+def parameters_of(task: Task) -> dict[str, Any]:
+    """Return the workParameters, empty if there are none."""
+    return dict(task.work_parameters.value) if task.work_parameters else {}
+
+
+def outputs_of(task: Task) -> dict[str, Any]:
+    """Return the outputParameters, empty if there are none."""
+    return dict(task.output_parameters.value) if task.output_parameters else {}

@@ -1,0 +1,71 @@
+"""A component of one performer: the shortest way from a class to a running service.
+
+serve(Lamp, "lamp", acts_for=["Device:lamp-1"], port=9100)
+"""
+
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from handover.broker import BrokerClient
+from handover.performer import Performer
+from handover.service import create_app
+from handover.service import serve as serve_app
+from handover.settings import Settings
+
+
+def component_app(
+    performer_class: Callable[..., Performer],
+    name: str,
+    settings: Settings,
+    *,
+    acts_for: Sequence[str],
+    url: str,
+) -> FastAPI:
+    """Return the application of a performer that the broker reaches at `url`.
+
+    `acts_for` are the resources it takes Tasks for: `Type:id`, or whole URNs.
+    """
+    broker = BrokerClient(settings)
+    performer = performer_class(name, settings, broker, notify_url=f"{url}/notifications")
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        for resource in acts_for:
+            kind, short = resource.split(":", 1)
+            await performer.act_for(resource if kind == "urn" else settings.entity_id(kind, short))
+        async with broker, performer:
+            yield
+
+    app = create_app(
+        name,
+        description=performer_class.__doc__ or name,
+        lifespan=lifespan,
+        checks={"tasks": performer.probe},
+    )
+    performer.mount(app)
+    return app
+
+
+def serve(
+    performer_class: Callable[..., Performer],
+    name: str,
+    *,
+    acts_for: Sequence[str],
+    port: int,
+    url: str | None = None,
+) -> None:
+    """Run a performer as a service on `port` until it is stopped.
+
+    `url` is where the broker reaches it, when that is not the address it listens on.
+    """
+    settings = Settings.load()
+    reached_at = settings.url_of(port, url)
+    serve_app(
+        lambda: component_app(performer_class, name, settings, acts_for=acts_for, url=reached_at),
+        settings,
+        service=name,
+        port=port,
+        port_setting=f"the port of {name}",
+    )

@@ -1,0 +1,77 @@
+"""Telemetry: structured log lines that carry the task and the process, and metrics for Prometheus.
+
+`log.info("task taken up", task=task_id)` is a line a person can read (`HANDOVER_LOG_FORMAT=text`) or a JSON
+object a machine can (`json`). What is bound with `working_on` is on every line written inside it.
+"""
+
+import logging
+import sys
+from collections.abc import Iterator, MutableMapping
+from contextlib import contextmanager
+from typing import Any, cast
+
+import structlog
+from structlog.typing import Processor
+
+from handover.settings import Settings
+
+
+def set_up_logging(settings: Settings, service: str) -> None:
+    """Send all logs, the libraries' too, to standard error as one stream in one form."""
+    shared: list[Processor] = [
+        structlog.contextvars.merge_contextvars,
+        structlog.stdlib.add_log_level,
+        structlog.stdlib.ExtraAdder(),
+        _without_uvicorns_colours,
+        structlog.processors.TimeStamper(fmt="iso", utc=True),
+    ]
+    renderer: Processor
+    if settings.log_format == "json":
+        shared.append(
+            structlog.processors.ExceptionRenderer(
+                structlog.tracebacks.ExceptionDictTransformer(show_locals=False)
+            )
+        )
+        renderer = structlog.processors.JSONRenderer()
+    else:
+        renderer = structlog.dev.ConsoleRenderer(
+            colors=sys.stderr.isatty(),
+            pad_event_to=0,
+            exception_formatter=structlog.dev.plain_traceback,  # a rich one shows local values, secrets too
+        )
+    structlog.configure(
+        processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
+        logger_factory=structlog.stdlib.LoggerFactory(),
+        wrapper_class=structlog.stdlib.BoundLogger,
+        cache_logger_on_first_use=True,
+    )
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(
+            foreign_pre_chain=shared,
+            processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, renderer],
+        )
+    )
+    root = logging.getLogger()
+    root.handlers[:] = [handler]
+    root.setLevel(settings.log_level.upper())
+    for chatty in ("httpx", "httpcore", "uvicorn.access"):
+        logging.getLogger(chatty).setLevel(logging.WARNING)
+    structlog.contextvars.bind_contextvars(service=service)
+
+
+def _without_uvicorns_colours(_: Any, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    event.pop("color_message", None)
+    return event
+
+
+def get_logger(name: str) -> structlog.stdlib.BoundLogger:
+    """Return the logger of a module; call it with `__name__`."""
+    return cast("structlog.stdlib.BoundLogger", structlog.get_logger(name))
+
+
+@contextmanager
+def working_on(**ids: Any) -> Iterator[None]:
+    """Put `task=…`, `process=…` and the like on every log line written inside."""
+    with structlog.contextvars.bound_contextvars(**ids):
+        yield
