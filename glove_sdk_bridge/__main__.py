@@ -1,0 +1,116 @@
+"""`python -m glove_sdk_bridge`: forward, replay, serial, simulate, record or calibrate."""
+
+import argparse
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from glove_sdk_bridge.calibration import Calibrator
+from glove_sdk_bridge.command_line import parse
+from glove_sdk_bridge.controller import Controller
+from glove_sdk_bridge.errors import BridgeError
+from glove_sdk_bridge.forward import STDIN, Forward
+from glove_sdk_bridge.frames import HANDS, Hello
+from glove_sdk_bridge.link import Link
+from glove_sdk_bridge.recorder import Recorder
+from glove_sdk_bridge.replay import Replay
+from glove_sdk_bridge.screen import Screen
+from glove_sdk_bridge.serial_port import SerialGlove
+from glove_sdk_bridge.simulated_glove import SimulatedGlove
+from glove_sdk_bridge.simulated_hand import SimulatedHand
+from glove_sdk_bridge.simulated_operator import SimulatedOperator
+from glove_sdk_bridge.source import Source, stream
+
+LIFELINE = "HANDOVER_LIFELINE"
+"""Set by who starts us as a part of something larger: we end when our standard input does."""
+
+
+def main(words: list[str] | None = None, program: str = "glove_sdk_bridge") -> int:
+    """Do what `words` (those of the command line if None) ask for, and return the exit code.
+
+    0 when it is done or was stopped, 2 when it could not go on, which is said in one line.
+    """
+    stop = threading.Event()
+    try:
+        asked = parse(sys.argv[1:] if words is None else words, program)
+        with _stopped_by_sigterm(stop):
+            if os.environ.get(LIFELINE) and asked.command != "forward":
+                threading.Thread(target=_stop_with_parent, args=(stop,), daemon=True).start()
+            _do(asked, stop)
+    except BridgeError as error:
+        _say(f"glove: {error}")
+        return 2
+    except KeyboardInterrupt:
+        return 0
+    except SystemExit as end:  # --help
+        return end.code if isinstance(end.code, int) else 0
+    return 0
+
+
+def _do(asked: argparse.Namespace, stop: threading.Event) -> None:
+    if asked.command == "record":
+        Recorder(asked.file, asked.glove, Controller(asked.controller), say=_say).record(stop, asked.seconds)
+        return
+    if asked.command == "calibrate":
+        calibrator = Calibrator(asked.glove, Controller(asked.controller), say=_say)
+        if asked.table is None:
+            calibrator.from_hand(stop)
+        else:
+            calibrator.from_table(asked.table, asked.fist, asked.open, asked.seconds)
+        return
+    source, hand = _source(asked)
+    hello = Hello(asked.glove, asked.hand or hand or HANDS[0], asked.token)
+    with Link(hello, asked.host, asked.port, say=_say) as link:
+        stream(source, link, stop, _say)
+
+
+def _source(asked: argparse.Namespace) -> tuple[Source, str | None]:
+    """Return the source that is asked for, and the hand that it was recorded from, if it knows."""
+    if asked.command == "forward":
+        return Forward(say=_say), None
+    if asked.command == "serial":
+        return SerialGlove(
+            asked.device, say=_say, baud=asked.baud, invert=asked.invert, full_scale=asked.full_scale
+        ), None
+    if asked.command == "replay":
+        replay = Replay(
+            asked.file, say=_say, poses=asked.pose, rate_hz=asked.rate, speed=asked.speed, loop=asked.loop
+        )
+        return replay, replay.hand
+    return SimulatedGlove(
+        SimulatedHand(asked.seed, rate_hz=asked.rate),
+        SimulatedOperator(asked.seed, asked.mistakes, asked.speed),
+        Screen(Controller(asked.controller), asked.glove, say=_say),
+        say=_say,
+        calibrate=asked.calibrate,
+    ), None
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _stopped_by_sigterm(stop: threading.Event) -> Iterator[None]:
+    """End as calmly on SIGTERM as on anything else, where signals can be caught."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before if before is not None else signal.SIG_DFL)
+
+
+def _stop_with_parent(stop: threading.Event) -> None:
+    while os.read(STDIN, 4096):
+        pass
+    stop.set()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,154 @@
+"""Frames: what a glove says on the wire, one JSON object a line.
+
+A hello first (who, which hand, the token), then frames: five bend values, thumb first, raw, higher is
+straighter, each stamped in seconds of the clock of the machine that the glove is paired with.
+"""
+
+import json
+import math
+import re
+from dataclasses import dataclass, field
+from typing import Any, TypeGuard
+
+from glove_sdk_bridge.errors import BadLine
+
+FINGERS: tuple[str, ...] = ("thumb", "index", "middle", "ring", "little")
+HANDS = ("right", "left")
+VERSION = 1
+MAX_LINE_BYTES = 64 * 1024
+LARGEST_VALUE = 1e12
+"""No sensor and no clock shows more; a greater number is a broken line."""
+
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+Number = int | float
+Five = tuple[Number, Number, Number, Number, Number]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What a glove measured at `t_s` (monotonic seconds); `bend` is raw, thumb first, higher is straighter.
+
+    `pressure` (raw, thumb first) and `battery` (0 to 1) are given by gloves that have them.
+    """
+
+    t_s: float
+    bend: Five
+    seq: int = 0
+    pressure: Five | None = None
+    battery: float | None = None
+
+    def encode(self) -> bytes:
+        """Return the frame as a line of the wire."""
+        words: dict[str, Any] = {"type": "frame", "seq": self.seq, "t": round(self.t_s, 6), "bend": self.bend}
+        if self.pressure is not None:
+            words["pressure"] = self.pressure
+        if self.battery is not None:
+            words["battery"] = self.battery
+        return _line(words)
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """How a glove introduces itself; `sensors` is the order in which its frames name the fingers."""
+
+    glove: str
+    hand: str = "right"
+    token: str = field(default="", repr=False)
+    sensors: tuple[str, ...] = FINGERS
+
+    def encode(self) -> bytes:
+        """Return the hello as a line of the wire, with the token if there is one."""
+        words: dict[str, Any] = {"type": "hello", "version": VERSION, "glove": self.glove, "hand": self.hand}
+        if self.token:
+            words["token"] = self.token
+        return _line({**words, "sensors": self.sensors})
+
+
+def parse_frame(line: bytes | str, sensors: tuple[str, ...] = FINGERS) -> Frame:
+    """Return the frame in `line`, whose values come in the order of `sensors`, thumb first.
+
+    Raises `BadLine` when it is no frame, or not all of its numbers are finite.
+    """
+    given = parse_object(line)
+    if given.get("type") != "frame":
+        raise BadLine('a frame has the type "frame"')
+    if not is_number(given.get("t")):
+        raise BadLine('a frame needs the time "t" in seconds')
+    return frame_of(given, given["t"], sensors)
+
+
+def frame_of(given: dict[str, Any], t_s: float, sensors: tuple[str, ...] = FINGERS) -> Frame:
+    """Return the frame at `t_s` with the values in `given`; raise `BadLine` if they are no frame's."""
+    seq, pressure, battery = given.get("seq", 0), given.get("pressure"), given.get("battery")
+    if type(seq) is not int or not 0 <= seq <= LARGEST_VALUE:
+        raise BadLine('"seq" counts 0, 1, 2, …')
+    if battery is not None and not (is_number(battery) and 0 <= battery <= 1):
+        raise BadLine('"battery" is a number from 0 to 1')
+    return Frame(
+        t_s=float(t_s),
+        bend=five(given.get("bend"), "bend", sensors),
+        seq=seq,
+        pressure=None if pressure is None else five(pressure, "pressure", sensors),
+        battery=battery,
+    )
+
+
+def parse_hello(line: bytes | str) -> Hello:
+    """Return the hello in `line`; raise `BadLine` if it is none."""
+    given = parse_object(line)
+    if given.get("type") != "hello":
+        raise BadLine('a hello has the type "hello"')
+    if given.get("version") != VERSION:
+        raise BadLine(f"only version {VERSION} is spoken here")
+    name, hand, token = given.get("glove"), given.get("hand", HANDS[0]), given.get("token", "")
+    if not is_glove_name(name):
+        raise BadLine('"glove" must be 1 to 64 letters, digits, ".", "_" or "-"')
+    if hand not in HANDS:
+        raise BadLine('"hand" must be "right" or "left"')
+    if not isinstance(token, str):
+        raise BadLine('"token" must be a text')
+    sensors = given.get("sensors", list(FINGERS))
+    named = sensors if isinstance(sensors, list) else []
+    if not all(isinstance(finger, str) for finger in named) or sorted(named) != sorted(FINGERS):
+        raise BadLine(f'"sensors" must name {", ".join(FINGERS)}, each once')
+    return Hello(name, hand, token, tuple(named))
+
+
+def parse_object(line: bytes | str) -> dict[str, Any]:
+    """Return the JSON object in `line`; raise `BadLine` if it is none."""
+    try:
+        given = json.loads(line)
+    except (ValueError, RecursionError):
+        raise BadLine("not JSON") from None
+    if not isinstance(given, dict):
+        raise BadLine("not a JSON object")
+    return given
+
+
+def five(values: object, what: str, sensors: tuple[str, ...] = FINGERS) -> Five:
+    """Return `values`, given in the order of `sensors`, thumb first; raise `BadLine` unless five numbers."""
+    if not isinstance(values, list | tuple):
+        raise BadLine(f'"{what}" must be a list of five numbers')
+    if len(values) != len(FINGERS):
+        raise BadLine(f'"{what}" needs five numbers, one a finger')
+    if not all(is_number(value) for value in values):
+        raise BadLine(f'"{what}" must hold finite numbers')
+    thumb, index, middle, ring, little = (values[sensors.index(finger)] for finger in FINGERS)
+    return thumb, index, middle, ring, little
+
+
+def is_number(value: object) -> TypeGuard[Number]:
+    """Say whether `value` is a finite number of a size that a sensor or a clock can show."""
+    if type(value) is int:
+        return -LARGEST_VALUE <= value <= LARGEST_VALUE
+    return type(value) is float and math.isfinite(value) and abs(value) <= LARGEST_VALUE
+
+
+def is_glove_name(name: object) -> TypeGuard[str]:
+    """Say whether `name` can name a glove: it becomes part of entity ids, URLs and file names."""
+    return isinstance(name, str) and _NAME.fullmatch(name) is not None and name.strip(".") != ""
+
+
+def _line(words: dict[str, Any]) -> bytes:
+    return json.dumps(words, separators=(",", ":"), allow_nan=False).encode() + b"\n"

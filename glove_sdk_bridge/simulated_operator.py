@@ -1,0 +1,213 @@
+"""The simulated operator: a person who looks at the screen and shows what the Task asks for.
+
+Reads, thinks, moves, holds until the Task is done, and relaxes. Now and then shows something else or lets
+go too early, sees on the screen that it did not count, and tries again. Pure: it is told the time and what
+the screen shows, and answers with how the hand moves.
+"""
+
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Self
+
+from glove_sdk_bridge.frames import FINGERS, is_number
+from glove_sdk_bridge.simulated_hand import AT_REST, HALF_BENT, Posture
+
+REACTION_MEDIAN_S, REACTION_SPREAD = 0.95, 0.25
+"""Lognormal: two of three reactions to a new Task take 0.74 to 1.22 s, reading included."""
+LEAST_REACTION_S, MOST_REACTION_S = 0.6, 1.5
+MOVEMENT_S = (0.25, 0.5)
+NOTICE_S = (0.2, 0.5)
+"""From what the screen shows to the hand that follows, when a person waits for just that."""
+
+CARELESSNESS = 0.04
+"""The standard deviation of how straight a finger is made, as a share of its span."""
+
+CORRECTION = 0.25
+MOST_CORRECTION = 0.5
+CORRECT_AFTER_S = 0.4
+"""A finger that the screen sees otherwise than asked is moved further by a share of its span, again and
+again after so long: soon enough that no other gesture is held until it counts."""
+
+GIVE_UP_AFTER_HOLDS = 3.0
+"""A gesture that has not counted after so many times the hold is let go and shown again."""
+
+WRONG_FOR = (0.3, 0.42)
+SHORT_FOR = (0.3, 0.6)
+"""How long a wrong and a too short gesture are held, as shares of what confirms: never long enough."""
+
+MOST_MISTAKES = 2
+"""Mistakes in a row; after so many even a careless person takes care."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What the screen shows of a glove: the Task, if there is one, and the finger states it sees."""
+
+    task: str | None = None
+    code: str = ""
+    states: str = ""
+    confirm_s: float = 1.5
+    waits: bool = False
+    """True when nothing that is shown would count: the work is paused, or the glove is tried out."""
+
+    @classmethod
+    def of(cls, shown: Mapping[str, Any]) -> Self:
+        """Return the view in the controller's JSON; what is missing or makes no sense is not seen."""
+        task, hold = _mapping(shown.get("task")), _mapping(shown.get("hold"))
+        code, confirm_ms = str(task.get("code", "")), hold.get("confirmMs")
+        states = shown.get("states")
+        return cls(
+            task=str(task["id"]) if task.get("id") and _is_code(code) else None,
+            code=code,
+            states=states if isinstance(states, str) and _is_code(states) else "",
+            confirm_s=confirm_ms / 1000 if is_number(confirm_ms) and confirm_ms > 0 else 1.5,
+            waits=bool(shown.get("paused")) or bool(shown.get("testing")),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Movement:
+    """Where the fingers go, and how long they take."""
+
+    to: Posture
+    duration_s: float
+
+
+class Stage(Enum):
+    """What the operator is doing."""
+
+    AT_REST = "at rest"
+    ABOUT_TO = "about to show"
+    SHOWING = "showing"
+    LETTING_GO = "letting go"
+
+
+class Attempt(Enum):
+    """What the operator shows."""
+
+    RIGHT = "right"
+    WRONG = "wrong"
+    TOO_SHORT = "too short"
+
+
+@dataclass(slots=True)
+class SimulatedOperator:
+    """A person; `mistakes` is the share of attempts that go wrong, `speed` how much quicker than usual.
+
+    How long a gesture must be held is up to the controller, whatever the speed.
+    """
+
+    seed: int | None = None
+    mistakes: float = 0.15
+    speed: float = 1.0
+    stage: Stage = Stage.AT_REST
+    attempt: Attempt = Attempt.RIGHT
+    _chance: random.Random = field(init=False)
+    _task: str | None = None
+    _due_s: float = 0.0
+    _corrected_s: float = 0.0
+    _made: int = 0
+    _effort: list[float] = field(default_factory=lambda: [0.0] * len(FINGERS))
+
+    def __post_init__(self) -> None:
+        self._chance = random.Random(self.seed)  # noqa: S311 - a simulation, no secret
+
+    def look(self, view: View, at_s: float) -> Movement | None:
+        """Return how the hand moves now that the screen shows `view`, or None if it goes on as before."""
+        wanted = None if view.waits else view.task
+        if wanted != self._task:
+            self._notice(wanted, at_s)
+        if at_s < self._due_s:
+            return self._correct(view, at_s) if self.stage is Stage.SHOWING else None
+        if self.stage is Stage.LETTING_GO:
+            return self._relax(at_s)
+        if self.stage is Stage.ABOUT_TO:
+            return self._show(view, at_s)
+        if self.stage is Stage.SHOWING:
+            return self._relax(at_s)
+        return None
+
+    def _notice(self, wanted: str | None, at_s: float) -> None:
+        """Take in that there is another Task, or none: a hand that shows something is let go first."""
+        self._task, self._made = wanted, 0
+        if self.stage is Stage.SHOWING:
+            self.stage, self._due_s = Stage.LETTING_GO, at_s + self._takes(*NOTICE_S)
+        elif self.stage is not Stage.LETTING_GO:
+            self._think(at_s)
+
+    def _think(self, at_s: float) -> None:
+        self.stage = Stage.AT_REST if self._task is None else Stage.ABOUT_TO
+        self._due_s = at_s + self._reaction_s()
+
+    def _relax(self, at_s: float) -> Movement:
+        duration_s = self._takes(*MOVEMENT_S)
+        self._think(at_s + duration_s)
+        return Movement(AT_REST, duration_s)
+
+    def _show(self, view: View, at_s: float) -> Movement:
+        self.stage, self.attempt = Stage.SHOWING, self._choose()
+        self._effort = [self._chance.gauss(0, CARELESSNESS) for _ in FINGERS]
+        duration_s = self._takes(*MOVEMENT_S)
+        code, hold_s = view.code, GIVE_UP_AFTER_HOLDS * view.confirm_s
+        if self.attempt is Attempt.WRONG:
+            code, hold_s = self._mistaken(code), self._chance.uniform(*WRONG_FOR) * view.confirm_s
+        elif self.attempt is Attempt.TOO_SHORT:
+            hold_s = self._chance.uniform(*SHORT_FOR) * view.confirm_s
+        self._due_s = at_s + duration_s + hold_s
+        self._corrected_s = at_s + duration_s
+        return Movement(self._posture(code), duration_s)
+
+    def _correct(self, view: View, at_s: float) -> Movement | None:
+        """Bend or stretch more the fingers that the screen sees otherwise than the Task asks for."""
+        if self.attempt is not Attempt.RIGHT or at_s < self._corrected_s + CORRECT_AFTER_S:
+            return None
+        differs = [
+            place
+            for place, (seen, asked) in enumerate(zip(view.states, view.code, strict=False))
+            if seen != asked
+        ]
+        if not differs:
+            return None
+        for place in differs:
+            push = CORRECTION if view.states[place] > view.code[place] else -CORRECTION
+            self._effort[place] = max(-MOST_CORRECTION, min(MOST_CORRECTION, self._effort[place] + push))
+        self._corrected_s = at_s
+        return Movement(self._posture(view.code), self._takes(*MOVEMENT_S))
+
+    def _choose(self) -> Attempt:
+        if self._made >= MOST_MISTAKES or self._chance.random() >= self.mistakes:
+            return Attempt.RIGHT
+        self._made += 1
+        return self._chance.choice((Attempt.WRONG, Attempt.TOO_SHORT))
+
+    def _mistaken(self, code: str) -> str:
+        """Return `code` with a finger wrong: a bent one beside a straight one comes up with it."""
+        bent = [place for place, state in enumerate(code) if state != "0"]
+        beside = [place for place in bent if "0" in code[max(0, place - 1) : place + 2]]
+        place = self._chance.choice(beside or bent or range(len(code)))
+        state = "0" if code[place] != "0" else "2"
+        return code[:place] + state + code[place + 1 :]
+
+    def _posture(self, code: str) -> Posture:
+        shares = {"0": 1.0, "1": HALF_BENT, "2": 0.0}
+        thumb, index, middle, ring, little = (
+            shares[state] + effort for state, effort in zip(code, self._effort, strict=True)
+        )
+        return thumb, index, middle, ring, little
+
+    def _reaction_s(self) -> float:
+        reaction_s = REACTION_MEDIAN_S * self._chance.lognormvariate(0, REACTION_SPREAD)
+        return min(max(reaction_s, LEAST_REACTION_S), MOST_REACTION_S) / self.speed
+
+    def _takes(self, least_s: float, most_s: float) -> float:
+        return self._chance.uniform(least_s, most_s) / self.speed
+
+
+def _mapping(given: object) -> Mapping[str, Any]:
+    return given if isinstance(given, dict) else {}
+
+
+def _is_code(code: str) -> bool:
+    return len(code) == len(FINGERS) and set(code) <= set("012")
