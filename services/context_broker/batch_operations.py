@@ -1,0 +1,251 @@
+"""Operations on many entities in one request, each with its own fate (clauses 5.6.7 to 5.6.10, 6.14 ff)."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker import changes
+from services.context_broker.changes import Outcome
+from services.context_broker.contexts import Context
+from services.context_broker.entity import Entity
+from services.context_broker.entity_operations import DONE, EntityOperations, absent
+from services.context_broker.exchange import Answer, Exchange
+from services.context_broker.intake import Change, read_change, read_entity
+from services.context_broker.problems import bad_request_data, not_supported
+from services.context_broker.reading import (
+    PAGE_PARAMETERS,
+    VIEW_PARAMETERS,
+    entities_answer,
+    options_of,
+    selection_of,
+    view_of,
+    window_of,
+)
+from services.context_broker.selection import search
+from services.context_broker.words import require_uri, shown, timestamp_now
+
+MOST_ENTITIES: Final = 10_000
+_LOCAL: Final = frozenset({"local", "options"})
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """A change on its way; without `fate` there was nothing to do, `refusal` tells what was left undone."""
+
+    entity_id: str
+    fate: asyncio.Future[None] | None
+    is_new: bool = False
+    refusal: Problem | None = None
+
+
+@dataclass(slots=True)
+class _Fates:
+    """What has become of the entities of one request."""
+
+    created: list[str] = field(default_factory=list)
+    succeeded: list[str] = field(default_factory=list)
+    errors: list[dict[str, Any]] = field(default_factory=list)
+    on_their_way: list[_Change] = field(default_factory=list)
+
+    def refuse(self, entity_id: Any, problem: Problem) -> None:
+        """Note that an entity was refused."""
+        self.errors.append({"entityId": entity_id, "error": problem.body()})
+
+    async def settle(self) -> None:
+        """Wait until everything on its way is safe, or known not to be."""
+        for change in self.on_their_way:
+            try:
+                if change.fate is not None:
+                    await change.fate
+                if change.refusal is not None:
+                    raise change.refusal
+            except Problem as problem:
+                self.refuse(change.entity_id, problem)
+            else:
+                self.succeeded.append(change.entity_id)
+                if change.is_new:
+                    self.created.append(change.entity_id)
+
+    def answer(self, all_well: Answer) -> Answer:
+        """Return `all_well` if nothing was refused, else 207 with what was, and what was not."""
+        if not self.errors:
+            return all_well
+        body = orjson.dumps({"success": self.succeeded, "errors": self.errors})
+        return Answer(207, body, [(b"content-type", b"application/json")])
+
+
+class BatchOperations:
+    """What can be done to many entities at once."""
+
+    def __init__(self, entities: EntityOperations) -> None:
+        self._entities = entities
+        self._store = entities.store
+
+    async def create(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/create."""
+        exchange.require_known(_LOCAL)
+        fates = await self._each(exchange, self._create)
+        return fates.answer(_created(fates.created))
+
+    async def upsert(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/upsert; options=update keeps attributes that are not named."""
+        exchange.require_known(_LOCAL)
+        options = options_of(exchange, frozenset({"update", "replace"}))
+        if len(options) > 1:
+            raise bad_request_data("options is update or replace, not both")
+        keeps = options == {"update"}
+        fates = await self._each(exchange, lambda given, context: self._upsert(given, context, keeps=keeps))
+        return fates.answer(_created(fates.created) if fates.created else DONE)
+
+    async def update(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/update; options=noOverwrite leaves attributes that are there alone."""
+        exchange.require_known(_LOCAL)
+        overwrite = "noOverwrite" not in options_of(exchange, frozenset({"noOverwrite"}))
+        fates = await self._each(
+            exchange, lambda given, context: self._append(given, context, overwrite=overwrite)
+        )
+        return fates.answer(DONE)
+
+    async def merge(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/merge."""
+        exchange.require_known(_LOCAL)
+        return (await self._each(exchange, self._merge)).answer(DONE)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/delete with a list of ids."""
+        exchange.require_known(_LOCAL)
+        exchange.content_type()
+        fates = _Fates()
+        for given in _as_list(exchange.document(), "entity ids"):
+            try:
+                entity_id = require_uri(given, "an entity id")
+                before = self._store.latest(entity_id)
+                if before is None:
+                    raise absent(entity_id)
+                fates.on_their_way.append(_Change(entity_id, self._store.stage(before, None, frozenset())))
+            except Problem as problem:
+                fates.refuse(given, problem)
+        await fates.settle()
+        return fates.answer(DONE)
+
+    async def query(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/query with a Query document (clause 5.2.23)."""
+        exchange.require_known(VIEW_PARAMETERS | PAGE_PARAMETERS)
+        exchange.accept()
+        document, context = await exchange.body()
+        parameters = _query_parameters(document)
+        exchange.parameters = {
+            **exchange.parameters, **{name: parameters[name] for name in ("attrs",) if name in parameters}
+        }  # fmt: skip
+        view, window = view_of(exchange, context), window_of(exchange)
+        selection = selection_of(parameters, context)
+        page = await search(self._store, selection, window.offset, window.limit, count=window.count)
+        return entities_answer(exchange, page, window, context, view)
+
+    async def _each(self, exchange: Exchange, act: Callable[[Any, Context], _Change]) -> _Fates:
+        media_type = exchange.content_type()
+        documents = _as_list(exchange.document(), "entities")
+        fates = _Fates()
+        for given in documents:
+            try:
+                context = await exchange.context_of(given, media_type)
+                fates.on_their_way.append(act(given, context))
+            except Problem as problem:
+                fates.refuse(given.get("id") if isinstance(given, dict) else None, problem)
+        await fates.settle()
+        return fates
+
+    def _create(self, given: Any, context: Context) -> _Change:
+        entity, touched = self._entities.creation(read_entity(given, context.terms))
+        return _Change(entity.id, self._store.stage(None, entity, touched), is_new=True)
+
+    def _upsert(self, given: Any, context: Context, *, keeps: bool) -> _Change:
+        change, before = self._known(given, context)
+        if before is None:
+            return self._create(given, context)
+        if keeps:
+            return self._carry_out(before, changes.appended(before, change, timestamp_now()))
+        return self._carry_out(
+            before, changes.replaced(before, read_entity(given, context.terms), timestamp_now())
+        )
+
+    def _append(self, given: Any, context: Context, *, overwrite: bool) -> _Change:
+        change, before = self._known(given, context)
+        if before is None:
+            raise absent(change.id or "")
+        outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
+        if outcome.refused:
+            names = ", ".join(shown(context.terms.compact(name)) for name in outcome.refused)
+            refusal = bad_request_data(f"attributes {names} were left as they are: {changes.PRESENT}")
+            return replace(self._carry_out(before, outcome), refusal=refusal)
+        return self._carry_out(before, outcome)
+
+    def _merge(self, given: Any, context: Context) -> _Change:
+        change, before = self._known(given, context)
+        if before is None:
+            raise absent(change.id or "")
+        return self._carry_out(before, changes.merged(before, change, timestamp_now()))
+
+    def _known(self, given: Any, context: Context) -> tuple[Change, Entity | None]:
+        change = read_change(given, context.terms)
+        if change.id is None:
+            raise bad_request_data('an entity in a batch has an "id"; add it')
+        return change, self._store.latest(change.id)
+
+    def _carry_out(self, before: Entity, outcome: Outcome) -> _Change:
+        if outcome.entity is before:
+            return _Change(before.id, None)
+        return _Change(before.id, self._store.stage(before, outcome.entity, outcome.touched))
+
+
+def _created(ids: list[str]) -> Answer:
+    return Answer(201, orjson.dumps(ids), [(b"content-type", b"application/json")])
+
+
+def _as_list(document: Any, what: str) -> list[Any]:
+    if not isinstance(document, list) or not document:
+        raise bad_request_data(f"the body is a list of {what} with at least one in it")
+    if len(document) > MOST_ENTITIES:
+        raise bad_request_data(f"the body holds {len(document)} {what}; {MOST_ENTITIES} are taken at once")
+    return document
+
+
+def _query_parameters(document: Any) -> dict[str, str]:
+    if not isinstance(document, dict) or document.get("type", "Query") != "Query":
+        raise bad_request_data('the body is an object with "type": "Query"')
+    parameters: dict[str, str] = {}
+    for name, value in document.items():
+        if name == "attrs":
+            if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+                raise bad_request_data(f'"attrs" is a list of attribute names, not {shown(value)}')
+            parameters["attrs"] = ",".join(value)
+        elif name == "q":
+            if not isinstance(value, str):
+                raise bad_request_data(f'"q" is text, not {shown(value)}')
+            parameters["q"] = value
+        elif name == "entities":
+            parameters.update(_selector_parameters(value))
+        elif name not in {"type", "@context"}:
+            raise not_supported(f"this broker does not heed {shown(name)} in a Query yet; leave it out")
+    return parameters
+
+
+def _selector_parameters(given: Any) -> dict[str, str]:
+    if not isinstance(given, list) or not given or not all(isinstance(one, dict) for one in given):
+        raise bad_request_data('"entities" is a list of selectors such as {"type": "Task"}')
+    if len(given) == 1:
+        selector = given[0]
+        if set(selector) - {"id", "idPattern", "type"} or not all(
+            isinstance(v, str) for v in selector.values()
+        ):
+            raise bad_request_data('an entity selector has "id", "idPattern" and "type", all text')
+        return dict(selector)
+    if all(set(one) == {"type"} and isinstance(one["type"], str) for one in given):
+        return {"type": ",".join(one["type"] for one in given)}
+    raise not_supported(
+        "this broker takes several selectors only when each has just a type; ask once for each"
+    )

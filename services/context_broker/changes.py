@@ -1,0 +1,202 @@
+"""What a change makes of an entity: pure functions from the entity before to the entity after.
+
+Clauses 5.6.1 to 5.6.5, 5.6.17 and 5.6.18 (create, append, update, partial update, delete, merge, replace).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from services.context_broker.entity import (
+    NULL,
+    SAYS,
+    Attributes,
+    Entity,
+    Instance,
+    dataset_of,
+    is_deletion,
+)
+from services.context_broker.intake import Change
+
+ABSENT = "the entity has no such attribute; append it first"
+PRESENT = "the entity has this attribute already and noOverwrite was asked for"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """An entity after a change, the attributes (IRIs) that were written, and those refused and why."""
+
+    entity: Entity
+    touched: frozenset[str]
+    refused: Mapping[str, str]
+
+
+def created(change: Change, at: str, seq: int) -> Entity:
+    """Return the new entity that `change` tells of."""
+    assert change.id is not None  # noqa: S101 - read_entity has seen to it
+    attributes = {name: _stamped(instances, {}, at) for name, instances in change.attributes.items()}
+    return Entity(change.id, change.types, attributes, at, at, seq)
+
+
+def replaced(before: Entity, change: Change, at: str) -> Outcome:
+    """Return the entity with all its attributes replaced; its place and its createdAt stay."""
+    attributes = {
+        name: _stamped(instances, _by_dataset(before, name), at)
+        for name, instances in change.attributes.items()
+    }
+    types = change.types or before.types
+    after = Entity(before.id, types, attributes, before.created_at, at, before.seq)
+    return Outcome(after, frozenset(attributes), {})
+
+
+def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True) -> Outcome:
+    """Return the entity with attributes added; those that are there are overwritten, or refused."""
+    attributes = dict(before.attributes)
+    refused: dict[str, str] = {}
+    for name, instances in change.attributes.items():
+        if name in attributes and not overwrite:
+            refused[name] = PRESENT
+        else:
+            _write(attributes, name, instances, at)
+    return _outcome(before, change, attributes, at, refused)
+
+
+def updated(before: Entity, change: Change, at: str) -> Outcome:
+    """Return the entity with attributes overwritten; those that are not there are refused."""
+    attributes = dict(before.attributes)
+    refused: dict[str, str] = {}
+    for name, instances in change.attributes.items():
+        if name in attributes:
+            _write(attributes, name, instances, at)
+        else:
+            refused[name] = ABSENT
+    return _outcome(before, change, attributes, at, refused)
+
+
+def merged(before: Entity, change: Change, at: str) -> Outcome:
+    """Return the entity merged with `change`, value objects too (a JSON merge patch with NULL for null)."""
+    attributes = dict(before.attributes)
+    for name, instances in change.attributes.items():
+        old = _by_dataset(before, name)
+        pairs = [(old.get(dataset_of(new)), new) for new in instances]
+        mixed = [new if was is None or is_deletion(new) else _merge(was, new) for was, new in pairs]
+        _write(attributes, name, mixed, at)
+    return _outcome(before, change, attributes, at, {})
+
+
+def partially_updated(before: Entity, name: str, part: Instance, at: str) -> Outcome:
+    """Return the entity with members of one instance of the attribute `name` overwritten.
+
+    Raises `KeyError` when the attribute has no instance with the datasetId of `part`.
+    """
+    was = _by_dataset(before, name)[dataset_of(part)]
+    same_kind = was["type"] == part["type"]
+    attributes = dict(before.attributes)
+    _write(attributes, name, [{**was, **part} if same_kind else part], at)
+    return _outcome(before, Change(None, (), {name: [part]}), attributes, at, {})
+
+
+def without(before: Entity, name: str, dataset: str | None, at: str, *, every: bool = False) -> Outcome:
+    """Return the entity without the attribute `name`, or without its instance of `dataset`.
+
+    Raises `KeyError` when there is none.
+    """
+    instances = before.attributes[name]
+    kept = [] if every else [one for one in instances if dataset_of(one) != dataset]
+    if len(kept) == len(instances):
+        raise KeyError(name)
+    attributes = dict(before.attributes)
+    if kept:
+        attributes[name] = kept
+    else:
+        del attributes[name]
+    return _outcome(before, Change(None, (), {name: []}), attributes, at, {})
+
+
+def _outcome(
+    before: Entity, change: Change, attributes: Attributes, at: str, refused: Mapping[str, str]
+) -> Outcome:
+    types = tuple(dict.fromkeys((*before.types, *change.types))) if change.types else before.types
+    named = frozenset(change.attributes).difference(refused)
+    if not named and types == before.types:
+        return Outcome(before, named, refused)
+    touched = named.intersection(attributes)  # what a change deleted is no news to tell
+    return Outcome(Entity(before.id, types, attributes, before.created_at, at, before.seq), touched, refused)
+
+
+def _by_dataset(entity: Entity, name: str) -> dict[str | None, Instance]:
+    return {dataset_of(instance): instance for instance in entity.attributes.get(name, ())}
+
+
+def _write(attributes: Attributes, name: str, instances: Iterable[Instance], at: str) -> None:
+    old = {dataset_of(instance): instance for instance in attributes.get(name, ())}
+    result = dict(old)
+    for new in instances:
+        dataset = dataset_of(new)
+        if is_deletion(new):
+            result.pop(dataset, None)
+        else:
+            result[dataset] = _stamp(_without_nulls(new), old.get(dataset), at)
+    if result:
+        attributes[name] = list(result.values())
+    else:
+        attributes.pop(name, None)
+
+
+def _stamped(instances: Iterable[Instance], old: Mapping[str | None, Instance], at: str) -> list[Instance]:
+    return [_stamp(instance, old.get(dataset_of(instance)), at) for instance in instances]
+
+
+def _stamp(instance: Instance, old: Instance | None, at: str) -> Instance:
+    return {**instance, "createdAt": old["createdAt"] if old else at, "modifiedAt": at}
+
+
+def _merge(old: Instance, new: Instance) -> Instance:
+    if old["type"] != new["type"]:
+        return new
+    says = SAYS[old["type"]]
+    result = {**old, says: _merge_values(old[says], new[says])}
+    for member, value in new.items():
+        if ":" not in member or member not in old:
+            if member != says:
+                result[member] = value
+            continue
+        inner = {dataset_of(instance): instance for instance in old[member]}
+        for one in value:
+            was = inner.get(dataset_of(one))
+            inner[dataset_of(one)] = one if was is None or is_deletion(one) else _merge(was, one)
+        result[member] = list(inner.values())
+    return result
+
+
+def _merge_values(old: Any, new: Any) -> Any:
+    if not isinstance(old, dict) or not isinstance(new, dict):
+        return new
+    result = dict(old)
+    for key, value in new.items():
+        if value == NULL:
+            result.pop(key, None)
+        else:
+            result[key] = _merge_values(result.get(key), value)
+    return result
+
+
+def _without_nulls(instance: Instance) -> Instance:
+    """Return the instance without members, and attributes of it, that a change said to delete."""
+    if not any(
+        value == NULL or (":" in member and _tells_deletion(value)) for member, value in instance.items()
+    ):
+        return instance
+    result: Instance = {}
+    for member, value in instance.items():
+        if value == NULL:
+            continue
+        if ":" not in member:
+            result[member] = value
+        elif kept := [one for one in value if not is_deletion(one)]:
+            result[member] = kept
+    return result
+
+
+def _tells_deletion(instances: Iterable[Instance]) -> bool:
+    return any(is_deletion(instance) for instance in instances)

@@ -1,0 +1,177 @@
+"""Commits in groups: one thread writes whatever has queued up since its last flush in one go.
+
+So an acknowledgement costs its share of a disk flush, not a flush of its own. When the disk refuses, the
+whole group is refused, and with it everything that was queued behind it and may build on it.
+"""
+
+import asyncio
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from prometheus_client import Counter, Histogram
+
+from handover.telemetry import get_logger
+from services.context_broker.journal import Entries, Journal, NotStored
+
+log = get_logger(__name__)
+
+Failed = Callable[[NotStored], None]
+
+LARGEST_GROUP = 2000
+RETRY_S = 1.0
+"""How long bookkeeping that the disk refused waits for its next chance."""
+REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the disk did not take")
+GROUPS = Histogram(
+    "handover_broker_commit_group", "Writes in one commit", buckets=(1, 2, 4, 8, 16, 32, 64, 256, 1024)
+)
+
+
+@dataclass(slots=True, eq=False)
+class Write:
+    """Something to be made durable, and whom to tell; `era` counts how often the disk has refused before."""
+
+    entries: Entries
+    era: int
+    done: Callable[[], None]
+    failed: Failed
+
+
+class CommitQueue:
+    """Takes writes on the event loop, commits them in a thread, and tells their makers on the loop, in order.
+
+    `on_refusal` is called on the loop, before any maker is told, when the disk has refused.
+    """
+
+    def __init__(self, journal: Journal, on_refusal: Callable[[], None]) -> None:
+        self._journal = journal
+        self._on_refusal = on_refusal
+        self._queue: queue.SimpleQueue[Write | None] = queue.SimpleQueue()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
+        self._era = 0
+        self._refused_era = -1
+        self._later = Entries()
+        self._later_due: asyncio.TimerHandle | None = None
+
+    def start(self) -> None:
+        """Begin to commit; call it on the event loop."""
+        self._loop = asyncio.get_running_loop()
+        self._thread.start()
+
+    async def stop(self) -> None:
+        """Commit what is queued, and end."""
+        self._send_later()
+        self._queue.put(None)
+        await asyncio.to_thread(self._thread.join)
+
+    def submit(self, entries: Entries, done: Callable[[], None], failed: Failed) -> None:
+        """Queue a write; `done` or `failed` is called on the loop when its fate is known."""
+        if self._later_due is not None:
+            self._later_due.cancel()
+            self._later_due = None
+            later, self._later = self._later, Entries()
+            failed = self._kept_for_later(later, failed)
+            together = Entries()
+            together.add(later)
+            together.add(entries)
+            entries = together
+        self._queue.put(Write(entries, self._era, done, failed))
+
+    async def store(self, entries: Entries) -> None:
+        """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
+        fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+        def done() -> None:
+            if not fate.done():
+                fate.set_result(None)
+
+        def failed(error: NotStored) -> None:
+            if not fate.done():
+                fate.set_exception(error)
+
+        self.submit(entries, done, failed)
+        await fate
+
+    def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
+        """Write `entries` with the next commit, or after `within_s`; for bookkeeping only, nobody is told."""
+        self._later.add(entries)
+        if self._later_due is None:
+            self._later_due = asyncio.get_running_loop().call_later(within_s, self._send_later)
+
+    def _send_later(self) -> None:
+        if self._later_due is not None:
+            self.submit(Entries(), lambda: None, lambda _: None)
+
+    def _kept_for_later(self, later: Entries, failed: Failed) -> Failed:
+        """Return what tells `failed`, and sees that `later` is written with another commit."""
+
+        def failed_and_kept(error: NotStored) -> None:
+            self.store_later(later, RETRY_S)
+            failed(error)
+
+        return failed_and_kept
+
+    # In the thread
+
+    def _work(self) -> None:
+        open_for_more = True
+        while open_for_more:
+            group: list[Write] = []
+            write = self._queue.get()
+            while write is not None:
+                group.append(write)
+                if len(group) >= LARGEST_GROUP:
+                    break
+                try:
+                    write = self._queue.get_nowait()
+                except queue.Empty:
+                    break
+            else:
+                open_for_more = False
+            self._commit(group)
+
+    def _commit(self, group: list[Write]) -> None:
+        built_on_sand = [write for write in group if write.era <= self._refused_era]
+        if built_on_sand:
+            self._tell_failure(
+                built_on_sand, NotStored("an earlier change that it may build on was not stored")
+            )
+        firm = [write for write in group if write.era > self._refused_era]
+        if not firm:
+            return
+        entries = Entries()
+        for write in firm:
+            entries.add(write.entries)
+        try:
+            self._journal.commit(entries)
+        except NotStored as error:
+            self._refused_era = max(write.era for write in firm)
+            REFUSED.inc()
+            self._tell_failure(firm, error)
+        else:
+            GROUPS.observe(len(firm))
+            self._call(self._tell_success, firm)
+
+    def _tell_failure(self, writes: list[Write], error: NotStored) -> None:
+        self._call(self._on_failure, writes, error)
+
+    def _call(self, function: Callable[..., None], *arguments: object) -> None:
+        assert self._loop is not None  # noqa: S101 - start() has set it
+        self._loop.call_soon_threadsafe(function, *arguments)
+
+    # On the loop
+
+    @staticmethod
+    def _tell_success(writes: list[Write]) -> None:
+        for write in writes:
+            write.done()
+
+    def _on_failure(self, writes: list[Write], error: NotStored) -> None:
+        log.error("the disk does not take changes", error=str(error), writes=len(writes))
+        if writes[-1].era == self._era:
+            self._era += 1
+            self._on_refusal()
+        for write in writes:
+            write.failed(error)

@@ -1,0 +1,264 @@
+"""A request as the broker's rooms see it, and the answer: media types, @contexts and limits are settled here.
+
+Plain ASGI with orjson, no framework: this is the broker's hottest path (clauses 6.3.4 to 6.3.6).
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Final
+from urllib.parse import parse_qsl, unquote
+
+import orjson
+from starlette.types import Receive, Scope, Send
+
+from handover.errors import Problem
+from services.context_broker.contexts import Context, ContextBook
+from services.context_broker.problems import (
+    bad_request_data,
+    invalid_request,
+    not_acceptable,
+    too_large,
+    unsupported_media_type,
+)
+from services.context_broker.words import shown
+
+PREFIX: Final = "/ngsi-ld/v1/"
+JSON: Final = "application/json"
+JSON_LD: Final = "application/ld+json"
+MERGE_PATCH: Final = "application/merge-patch+json"
+LONGEST_QUERY: Final = 64 * 1024
+LONGEST_HEADER: Final = 4096
+LONGEST_REMEMBERED: Final = 1024
+"""Characters of the query of a URL that is kept parsed."""
+
+_CONTEXT_LINK = re.compile(
+    r'<([^>]*)>(?=[^,<]*;\s*rel\s*=\s*"?http://www\.w3\.org/ns/json-ld#context"?)', re.IGNORECASE
+)
+_READABLE = {JSON, JSON_LD, MERGE_PATCH}
+
+
+class Disconnected(Exception):
+    """The asker has gone before the request was read."""
+
+
+@dataclass(slots=True)
+class Answer:
+    """What goes back: a status, a body and headers."""
+
+    status: int
+    body: bytes = b""
+    headers: list[tuple[bytes, bytes]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Exchange:
+    """One request on its way through the broker; `names` are the parts of the path that name things."""
+
+    method: str
+    names: tuple[str, ...]
+    parameters: Mapping[str, str]
+    headers: dict[bytes, bytes]
+    raw: bytes
+    contexts: ContextBook
+    path: str
+
+    def parameter(self, name: str) -> str | None:
+        """Return a query parameter; None if it is absent."""
+        return self.parameters.get(name)
+
+    def flag(self, name: str) -> bool:
+        """Return a query parameter that is true or false."""
+        given = self.parameters.get(name, "false")
+        if given not in {"true", "false"}:
+            raise invalid_request(f"the parameter {name} is true or false, not {shown(given)}")
+        return given == "true"
+
+    def require_known(self, known: frozenset[str]) -> None:
+        """Refuse parameters that the operation does not have."""
+        for name in self.parameters:
+            if name not in known:
+                raise invalid_request(
+                    f"there is no parameter {shown(name)} here, only {', '.join(sorted(known)) or 'none'}"
+                )
+
+    def document(self) -> Any:
+        """Return the body as JSON."""
+        try:
+            return orjson.loads(self.raw)
+        except orjson.JSONDecodeError as error:
+            raise invalid_request(
+                f"the body is not JSON: {error.msg} at line {error.lineno}, column {error.colno}"
+            ) from None
+
+    async def body(self) -> tuple[Any, Context]:
+        """Return the body and the context that its names are in."""
+        media_type = self.content_type()
+        document = self.document()
+        if isinstance(document, list):
+            raise bad_request_data("the body is a list; this operation takes one JSON object")
+        return document, await self.context_of(document, media_type)
+
+    def content_type(self) -> str:
+        """Return the media type of the body; raise a problem (415) if the broker cannot read it."""
+        given = self.headers.get(b"content-type", b"").decode("latin-1")
+        media_type = given.partition(";")[0].strip().lower()
+        if media_type not in _READABLE or (media_type == MERGE_PATCH and self.method != "PATCH"):
+            raise unsupported_media_type(
+                f"Content-Type {shown(given)} is not read here; send {JSON} (@context in a Link header) or "
+                f"{JSON_LD} (@context in the body)"
+            )
+        return media_type
+
+    async def context_of(self, document: Any, media_type: str) -> Context:
+        """Return the context of a document that was sent as `media_type`."""
+        in_body = document.get("@context") if isinstance(document, Mapping) else None
+        link = self.link()
+        if media_type == JSON_LD:
+            if link is not None:
+                raise bad_request_data(
+                    f"with {JSON_LD} the @context stands in the body; leave the Link header out"
+                )
+            if in_body is None:
+                raise bad_request_data(f'with {JSON_LD} the body has an "@context"; add it, or send {JSON}')
+            return await self.contexts.of(in_body)
+        if isinstance(document, Mapping) and "@context" in document:
+            raise bad_request_data(
+                f"with {media_type} the @context stands in a Link header; move it there, or send {JSON_LD}"
+            )
+        return await self.contexts.of(link)
+
+    async def reader_context(self) -> Context:
+        """Return the context that the asker wants names in."""
+        return await self.contexts.of(self.link())
+
+    def link(self) -> str | None:
+        """Return the URL of the context in the Link header, None if there is none."""
+        given = self.headers.get(b"link")
+        return None if given is None else _context_link(_of_bearable_length(given, "Link"))
+
+    def accept(self) -> str:
+        """Return the media type to answer in; raise a problem (406) if the broker has none that is wanted."""
+        given = self.headers.get(b"accept")
+        chosen = JSON if given is None else _accepted(_of_bearable_length(given, "Accept"))
+        if chosen is None:
+            raise not_acceptable(
+                f"Accept {shown((given or b'').decode('latin-1'))} leaves nothing; accept {JSON} or {JSON_LD}"
+            )
+        return chosen
+
+
+def _of_bearable_length(given: bytes, name: str) -> bytes:
+    if len(given) > LONGEST_HEADER:
+        raise invalid_request(f"the {name} header has {len(given)} characters; {LONGEST_HEADER} are read")
+    return given
+
+
+@lru_cache(maxsize=1024)
+def _context_link(given: bytes) -> str | None:
+    found: list[str] = _CONTEXT_LINK.findall(given.decode("latin-1"))
+    if len(found) > 1:
+        raise bad_request_data("the Link header names more than one @context; put them into one document")
+    return found[0] if found else None
+
+
+@lru_cache(maxsize=1024)
+def _accepted(given: bytes) -> str | None:
+    best, chosen = 0.0, None
+    for part in given.decode("latin-1").split(","):
+        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
+        weight = next((_weight(one[2:]) for one in options if one.startswith("q=")), 1.0)
+        offered = {JSON: JSON, JSON_LD: JSON_LD, "*/*": JSON, "application/*": JSON}.get(media_type)
+        if offered is not None and weight > best:
+            best, chosen = weight, offered
+    return chosen
+
+
+def _weight(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
+
+
+def _parameters(query: bytes) -> Mapping[str, str]:
+    return (
+        _read_parameters(query) if len(query) <= LONGEST_REMEMBERED else _read_parameters.__wrapped__(query)
+    )
+
+
+@lru_cache(maxsize=4096)
+def _read_parameters(query: bytes) -> Mapping[str, str]:
+    try:
+        pairs = parse_qsl(query.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=100)
+    except ValueError as error:
+        raise invalid_request(
+            f"the query of the URL cannot be read: {error}; percent-encode it as UTF-8"
+        ) from None
+    parameters = dict(pairs)
+    if len(parameters) < len(pairs):
+        raise invalid_request("a parameter is given twice; join its values with commas")
+    return parameters
+
+
+def path_parts(scope: Scope) -> list[str]:
+    """Return the parts of the path after /ngsi-ld/v1/, decoded one by one so that a %2F stays in its part."""
+    raw: bytes = scope.get("raw_path") or scope["path"].encode()
+    try:
+        text = raw.decode("ascii").partition("?")[0][len(PREFIX) :].rstrip("/")
+        parts = text.split("/")
+        return [unquote(part, errors="strict") for part in parts] if "%" in text else parts
+    except UnicodeDecodeError:
+        raise invalid_request("the path is not percent-encoded UTF-8") from None
+
+
+async def received(
+    scope: Scope, receive: Receive, names: tuple[str, ...], contexts: ContextBook, max_bytes: int
+) -> Exchange:
+    """Return the request, its body read; raise a problem (413) when the body is larger than `max_bytes`."""
+    headers: dict[bytes, bytes] = {}
+    for name, value in scope["headers"]:
+        headers[name] = headers[name] + b", " + value if name in headers else value
+    query: bytes = scope["query_string"]
+    if len(query) > LONGEST_QUERY:
+        raise invalid_request(f"the query of the URL has more than {LONGEST_QUERY} characters; use POST")
+    body = await _body(receive, headers, max_bytes)
+    parameters = _parameters(query) if query else {}
+    return Exchange(scope["method"], names, parameters, headers, body, contexts, scope["path"])
+
+
+async def _body(receive: Receive, headers: Mapping[bytes, bytes], max_bytes: int) -> bytes:
+    announced = headers.get(b"content-length", b"0")
+    if announced.isdigit() and int(announced) > max_bytes:
+        raise too_large(f"the body has {int(announced)} bytes; {max_bytes} are read, send less at once")
+    message = await receive()
+    if message["type"] == "http.disconnect":
+        raise Disconnected
+    body: bytes = message.get("body", b"")
+    if not message.get("more_body"):
+        return body
+    whole = bytearray(body)
+    while message.get("more_body"):
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            raise Disconnected
+        whole += message.get("body", b"")
+        if len(whole) > max_bytes:
+            raise too_large(f"the body has more than {max_bytes} bytes; send less at once")
+    return bytes(whole)
+
+
+async def send_answer(send: Send, answer: Answer) -> None:
+    """Send an answer."""
+    headers = [*answer.headers, (b"content-length", str(len(answer.body)).encode())]
+    if answer.status == 204:
+        headers = answer.headers
+    await send({"type": "http.response.start", "status": answer.status, "headers": headers})
+    await send({"type": "http.response.body", "body": answer.body})
+
+
+def problem_answer(problem: Problem) -> Answer:
+    """Return a problem as an answer."""
+    body = orjson.dumps(problem.body())
+    return Answer(problem.status, body, [(b"content-type", b"application/problem+json")])

@@ -1,0 +1,203 @@
+"""The entities, in memory: readers see what is committed, writers build on what is on its way.
+
+A change is staged first; once the journal has it, it becomes visible and its notifications go out. If the
+disk refuses, everything staged is forgotten, so that memory never says more than the disk.
+"""
+
+import asyncio
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import orjson
+
+from services.context_broker.commits import CommitQueue
+from services.context_broker.entity import Entity
+from services.context_broker.journal import Entries, Journal, Notice, NotStored
+from services.context_broker.problems import bad_request_data, not_stored
+from services.context_broker.q_match import Equality, Scalar, scalars
+
+MOST_INDEXES: Final = 64
+
+
+@dataclass(slots=True, eq=False)
+class Staged:
+    """A change on its way to disk: the entity before and after (None where there is none)."""
+
+    before: Entity | None
+    after: Entity | None
+    notices: list[Notice]
+
+
+Announce = Callable[[Entity | None, frozenset[str]], list[Notice]]
+"""Tells which notifications a change owes: the entity after it, and the attributes touched."""
+
+
+class Store:
+    """All entities of the broker. `announce` and `deliver` are the notifier's two ends."""
+
+    def __init__(self, journal: Journal, announce: Announce, deliver: Callable[[list[Notice]], None]) -> None:
+        self.journal = journal
+        self.commits = CommitQueue(journal, self._forget_staged)
+        self._announce = announce
+        self._deliver = deliver
+        self._committed: dict[str, Entity] = {}
+        self._by_type: dict[str, dict[str, None]] = {}
+        self._indexes: dict[str, dict[Scalar, dict[str, None]]] = {}
+        self._staged: dict[str, Staged] = {}
+        self._last_seq = 0
+
+    def load(self) -> None:
+        """Take everything from the journal."""
+        for stored in self.journal.entities():
+            entity = Entity.restored(stored)
+            self._put(None, entity)
+            self._last_seq = entity.seq
+
+    # What readers see
+
+    def __len__(self) -> int:
+        return len(self._committed)
+
+    def get(self, entity_id: str) -> Entity | None:
+        """Return the committed entity."""
+        return self._committed.get(entity_id)
+
+    def types(self) -> list[str]:
+        """Return the types (IRIs) of which there are entities."""
+        return [kind for kind, ids in self._by_type.items() if ids]
+
+    def attributes_of(self, kind: str) -> tuple[int, dict[str, set[str]]]:
+        """Return how many entities of a type there are, and their attributes with the kinds these have."""
+        attributes: dict[str, set[str]] = {}
+        ids = self._by_type.get(kind, {})
+        for entity_id in ids:
+            for name, instances in self._committed[entity_id].attributes.items():
+                attributes.setdefault(name, set()).update(one["type"] for one in instances)
+        return len(ids), attributes
+
+    def candidates(
+        self, ids: Iterable[str] | None, types: Iterable[str] | None, equality: Equality | None
+    ) -> list[Entity]:
+        """Return the entities among which all hits are, in the order of their creation."""
+        if ids is not None:
+            found = [entity for one in dict.fromkeys(ids) if (entity := self._committed.get(one))]
+            return sorted(found, key=_by_seq)
+        if equality is not None and (index := self._index(equality.attribute)) is not None:
+            hits: dict[str, None] = {}
+            for value in equality.values:
+                hits.update(index.get(value, {}))
+            return sorted((self._committed[one] for one in hits), key=_by_seq)
+        if types is not None:
+            return self._of_types(list(types))
+        return list(self._committed.values())
+
+    def _of_types(self, types: list[str]) -> list[Entity]:
+        if len(types) == 1:
+            return [self._committed[one] for one in self._by_type.get(types[0], ())]
+        hits = {one: None for kind in types for one in self._by_type.get(kind, ())}
+        return sorted((self._committed[one] for one in hits), key=_by_seq)
+
+    # What writers do
+
+    def latest(self, entity_id: str) -> Entity | None:
+        """Return the entity as the last write left it, be that on disk already or not."""
+        staged = self._staged.get(entity_id)
+        return staged.after if staged is not None else self._committed.get(entity_id)
+
+    def next_seq(self) -> int:
+        """Return the place of a new entity in the order of creation."""
+        self._last_seq += 1
+        return self._last_seq
+
+    def stage(
+        self, before: Entity | None, after: Entity | None, touched: frozenset[str]
+    ) -> asyncio.Future[None]:
+        """Put a change on its way; the future is done when it is safe, or fails with a problem (507)."""
+        entries = Entries()
+        one = after or before
+        assert one is not None  # noqa: S101 - a change has at least one end
+        try:
+            entries.entities[one.seq] = None if after is None else after.stored()
+        except orjson.JSONEncodeError:
+            raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
+        staged = Staged(before, after, self._announce(after, touched))
+        entries.owed = staged.notices
+        self._staged[one.id] = staged
+        fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+        def done() -> None:
+            self._take(one.id, staged)
+            if not fate.done():
+                fate.set_result(None)
+
+        def failed(error: NotStored) -> None:
+            if not fate.done():
+                fate.set_exception(not_stored(str(error)))
+
+        self.commits.submit(entries, done, failed)
+        return fate
+
+    def _take(self, entity_id: str, staged: Staged) -> None:
+        self._put(self._committed.get(entity_id), staged.after)
+        if self._staged.get(entity_id) is staged:
+            del self._staged[entity_id]
+        if staged.notices:
+            self._deliver(staged.notices)
+
+    def _forget_staged(self) -> None:
+        self._staged.clear()
+
+    # Keeping order
+
+    def _put(self, before: Entity | None, after: Entity | None) -> None:
+        if before is not None and (after is None or after.seq != before.seq):
+            del self._committed[before.id]  # a new entity of the same id goes to the end of the order
+        if after is not None:
+            self._committed[after.id] = after
+        self._file_by_type(before, after)
+        for attribute, index in self._indexes.items():
+            _refile(index, attribute, before, after)
+
+    def _file_by_type(self, before: Entity | None, after: Entity | None) -> None:
+        if before and after and before.types == after.types and before.seq == after.seq:
+            return
+        for kind in before.types if before else ():
+            del self._by_type[kind][before.id]  # type: ignore[union-attr]
+        for kind in after.types if after else ():
+            self._by_type.setdefault(kind, {})[after.id] = None  # type: ignore[union-attr]
+
+    def _index(self, attribute: str) -> dict[Scalar, dict[str, None]] | None:
+        """Return the index of an attribute, made when it is first asked for."""
+        index = self._indexes.get(attribute)
+        if index is None and len(self._indexes) < MOST_INDEXES:
+            index = {}
+            for entity in self._committed.values():
+                _refile(index, attribute, None, entity)
+            if index:  # nobody's attribute must not take the place of somebody's
+                self._indexes[attribute] = index
+        return index
+
+
+def _by_seq(entity: Entity) -> int:
+    return entity.seq
+
+
+def _refile(
+    index: dict[Scalar, dict[str, None]], attribute: str, before: Entity | None, after: Entity | None
+) -> None:
+    old = _filed(before, attribute)
+    new = _filed(after, attribute)
+    if old == new:
+        return
+    for value in old - new:
+        ids = index[value]
+        del ids[before.id]  # type: ignore[union-attr]
+        if not ids:
+            del index[value]
+    for value in new - old:
+        index.setdefault(value, {})[after.id] = None  # type: ignore[union-attr]
+
+
+def _filed(entity: Entity | None, attribute: str) -> set[Scalar]:
+    return set() if entity is None else set(scalars(entity.attributes.get(attribute, ())))

@@ -1,0 +1,76 @@
+"""Ids, times and names as NGSI-LD writes them, checked once at the door."""
+
+import re
+from datetime import UTC, datetime
+from functools import lru_cache
+from typing import Any
+
+from services.context_broker.problems import bad_request_data
+
+LONGEST_ID = 2048
+LONGEST_NAME = 512
+
+_URI = re.compile(r'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{}|\\^`\x00-\x20\x7f]+')
+_UNFIT_IN_NAMES = re.compile(r"[\s<>\"'=;,|(){}\[\]\\^`\x00-\x1f\x7f]")
+
+
+def timestamp(moment: datetime) -> str:
+    """Return `moment` as `2024-05-01T12:00:00.123456Z`."""
+    return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def timestamp_now() -> str:
+    """Return the time of the wall clock as the broker writes it."""
+    return datetime.now(UTC).isoformat(timespec="microseconds")[:26] + "Z"
+
+
+@lru_cache(maxsize=8192)
+def moment(text: str) -> float | None:
+    """Return an ISO 8601 date or date-time in seconds since 1970 (UTC unless it says); None for others."""
+    if len(text) < 8 or len(text) > 64:
+        return None
+    try:
+        parsed = datetime.fromisoformat(text)
+        return (parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        return None
+
+
+def require_uri(value: Any, what: str) -> str:
+    """Return `value` if it is a URI; raise a problem that names `what` if not."""
+    if not isinstance(value, str):
+        raise bad_request_data(f"{what} must be a URI such as urn:ngsi-ld:Task:demo:1, not {shown(value)}")
+    if len(value) > LONGEST_ID:
+        raise bad_request_data(f"{what} has {len(value)} characters; {LONGEST_ID} are allowed")
+    if not _URI.fullmatch(value):
+        raise bad_request_data(
+            f"{what} must be a URI such as urn:ngsi-ld:Task:demo:1 without spaces, quotes or brackets, "
+            f"not {shown(value)}"
+        )
+    return value
+
+
+def require_time(value: Any, what: str) -> str:
+    """Return `value` if it is a date-time; raise a problem that names `what` if not."""
+    if not isinstance(value, str) or "T" not in value or moment(value) is None:
+        raise bad_request_data(f"{what} must be a date-time such as 2024-05-01T12:00:00Z, not {shown(value)}")
+    return value
+
+
+def require_name(value: Any, what: str) -> str:
+    """Return `value` if it can name a type or an attribute; raise a problem that names `what` if not."""
+    if not isinstance(value, str) or not value:
+        raise bad_request_data(f"{what} must be a name, not {shown(value)}")
+    if len(value) > LONGEST_NAME:
+        raise bad_request_data(f"{what} has {len(value)} characters; {LONGEST_NAME} are allowed")
+    if value.startswith("@") or _UNFIT_IN_NAMES.search(value):
+        raise bad_request_data(
+            f"{what} {shown(value)} is no name: leave out spaces, quotes, brackets and @ = ; , | < >"
+        )
+    return value
+
+
+def shown(value: Any) -> str:
+    """Return `value` as it may stand in an error: quoted and short."""
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "…"
