@@ -1,0 +1,1 @@
+"""The task orchestrator: a BPMN process becomes Tasks for people and robots."""

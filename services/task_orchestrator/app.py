@@ -1,0 +1,213 @@
+"""The doors: deploy a definition, start a process, look at it, cancel it; and the bell the broker rings."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import FastAPI, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.responses import JSONResponse
+
+from datamodels.entities import TaskStatus
+from handover.broker import BrokerClient
+from handover.errors import HandoverError, Problem
+from handover.notifications import notified_entities
+from handover.service import create_app
+from handover.telemetry import get_logger
+from services.task_orchestrator.definition import BadBpmn, Fault
+from services.task_orchestrator.orchestrator import Orchestrator
+from services.task_orchestrator.reconcile import Reconciler
+from services.task_orchestrator.records import DefinitionRecord
+from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.views import process_summary, process_view
+from services.task_orchestrator.xml_names import MAX_BYTES
+
+log = get_logger(__name__)
+
+SHIPPED = Path(__file__).parent / "processes"
+
+
+class ProcessStart(BaseModel):
+    """What it takes to start a process."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    definition: str = Field(description="the name of a deployed definition")
+    version: int | None = Field(None, description="a version of it; the latest if absent")
+    parameters: dict[str, Any] = Field(default_factory=dict, description="its parameters")
+    key: str | None = Field(
+        None, pattern=r"^[^\x00]{1,200}$", description="the same key never starts a second process"
+    )
+
+
+class Orchestration:
+    """What the routes share: the orchestrator and its reconciler, while the service is up."""
+
+    def __init__(self, settings: OrchestratorSettings) -> None:
+        self.settings = settings
+        self.broker = BrokerClient(settings)
+        self.orchestrator = Orchestrator(settings, self.broker)
+        self.reconciler = Reconciler(self.orchestrator, self.broker)
+
+    @asynccontextmanager
+    async def at_work(self, _: FastAPI) -> AsyncIterator[None]:
+        """Deploy what is at hand and work until the service ends."""
+        async with self.broker, self.orchestrator:
+            await self._deploy_folder(SHIPPED)
+            if self.settings.process_dir is not None:
+                await self._deploy_folder(self.settings.process_dir)
+            async with self.reconciler:
+                yield
+
+    async def _deploy_folder(self, folder: Path) -> None:
+        if not await asyncio.to_thread(folder.is_dir):
+            log.warning("there is no such folder of BPMN files", folder=str(folder))
+        for file in await asyncio.to_thread(lambda: sorted(folder.glob("*.bpmn"))):
+            try:
+                xml = await asyncio.to_thread(file.read_bytes)
+                deployment = await self.orchestrator.deploy(xml, only_if_never_seen=True)
+            except BadBpmn as bad:
+                faults = [str(fault) for fault in bad.faults]
+                log.warning("BPMN file cannot be deployed", file=str(file), faults=faults)
+            except OSError as error:
+                log.warning("BPMN file cannot be read", file=str(file), error=str(error))
+            else:
+                log.info("definition at hand", name=deployment.name, version=deployment.version)
+
+    async def check_database(self) -> None:
+        """Return if the database answers."""
+        await self.orchestrator.on_disk(self.orchestrator.store.probe)
+
+
+def make_app(settings: OrchestratorSettings) -> FastAPI:
+    """Return the service; nothing is opened before its lifespan begins."""
+    at = Orchestration(settings)
+    app = create_app(
+        "Task orchestrator",
+        description="Runs BPMN processes: each activity becomes a Task for a person or a robot.",
+        lifespan=at.at_work,
+        checks={
+            "database": at.check_database,
+            "broker": at.broker.probe,
+            "subscription": at.reconciler.probe,
+        },
+    )
+    _add_definitions(app, at.orchestrator)
+    _add_processes(app, at)
+
+    @app.post("/notifications", status_code=204, tags=["notifications"])
+    async def notify(request: Request) -> Response:
+        """Take notice of Tasks that changed; answered when that is on disk."""
+        await at.orchestrator.hear(await notified_entities(request))
+        return Response(status_code=204)
+
+    return app
+
+
+def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
+    @app.post("/definitions", status_code=201, tags=["definitions"])
+    async def deploy(request: Request) -> JSONResponse:
+        """Deploy a BPMN file (the body is the XML): 201 for a new version, 200 if it is deployed already."""
+        deployment = await orchestrator.deploy(await _body(request))
+        view = _definition_view(
+            orchestrator, orchestrator.library.record(deployment.name, deployment.version)
+        )
+        return JSONResponse(view, 201 if deployment.created else 200)
+
+    @app.get("/definitions", tags=["definitions"])
+    async def definitions() -> list[dict[str, Any]]:
+        """Return the latest version of every definition."""
+        return [_definition_view(orchestrator, record) for record in orchestrator.library.latest()]
+
+    @app.get("/definitions/{name}", tags=["definitions"])
+    async def definition(name: str, version: int | None = None) -> dict[str, Any]:
+        """Return a definition with its activities."""
+        record = orchestrator.library.record(name, version)
+        activities = orchestrator.library.plan(record).definition.activities.values()
+        return {
+            **_definition_view(orchestrator, record),
+            "activities": [
+                {
+                    "id": a.id,
+                    "name": a.name,
+                    "definition": a.definition,
+                    "lane": a.lane,
+                    "description": a.description,
+                }
+                for a in activities
+            ],
+        }
+
+    @app.get("/definitions/{name}/bpmn", tags=["definitions"])
+    async def bpmn(name: str, version: int | None = None) -> Response:
+        """Return the BPMN file as it was deployed."""
+        return Response(orchestrator.library.record(name, version).xml, media_type="application/xml")
+
+
+def _add_processes(app: FastAPI, at: Orchestration) -> None:
+    orchestrator, store, settings = at.orchestrator, at.orchestrator.store, at.settings
+
+    @app.post("/processes", status_code=201, tags=["processes"])
+    async def start(body: ProcessStart) -> JSONResponse:
+        """Start a process: 201, or 200 if the same key has started it before."""
+        process_id, created = await orchestrator.begin(
+            body.definition, body.parameters, version=body.version, key=body.key
+        )
+        view = await _process(process_id)
+        return JSONResponse(view, 201 if created else 200, {"Location": f"/processes/{process_id}"})
+
+    @app.get("/processes", tags=["processes"])
+    async def processes(
+        status: TaskStatus | None = None, limit: Annotated[int, Query(ge=1, le=1000)] = 100
+    ) -> list[dict[str, Any]]:
+        """Return processes, the latest first."""
+        wanted = status.value if status is not None else None
+        records = await orchestrator.on_disk(lambda: store.processes(status=wanted, limit=limit))
+        return [process_summary(settings, record) for record in records]
+
+    @app.get("/processes/{process_id}", tags=["processes"])
+    async def process(process_id: str) -> dict[str, Any]:
+        """Return a process with its variables, its Tasks and where it waits."""
+        return await _process(process_id)
+
+    @app.post("/processes/{process_id}/cancel", tags=["processes"])
+    async def cancel(process_id: str) -> dict[str, Any]:
+        """Cancel a process and the Tasks it has handed out."""
+        await orchestrator.cancel(_plain(process_id))
+        return await _process(process_id)
+
+    async def _process(process_id: str) -> dict[str, Any]:
+        view = await orchestrator.on_disk(process_view, settings, store, _plain(process_id))
+        if view is None:
+            raise Problem(404, "No such process", f'there is no process "{process_id}"')
+        return view
+
+    def _plain(process_id: str) -> str:
+        return process_id.removeprefix(settings.entity_id("Process", ""))
+
+
+def _definition_view(orchestrator: Orchestrator, record: DefinitionRecord) -> dict[str, Any]:
+    view: dict[str, Any] = {
+        "name": record.name,
+        "version": record.version,
+        "label": record.label,
+        "title": record.title,
+        "deployedAt": record.deployed_at.isoformat(),
+    }
+    try:
+        parameters = orchestrator.library.plan(record).definition.parameters.values()
+    except HandoverError as error:
+        return {**view, "unusable": str(error)}
+    listed = [{"name": p.name, "required": p.required, "default": p.default} for p in parameters]
+    return {**view, "parameters": listed}
+
+
+async def _body(request: Request) -> bytes:
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > MAX_BYTES:
+            raise BadBpmn([Fault(None, None, f"a BPMN file has at most {MAX_BYTES} bytes")])
+    return bytes(body)

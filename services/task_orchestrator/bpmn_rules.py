@@ -1,0 +1,163 @@
+"""Rules of flow: where tokens may go. Each fault names the element and what to draw instead."""
+
+from collections.abc import Iterator, Mapping
+
+from services.task_orchestrator.definition import (
+    CHOICES,
+    GATEWAYS,
+    HANDED_OVER,
+    Fault,
+    Flow,
+    Kind,
+    Node,
+    Trigger,
+)
+
+MAX_NODES = 300
+
+Leading = Mapping[str, list[Flow]]
+
+
+def faults_of_flow(
+    process: str, nodes: Mapping[str, Node], flows: Mapping[str, Flow], line: int
+) -> list[Fault]:
+    """Return what is wrong with how the `nodes` of `process`, which begins in `line`, are connected."""
+    if len(nodes) > MAX_NODES:
+        return [
+            Fault(process, line, f"a process has at most {MAX_NODES} nodes, not {len(nodes)}; cut it in two")
+        ]
+    incoming: dict[str, list[Flow]] = {name: [] for name in nodes}
+    outgoing: dict[str, list[Flow]] = {name: [] for name in nodes}
+    for flow in flows.values():
+        incoming.setdefault(flow.target, []).append(flow)
+        outgoing.setdefault(flow.source, []).append(flow)
+    faults = list(_of_ends(process, nodes, line))
+    dangling = list(_dangling(nodes, flows))
+    faults += dangling
+    for node in nodes.values():
+        faults += _of_node(node, nodes, incoming[node.id], outgoing[node.id])
+    for flow in flows.values():
+        faults += _of_condition(flow, nodes)
+    if not dangling:
+        faults += _unreachable(nodes, outgoing)
+        faults += _waiting_for_themselves(nodes, incoming, outgoing)
+    return faults
+
+
+def _of_ends(process: str, nodes: Mapping[str, Node], line: int) -> Iterator[Fault]:
+    starts = [node for node in nodes.values() if node.kind is Kind.START]
+    if not starts:
+        yield Fault(process, line, "a process has one start event, this one has none")
+    for start in starts[1:]:
+        yield Fault(start.id, start.line, "a process has one start event, this is another")
+    if not any(node.kind is Kind.END for node in nodes.values()):
+        yield Fault(process, line, "a process has at least one end event, this one has none")
+
+
+def _dangling(nodes: Mapping[str, Node], flows: Mapping[str, Flow]) -> Iterator[Fault]:
+    for flow in flows.values():
+        for end, name in (("sourceRef", flow.source), ("targetRef", flow.target)):
+            if name not in nodes:
+                yield Fault(
+                    flow.id, flow.line, f'the sequence flow dangles: {end} "{name}" is no node of the process'
+                )
+
+
+def _of_node(
+    node: Node, nodes: Mapping[str, Node], incoming: list[Flow], outgoing: list[Flow]
+) -> Iterator[Fault]:
+    kind = node.kind.value
+    if node.kind in {Kind.START, Kind.BOUNDARY}:
+        if incoming:
+            yield Fault(node.id, node.line, f"no sequence flow may lead to a {kind}")
+    elif not incoming:
+        yield Fault(node.id, node.line, f"no sequence flow leads to this {kind}")
+    if node.kind is Kind.END:
+        if outgoing:
+            yield Fault(node.id, node.line, "no sequence flow may leave an endEvent")
+    elif not outgoing:
+        yield Fault(node.id, node.line, f"no sequence flow leaves this {kind}")
+    elif len(outgoing) > 1 and node.kind not in GATEWAYS:
+        yield Fault(
+            node.id, node.line, f"one sequence flow leaves a {kind}; put a gateway behind it to split"
+        )
+    if node.kind is Kind.BOUNDARY:
+        yield from _of_boundary(node, nodes)
+    if node.kind in CHOICES:
+        yield from _of_choice(node, outgoing)
+    elif node.default is not None:
+        yield Fault(node.id, node.line, "only an exclusive or inclusive gateway has a default flow")
+
+
+def _of_boundary(node: Node, nodes: Mapping[str, Node]) -> Iterator[Fault]:
+    host = nodes.get(node.attached_to or "")
+    if host is None or host.kind not in HANDED_OVER:
+        yield Fault(
+            node.id, node.line, f'attachedToRef "{node.attached_to}" names no task that can be interrupted'
+        )
+    if node.trigger is Trigger.ERROR and not node.interrupting:
+        yield Fault(node.id, node.line, 'an error boundary event interrupts; set cancelActivity="true"')
+    twins = [
+        other
+        for other in nodes.values()
+        if other.kind is Kind.BOUNDARY
+        and other.attached_to == node.attached_to
+        and other.trigger is node.trigger is Trigger.ERROR
+        and other.error_code == node.error_code
+    ]
+    if len(twins) > 1 and twins[0] is not node:
+        yield Fault(node.id, node.line, f'"{twins[0].id}" catches the same error of the same task already')
+
+
+def _of_choice(node: Node, outgoing: list[Flow]) -> Iterator[Fault]:
+    if node.default is not None and node.default not in {flow.id for flow in outgoing}:
+        yield Fault(node.id, node.line, f'its default flow "{node.default}" does not leave it')
+    if len(outgoing) < 2:
+        return
+    for flow in outgoing:
+        if flow.condition is None and flow.id != node.default:
+            rule = "has no condition and is not the gateway's default"
+            yield Fault(node.id, node.line, f'its flow "{flow.id}" to "{flow.target}" {rule}; give it one')
+
+
+def _of_condition(flow: Flow, nodes: Mapping[str, Node]) -> Iterator[Fault]:
+    source = nodes.get(flow.source)
+    if flow.condition is not None and source is not None and source.kind not in CHOICES:
+        rule = "only flows that leave an exclusive or inclusive gateway have conditions"
+        yield Fault(flow.id, flow.line, f'{rule}; "{source.id}" is a {source.kind.value}')
+
+
+def _unreachable(nodes: Mapping[str, Node], outgoing: Leading) -> Iterator[Fault]:
+    reached = _reached(nodes, outgoing)
+    led_to = {flow.target for leaving in outgoing.values() for flow in leaving}
+    for node in nodes.values():
+        if node.id not in reached and (node.id in led_to or node.kind is Kind.BOUNDARY):
+            yield Fault(node.id, node.line, "it cannot be reached from the start event")
+
+
+def _waiting_for_themselves(
+    nodes: Mapping[str, Node], incoming: Leading, outgoing: Leading
+) -> Iterator[Fault]:
+    for node in nodes.values():
+        if node.kind is not Kind.PARALLEL or len(incoming[node.id]) < 2:
+            continue
+        reached = _reached(nodes, outgoing, without=node.id)
+        for flow in incoming[node.id]:
+            if flow.source not in reached:
+                rule = "only comes after the gateway itself, so it would wait for ever"
+                way_out = "put an exclusive gateway before it, where the loop comes back"
+                yield Fault(node.id, node.line, f'its flow "{flow.id}" {rule}; {way_out}')
+
+
+def _reached(nodes: Mapping[str, Node], outgoing: Leading, *, without: str | None = None) -> set[str]:
+    """Return the nodes that a token can get to from the start event, not passing through `without`."""
+    reached: set[str] = set()
+    ahead = [node.id for node in nodes.values() if node.kind is Kind.START]
+    while ahead:
+        here = ahead.pop()
+        if here in reached or here == without:
+            continue
+        reached.add(here)
+        ahead += [flow.target for flow in outgoing[here]]
+        ahead += [node.id for node in nodes.values() if node.attached_to == here]
+    return reached

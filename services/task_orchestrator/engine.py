@@ -1,0 +1,397 @@
+"""Engine: a process as it runs, token by token. The one file that knows SpiffWorkflow.
+
+A `Plan` is made of a definition once; each `Run` of it is told what came of its activities and what time it
+is, and answers which activities are open. No Python of a BPMN file is ever evaluated: SpiffWorkflow's script
+engine is replaced by our expression language.
+"""
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+from uuid import UUID
+
+import orjson
+from SpiffWorkflow.bpmn.parser.BpmnParser import BpmnParser
+from SpiffWorkflow.bpmn.parser.TaskParser import TaskParser
+from SpiffWorkflow.bpmn.script_engine import PythonScriptEngine
+from SpiffWorkflow.bpmn.script_engine.python_environment import BasePythonScriptEngineEnvironment
+from SpiffWorkflow.bpmn.specs.control import BoundaryEventSplit, _EndJoin
+from SpiffWorkflow.bpmn.specs.defaults import BoundaryEvent, UserTask
+from SpiffWorkflow.bpmn.specs.event_definitions import ErrorEventDefinition
+from SpiffWorkflow.bpmn.specs.event_definitions.timer import TimerEventDefinition
+from SpiffWorkflow.bpmn.specs.mixins.events.event_types import CatchingEvent
+from SpiffWorkflow.bpmn.specs.mixins.unstructured_join import UnstructuredJoin
+from SpiffWorkflow.bpmn.workflow import BpmnWorkflow
+from SpiffWorkflow.exceptions import SpiffWorkflowException
+from SpiffWorkflow.task import Task as Token
+from SpiffWorkflow.util.deep_merge import DeepMerge
+from SpiffWorkflow.util.task import TaskState
+
+from handover.errors import HandoverError
+from services.task_orchestrator.bpmn import bare_process
+from services.task_orchestrator.definition import HANDED_OVER, Definition, Kind, Trigger
+from services.task_orchestrator.durations import due, looks_like_time
+from services.task_orchestrator.expressions import ExpressionError, read, read_script
+from services.task_orchestrator.grammar import within_limits
+from services.task_orchestrator.xml_names import qualified
+
+for _chatty in ("spiff.task", "spiff.workflow"):
+    logging.getLogger(_chatty).setLevel(logging.WARNING)  # unset, it lists every token for each line
+
+MAX_STEPS = 300
+"""Gateways and scripts passed without waiting for anything; more of them is a loop that never waits."""
+MAX_BYTES = 4 * 1024 * 1024
+"""Size of a run as it is kept; the variables are most of it."""
+PRUNE_ABOVE = 60
+SNAPSHOT_VERSION = 1
+
+
+class RunFailed(HandoverError):
+    """A process cannot go on; the text says at which element and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """An activity that a token has reached: `visit` counts from 1, `variables` are as the token sees them."""
+
+    token: str
+    element: str
+    visit: int
+    variables: Mapping[str, Any] = field(repr=False)
+
+
+class _Environment(BasePythonScriptEngineEnvironment):  # type: ignore[misc]
+    """Where SpiffWorkflow would evaluate Python, our expressions are evaluated instead."""
+
+    def evaluate(self, expression: str, context: Any, external_context: Any = None) -> Any:
+        del external_context
+        return read(expression).value(context)
+
+    def execute(self, script: str, context: Any, external_context: Any = None) -> bool:
+        del external_context
+        for name, expression in read_script(script):
+            context[name] = within_limits(expression.value(context))
+        return True
+
+
+class _Scripts(PythonScriptEngine):  # type: ignore[misc]
+    """The script engine of one run, which also knows what time it is."""
+
+    def __init__(self, now: datetime) -> None:
+        super().__init__(_Environment())
+        self.now = now
+
+    def evaluate(self, task: Token, expression: str, external_context: Any = None) -> Any:
+        return self.environment.evaluate(expression, task.data, external_context)
+
+    def execute(self, task: Token, script: str, external_context: Any = None) -> Any:
+        return self.environment.execute(script, task.data, external_context)
+
+
+class _Timer(TimerEventDefinition):  # type: ignore[misc]
+    """A timer that goes by the time the run is told, so that it can be tried and survives a restart."""
+
+    def has_fired(self, my_task: Token) -> bool:
+        scripts = my_task.workflow.script_engine
+        moment = my_task.internal_data.get("due")
+        if moment is None:
+            text = self.expression.strip()
+            if not looks_like_time(text):
+                text = scripts.evaluate(my_task, text)
+            if not isinstance(text, str):
+                raise ExpressionError(f"`{self.expression}` gives no duration or moment")
+            moment = due(text, scripts.now).isoformat()
+            my_task.internal_data["due"] = moment
+        if datetime.fromisoformat(moment) <= scripts.now:
+            my_task.internal_data["event_fired"] = True
+        return bool(my_task.internal_data.get("event_fired", False))
+
+    def reset(self, my_task: Token) -> None:
+        my_task.internal_data.pop("due", None)
+        super().reset(my_task)
+
+
+class _Parser(BpmnParser):  # type: ignore[misc]
+    """Every activity waits for whoever does it; that SpiffWorkflow tells them apart does not matter here."""
+
+    OVERRIDE_PARSER_CLASSES = {qualified(kind.value): (TaskParser, UserTask) for kind in HANDED_OVER}  # noqa: RUF012
+
+
+_OURS = "at."
+"""Before the ids of elements, so that one called "Start" is not taken for SpiffWorkflow's own."""
+
+
+def _element(token: Token) -> str:
+    """Return the id of the element at which `token` is; SpiffWorkflow's own keep their names."""
+    return str(token.task_spec.name).removeprefix(_OURS)
+
+
+class Plan:
+    """A definition made ready to run. Raises `RunFailed` if SpiffWorkflow cannot make anything of it."""
+
+    def __init__(self, definition: Definition) -> None:
+        self.definition = definition
+        parser = _Parser()
+        try:
+            parser.add_bpmn_xml(bare_process(definition, _OURS))
+            self.spec = parser.get_process_parser(definition.name).get_spec()
+        except (SpiffWorkflowException, ValueError, TypeError, AttributeError, RecursionError) as error:
+            raise RunFailed(f"the engine cannot run this drawing: {error}") from error
+        for node in definition.nodes.values():
+            if node.trigger is Trigger.TIMER:
+                spec = self.spec.task_specs[_OURS + node.id]
+                spec.event_definition = _Timer(node.id, spec.event_definition.expression)
+
+    def start(self, variables: Mapping[str, Any], now: datetime) -> "Run":
+        """Return a new run with `variables`, gone as far as it can at `now`."""
+        workflow = BpmnWorkflow(self.spec, script_engine=_Scripts(now))
+        workflow.task_tree.data = dict(variables)
+        run = Run(self, workflow, {}, {})
+        run.advance(now)
+        return run
+
+    def resume(self, snapshot: bytes) -> "Run":
+        """Return the run that `snapshot` was taken of."""
+        kept = orjson.loads(snapshot)
+        if kept["version"] != SNAPSHOT_VERSION:
+            raise RunFailed(f"a run kept in version {kept['version']} cannot be read by this release")
+        scripts = _Scripts(datetime.now(UTC))
+        workflow = BpmnWorkflow(self.spec, deserializing=True, script_engine=scripts)
+        for row in kept["tokens"]:
+            _restore(workflow, row)
+        workflow.task_tree = workflow.tasks[UUID(kept["tokens"][0]["id"])]
+        workflow.last_task = workflow.tasks.get(UUID(kept["last"])) if kept["last"] else None
+        workflow.completed, workflow.data = kept["completed"], kept["data"]
+        return Run(
+            self, workflow, kept["visits"], {token: tuple(open_) for token, open_ in kept["open"].items()}
+        )
+
+
+class Run:
+    """One process on its way. Not for several threads at once."""
+
+    def __init__(
+        self, plan: Plan, workflow: BpmnWorkflow, visits: dict[str, int], seen: dict[str, tuple[str, int]]
+    ) -> None:
+        self.plan = plan
+        self._workflow = workflow
+        self._visits = visits
+        self._seen = seen
+
+    @property
+    def completed(self) -> bool:
+        """Say whether every token has come to an end."""
+        return bool(self._workflow.is_completed())
+
+    def variables(self) -> dict[str, Any]:
+        """Return the process variables as the furthest token sees them; at the end, all of them."""
+        if self.completed:
+            return dict(self._workflow.data)
+        merged: dict[str, Any] = {}
+        for token in self._live():
+            DeepMerge.merge(merged, token.data)
+        return merged
+
+    def open(self) -> tuple[Open, ...]:
+        """Return the activities that wait for whoever does them, in the order they were reached."""
+        return tuple(
+            Open(token, element, visit, self._workflow.tasks[UUID(token)].data)
+            for token, (element, visit) in self._seen.items()
+        )
+
+    def waiting(self) -> tuple[str, ...]:
+        """Return the ids of the elements at which tokens wait, timers included."""
+        names = {_element(token) for token in self._live()}
+        return tuple(name for name in self.plan.definition.nodes if name in names)
+
+    def next_due(self) -> datetime | None:
+        """Return when the next timer is due, if one runs."""
+        moments = [
+            token.internal_data.get("due") for token in self._live() if token.state == TaskState.WAITING
+        ]
+        return min((datetime.fromisoformat(moment) for moment in moments if moment), default=None)
+
+    def complete(self, token: str, results: Mapping[str, Any], now: datetime) -> None:
+        """Go on after the activity of `token`, with its `results` as process variables."""
+        activity = self._token(token)
+        activity.data.update(results)
+        with _failures(_element(activity)):
+            activity.run()
+        self.advance(now)
+
+    def fail(self, token: str, error: Mapping[str, Any], now: datetime) -> bool:
+        """Go on at the error boundary event that catches `error` (its `code` may be None).
+
+        Returns False, and nothing moves, when there is none. The variable `error` tells the handler more.
+        """
+        activity = self._token(token)
+        catcher = _catcher(activity, error.get("code"))
+        if catcher is None:
+            return False
+        self._workflow.script_engine.now = now
+        with _failures(_element(catcher)):
+            catcher.internal_data["event_fired"] = True
+            catcher.task_spec._update(catcher)
+            catcher.data["error"] = dict(error)
+        self.advance(now)
+        return True
+
+    def advance(self, now: datetime) -> None:
+        """Let every token go as far as it can at `now`; raise `RunFailed` if one cannot go on."""
+        self._workflow.script_engine.now = now
+        self._prune()
+        self._refresh_timers()
+        steps = 0
+        while ready := [t for t in self._workflow.get_tasks(state=TaskState.READY) if not t.task_spec.manual]:
+            for token in ready:
+                steps += 1
+                if steps > MAX_STEPS:
+                    raise RunFailed(f'at "{_element(token)}": {MAX_STEPS} steps without waiting for anything')
+                if token.state == TaskState.READY:
+                    self._step(token)
+            self._refresh_timers()
+        self._take_note()
+
+    def snapshot(self) -> bytes:
+        """Return the run as bytes; raise `RunFailed` if its variables have grown beyond measure."""
+        workflow = self._workflow
+        content = {
+            "version": SNAPSHOT_VERSION,
+            "tokens": [_kept(token) for token in _under(workflow.tasks, workflow.task_tree)],
+            "last": str(workflow.last_task.id) if workflow.last_task is not None else None,
+            "completed": workflow.completed,
+            "data": workflow.data,
+            "visits": self._visits,
+            "open": self._seen,
+        }
+        try:
+            kept = orjson.dumps(content)
+        except TypeError as error:
+            raise RunFailed(f"a process variable is no JSON: {error}") from error
+        if len(kept) > MAX_BYTES:
+            raise RunFailed(f"the process variables take more than {MAX_BYTES} bytes")
+        return kept
+
+    def _token(self, token: str) -> Token:
+        return self._workflow.tasks[UUID(token)]
+
+    def _step(self, token: Token) -> None:
+        name = _element(token)
+        node = self.plan.definition.nodes.get(name)
+        with _failures(name):
+            token.run()
+        if node is not None and node.kind is Kind.END and node.trigger is Trigger.ERROR:
+            raise RunFailed(f'the error end event "{node.name}" was reached')
+
+    def _refresh_timers(self) -> None:
+        with _failures("a timer"):
+            self._workflow.refresh_timers()
+
+    def _live(self) -> list[Token]:
+        return [
+            token
+            for token in self._workflow.tasks.values()
+            if token.has_state(TaskState.READY | TaskState.WAITING | TaskState.STARTED)
+        ]
+
+    def _take_note(self) -> None:
+        ready = {
+            str(token.id): _element(token)
+            for token in self._workflow.get_tasks(state=TaskState.READY)
+            if isinstance(token.task_spec, UserTask)
+        }
+        self._seen = {token: open_ for token, open_ in self._seen.items() if token in ready}
+        for token, element in ready.items():
+            if token not in self._seen:
+                self._visits[element] = self._visits.get(element, 0) + 1
+                self._seen[token] = (element, self._visits[element])
+
+    def _prune(self) -> None:
+        """Forget the steps that no live token can look back on, so that loops cost the same for ever."""
+        tasks, root, live = self._workflow.tasks, self._workflow.task_tree, self._live()
+        if len(tasks) <= PRUNE_ABOVE or not live:
+            return
+        if any(isinstance(token.task_spec, UnstructuredJoin | _EndJoin) for token in live):
+            return
+        paths = [_path(token) for token in live]
+        common = [same[0] for same in zip(*paths, strict=False) if all(token is same[0] for token in same)]
+        while common and (common[-1] in live or isinstance(common[-1].task_spec, BoundaryEventSplit)):
+            common.pop()
+        if len(common) < 3:
+            return
+        first = common[-1]
+        first.parent = root
+        root.children = [first]
+        self._workflow.tasks = {token.id: token for token in _under(self._workflow.tasks, root)}
+        if self._workflow.last_task.id not in self._workflow.tasks:
+            self._workflow.last_task = first
+
+
+@contextmanager
+def _failures(element: str) -> Iterator[None]:
+    """Turn whatever goes wrong inside into `RunFailed` that names the element."""
+    try:
+        yield
+    except (SpiffWorkflowException, ExpressionError, ValueError) as error:
+        raise RunFailed(f'at "{element}": {str(error).strip(" .")}') from error
+
+
+def _catcher(activity: Token, code: Any) -> Token | None:
+    """Return the error boundary event of `activity` for `code`: the one that names it, else any."""
+    if activity.parent is None or not isinstance(activity.parent.task_spec, BoundaryEventSplit):
+        return None
+    catchers = {
+        sibling.task_spec.event_definition.code: sibling
+        for sibling in activity.parent.children
+        if isinstance(sibling.task_spec, BoundaryEvent)
+        and isinstance(sibling.task_spec.event_definition, ErrorEventDefinition)
+        and sibling.state == TaskState.WAITING
+    }
+    return catchers.get(code) or catchers.get(None)
+
+
+def _path(token: Token) -> list[Token]:
+    path = [token]
+    while path[-1].parent is not None:
+        path.append(path[-1].parent)
+    return path[::-1]
+
+
+def _under(tasks: Mapping[UUID, Token], first: Token) -> Iterator[Token]:
+    """Yield the tokens so that each comes after the one it came from."""
+    ahead = [first]
+    while ahead:
+        token = ahead.pop()
+        yield token
+        ahead.extend(tasks[child] for child in reversed(token._children))
+
+
+def _kept(token: Token) -> dict[str, Any]:
+    before = token.parent.data if token.parent is not None else {}
+    return {
+        "id": str(token.id),
+        "parent": str(token._parent) if token._parent is not None else None,
+        "spec": token.task_spec.name,
+        "state": token.state,
+        "since": token.last_state_change,
+        "internal": token.internal_data,
+        "set": DeepMerge.get_updated_keys(before, token.data),
+        "unset": DeepMerge.get_deleted_keys(before, token.data),
+    }
+
+
+def _restore(workflow: BpmnWorkflow, row: Mapping[str, Any]) -> None:
+    parent = workflow.tasks[UUID(row["parent"])] if row["parent"] is not None else None
+    token = Token(workflow, workflow.spec.task_specs[row["spec"]], parent, row["state"], UUID(row["id"]))
+    token.last_state_change = row["since"]
+    token.internal_data = row["internal"]
+    token.data = {**(parent.data if parent is not None else {}), **row["set"]}
+    for name in row["unset"]:
+        del token.data[name]
+    if parent is not None:
+        token.thread_id = parent.thread_id
+    if isinstance(token.task_spec, CatchingEvent) and token.has_state(TaskState.WAITING):
+        workflow.event_manager.add_task(token)

@@ -1,0 +1,157 @@
+"""Entities: how definitions, processes and Tasks are told to the broker (normalized NGSI-LD)."""
+
+from collections.abc import Iterable, Mapping
+from datetime import datetime
+from typing import Any
+
+from datamodels.entities import RequestedStatus, TaskStatus
+from datamodels.times import iso
+from handover.settings import Settings
+from services.task_orchestrator.definition import Activity, Definition
+from services.task_orchestrator.extension import is_reference
+
+Entity = dict[str, Any]
+
+
+def resource_id(settings: Settings, reference: str) -> str:
+    """Return the URN of `Device:glove-1`; a URN stays as it is."""
+    if reference.startswith("urn:"):
+        return reference
+    kind, _, name = reference.partition(":")
+    return settings.entity_id(kind, name)
+
+
+def definition_entities(settings: Settings, definition: Definition, version: int, url: str) -> list[Entity]:
+    """Return the ProcessDefinition and the TaskDefinitions of its activities; `url` leads to the BPMN."""
+    process_definition = settings.entity_id("ProcessDefinition", definition.name)
+    process: Entity = {
+        "id": process_definition,
+        "type": "ProcessDefinition",
+        "name": _property(definition.title),
+        "version": _property(definition.label or str(version)),
+        "bpmn": _property(url),
+    }
+    if definition.description:
+        process["description"] = _property(definition.description)
+    tasks: dict[str, Entity] = {}
+    for activity in definition.activities.values():
+        entity = _task_definition(settings, activity, process_definition)
+        tasks.setdefault(entity["id"], entity)
+    return [process, *tasks.values()]
+
+
+def _task_definition(settings: Settings, activity: Activity, process_definition: str) -> Entity:
+    entity: Entity = {
+        "id": settings.entity_id("TaskDefinition", activity.definition),
+        "type": "TaskDefinition",
+        "name": _property(activity.name),
+        "isPartOf": {"type": "Relationship", "object": process_definition},
+    }
+    if activity.description:
+        entity["description"] = _property(activity.description)
+    for name in ("gesture", "commandId"):
+        given = activity.parameters.get(name)
+        if given is not None and given.expression is None:
+            entity[name] = _property(given.literal)
+    return entity
+
+
+def process_entity(
+    settings: Settings,
+    process_id: str,
+    definition: str,
+    *,
+    status: TaskStatus,
+    at: datetime,
+    parameters: Mapping[str, Any],
+    tasks: Iterable[str],
+    outputs: Mapping[str, Any] | None,
+) -> Entity:
+    """Return the Process; `at` is when its status was seen to be so."""
+    entity: Entity = {
+        "id": settings.entity_id("Process", process_id),
+        "type": "Process",
+        "isDefinedBy": {
+            "type": "Relationship",
+            "object": settings.entity_id("ProcessDefinition", definition),
+        },
+        "status": status_property(status, at),
+        "workParameters": _property(dict(parameters)),
+    }
+    composed = [{"type": "Relationship", "object": task} for task in tasks]
+    if composed:
+        entity["isComposedOf"] = _property(composed)
+    if outputs is not None:
+        entity["outputParameters"] = outputs_property(outputs, at)
+    return entity
+
+
+def task_entity(
+    settings: Settings,
+    task_id: str,
+    activity: Activity,
+    variables: Mapping[str, Any],
+    *,
+    at: datetime,
+    deadline: datetime,
+) -> Entity:
+    """Return the Task, `pending`, of `activity` as the process variables have it at this moment.
+
+    Raises `ExpressionError` when a variable is missing, `ValueError` when a resource is none.
+    """
+    entity: Entity = {
+        "id": task_id,
+        "type": "Task",
+        "isDefinedBy": {
+            "type": "Relationship",
+            "object": settings.entity_id("TaskDefinition", activity.definition),
+        },
+        "status": status_property(TaskStatus.PENDING, at),
+        "involves": _property(
+            [_link(settings, given.value(variables), activity) for given in activity.involves]
+        ),
+        "workParameters": _property(
+            {name: given.value(variables) for name, given in activity.parameters.items()}
+        ),
+        "deadline": _property({"@type": "DateTime", "@value": iso(deadline)}),
+    }
+    places = [
+        _place(settings, place.location.value(variables), place.function, activity)
+        for place in activity.happens_at
+    ]
+    if places:
+        entity["happensAt"] = _property(places)
+    return entity
+
+
+def _place(settings: Settings, reference: Any, function: str | None, activity: Activity) -> Entity:
+    link = _link(settings, reference, activity)
+    return {**link, "locationFunction": _property(function)} if function else link
+
+
+def _link(settings: Settings, reference: Any, activity: Activity) -> Entity:
+    if not is_reference(reference):
+        raise ValueError(f'"{reference}" names no entity for "{activity.id}"; it is Type:id or a URN')
+    return {"type": "Relationship", "object": resource_id(settings, reference)}
+
+
+def cancel_request(at: datetime) -> Entity:
+    """Return the attribute that asks for a Task to be cancelled."""
+    return {"requestedStatus": {**_property(RequestedStatus.CANCELLED.value), "observedAt": iso(at)}}
+
+
+def status_property(status: TaskStatus, at: datetime) -> Entity:
+    """Return `status` as seen `at` a moment."""
+    return {**_property(status.value), "observedAt": iso(at)}
+
+
+def outputs_property(outputs: Mapping[str, Any], at: datetime) -> Entity:
+    """Return outputParameters; what is null is left out, since NGSI-LD has no null."""
+    return {
+        **_property({name: value for name, value in outputs.items() if value is not None}),
+        "observedAt": iso(at),
+    }
+
+
+def _property(value: Any) -> Entity:
+    return {"type": "Property", "value": value}

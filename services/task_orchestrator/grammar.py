@@ -1,0 +1,158 @@
+"""Grammar: which texts are expressions of ours. Whatever is not named here does not exist in the language.
+
+The text is parsed, never compiled: no Python code ever comes of it.
+"""
+
+import ast
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeAlias
+
+from handover.errors import HandoverError
+
+Json: TypeAlias = Any
+
+MAX_CHARACTERS = 1000
+MAX_NODES = 200
+MAX_DEPTH = 30
+MAX_ITEMS = 10_000
+"""Items and characters of a value that an expression may build."""
+
+MAX_NUMBER = 2**53
+"""Beyond it JSON numbers lose whole units."""
+
+CONSTANTS: Mapping[str, Json] = {"true": True, "false": False, "null": None}
+ARGUMENTS: Mapping[str, range] = {
+    "len": range(1, 2),
+    "abs": range(1, 2),
+    "round": range(1, 3),
+    "min": range(1, 100),
+    "max": range(1, 100),
+}
+"""What may be called, and with how many arguments; `defined(name)` is the one beside these."""
+
+_RESERVED = frozenset({*CONSTANTS, *ARGUMENTS, "True", "False", "None", "and", "or", "not", "in", "is", "if"})
+_RESERVED |= frozenset({"else", "defined", "lambda", "for", "while", "import", "from", "def", "class", "del"})
+
+_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.FloorDiv, ast.Mod)
+_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq, ast.In, ast.NotIn, ast.Is, ast.IsNot)
+_SIGNS = (ast.Not, ast.USub, ast.UAdd)
+_PLAIN = (
+    *(ast.BoolOp, ast.BinOp, ast.UnaryOp, ast.Compare, ast.IfExp, ast.List, ast.Subscript),
+    *(ast.And, ast.Or, ast.Load, *_OPERATORS, *_COMPARISONS, *_SIGNS),
+)
+
+
+class ExpressionError(HandoverError):
+    """An expression cannot be read, or cannot be evaluated with the variables there are."""
+
+
+def parse(text: str) -> ast.expr:
+    """Return the tree of `text`; raise `ExpressionError` if it is no expression of our language."""
+    if not text:
+        raise ExpressionError("an expression is empty")
+    if len(text) > MAX_CHARACTERS:
+        raise ExpressionError(f"an expression has at most {MAX_CHARACTERS} characters, not {len(text)}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tree = ast.parse(text, mode="eval").body
+    except SyntaxError as error:
+        raise ExpressionError(f"`{text}` is not an expression: {error.msg}") from None
+    except (ValueError, RecursionError, MemoryError):
+        raise ExpressionError("an expression is too deep or has characters that cannot be read") from None
+    try:
+        _check(tree)
+    except ExpressionError as error:
+        raise ExpressionError(f"`{text}`: {error}") from None
+    return tree
+
+
+def is_variable_name(name: str) -> bool:
+    """Say whether `name` can be a process variable."""
+    return name.isidentifier() and name.isascii() and len(name) <= 100 and name not in _RESERVED
+
+
+def within_limits(value: Json) -> Json:
+    """Return `value` if it is JSON of a bearable size; raise `ExpressionError` if not."""
+    left = MAX_ITEMS
+    heap = [(value, 0)]
+    while heap:
+        item, depth = heap.pop()
+        if depth > MAX_DEPTH:
+            raise ExpressionError(f"a value is nested at most {MAX_DEPTH} deep")
+        if isinstance(item, str):
+            left -= len(item) // 64
+            _check_text(item)
+        elif isinstance(item, dict):
+            heap.extend((part, depth + 1) for part in item.values())
+        elif isinstance(item, list):
+            heap.extend((part, depth + 1) for part in item)
+        elif isinstance(item, float) and not math.isfinite(item):
+            raise ExpressionError("a number must be finite")
+        elif isinstance(item, int) and abs(item) > MAX_NUMBER:
+            raise ExpressionError("a number is too large")
+        elif not (item is None or isinstance(item, bool | int | float)):
+            raise ExpressionError(f"{type(item).__name__} is no JSON value")
+        left -= 1
+        if left - len(heap) < 0:
+            raise ExpressionError(f"a value holds at most {MAX_ITEMS} items")
+    return value
+
+
+def _check_text(text: str) -> None:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise ExpressionError("a text has half a character (a lone surrogate)") from None
+
+
+def _check(tree: ast.expr) -> None:
+    for count, (node, depth) in enumerate(_walk(tree)):
+        if count >= MAX_NODES or depth > MAX_DEPTH:
+            raise ExpressionError(f"an expression has at most {MAX_NODES} parts, nested {MAX_DEPTH} deep")
+        _check_node(node)
+
+
+def _walk(tree: ast.expr) -> Iterator[tuple[ast.AST, int]]:
+    stack: list[tuple[ast.AST, int]] = [(tree, 0)]
+    while stack:
+        node, depth = stack.pop()
+        yield node, depth
+        parts = node.args if isinstance(node, ast.Call) else ast.iter_child_nodes(node)
+        stack.extend((part, depth + 1) for part in parts)
+
+
+def _check_node(node: ast.AST) -> None:
+    match node:
+        case ast.Constant():
+            within_limits(node.value)
+        case ast.Call():
+            _check_call(node)
+        case ast.Dict():
+            if any(key is None for key in node.keys):
+                raise ExpressionError("`**` is not part of the language")
+        case ast.Attribute(attr=name) | ast.Name(id=name):
+            if name.startswith("__"):
+                raise ExpressionError(f'the name "{name}" is not allowed')
+        case _ if not isinstance(node, _PLAIN):
+            raise ExpressionError(f"{in_words(node)} is not part of the language")
+
+
+def _check_call(node: ast.Call) -> None:
+    name = node.func.id if isinstance(node.func, ast.Name) else None
+    if node.keywords or (name not in ARGUMENTS and name != "defined"):
+        allowed = ", ".join([*ARGUMENTS, "defined"])
+        raise ExpressionError(f"only these functions can be called: {allowed}")
+    if name == "defined":
+        if len(node.args) != 1 or not isinstance(node.args[0], ast.Name):
+            raise ExpressionError("defined() asks for one variable by its name")
+    elif name is not None and len(node.args) not in ARGUMENTS[name]:
+        raise ExpressionError(f"{name}() cannot take {len(node.args)} arguments")
+
+
+def in_words(node: ast.AST) -> str:
+    """Return the kind of `node` as a person would say it."""
+    name = type(node).__name__
+    return "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in name).strip()

@@ -1,0 +1,112 @@
+"""Library: the deployed definitions, every version of them, since running processes keep theirs."""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from handover.errors import Problem
+from services.task_orchestrator.bpmn import read_bpmn
+from services.task_orchestrator.definition import BadBpmn, Definition, Fault
+from services.task_orchestrator.engine import Plan, RunFailed
+from services.task_orchestrator.entities import definition_entities
+from services.task_orchestrator.records import DefinitionRecord
+from services.task_orchestrator.settings import OrchestratorSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Deployment:
+    """What came of deploying a file: `created` is False when it changed nothing."""
+
+    name: str
+    version: int
+    created: bool
+
+
+class Library:
+    """All definitions by name and version."""
+
+    def __init__(self, settings: OrchestratorSettings) -> None:
+        self._settings = settings
+        self._records: dict[str, list[DefinitionRecord]] = {}
+        self._plans: dict[tuple[str, int], Plan] = {}
+
+    def add(self, records: Iterable[DefinitionRecord]) -> None:
+        """Put `records` on the shelf, in the order of their versions."""
+        for record in records:
+            self._records.setdefault(record.name, []).append(record)
+
+    def latest(self) -> list[DefinitionRecord]:
+        """Return the latest version of each definition."""
+        return [self._records[name][-1] for name in sorted(self._records)]
+
+    def record(self, name: str, version: int | None = None) -> DefinitionRecord:
+        """Return a version of a definition, the latest if none is named; `Problem` 404 if there is none."""
+        versions = self._records.get(name)
+        if not versions:
+            known = ", ".join(sorted(self._records)) or "none yet"
+            raise Problem(
+                404, "No such definition", f'there is no definition "{name}"; deployed are: {known}'
+            )
+        if version is None:
+            return versions[-1]
+        if not 1 <= version <= len(versions):
+            raise Problem(
+                404, "No such version", f'"{name}" has the versions 1 to {len(versions)}, not {version}'
+            )
+        return versions[version - 1]
+
+    def plan(self, record: DefinitionRecord) -> Plan:
+        """Return `record` made ready to run."""
+        key = (record.name, record.version)
+        if key not in self._plans:
+            self._plans[key] = Plan(read_bpmn(record.xml))
+        return self._plans[key]
+
+    def next_version(
+        self,
+        definition: Definition,
+        beside: Sequence[DefinitionRecord],
+        now: datetime,
+        *,
+        only_if_never_seen: bool,
+    ) -> tuple[DefinitionRecord, bool]:
+        """Return the record that deploying `definition` leads to, and whether it is a new one.
+
+        `beside` are records that are being deployed in the same step.
+        """
+        versions = [
+            *self._records.get(definition.name, []),
+            *(r for r in beside if r.name == definition.name),
+        ]
+        digest = hashlib.sha256(definition.xml).hexdigest()
+        for record in versions if only_if_never_seen else versions[-1:]:
+            if record.digest == digest:
+                return record, False
+        record = DefinitionRecord(
+            name=definition.name,
+            version=len(versions) + 1,
+            digest=digest,
+            title=definition.title,
+            label=definition.label,
+            xml=definition.xml,
+            deployed_at=now,
+        )
+        return record, True
+
+    def entities(self, record: DefinitionRecord) -> list[dict[str, Any]]:
+        """Return the ProcessDefinition and TaskDefinitions of `record`."""
+        url = f"{self._settings.own_url}/definitions/{record.name}/bpmn?version={record.version}"
+        definition = self.plan(record).definition
+        return definition_entities(self._settings, definition, record.version, url)
+
+
+def read_runnable(xml: bytes) -> Definition:
+    """Return the definition in `xml`; raise `BadBpmn` if it is wrong or the engine cannot run it."""
+    definition = read_bpmn(xml)
+    try:
+        Plan(definition)
+    except RunFailed as failure:
+        raise BadBpmn([Fault(definition.name, None, str(failure))]) from failure
+    return definition

@@ -1,0 +1,30 @@
+"""Settings of the task orchestrator."""
+
+from pathlib import Path
+
+from pydantic import Field
+
+from handover.settings import Settings
+
+
+class OrchestratorSettings(Settings):
+    """What the orchestrator adds to the settings that all share."""
+
+    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
+    orchestrator_url: str | None = Field(
+        None, description="where the broker reaches the orchestrator; host and port if absent"
+    )
+    process_dir: Path | None = Field(None, description="a folder whose *.bpmn files are deployed at start")
+    task_deadline_s: float = Field(
+        300.0,
+        gt=0,
+        description="a Task nobody takes up for so long raises an Alert, unless the BPMN says more",
+    )
+    cancel_grace_s: float = Field(
+        5.0, ge=0, description="a cancelled Task that nobody has taken up is closed after so long"
+    )
+
+    @property
+    def own_url(self) -> str:
+        """Return the address under which the broker reaches this service."""
+        return self.url_of(self.orchestrator_port, self.orchestrator_url)
