@@ -1,0 +1,1 @@
+"""The gesture controller: glove frames become gestures, and gestures held long enough complete Tasks."""

@@ -1,0 +1,189 @@
+"""The gesture controller's face: REST and WebSocket for screens, TCP for gloves."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Annotated, Any, Literal
+
+from fastapi import FastAPI, Response, WebSocket
+from fastapi.responses import StreamingResponse
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+from handover.broker import BrokerClient
+from handover.errors import Problem
+from handover.service import create_app, require_free
+from services.gesture_controller import configuration
+from services.gesture_controller.controller import Controller
+from services.gesture_controller.glove import CannotComplete, Glove
+from services.gesture_controller.glove_server import GloveServer
+from services.gesture_controller.live import follow, frames_of
+from services.gesture_controller.settings import ControllerSettings
+from services.gesture_controller.view import view_of
+
+GloveView = dict[str, Any]
+Frames = Annotated[list[list[FiniteFloat]], Field(max_length=20_000)]
+
+
+class _Body(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Declaration(_Body):
+    """A glove to be known before it has said hello."""
+
+    hand: Literal["left", "right"] | None = None
+    person: Annotated[str, Field(min_length=1)] | None = None
+
+
+class CalibrationFrames(_Body):
+    """Frames of a fist and of an open hand, five raw values each, thumb first."""
+
+    fist: Frames
+    open: Frames
+
+
+class Modes(_Body):
+    """What is left out stays as it is."""
+
+    testing: bool | None = None
+    filtering: bool | None = None
+
+
+class Completion(_Body):
+    """Who completes the Task on the screen."""
+
+    by: Annotated[str, Field(min_length=1, max_length=100)]
+
+
+def make_app(settings: ControllerSettings) -> FastAPI:
+    """Return the application; raises `UsageError` when it could not work as it is set."""
+    settings.require_token_beyond_loopback()
+    require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT")
+    broker = BrokerClient(settings)
+    controller = Controller(settings, configuration.load(settings.gestures_file), broker)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        async with broker, controller, GloveServer(settings, controller.gloves):
+            yield
+
+    app = create_app(
+        "Gesture controller",
+        description=__doc__ or "",
+        lifespan=lifespan,
+        checks={"broker": broker.probe, "tasks": controller.probe},
+    )
+    controller.mount(app)
+    _add_gestures(app, controller)
+    _add_gloves(app, controller)
+    _add_acts(app, controller)
+    _add_streams(app, controller)
+    return app
+
+
+def _add_gestures(app: FastAPI, controller: Controller) -> None:
+    @app.get("/gestures", tags=["gestures"])
+    async def gestures() -> list[dict[str, Any]]:
+        """List the gestures: name, code (thumb first, 0 straight, 2 bent) and the command each stands for."""
+        ids = controller.configuration.commands.ids
+        return [
+            {"name": name, "code": code, "commandId": ids.get(name)}
+            for name, code in controller.configuration.gestures
+        ]
+
+
+def _add_gloves(app: FastAPI, controller: Controller) -> None:
+    gloves = controller.gloves
+
+    @app.get("/gloves", tags=["gloves"])
+    async def all_gloves() -> list[GloveView]:
+        """Return the state of every glove."""
+        return [_view(glove) for glove in gloves]
+
+    @app.get("/gloves/{glove}", tags=["gloves"])
+    async def one_glove(glove: str) -> GloveView:
+        """Return the state of a glove."""
+        return _view(gloves.named(glove))
+
+    @app.put("/gloves/{glove}", tags=["gloves"])
+    async def declare(glove: str, declaration: Declaration, response: Response) -> GloveView:
+        """Make a glove known before it has said hello: 201, or 200 if it was known."""
+        known, is_new = await gloves.declare(glove, declaration.hand, declaration.person)
+        response.status_code = 201 if is_new else 200
+        return _view(known)
+
+    @app.put("/gloves/{glove}/thresholds", tags=["calibration"])
+    async def set_thresholds(glove: str, thresholds: dict[str, dict[str, FiniteFloat]]) -> GloveView:
+        """Set thresholds of some or all fingers; they survive a restart."""
+        await gloves.set_thresholds(gloves.named(glove), thresholds)
+        return _view(gloves.named(glove))
+
+    @app.post("/gloves/{glove}/thresholds/restore", tags=["calibration"])
+    async def restore(glove: str) -> GloveView:
+        """Exchange the thresholds with those before the last change."""
+        await gloves.restore(gloves.named(glove))
+        return _view(gloves.named(glove))
+
+    @app.post("/gloves/{glove}/calibration", tags=["calibration"])
+    async def calibrate(glove: str, frames: CalibrationFrames) -> dict[str, Any]:
+        """Make thresholds from frames of a fist and of an open hand; they survive a restart."""
+        calibration = await gloves.calibrate(gloves.named(glove), frames.fist, frames.open)
+        return {"thresholds": calibration.thresholds.as_dict(), "levels": calibration.as_dict()}
+
+
+def _add_acts(app: FastAPI, controller: Controller) -> None:
+    gloves = controller.gloves
+
+    @app.put("/gloves/{glove}/modes", tags=["acts"])
+    async def switch(glove: str, modes: Modes) -> GloveView:
+        """Switch testing (nothing completes a Task) and filtering (only the asked gesture counts)."""
+        gloves.named(glove).switch(testing=modes.testing, filtering=modes.filtering)
+        return _view(gloves.named(glove))
+
+    @app.post("/gloves/{glove}/pause", tags=["acts"])
+    async def pause(glove: str) -> GloveView:
+        """Let nothing count, and hold the Task, until resumed."""
+        gloves.named(glove).pause()
+        return _view(gloves.named(glove))
+
+    @app.post("/gloves/{glove}/resume", tags=["acts"])
+    async def resume(glove: str) -> GloveView:
+        """Take a pause back; one that was requested on the Task itself stays."""
+        gloves.named(glove).resume()
+        return _view(gloves.named(glove))
+
+    @app.post("/gloves/{glove}/complete", tags=["acts"])
+    async def complete(glove: str, completion: Completion) -> GloveView:
+        """Complete the Task by hand, where the glove cannot serve."""
+        try:
+            gloves.named(glove).complete_on_screen(completion.by, _now_s())
+        except CannotComplete as error:
+            raise Problem(409, "Cannot complete", str(error)) from None
+        return _view(gloves.named(glove))
+
+
+def _add_streams(app: FastAPI, controller: Controller) -> None:
+    gloves = controller.gloves
+
+    @app.get("/gloves/{glove}/frames", tags=["streams"])
+    async def frames(glove: str) -> StreamingResponse:
+        """Stream the glove's hello and then its raw frames, one JSON object a line, until the reader goes."""
+        return StreamingResponse(frames_of(gloves.named(glove)), media_type="application/x-ndjson")
+
+    @app.websocket("/gloves/{glove}/live")
+    async def live(screen: WebSocket, glove: str) -> None:
+        try:
+            followed = gloves.named(glove)
+        except Problem as problem:
+            await screen.accept()
+            await screen.close(4404, problem.detail[:120])
+            return
+        await follow(followed, screen)
+
+
+def _view(glove: Glove) -> GloveView:
+    return view_of(glove, _now_s())
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,124 @@
+"""Calibration: a person makes a fist and opens the hand, and the glove learns its thresholds.
+
+Bent fingers are dragged upwards by their neighbours more than straight ones sag. So the band between the
+thresholds lies in the upper half of the span from fist to open hand: below 50 % of it a finger is bent,
+above 60 % straight. (`python -m benchmarks.gesture_controller` says how well recorded hands are read.)
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from services.gesture_controller.thresholds import FINGERS, Threshold, Thresholds
+
+BENT_BELOW, STRAIGHT_ABOVE = 0.50, 0.60
+"""Where the thresholds stand in the span from fist (0) to open hand (1)."""
+
+LEAST_FRAMES = 10
+READ_RIGHT = 0.9
+"""The share of the calibration's own frames that its thresholds must read right."""
+
+_MAD_TO_SIGMA = 1.4826
+
+
+class CalibrationFailed(ValueError):
+    """No thresholds follow from these frames; the message names the finger and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class FingerLevels:
+    """What a finger's sensor shows: its level in the fist and in the open hand, and the larger noise."""
+
+    fist: float
+    open: float
+    noise: float
+
+    @property
+    def span(self) -> float:
+        """Return how far the sensor moves, in raw units."""
+        return self.open - self.fist
+
+    def at(self, share: float) -> float:
+        """Return the sensor value at `share` of the span."""
+        return round(self.fist + share * self.span, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Thresholds, and the levels of the five fingers that they were made from."""
+
+    thresholds: Thresholds
+    levels: tuple[FingerLevels, ...]
+
+    def as_dict(self) -> dict[str, dict[str, float]]:
+        """Return the levels by finger."""
+        return {
+            finger: {"fist": level.fist, "open": level.open, "noise": level.noise}
+            for finger, level in zip(FINGERS, self.levels, strict=True)
+        }
+
+
+def calibrate(fist: Sequence[Sequence[float]], open_hand: Sequence[Sequence[float]]) -> Calibration:
+    """Return the calibration that follows from frames of a fist and of an open hand.
+
+    Both are lists of frames, each five raw values, thumb first. Raises `CalibrationFailed`.
+    """
+    for what, frames in (("fist", fist), ("open hand", open_hand)):
+        if len(frames) < LEAST_FRAMES:
+            raise CalibrationFailed(
+                f"{len(frames)} frames of the {what} are too few; hold it until there are "
+                f"{LEAST_FRAMES} or more"
+            )
+        if any(len(frame) != len(FINGERS) for frame in frames):
+            raise CalibrationFailed(f"a frame of the {what} has not five values, one a finger, thumb first")
+    made = [
+        _finger(finger, [frame[place] for frame in fist], [frame[place] for frame in open_hand])
+        for place, finger in enumerate(FINGERS)
+    ]
+    doubts = list(_doubts(made))
+    if doubts:
+        raise CalibrationFailed("; ".join(doubts))
+    return Calibration(Thresholds(tuple(one.threshold for one in made)), tuple(one.levels for one in made))
+
+
+@dataclass(frozen=True, slots=True)
+class _Finger:
+    name: str
+    levels: FingerLevels
+    threshold: Threshold
+    bent_share: float
+    straight_share: float
+
+
+def _finger(name: str, fist: Sequence[float], open_hand: Sequence[float]) -> _Finger:
+    levels = FingerLevels(median(fist), median(open_hand), round(max(_noise(fist), _noise(open_hand)), 2))
+    threshold = Threshold(levels.at(STRAIGHT_ABOVE), levels.at(BENT_BELOW))
+    bent = sum(value < threshold.lower for value in fist) / len(fist)
+    straight = sum(value > threshold.upper for value in open_hand) / len(open_hand)
+    return _Finger(name, levels, threshold, bent, straight)
+
+
+def _noise(values: Sequence[float]) -> float:
+    middle = median(values)
+    return _MAD_TO_SIGMA * median(abs(value - middle) for value in values)
+
+
+def _doubts(made: Sequence[_Finger]) -> Iterator[str]:
+    for finger in made:
+        levels = finger.levels
+        seen = f"{levels.fist:g} in the fist, {levels.open:g} in the open hand, noise {levels.noise:g}"
+        if levels.span <= 0:
+            yield (
+                f"{finger.name}: the sensor does not rise when the hand opens ({seen}); check that fist and "
+                f"open hand are not exchanged and that the sensor lies along the finger, then calibrate again"
+            )
+        elif finger.bent_share < READ_RIGHT:
+            yield (
+                f"{finger.name}: cannot be told bent from straight in the fist ({seen}); bend the "
+                f"{finger.name} fully, keep it still, and calibrate again"
+            )
+        elif finger.straight_share < READ_RIGHT:
+            yield (
+                f"{finger.name}: cannot be told straight from bent in the open hand ({seen}); stretch the "
+                f"{finger.name} fully, keep it still, and calibrate again"
+            )

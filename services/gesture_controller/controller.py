@@ -1,0 +1,217 @@
+"""The controller: takes Tasks for gloves and for the people who wear them, and lets hands answer them."""
+
+import asyncio
+from collections.abc import Mapping
+from contextlib import AsyncExitStack
+from typing import Any, Self
+
+from handover.alerts import clear_alert, raise_alert
+from handover.broker import BrokerClient
+from handover.performer import Job, Performer, TaskFailed, Wants
+from handover.telemetry import get_logger
+from services.gesture_controller.configuration import Configuration
+from services.gesture_controller.device import Devices
+from services.gesture_controller.errand import Answer, Asked, Errand
+from services.gesture_controller.glove import Glove
+from services.gesture_controller.glove_store import GloveStore
+from services.gesture_controller.gloves import Gloves
+from services.gesture_controller.inquiry import (
+    Definition,
+    definition_of,
+    needs_definition,
+    what_is_asked,
+)
+from services.gesture_controller.outbox import Outbox
+from services.gesture_controller.settings import ControllerSettings
+
+log = get_logger(__name__)
+
+LOOK_EVERY_S = 0.1
+TELL_AGAIN_S = 60.0
+"""How often Device entities are written though nothing changed: somebody may have deleted them."""
+
+
+class Controller(Performer):
+    """Acts for every glove and its wearer; an asynchronous context manager while it is on duty."""
+
+    def __init__(
+        self, settings: ControllerSettings, configuration: Configuration, broker: BrokerClient
+    ) -> None:
+        super().__init__("gesture-controller", settings, broker, notify_url=settings.notify_url)
+        self.configuration = configuration
+        self._silence_s = settings.silence_s
+        self._outbox = Outbox()
+        self._devices = Devices(settings, broker, self._outbox)
+        self._worn: dict[str, Glove] = {}
+        self._duties = AsyncExitStack()
+        self._newcomers: asyncio.Queue[str] = asyncio.Queue()
+        store = GloveStore(settings.data_dir / "gloves")
+        self.gloves = Gloves(settings, configuration, store, self, self._adopt)
+
+    async def __aenter__(self) -> Self:
+        for duty in (self._welcome_newcomers(), self._look_after_gloves(), self._tell_again()):
+            chore = asyncio.create_task(duty)
+            chore.add_done_callback(_speak_of_failure)
+            self._duties.push_async_callback(_end, chore)
+        await self._duties.enter_async_context(self._outbox)
+        return await super().__aenter__()
+
+    async def __aexit__(self, *error: object) -> None:
+        await super().__aexit__(*error)
+        await self._duties.aclose()
+
+    async def perform(self, job: Job) -> Mapping[str, Any]:
+        """Ask the wearer for the gesture that the Task names, and return how it was answered."""
+        glove = self._worn[job.resource]
+        asked = await self._find_out(job, glove)
+        while glove.errand is not None:
+            await _change(job, glove.free.wait())
+            await job.checkpoint()
+        errand = Errand(asked, job, asyncio.get_running_loop().create_future())
+        glove.begin(errand)
+        try:
+            answer = await self._await_answer(glove, errand)
+        finally:
+            glove.end()
+        log.info("task answered", glove=glove.name, gesture=answer.gesture, by=answer.by)
+        return answer.outputs()
+
+    async def _await_answer(self, glove: Glove, errand: Errand) -> Answer:
+        following = asyncio.create_task(_follow_wishes(glove, errand.job))
+        try:
+            while not errand.answer.done():
+                await errand.job.checkpoint()
+                glove.listen()
+                await _change(errand.job, asyncio.wait({errand.answer}))
+        finally:
+            await _end(following)
+        return errand.answer.result()
+
+    async def _find_out(self, job: Job, glove: Glove) -> Asked:
+        known = not needs_definition(job.parameters)
+        definition = Definition() if known else await definition_of(job.task, self.broker)
+        try:
+            return what_is_asked(
+                job.task, job.parameters, definition, self.configuration.gestures, glove.commands
+            )
+        except TaskFailed as failure:
+            self._alert_of_wrong_task(job, failure.reason)
+            raise
+
+    def _alert_of_wrong_task(self, job: Job, reason: str) -> None:
+        task_id = job.task.id
+        self._outbox.put(
+            f"Alert {task_id}",
+            lambda: raise_alert(
+                self.broker,
+                self.settings,
+                key=f"{task_id.rsplit(':', 1)[-1]} cannot be shown",
+                source=task_id,
+                category="process",
+                sub_category="unknownGesture",
+                severity="medium",
+                description=reason,
+            ),
+        )
+
+    # What gloves tell
+
+    def state_changed(self, glove: Glove) -> None:
+        """Have its Device entity written."""
+        self._devices.tell(glove)
+
+    def went_silent(self, glove: Glove) -> None:
+        """Raise an Alert: a Task waits for a glove that does not send."""
+        log.warning("glove went silent in the middle of a task", glove=glove.name)
+        description = (
+            f"{glove.name} has sent nothing for {self._silence_s:g} s in the middle of a Task, which is "
+            "paused until it is back; check that it is switched on, charged and near, or complete the Task "
+            "on the screen"
+        )
+        self._outbox.put(
+            f"Alert {glove.name} silent",
+            lambda: raise_alert(
+                self.broker,
+                self.settings,
+                key=_silence_key(glove),
+                source=self._devices.id_of(glove),
+                category="device",
+                sub_category="gloveSilent",
+                severity="high",
+                description=description,
+            ),
+        )
+
+    def came_back(self, glove: Glove) -> None:
+        """Say that the Alert of its silence is over, an earlier run's too."""
+        log.info("glove sends", glove=glove.name)
+        self._outbox.put(
+            f"Alert {glove.name} silent",
+            lambda: clear_alert(self.broker, self.settings, key=_silence_key(glove)),
+        )
+
+    # Duties
+
+    def _adopt(self, glove: Glove) -> None:
+        names = [self.settings.entity_id("Device", glove.name)]
+        if glove.person:
+            names.append(self.settings.entity_id("Person", glove.person))
+        for resource in names:
+            self._worn[resource] = glove
+            self._newcomers.put_nowait(resource)
+        self._devices.tell(glove)
+
+    async def _welcome_newcomers(self) -> None:
+        while True:
+            await self.act_for(await self._newcomers.get())
+
+    async def _look_after_gloves(self) -> None:
+        loop = asyncio.get_running_loop()
+        looked_s = loop.time()
+        while True:
+            await asyncio.sleep(min(LOOK_EVERY_S, self._silence_s / 4))
+            now_s = loop.time()
+            if now_s - looked_s < self._silence_s / 2:  # else it was us who slept: frames may lie in the line
+                for glove in self.gloves:
+                    glove.look_after(now_s, self._silence_s)
+            looked_s = now_s
+
+    async def _tell_again(self) -> None:
+        while True:
+            await asyncio.sleep(TELL_AGAIN_S)
+            for glove in self.gloves:
+                self._devices.tell(glove, again=True)
+
+
+def _silence_key(glove: Glove) -> str:
+    return f"{glove.name} silent"
+
+
+async def _follow_wishes(glove: Glove, job: Job) -> None:
+    """Let a hold begin as soon as the work may go on, while that is still being reported."""
+    while True:
+        if await job.changed() is Wants.GO:
+            glove.listen()
+        else:
+            glove.rest()
+
+
+async def _change(job: Job, other: Any) -> None:
+    """Wait until `other` has happened, or until something else is wished of `job` than to go on."""
+    wishes = asyncio.create_task(job.changed(since=Wants.GO))
+    happens = asyncio.ensure_future(other)
+    try:
+        await asyncio.wait({wishes, happens}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for waiting in (wishes, happens):
+            await _end(waiting)
+
+
+async def _end(chore: "asyncio.Future[Any]") -> None:
+    chore.cancel()
+    await asyncio.wait({chore})
+
+
+def _speak_of_failure(chore: "asyncio.Future[Any]") -> None:
+    if not chore.cancelled() and (error := chore.exception()) is not None:
+        log.error("a duty of the gesture controller failed", exc_info=error)

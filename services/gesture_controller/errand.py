@@ -1,0 +1,58 @@
+"""An errand: what a Task asks of the hand in the glove, and the answer that is awaited."""
+
+import asyncio
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from handover.job import Job, Wants
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a Task asks of a person: to make a gesture. `command_id` is the command that it gives."""
+
+    task_id: str
+    description: str
+    gesture: str
+    code: str
+    command_id: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """How a person completed a Task; `operator` is whoever pressed the button, if it was the screen."""
+
+    gesture: str
+    command_id: int | None
+    held_ms: float
+    by: Literal["gesture", "screen"]
+    operator: str | None = None
+
+    def outputs(self) -> dict[str, Any]:
+        """Return the outputParameters of the completed Task."""
+        outputs = {
+            "gesture": self.gesture,
+            "commandId": self.command_id,
+            "heldMs": round(self.held_ms),
+            "by": self.by,
+            "operator": self.operator,
+        }
+        return {name: value for name, value in outputs.items() if value is not None}
+
+
+@dataclass(slots=True, eq=False)
+class Errand:
+    """A Task that waits for its answer from one glove."""
+
+    asked: Asked
+    job: Job
+    answer: asyncio.Future[Answer]
+    listening: bool = False
+    """True while a gesture may answer; the controller opens and closes it."""
+    met: bool = False
+    """True once the glove has been there during the errand: only then can it go missing."""
+
+    @property
+    def is_open(self) -> bool:
+        """Say whether a gesture would count now."""
+        return self.listening and self.job.wants is Wants.GO and not self.answer.done()

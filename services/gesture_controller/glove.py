@@ -1,0 +1,305 @@
+"""A glove: what its hand shows, what is asked of it, and what a gesture held in it means now.
+
+No network and no broker here: frames and errands come in with the time, what happens goes out to the
+`Listener` that the glove was given.
+"""
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Protocol
+
+from handover.job import Wants
+from services.gesture_controller import metrics
+from services.gesture_controller.errand import Answer, Errand
+from services.gesture_controller.frames import Frame, Hello
+from services.gesture_controller.gestures import Commands
+from services.gesture_controller.hold import HoldEvent
+from services.gesture_controller.pipeline import Rules, Senses, Sight, Verdict, judge, see
+from services.gesture_controller.thresholds import Thresholds
+
+SILENT = "glove silent"
+ON_SCREEN = "paused on the screen"
+
+
+class CannotComplete(ValueError):
+    """The Task cannot be completed on the screen now; the message says what to do first."""
+
+
+class Link(Protocol):
+    """The connection of a glove."""
+
+    def end(self, reason: str) -> None:
+        """Tell the glove why, and close."""
+
+
+class Listener(Protocol):
+    """Who is told what happens to a glove."""
+
+    def state_changed(self, glove: "Glove") -> None:
+        """Take notice that what its Device entity says may have changed."""
+
+    def went_silent(self, glove: "Glove") -> None:
+        """Take notice that it stopped sending in the middle of a Task."""
+
+    def came_back(self, glove: "Glove") -> None:
+        """Take notice that it sends (again)."""
+
+
+class Glove:
+    """One glove; all moments `now_s` are on the event loop's clock."""
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        hand: str,
+        person: str | None,
+        senses: Senses,
+        commands: Commands,
+        filtering: bool,
+        listener: Listener,
+    ) -> None:
+        self.name = name
+        self.hand = hand
+        self.person = person
+        self.senses = senses
+        self.commands = commands
+        self.filtering = filtering
+        self.testing = False
+        self.paused = False
+        self.errand: Errand | None = None
+        self.free = asyncio.Event()
+        self.free.set()
+        self.link: Link | None = None
+        self.hello = Hello(name, hand)
+        self.lost = False
+        """True from going silent in the middle of a Task until the next frame."""
+        self.sight = Sight()
+        self.bend: list[float] | None = None
+        self.battery: float | None = None
+        self.command: tuple[int, datetime] | None = None
+        """The last command given with this glove, and when."""
+        self.last_answer: tuple[Answer, float] | None = None
+        """How the last errand was answered, and when."""
+        self.frames = 0
+        self.dropped: Counter[str] = Counter()
+        self.rate_hz = 0.0
+        self.watchers: set[Callable[[], None]] = set()
+        """Called when something to be seen has changed, with every frame too; must be quick."""
+        self.recorders: set[Callable[[bytes], None]] = set()
+        """Called with the raw line of every frame."""
+        self._listener = listener
+        self._last_s = float("-inf")
+        self._present = False
+        self._seen_before = False
+        self._rate_from = (0.0, 0)
+
+    # The glove on the line
+
+    @property
+    def connected(self) -> bool:
+        """Say whether the glove is on the line and has been heard of lately."""
+        return self.link is not None and self._present
+
+    def connect(self, link: Link, hello: Hello, now_s: float) -> None:
+        """Take `link` for the glove's connection; an older one is told so and ends: the newest wins."""
+        if self.link is not None and self.link is not link:
+            self.link.end(f"{self.name} has connected anew from elsewhere; only its newest connection counts")
+        self.link, self.hello, self.hand = link, hello, hello.hand
+        self._last_s = now_s
+        self._present = True
+        self._begin_anew()
+        if self.errand is not None:
+            self.errand.met = True
+        self._changed()
+
+    def disconnect(self, link: Link) -> None:
+        """Take notice that `link` has ended."""
+        if self.link is link:
+            self.link = None
+            self._changed()
+
+    def take(self, frame: Frame, line: bytes, now_s: float) -> None:
+        """Take a frame, and its raw `line`, that arrived at `now_s`."""
+        self.frames += 1
+        self._last_s = now_s
+        self.bend = frame.bend
+        if not self._present or self.lost or not self._seen_before:
+            self._heard_again()
+        if frame.battery is not None and frame.battery != self.battery:
+            self.battery = frame.battery
+            self._changed()
+        self.sight = see(self.sight, frame, self.senses)
+        hold = self.sight.hold
+        if hold.last is not HoldEvent.NONE:
+            self._act_on(judge(hold, self._rules()), now_s)
+        for watcher in self.watchers:
+            watcher()
+        for record in self.recorders:
+            record(line)
+
+    def drop(self, reason: str) -> None:
+        """Count a line that was no frame."""
+        self.dropped[reason] += 1
+        metrics.DROPPED.labels(reason).inc()
+
+    def look_after(self, now_s: float, silence_s: float) -> None:
+        """Notice silence, and measure the rate; to be called a few times a second."""
+        since_s, before = self._rate_from
+        if now_s - since_s >= 1.0:
+            self.rate_hz = round((self.frames - before) / (now_s - since_s), 1) if before or since_s else 0.0
+            self._rate_from = (now_s, self.frames)
+        if now_s - self._last_s < silence_s:
+            return
+        if self._present:
+            self._present = False
+            self.rate_hz = 0.0
+            self._changed()
+        if self.errand is not None and self.errand.met and not self.lost:
+            self.lost = True
+            metrics.SILENCES.inc()
+            self.errand.job.pause(SILENT)
+            self._listener.went_silent(self)
+            self._changed()
+
+    def _heard_again(self) -> None:
+        self._present = True
+        if self.errand is not None:
+            self.errand.met = True
+            self._go_on(self.errand, SILENT)
+        if self.lost or not self._seen_before:
+            self.lost, self._seen_before = False, True
+            self._listener.came_back(self)
+        self._changed()
+
+    # What is asked of it
+
+    def begin(self, errand: Errand) -> None:
+        """Take an errand; nothing answers it before `listen`."""
+        self.errand = errand
+        self.free.clear()
+        errand.met = self.connected
+        if self.paused:
+            errand.job.pause(ON_SCREEN)
+        self._changed()
+
+    def listen(self) -> None:
+        """Let gestures answer the errand from now on: no hold that began before counts."""
+        if self.errand is not None and not self.errand.listening:
+            self.errand.listening = True
+            self._begin_anew()
+
+    def rest(self) -> None:
+        """Let no gesture answer until `listen`."""
+        if self.errand is not None:
+            self.errand.listening = False
+
+    def end(self) -> None:
+        """Let go of the errand, answered or not."""
+        self.errand = None
+        self.free.set()
+        self._changed()
+
+    def complete_on_screen(self, operator: str, now_s: float) -> None:
+        """Answer the errand for `operator`, who pressed the button; raises `CannotComplete`."""
+        errand = self.errand
+        if errand is None or errand.answer.done():
+            raise CannotComplete(f"{self.name} has no Task at the moment; there is nothing to complete")
+        if self.testing:
+            raise CannotComplete(
+                f"{self.name} is in testing mode; switch testing off, then complete the Task"
+            )
+        errand.job.resume(SILENT)
+        if errand.job.wants is not Wants.GO:
+            if self.lost:
+                errand.job.pause(SILENT)
+            raise CannotComplete(f"the Task of {self.name} is paused; resume it, then complete it")
+        asked = errand.asked
+        self._answer(errand, Answer(asked.gesture, asked.command_id, 0, "screen", operator), now_s)
+
+    def pause(self) -> None:
+        """Let nothing count, and hold the Task, until `resume`."""
+        self.paused = True
+        if self.errand is not None:
+            self.errand.job.pause(ON_SCREEN)
+        self._changed()
+
+    def resume(self) -> None:
+        """Take `pause` back."""
+        self.paused = False
+        if self.errand is not None:
+            self._go_on(self.errand, ON_SCREEN)
+        self._begin_anew()
+        self._changed()
+
+    def switch(self, *, testing: bool | None, filtering: bool | None) -> None:
+        """Switch modes; None leaves one as it is."""
+        self.testing = self.testing if testing is None else testing
+        self.filtering = self.filtering if filtering is None else filtering
+        self._begin_anew()
+        self._changed()
+
+    def read_with(self, thresholds: Thresholds) -> None:
+        """Read the hand with other thresholds from now on."""
+        self.senses = replace(self.senses, thresholds=thresholds)
+        self._begin_anew()
+        self._changed()
+
+    def _go_on(self, errand: Errand, held_for: str) -> None:
+        held = errand.job.wants is Wants.PAUSE
+        errand.job.resume(held_for)
+        if held and errand.job.wants is Wants.GO:
+            self.listen()  # the hand need not wait until the broker knows
+
+    def _begin_anew(self) -> None:
+        self.sight = replace(self.sight, hold=self.sight.hold.anew())
+
+    def _rules(self) -> Rules:
+        errand = self.errand
+        is_open = not self.testing and not self.paused and (errand is None or errand.is_open)
+        return Rules(errand.asked.gesture if errand else None, self.commands, self.filtering, is_open)
+
+    def _act_on(self, verdict: Verdict, now_s: float) -> None:
+        hold = self.sight.hold
+        if verdict is Verdict.WRONG:
+            metrics.WRONG_GESTURES.inc()
+        elif verdict is Verdict.COMPLETE and self.errand is not None:
+            asked = self.errand.asked
+            self.sight = replace(self.sight, hold=hold.spend())
+            self._answer(self.errand, Answer(asked.gesture, asked.command_id, hold.held_ms, "gesture"), now_s)
+        elif verdict is Verdict.COMMAND and hold.gesture is not None:
+            self.sight = replace(self.sight, hold=hold.spend())
+            metrics.COMMANDS.inc()
+            self._give(self.commands.ids[hold.gesture])
+
+    def _answer(self, errand: Errand, answer: Answer, now_s: float) -> None:
+        errand.answer.set_result(answer)
+        metrics.CONFIRMATIONS.labels(answer.by).inc()
+        self.last_answer = (answer, now_s)
+        if answer.command_id is not None:
+            self._give(answer.command_id)
+
+    def _give(self, command_id: int) -> None:
+        self.command = (command_id, datetime.now(UTC))
+        self._changed()
+
+    # What is to be seen of it
+
+    @property
+    def device_state(self) -> str:
+        """Return the `deviceState` of its Device entity."""
+        if self.lost:
+            return "error"
+        if self.paused or (self.errand is not None and self.errand.job.wants is Wants.PAUSE):
+            return "paused"
+        if self.errand is not None:
+            return "busy"
+        return "ok" if self.connected else "idle"
+
+    def _changed(self) -> None:
+        self._listener.state_changed(self)
+        for watcher in self.watchers:
+            watcher()

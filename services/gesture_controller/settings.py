@@ -1,0 +1,81 @@
+"""The settings of the gesture controller, beside those that every component shares."""
+
+import ipaddress
+from pathlib import Path
+from typing import Self
+
+from pydantic import Field, SecretStr, model_validator
+
+from handover.errors import UsageError
+from handover.settings import Settings
+from services.gesture_controller.hold import HoldTiming
+
+
+class ControllerSettings(Settings):
+    """Where gloves and screens find the controller, and when a gesture counts."""
+
+    controller_port: int = Field(
+        54210, ge=1, le=65535, description="REST and WebSocket port of the controller"
+    )
+    controller_url: str | None = Field(
+        None, description="where the broker reaches the controller; http://host:port of it if absent"
+    )
+    glove_host: str = Field("127.0.0.1", description="the address on which gloves are awaited")
+    glove_port: int = Field(54000, ge=1, le=65535, description="the TCP port on which gloves are awaited")
+    glove_token: SecretStr | None = Field(
+        None, description="what a glove must say to be let in; required when glove_host is not loopback"
+    )
+    hello_timeout_s: float = Field(5.0, gt=0, description="how long a connection may take to say hello")
+    max_gloves: int = Field(
+        256, ge=1, description="gloves served at most, those of the gestures file included"
+    )
+    gestures_file: Path | None = Field(
+        None, description="YAML file of gestures, commands, persons and gloves; built-in ones if absent"
+    )
+    announce_ms: int = Field(500, gt=0, description="a gesture held so long is announced")
+    confirm_ms: int = Field(1500, gt=0, description="a gesture held so long counts")
+    hold_gap_ms: int = Field(250, gt=0, description="frames further apart than this break a hold")
+    filtering: bool = Field(True, description="only the gesture that the current Task asks for counts")
+    silence_s: float = Field(2.0, gt=0, description="a glove without a frame for so long is taken for lost")
+
+    @model_validator(mode="after")
+    def _announced_before_it_counts(self) -> Self:
+        if self.announce_ms >= self.confirm_ms:
+            raise ValueError(
+                f"announce_ms ({self.announce_ms}) must be less than confirm_ms ({self.confirm_ms}): "
+                "a gesture is announced before it counts"
+            )
+        return self
+
+    @property
+    def timing(self) -> HoldTiming:
+        """Return when a hold is announced, counts and breaks."""
+        return HoldTiming(self.announce_ms, self.confirm_ms, self.hold_gap_ms)
+
+    @property
+    def notify_url(self) -> str:
+        """Return where the broker sends notifications of Tasks."""
+        return f"{self.url_of(self.controller_port, self.controller_url)}/notifications"
+
+    @property
+    def token(self) -> str | None:
+        """Return the token that gloves must show; None if none is asked for."""
+        return (self.glove_token.get_secret_value() if self.glove_token else "") or None
+
+    def require_token_beyond_loopback(self) -> None:
+        """Raise `UsageError` if gloves are awaited on an open address without a token."""
+        if self.token is None and not _is_loopback(self.glove_host):
+            raise UsageError(
+                f"gloves are awaited on {self.glove_host}, which others can reach, and "
+                "HANDOVER_GLOVE_TOKEN is not set; set it to a secret that the gloves know, or set "
+                "HANDOVER_GLOVE_HOST to 127.0.0.1"
+            )
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

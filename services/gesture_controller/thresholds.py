@@ -1,0 +1,80 @@
+"""Thresholds: two sensor values a finger, above which it is straight and below which it is bent.
+
+They belong to a glove on a hand: people differ in span, gloves in gain, so each glove keeps its own.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+
+
+class WrongThreshold(ValueError):
+    """A threshold cannot be used; the message names the finger, the rule and the way out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Threshold:
+    """A finger is straight above `upper` and bent below `lower`, in raw sensor units."""
+
+    upper: float
+    lower: float
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """The thresholds of the five fingers, thumb first."""
+
+    fingers: tuple[Threshold, ...]
+
+    def with_changes(self, changes: Mapping[str, Mapping[str, float]]) -> Self:
+        """Return these thresholds with those of the fingers named in `changes` put in their place.
+
+        `changes` is `{finger: {"upper": …, "lower": …}}`, either of the two may stay as it is. Raises
+        `WrongThreshold` for an unknown finger or bound, a value that is no number, or lower above upper.
+        """
+        changed = dict(zip(FINGERS, self.fingers, strict=True))
+        for finger, bounds in changes.items():
+            if finger not in changed:
+                raise WrongThreshold(f'unknown finger "{finger}"; the fingers are {", ".join(FINGERS)}')
+            unknown = set(bounds) - {"upper", "lower"}
+            if unknown:
+                raise WrongThreshold(f'{finger}: unknown bound "{min(unknown)}"; give "upper" and "lower"')
+            before = changed[finger]
+            changed[finger] = checked(
+                finger, bounds.get("upper", before.upper), bounds.get("lower", before.lower)
+            )
+        return type(self)(tuple(changed.values()))
+
+    def as_dict(self) -> dict[str, dict[str, float]]:
+        """Return `{finger: {"upper": …, "lower": …}}`."""
+        return {
+            finger: {"upper": threshold.upper, "lower": threshold.lower}
+            for finger, threshold in zip(FINGERS, self.fingers, strict=True)
+        }
+
+
+def checked(finger: str, upper: float, lower: float) -> Threshold:
+    """Return the threshold of `finger`; raise `WrongThreshold` if it could never tell bent from straight."""
+    if not (math.isfinite(upper) and math.isfinite(lower)):
+        raise WrongThreshold(f"{finger}: thresholds are finite numbers, not {upper} and {lower}")
+    if lower > upper:
+        raise WrongThreshold(
+            f"{finger}: the lower threshold {lower:g} is above the upper one {upper:g}; "
+            "a finger is bent below lower and straight above upper, so exchange or correct them"
+        )
+    return Threshold(upper, lower)
+
+
+M2O2P_THRESHOLDS = Thresholds(
+    (
+        Threshold(1000, 800),
+        Threshold(1600, 850),
+        Threshold(1600, 500),
+        Threshold(1800, 800),
+        Threshold(1900, 900),
+    )
+)
+"""What M2O2P shipped for a CaptoGlove: a start for a glove that has not been calibrated."""
