@@ -1,0 +1,1 @@
+"""The trajectory tool: Tasks become robot motion."""

@@ -1,0 +1,114 @@
+"""The trajectory tool's face: the robot's state over REST, its joints as a WebSocket stream."""
+
+import math
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from fastapi import FastAPI, WebSocket
+
+from handover.broker import BrokerClient
+from handover.errors import Problem
+from handover.service import create_app
+from services.trajectory_tool.controller import Controller
+from services.trajectory_tool.joint_states import stream, written
+from services.trajectory_tool.settings import TrajectorySettings
+
+STREAM_HZ = 30.0
+MOST_HZ = 125.0
+
+RobotView = dict[str, Any]
+
+
+def make_app(settings: TrajectorySettings) -> FastAPI:
+    """Return the application; raises `UsageError` when it could not work as it is set."""
+    broker = BrokerClient(settings)
+    controller = Controller(settings, broker)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        async with broker, controller:
+            yield
+
+    app = create_app(
+        "Trajectory tool",
+        description=__doc__ or "",
+        lifespan=lifespan,
+        checks={"broker": broker.probe, "tasks": controller.probe},
+    )
+    controller.mount(app)
+    _add_robots(app, controller)
+    _add_stream(app, controller)
+    return app
+
+
+def view_of(controller: Controller) -> RobotView:
+    """Return what there is to say of the robot at this moment."""
+    cell, work = controller.cell, controller.work
+    return {
+        "id": controller.robot_name,
+        "device": controller.device.id,
+        "deviceState": controller.device.state.value,
+        "joints": written(cell.robot.state()),
+        "toolPose": cell.tool_pose.written(),
+        "gripper": {"closed": cell.robot.gripper_closed, "holds": cell.held},
+        "task": None if work is None else work.task,
+        "operation": None if work is None else work.operation,
+        "progress": None if work is None else round(work.progress(), 3),
+        "remainingS": None if work is None else round(work.remaining_s(), 2),
+    }
+
+
+def _add_robots(app: FastAPI, controller: Controller) -> None:
+    @app.get("/robots", tags=["robots"])
+    async def robots() -> list[RobotView]:
+        """Return the state of every robot."""
+        return [view_of(controller)]
+
+    @app.get("/robots/{robot}", tags=["robots"])
+    async def one_robot(robot: str) -> RobotView:
+        """Return the state of a robot: joints, tool pose, gripper, and the Task it does."""
+        _require_known(controller, robot)
+        return view_of(controller)
+
+    @app.post("/robots/{robot}/gripper/free", tags=["robots"])
+    async def free(robot: str) -> RobotView:
+        """Open the gripper so that a person can take the part out of it; 409 while the robot does a Task."""
+        _require_known(controller, robot)
+        if controller.work is not None:
+            raise Problem(
+                409, "Robot at work", f"{robot} does {controller.work.task}; wait for its end or cancel it"
+            )
+        await controller.cell.free()
+        controller.device.tell(controller.device.state)
+        return view_of(controller)
+
+
+def _add_stream(app: FastAPI, controller: Controller) -> None:
+    @app.websocket("/robots/{robot}/joint_states")
+    async def joint_states(reader: WebSocket, robot: str) -> None:
+        try:
+            _require_known(controller, robot)
+            hz = _rate(reader.query_params.get("hz"))
+        except Problem as problem:
+            await reader.accept()
+            await reader.close(4000 + problem.status, problem.detail[:120])
+            return
+        await stream(controller.cell.robot, reader, hz)
+
+
+def _require_known(controller: Controller, robot: str) -> None:
+    if robot not in {controller.robot_name, controller.device.id}:
+        raise Problem(404, "No such robot", f'there is no robot "{robot}"; there is {controller.robot_name}')
+
+
+def _rate(asked: str | None) -> float:
+    if asked is None:
+        return STREAM_HZ
+    try:
+        hz = float(asked)
+    except ValueError:
+        hz = math.nan
+    if not 0 < hz <= MOST_HZ:
+        raise Problem(400, "No such rate", f"hz must be a number above 0 and at most {MOST_HZ:.0f}")
+    return hz

@@ -1,0 +1,143 @@
+"""The cell: robot, camera and parts, as they are now and as they are remembered."""
+
+import asyncio
+from typing import Self
+
+from handover.telemetry import get_logger
+from services.trajectory_tool.camera import Camera
+from services.trajectory_tool.contents import Contents, Lying, fresh
+from services.trajectory_tool.memory import Act, Memory, MemoryFile
+from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.robot import Joints, Robot
+from services.trajectory_tool.scene import Scene
+from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.simulated_ur10 import Clock, SimulatedUR10
+
+log = get_logger(__name__)
+
+
+class Cell:
+    """One robot with its gripper, the camera, the scene around it and the parts in it.
+
+    An asynchronous context manager while the robot is switched on. Raises `UsageError` when the memory in
+    the data directory cannot be used.
+    """
+
+    def __init__(self, settings: TrajectorySettings, scene: Scene, clock: Clock | None = None) -> None:
+        self.scene = scene
+        self.arm = scene.arm
+        self.file = MemoryFile(settings.data_dir / "trajectory_tool" / f"{settings.robot_name}.json")
+        self.camera = Camera(settings.detection_rate, settings.scan_seed)
+        known = self.file.load(scene.digest())
+        self.contents: Contents = known.contents if known else fresh(scene)
+        self.last_act: Act | None = known.last_act if known else None
+        self.seen: str | None = known.seen if known else None
+        self.in_hand = asyncio.Lock()
+        """Held by whoever has the robot or its gripper in hand: one Task, or a person."""
+        self.robot: Robot = SimulatedUR10(
+            known.joints if known else scene.home_rad,
+            settings.limits,
+            something_there=lambda joints: self._between_fingers(self.arm.tool_pose(joints)) is not None,
+            gripper_closed=known.gripper_closed if known else False,
+            gripper_s=scene.gripper.acts_in_s,
+            control_hz=settings.control_hz,
+            clock=clock,
+        )
+
+    async def __aenter__(self) -> Self:
+        await self.robot.__aenter__()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.robot.__aexit__(*_)
+        try:
+            await self.remember()
+        except OSError:
+            log.exception("the cell is not remembered as it is now", file=str(self.file.path))
+
+    @property
+    def joints(self) -> Joints:
+        """Return the joint angles as they are now, in rad."""
+        return self.robot.state().positions
+
+    @property
+    def tool_pose(self) -> Pose:
+        """Return where the tips of the gripper are now."""
+        return self.arm.tool_pose(self.joints)
+
+    @property
+    def held(self) -> str | None:
+        """Return the part in the gripper."""
+        return self.contents.held
+
+    async def remember(self) -> None:
+        """Keep the state of the cell as it is now, safe from a power cut. Raises `OSError`."""
+        memory = Memory(
+            scene=self.scene.digest(),
+            joints=self.joints,
+            gripper_closed=self.robot.gripper_closed,
+            contents=self.contents,
+            last_act=self.last_act,
+            seen=self.seen,
+        )
+        await asyncio.to_thread(self.file.save, memory)
+
+    async def grip(self, task: str) -> str | None:
+        """Close the gripper for `task`; return the part it holds then, None (and open) if there is none."""
+        pose = self.tool_pose
+        part = self._between_fingers(pose) if await self.robot.close_gripper() else None
+        if part is None:
+            await self.robot.open_gripper()
+            return None
+        self.contents = self.contents.gripped(part)
+        self.last_act = Act(task, "gripped", part, pose)
+        await self.remember()
+        return part
+
+    async def release(self, task: str, place: str | None) -> None:
+        """Open the gripper for `task`; what it held lies where it is, in the fixture `place` if given."""
+        pose, part = self.tool_pose, self.held
+        await self.robot.open_gripper()
+        if part is not None:
+            self.contents = self.contents.released(place, pose)
+            self.last_act = Act(task, "released", part, pose, place)
+        await self.remember()
+
+    async def free(self) -> str | None:
+        """Open the gripper and let a person take the part away; return which part it was."""
+        async with self.in_hand:
+            part = self.held
+            await self.robot.open_gripper()
+            self.contents = self.contents.freed()
+            await self.remember()
+        return part
+
+    def done_for(self, task: str) -> Act | None:
+        """Return the gripper's last act if it was for `task`."""
+        return self.last_act if self.last_act is not None and self.last_act.task == task else None
+
+    def parts_in(self, place: str) -> list[Lying]:
+        """Return the parts in a bin or fixture, the topmost first."""
+        return self.contents.in_place(place)
+
+    def look_into(self, bin_name: str) -> Lying | None:
+        """Return the part that the camera sees in a bin; None if it sees none this time."""
+        found = self.camera.look([one.part for one in self.parts_in(bin_name)])
+        self.seen = found or self.seen
+        return self.contents.find(found) if found else None
+
+    def found_empty(self, bin_name: str) -> None:
+        """Take notice that a bin was found empty; in a cell where people fill it, it is full after that."""
+        if self.scene.bins[bin_name].refilled:
+            self.contents = self.contents.filled(self.scene, bin_name)
+
+    def nest_in(self, fixture: str) -> Pose | None:
+        """Return a free nest of a fixture; a full one that the next station empties is emptied before."""
+        nest = self.contents.free_nest(self.scene, fixture)
+        if nest is None and self.scene.fixtures[fixture].emptied:
+            self.contents = self.contents.emptied(fixture)
+            nest = self.contents.free_nest(self.scene, fixture)
+        return nest
+
+    def _between_fingers(self, tool: Pose) -> str | None:
+        return self.contents.between_fingers(tool, self.scene.gripper.opening_m)

@@ -1,0 +1,140 @@
+"""The controller: takes the Tasks that involve the robot and has the robot do them, one after another."""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
+from typing import Any, Self
+
+from datamodels.entities import DeviceState
+from handover.broker import BrokerClient
+from handover.performer import Job, Performer, TaskCancelled, TaskFailed, TaskGone, Wants
+from handover.telemetry import get_logger
+from services.trajectory_tool import operations, parameters, scene
+from services.trajectory_tool.cell import Cell
+from services.trajectory_tool.device import RobotDevice
+from services.trajectory_tool.metrics import TASKS
+from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.work import Work
+
+log = get_logger(__name__)
+
+PROGRESS_EVERY_S = 0.25
+
+
+class Controller(Performer):
+    """Acts for one robot. Raises `UsageError` when the scene or the memory of the cell cannot be used."""
+
+    def __init__(self, settings: TrajectorySettings, broker: BrokerClient) -> None:
+        super().__init__(
+            f"trajectory-tool-{settings.robot_name}", settings, broker, notify_url=settings.notify_url
+        )
+        self.robot_name = settings.robot_name
+        self.cell = Cell(settings, scene.load(settings.scene_file))
+        self.work: Work | None = None
+        self._speed = settings.robot_speed
+        self._on = AsyncExitStack()
+        self.device = RobotDevice(settings.entity_id("Device", settings.robot_name), self.cell, broker)
+
+    async def __aenter__(self) -> Self:
+        await self._on.enter_async_context(self.cell)
+        await self._on.enter_async_context(self.device)
+        await self.act_for(self.device.id)
+        return await super().__aenter__()
+
+    async def __aexit__(self, *_: object) -> None:
+        await super().__aexit__(*_)
+        await self._on.aclose()
+
+    async def perform(self, job: Job) -> Mapping[str, Any]:
+        """Do the operation that the Task asks for; return its result."""
+        name = _operation_of(job)
+        began_s = time.monotonic()
+        with _counted(name), self._told():
+            operation = operations.known(name)
+            asked = parameters.read(operation.parameters, name, job.parameters)
+            speed = self._speed * asked.speed
+            self.work = work = Work(job.task.id, name, self.cell, _Steering(job, self.device), speed)
+            log.info("robot begins", task=job.task.id, operation=name, again=job.resumed)
+            async with self.cell.in_hand, _progress_told(job, work):
+                result = await operation.perform(work, asked)
+        return {**result, "durationS": round(time.monotonic() - began_s, 2), "progress": 1.0}
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Keep the Device's state true while the robot works, and afterwards."""
+        self.device.tell(DeviceState.BUSY)
+        after = DeviceState.IDLE
+        try:
+            yield
+        except RobotFault as fault:
+            after = DeviceState.ERROR
+            raise TaskFailed(f"the robot cannot move: {fault}") from fault
+        except OSError as error:
+            raise TaskFailed(
+                f"the state of the cell cannot be kept in {self.cell.file.path}: {error.strerror}; "
+                "make room for it or set HANDOVER_DATA_DIR"
+            ) from error
+        finally:
+            self.work = None
+            self.device.tell(after)
+
+
+class _Steering:
+    """What is wished of the Task holds its work up or ends it."""
+
+    def __init__(self, job: Job, device: RobotDevice) -> None:
+        self._job = job
+        self._device = device
+
+    def may_go(self) -> bool:
+        return self._job.wants is Wants.GO
+
+    async def rest(self) -> None:
+        if self._job.wants is Wants.PAUSE:
+            self._device.tell(DeviceState.PAUSED)
+        await self._job.checkpoint()
+        self._device.tell(DeviceState.BUSY)
+
+
+def _operation_of(job: Job) -> str:
+    named = job.parameters.get("operation")
+    return str(named) if named is not None else job.task.is_defined_by.object.rsplit(":", 1)[-1]
+
+
+@asynccontextmanager
+async def _progress_told(job: Job, work: Work) -> AsyncIterator[None]:
+    async def tell() -> None:
+        while True:
+            await job.progress(work.progress())
+            await asyncio.sleep(PROGRESS_EVERY_S)
+
+    telling = asyncio.create_task(tell())
+    try:
+        yield
+    finally:
+        telling.cancel()
+        with suppress(asyncio.CancelledError):
+            await telling
+
+
+@contextmanager
+def _counted(name: str) -> Iterator[None]:
+    outcome = "completed"
+    try:
+        yield
+    except TaskGone:
+        outcome = "gone"
+        raise
+    except TaskCancelled:
+        outcome = "cancelled"
+        raise
+    except asyncio.CancelledError:
+        outcome = "interrupted"
+        raise
+    except Exception:
+        outcome = "failed"
+        raise
+    finally:
+        TASKS.labels(name if name in operations.OPERATIONS else "unknown", outcome).inc()

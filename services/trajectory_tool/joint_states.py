@@ -1,0 +1,60 @@
+"""Joint states: the joints as a stream for whoever shows or records them.
+
+A reader that is too slow gets fewer of them, always the newest; the robot never waits for a reader.
+"""
+
+import asyncio
+from typing import Any
+
+import orjson
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from services.trajectory_tool.metrics import DROPPED
+from services.trajectory_tool.robot import JOINT_NAMES, JointState, Robot
+
+
+def written(state: JointState) -> dict[str, Any]:
+    """Return the joints as they stand in the stream: `stamp` in s since 1970, rad, rad/s and Nm."""
+    message: dict[str, Any] = {
+        "stamp": round(state.stamp_s, 6),
+        "name": JOINT_NAMES,
+        "position": [round(value, 6) for value in state.positions],
+        "velocity": [round(value, 6) for value in state.velocities],
+    }
+    if state.efforts is not None:
+        message["effort"] = state.efforts
+    return message
+
+
+async def stream(robot: Robot, reader: WebSocket, hz: float) -> None:
+    """Send the joints `hz` times a second until the reader goes."""
+    await reader.accept()
+    sending = asyncio.create_task(_send(robot, reader, 1 / hz))
+    leaving = asyncio.create_task(_until_gone(reader))
+    try:
+        await asyncio.wait({sending, leaving}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in (sending, leaving):
+            task.cancel()
+        ends = await asyncio.gather(sending, leaving, return_exceptions=True)
+    for end in ends:
+        if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect):
+            raise end
+
+
+async def _send(robot: Robot, reader: WebSocket, period_s: float) -> None:
+    clock = asyncio.get_running_loop().time
+    due_s = clock()
+    while True:
+        await reader.send_text(orjson.dumps(written(robot.state())).decode())
+        due_s += period_s
+        missed = int((clock() - due_s) / period_s)
+        if missed > 0:
+            DROPPED.inc(missed)
+            due_s += missed * period_s
+        await asyncio.sleep(max(due_s - clock(), 0.0))
+
+
+async def _until_gone(reader: WebSocket) -> None:
+    while (await reader.receive())["type"] != "websocket.disconnect":
+        pass  # nothing that a reader says matters here

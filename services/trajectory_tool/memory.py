@@ -1,0 +1,94 @@
+"""Memory: what the simulated robot and its cell must still know after the power was cut.
+
+One small file, replaced as a whole at every act of the gripper and whenever the arm comes to rest. It also
+says for which Task the gripper last acted, so that no part is picked or placed twice.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from handover.errors import UsageError
+from handover.telemetry import get_logger
+from services.trajectory_tool.contents import Contents
+from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.robot import JOINT_NAMES, Joints
+
+log = get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """The gripper gripped or released `part` at `pose` for the Task `task`; `place` is where it lies then."""
+
+    task: str
+    kind: Literal["gripped", "released"]
+    part: str
+    pose: Pose
+    place: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """The state of robot and cell; `seen` is the part that the last successful scan found."""
+
+    scene: str
+    joints: Joints
+    gripper_closed: bool
+    contents: Contents
+    last_act: Act | None = None
+    seen: str | None = None
+
+
+_FORM = TypeAdapter(Memory)
+
+
+class MemoryFile:
+    """Where the memory is kept."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def load(self, scene: str) -> Memory | None:
+        """Return what is remembered of `scene`; None if nothing is, or of another scene.
+
+        Raises `UsageError` when the file cannot be read or is not ours.
+        """
+        try:
+            written = self.path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise UsageError(
+                f"the state of the cell, {self.path}, cannot be read: {error.strerror}"
+            ) from None
+        try:
+            memory = _FORM.validate_json(written)
+        except ValidationError:
+            memory = None
+        if memory is None or len(memory.joints) != len(JOINT_NAMES):
+            raise UsageError(
+                f"the state of the cell, {self.path}, is damaged; delete it to begin with a fresh cell"
+            )
+        if memory.scene != scene:
+            log.warning("the scene was changed, the cell begins afresh", file=str(self.path))
+            return None
+        return memory
+
+    def save(self, memory: Memory) -> None:
+        """Write the memory; it is there, as a whole, once this returns. Raises `OSError`."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        new = self.path.with_suffix(".new")
+        with new.open("wb") as file:
+            file.write(_FORM.dump_json(memory))
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(self.path)
+        folder = os.open(self.path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)

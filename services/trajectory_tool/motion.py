@@ -1,0 +1,46 @@
+"""Motion: what joints a pose or a joint target comes down to, with the gripper that the arm carries.
+
+A target that the arm cannot or must not take is refused before anything moves.
+"""
+
+from dataclasses import dataclass
+
+from services.trajectory_tool.poses import Frame, Pose
+from services.trajectory_tool.robot import JOINT_NAMES, Joints
+from services.trajectory_tool.ur10_kinematics import JOINT_LIMIT_RAD, Unreachable, forward, nearest
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """A UR10 with a tool whose tip is `tool_m` beyond the flange."""
+
+    tool_m: float
+
+    @property
+    def _tool(self) -> Frame:
+        return Frame(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, self.tool_m))
+
+    def tool_pose(self, joints: Joints) -> Pose:
+        """Return where the tip of the tool is for joint angles in rad."""
+        return Pose.of(forward(joints) @ self._tool)
+
+    def reach(self, pose: Pose, near: Joints) -> Joints:
+        """Return the joints in rad, nearest to `near`, with the tip of the tool at `pose`.
+
+        Raises `Unreachable`, which says how far away the pose is.
+        """
+        try:
+            return nearest(pose.frame() @ self._tool.inverse(), near)
+        except Unreachable as why:
+            where = ", ".join(f"{value:.3f}" for value in pose.position)
+            raise Unreachable(f"the tool cannot be at ({where}) m: {why}") from None
+
+    def allow(self, joints: Joints) -> Joints:
+        """Return `joints` if each is within its limits. Raises `Unreachable`."""
+        for name, angle in zip(JOINT_NAMES, joints, strict=True):
+            if abs(angle) > JOINT_LIMIT_RAD:
+                raise Unreachable(
+                    f"{name} cannot be at {angle:.3f} rad: it turns from {-JOINT_LIMIT_RAD:.3f} to "
+                    f"{JOINT_LIMIT_RAD:.3f} rad; choose an angle in between"
+                )
+        return joints

@@ -1,0 +1,230 @@
+"""Operations: what the robot can do for a Task, as motions and acts of the gripper.
+
+Each can be begun again after a power cut: what the gripper has already done for the Task is not done twice.
+"""
+
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from handover.performer import TaskFailed
+from services.trajectory_tool import parameters as given
+from services.trajectory_tool.metrics import SCANS
+from services.trajectory_tool.poses import Pose
+from services.trajectory_tool.robot import Joints
+from services.trajectory_tool.ur10_kinematics import Unreachable
+from services.trajectory_tool.work import Work
+
+Result = dict[str, Any]
+
+AT_THE_SPOT_M = 0.01
+"""The tool is still where the gripper acted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """One operation: the parameters it takes and how it is done."""
+
+    parameters: type[given.Home]
+    perform: Callable[[Work, Any], Awaitable[Result]]
+
+
+async def home(work: Work, _: given.Home) -> Result:
+    """Move to the home position."""
+    return await _move(work, work.cell.scene.home_rad)
+
+
+async def move_to(work: Work, asked: given.MoveTo) -> Result:
+    """Move to joint angles or to a pose of the tool."""
+    if asked.joints is not None:
+        try:
+            return await _move(work, work.cell.arm.allow(asked.joints))
+        except Unreachable as why:
+            raise TaskFailed(f'parameter "joints" of moveTo: {why}') from None
+    target = asked.pose
+    assert target is not None  # noqa: S101 - MoveTo has one or the other
+    return await _move(work, _reach(work, target.pose, work.cell.joints, 'parameter "pose" of moveTo'))
+
+
+async def scan(work: Work, asked: given.Scan) -> Result:
+    """Look into a bin from above and say which part lies free, and where."""
+    cell = work.cell
+    if asked.bin not in cell.scene.bins:
+        raise TaskFailed(_unknown("bin", "scan", "bin", asked.bin, cell.scene.bins))
+    seen_bin = cell.scene.bins[asked.bin]
+    view = _reach(work, seen_bin.view.pose, cell.joints, f"the view of {asked.bin}")
+    work.intend(view, seen_bin.looks_for_s)
+    await work.go(view)
+    await work.wait(seen_bin.looks_for_s)
+    found = cell.look_into(asked.bin)
+    SCANS.labels(str(found is not None).lower()).inc()
+    if found is not None:
+        await cell.remember()
+        return {"found": True, "part": found.part, "pose": found.pose.written(), "bin": asked.bin}
+    reason = f"no part lies free in {asked.bin}"
+    if not cell.parts_in(asked.bin):
+        reason = f"{asked.bin} is empty"
+        cell.found_empty(asked.bin)
+        await cell.remember()
+    return {"found": False, "bin": asked.bin, "reason": reason}
+
+
+async def pick(work: Work, asked: given.Pick) -> Result:
+    """Grip a part: from above, down, close, up again."""
+    cell = work.cell
+    if cell.held is not None:
+        return await _already_picked(work, asked, cell.held)
+    spot = _where_to_pick(work, asked)
+    above, at = _from_above(work, spot, "the part")
+    if cell.robot.gripper_closed:
+        await work.release(None)
+    work.intend(above, at, cell.scene.gripper.acts_in_s, above)
+    await work.go(above)
+    await work.go(at)
+    before = cell.contents
+    part = await work.grip()
+    if part is not None and asked.part not in {None, part}:
+        lay = before.find(part)
+        await work.release(lay.place if lay else None)
+        await work.go(above)
+        raise TaskFailed(
+            f'"{part}" lies at {_position(spot)} where "{asked.part}" was asked for; '
+            "scan the bin again and give the part and the pose it says"
+        )
+    await work.go(above)
+    if part is None:
+        raise TaskFailed(
+            f"there was no part at {_position(spot)}; scan the bin again and give the pose it says"
+        )
+    return {"part": part, "gripped": True}
+
+
+async def place(work: Work, asked: given.Place) -> Result:
+    """Put the part that is held down: from above, down, open, up again."""
+    cell = work.cell
+    if cell.held is None:
+        return await _already_placed(work)
+    part = cell.held
+    spot = _where_to_place(work, asked)
+    above, at = _from_above(work, spot, "the place")
+    work.intend(above, at, cell.scene.gripper.acts_in_s, above)
+    await work.go(above)
+    await work.go(at)
+    await work.release(asked.location)
+    await work.go(above)
+    return _placed(part, asked.location, spot)
+
+
+OPERATIONS: Mapping[str, Operation] = {
+    "moveTo": Operation(given.MoveTo, move_to),
+    "scan": Operation(given.Scan, scan),
+    "pick": Operation(given.Pick, pick),
+    "place": Operation(given.Place, place),
+    "home": Operation(given.Home, home),
+}
+
+
+def known(name: str) -> Operation:
+    """Return the operation called `name`. Raises `TaskFailed` with the names there are."""
+    if name not in OPERATIONS:
+        raise TaskFailed(
+            f'the robot knows no operation "{name}"; give parameter "operation" as one of '
+            f"{', '.join(OPERATIONS)}"
+        )
+    return OPERATIONS[name]
+
+
+async def _move(work: Work, target: Joints) -> Result:
+    work.intend(target)
+    await work.go(target)
+    return {"joints": [round(angle, 6) for angle in work.cell.joints]}
+
+
+async def _already_picked(work: Work, asked: given.Pick, held: str) -> Result:
+    done = work.done_before()
+    if done is None and asked.part != held:
+        raise TaskFailed(
+            f'the gripper holds "{held}"; place it, or take it out by hand, before another part is picked'
+        )
+    await _leave(work)
+    return {"part": held, "gripped": True}
+
+
+async def _already_placed(work: Work) -> Result:
+    done = work.done_before()
+    if done is None or done.kind != "released":
+        raise TaskFailed("the gripper is empty; pick a part before one is placed")
+    await _leave(work)
+    return _placed(done.part, done.place, done.pose)
+
+
+async def _leave(work: Work) -> None:
+    """Rise from where the gripper acted before the work was cut short, if the arm is still down there."""
+    cell = work.cell
+    act = cell.last_act
+    if act is None or cell.tool_pose.distance_m(act.pose) > AT_THE_SPOT_M:
+        return
+    above = _reach(work, act.pose.raised(cell.scene.gripper.approach_m), cell.joints, "the way up")
+    work.intend(above)
+    await work.go(above)
+
+
+def _where_to_pick(work: Work, asked: given.Pick) -> Pose:
+    cell = work.cell
+    if asked.pose is not None:
+        return asked.pose.pose
+    if asked.part is None and asked.bin is not None:
+        if asked.bin not in cell.scene.bins:
+            raise TaskFailed(_unknown("bin", "pick", "bin", asked.bin, cell.scene.bins))
+        lying = cell.parts_in(asked.bin)
+        if not lying:
+            raise TaskFailed(f"{asked.bin} is empty; fill it before a part is picked from it")
+        return lying[0].pose
+    part = asked.part or cell.seen
+    if part is None:
+        raise TaskFailed(
+            'no part has been seen yet; scan a bin first, or give pick a "part", "pose" or "bin"'
+        )
+    found = cell.contents.find(part)
+    if found is None:
+        raise TaskFailed(f'no part "{part}" lies in the cell; scan a bin and give the part it says')
+    return found.pose
+
+
+def _where_to_place(work: Work, asked: given.Place) -> Pose:
+    if asked.pose is not None:
+        return asked.pose.pose
+    fixtures = work.cell.scene.fixtures
+    name = asked.location or ""
+    if name not in fixtures:
+        raise TaskFailed(_unknown("location", "place", "fixture", name, fixtures))
+    nest = work.cell.nest_in(name)
+    if nest is None:
+        raise TaskFailed(f"all nests of {name} are full; take parts out of it or place the part elsewhere")
+    return nest
+
+
+def _from_above(work: Work, spot: Pose, what: str) -> tuple[Joints, Joints]:
+    above = _reach(work, spot.raised(work.cell.scene.gripper.approach_m), work.cell.joints, f"above {what}")
+    return above, _reach(work, spot, above, what)
+
+
+def _reach(work: Work, pose: Pose, near: Joints, what: str) -> Joints:
+    try:
+        return work.cell.arm.reach(pose, near)
+    except Unreachable as why:
+        raise TaskFailed(f"{what}: {why}") from None
+
+
+def _placed(part: str, location: str | None, pose: Pose) -> Result:
+    where = {"location": location} if location is not None else {}
+    return {"part": part, **where, "pose": pose.written()}
+
+
+def _position(pose: Pose) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in pose.position) + ") m"
+
+
+def _unknown(parameter: str, operation: str, kind: str, name: str, there_are: Mapping[str, Any]) -> str:
+    known_names = ", ".join(there_are) or "none"
+    return f'parameter "{parameter}" of {operation}: there is no {kind} "{name}"; the cell has {known_names}'

@@ -1,0 +1,131 @@
+"""Parameters: what a Task asks of the robot, checked before anything moves.
+
+What is wrong is told to whoever asked: which parameter, what it must be, and what to write instead.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+
+from handover.performer import TaskFailed
+from services.trajectory_tool import poses
+
+SILENT = frozenset({"operation", "description"})
+"""Parameters that say what is to be done, but not how."""
+
+DOWN = (1.0, 0.0, 0.0, 0.0)
+
+
+def _number(given: Any) -> Any:
+    if isinstance(given, bool | str):
+        raise ValueError("must be a number")  # noqa: TRY004 - pydantic wants ValueError
+    return given
+
+
+def _last_part(given: Any) -> Any:
+    return given.rsplit(":", 1)[-1] if isinstance(given, str) and given.startswith("urn:") else given
+
+
+def _unit(given: poses.Quaternion) -> poses.Quaternion:
+    length = math.hypot(*given)
+    if abs(length - 1) > 0.01:
+        raise ValueError(f"must be a quaternion [x, y, z, w] of length 1; this one has {length:.3f}")
+    x, y, z, w = given
+    return (x / length, y / length, z / length, w / length)
+
+
+Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
+Name = Annotated[str, BeforeValidator(_last_part), Field(min_length=1)]
+"""The name of a bin, fixture or part; of a URN the last part counts."""
+
+
+class _Given(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class GivenPose(_Given):
+    """A position in m and a quaternion (x, y, z, w); the tool points straight down if none is given."""
+
+    position: tuple[Number, Number, Number]
+    orientation: Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)] = DOWN
+
+    @property
+    def pose(self) -> poses.Pose:
+        """Return the pose for calculations."""
+        return poses.Pose(self.position, self.orientation)
+
+
+class Home(_Given):
+    """Go home; `speed` scales the robot's usual speed, for every operation."""
+
+    speed: Annotated[Number, Field(ge=0.01, le=1)] = 1.0
+
+
+class MoveTo(Home):
+    """Go to joint angles in rad, or with the tool to a pose."""
+
+    joints: Annotated[tuple[Number, ...], Field(min_length=6, max_length=6)] | None = None
+    pose: GivenPose | None = None
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Self:
+        if (self.joints is None) == (self.pose is None):
+            raise ValueError('needs either "joints" (six angles in rad) or "pose", and not both')
+        return self
+
+
+class Scan(Home):
+    """Look for a part in a bin."""
+
+    bin: Name
+
+
+class Pick(Home):
+    """Pick a part: at a pose, by its name, from a bin, or, with nothing given, the one last seen."""
+
+    part: Name | None = None
+    pose: GivenPose | None = None
+    bin: Name | None = None
+
+
+class Place(Home):
+    """Put down the part that is held: in a fixture, or at a pose."""
+
+    location: Name | None = None
+    pose: GivenPose | None = None
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Self:
+        if (self.location is None) == (self.pose is None):
+            raise ValueError('needs either "location" (the name of a fixture) or "pose", and not both')
+        return self
+
+
+def read(model: type[Home], operation: str, given: Mapping[str, Any]) -> Home:
+    """Return the parameters of `operation` as `model`. Raises `TaskFailed`, which names every fault."""
+    try:
+        return model.model_validate({name: value for name, value in given.items() if name not in SILENT})
+    except ValidationError as error:
+        faults = "; ".join(_explained(model, operation, dict(fault)) for fault in error.errors())
+        raise TaskFailed(faults) from None
+
+
+def _explained(model: type[Home], operation: str, fault: Mapping[str, Any]) -> str:
+    where = ".".join(str(part) for part in fault["loc"])
+    rule = str(fault["msg"]).removeprefix("Value error, ")
+    if fault["type"] == "extra_forbidden":
+        known = ", ".join(model.model_fields)
+        return f'{operation} knows no parameter "{where}"; it knows {known}'
+    if not where:
+        return f"{operation} {rule}"
+    return f'parameter "{where}" of {operation}: {rule[:1].lower()}{rule[1:]}'

@@ -1,0 +1,114 @@
+"""Poses: where a hand, a part or a nest is, and which way it points.
+
+A pose is a position in metres and a unit quaternion (x, y, z, w), as ROS writes them. All poses of the cell
+are given in the frame of the robot's base (the frame "base" of Universal Robots, not ROS's "base_link").
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Rotation = tuple[Vector, Vector, Vector]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A rotation matrix (rows) and a translation in m: the same as a pose, as arithmetic likes it."""
+
+    rotation: Rotation
+    position: Vector
+
+    def __matmul__(self, other: "Frame") -> "Frame":
+        turned = turn(self.rotation, other.position)
+        moved = (
+            self.position[0] + turned[0],
+            self.position[1] + turned[1],
+            self.position[2] + turned[2],
+        )
+        columns = [turn(self.rotation, axis) for axis in transposed(other.rotation)]
+        return Frame(transposed((columns[0], columns[1], columns[2])), moved)
+
+    def inverse(self) -> "Frame":
+        """Return the frame that undoes this one."""
+        back = transposed(self.rotation)
+        x, y, z = turn(back, self.position)
+        return Frame(back, (-x, -y, -z))
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A position in m and an orientation as a unit quaternion (x, y, z, w)."""
+
+    position: Vector
+    orientation: Quaternion
+
+    def frame(self) -> Frame:
+        """Return the pose as a rotation matrix and a translation."""
+        x, y, z, w = self.orientation
+        rows = (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+            (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+            (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+        )
+        return Frame(rows, self.position)
+
+    @classmethod
+    def of(cls, frame: Frame) -> "Pose":
+        """Return the pose that `frame` is; the quaternion is the one with w not negative."""
+        return cls(frame.position, _quaternion(frame.rotation))
+
+    def raised(self, height_m: float) -> "Pose":
+        """Return the pose `height_m` above this one, along the vertical of the base."""
+        x, y, z = self.position
+        return Pose((x, y, z + height_m), self.orientation)
+
+    def distance_m(self, other: "Pose") -> float:
+        """Return how far the two positions are apart."""
+        return math.dist(self.position, other.position)
+
+    def written(self) -> dict[str, Any]:
+        """Return the pose as it stands in parameters and results, rounded (and without -0)."""
+        return {
+            "position": [round(value, 5) + 0.0 for value in self.position],
+            "orientation": [round(value, 6) + 0.0 for value in self.orientation],
+        }
+
+
+def pointing_down(position: Vector, yaw_rad: float = 0.0) -> Pose:
+    """Return the pose of a tool at `position` that points straight down, turned by `yaw_rad`."""
+    return Pose(position, (math.cos(yaw_rad / 2), math.sin(yaw_rad / 2), 0.0, 0.0))
+
+
+def turn(rotation: Rotation, vector: Vector) -> Vector:
+    """Return `vector` turned by `rotation`."""
+    x, y, z = vector
+    a, b, c = rotation
+    return (
+        a[0] * x + a[1] * y + a[2] * z,
+        b[0] * x + b[1] * y + b[2] * z,
+        c[0] * x + c[1] * y + c[2] * z,
+    )
+
+
+def transposed(rows: Rotation) -> Rotation:
+    """Return the matrix with rows and columns exchanged (of a rotation: its inverse)."""
+    a, b, c = rows
+    return ((a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2]))
+
+
+def _quaternion(rows: Rotation) -> Quaternion:
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    # Four ways to the same quaternion; the one that divides by the largest member is exact enough.
+    squares = (1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i)
+    ways = (
+        (squares[0], b + d, c + g, h - f),
+        (b + d, squares[1], f + h, c - g),
+        (c + g, f + h, squares[2], d - b),
+        (h - f, c - g, d - b, squares[3]),
+    )
+    chosen = ways[squares.index(max(squares))]
+    length = math.copysign(math.hypot(*chosen), chosen[3] or 1.0)
+    x, y, z, w = (value / length for value in chosen)
+    return (x, y, z, w)

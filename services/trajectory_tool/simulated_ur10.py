@@ -1,0 +1,140 @@
+"""A simulated UR10: its joints are where the trajectory says, 125 times a second, without any physics.
+
+The cycles of control have a thread of their own, so that nothing the HTTP side does can hold them up.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from threading import Event
+from typing import Self, TypeVar
+
+from services.trajectory_tool.metrics import MOTION_SECONDS, OVERRUNS
+from services.trajectory_tool.robot import Joints, JointState, Robot, RobotFault
+from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """Time for the robot: `now_s` on any monotonic clock, and how to wait for `s` seconds on it."""
+
+    now_s: Callable[[], float] = time.monotonic
+    wait_s: Callable[[float], None] = time.sleep
+
+
+class SimulatedUR10(Robot):
+    """Joints that begin at rest at `joints` (rad) and a gripper that takes `gripper_s` to act.
+
+    `something_there` says whether a gripper that closes with the joints as given closes on something.
+    """
+
+    def __init__(
+        self,
+        joints: Joints,
+        limits: Limits,
+        *,
+        something_there: Callable[[Joints], bool],
+        gripper_closed: bool = False,
+        gripper_s: float = 0.3,
+        control_hz: float = 125.0,
+        clock: Clock | None = None,
+    ) -> None:
+        self._limits = limits
+        self._something_there = something_there
+        self._gripper_closed = gripper_closed
+        self._gripper_s = gripper_s
+        self._cycle_s = 1.0 / control_hz
+        self._clock = clock or Clock()
+        self._setpoint = Setpoint.at_rest(joints)
+        self._course: Course | None = None
+        self._switched_off = Event()
+        self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="ur10-control")
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._switched_off.set()
+        await asyncio.to_thread(self._control.shutdown)
+
+    def state(self) -> JointState:
+        """Return the joints as they are now."""
+        setpoint = self._setpoint
+        return JointState(time.time(), setpoint.positions, setpoint.velocities)
+
+    def remaining_s(self) -> float:
+        """Return how long the motion under way will still take."""
+        course = self._course
+        return 0.0 if course is None else course.remaining_s(self._clock.now_s())
+
+    def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
+        """Return how long a motion from rest to rest takes."""
+        return duration_s(start, target, self._limits.slowed(speed))
+
+    @property
+    def gripper_closed(self) -> bool:
+        """Say whether the gripper is closed."""
+        return self._gripper_closed
+
+    async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
+        """Move to `target`; False if it came to rest on the way because it might not go on."""
+        given_up = Event()
+
+        def unhindered() -> bool:
+            return may_go() and not given_up.is_set() and not self._switched_off.is_set()
+
+        return await self._in_control(lambda: self._drive(target, speed, unhindered), given_up.set)
+
+    async def close_gripper(self) -> bool:
+        """Close the gripper; True when it closes on something."""
+        await self._in_control(lambda: self._clock.wait_s(self._gripper_s))
+        self._gripper_closed = True
+        return self._something_there(self._setpoint.positions)
+
+    async def open_gripper(self) -> None:
+        """Open the gripper."""
+        await self._in_control(lambda: self._clock.wait_s(self._gripper_s))
+        self._gripper_closed = False
+
+    async def _in_control(self, work: Callable[[], T], give_up: Callable[[], None] | None = None) -> T:
+        """Do `work` in the thread of control; who stops waiting for it waits until it is at rest."""
+        if self._switched_off.is_set():
+            raise RobotFault("the robot is switched off; start the trajectory tool again")
+        doing = asyncio.get_running_loop().run_in_executor(self._control, work)
+        try:
+            return await asyncio.shield(doing)
+        except asyncio.CancelledError:
+            if give_up is not None:
+                give_up()
+            await asyncio.wait([doing])
+            raise
+
+    def _drive(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
+        began_s = now_s = self._clock.now_s()
+        cruise = self._limits.slowed(speed)
+        self._course = course = Course(self._setpoint.positions, target, cruise, self._limits, began_s)
+        due_s = began_s
+        try:
+            while True:
+                self._setpoint = course.at(now_s, may_go=may_go())
+                if course.is_over(now_s):
+                    return not course.stopping
+                due_s = self._next_cycle(due_s)
+                self._clock.wait_s(max(due_s - self._clock.now_s(), 0.0))
+                now_s = self._clock.now_s()
+        finally:
+            self._course = None
+            MOTION_SECONDS.inc(self._clock.now_s() - began_s)
+
+    def _next_cycle(self, due_s: float) -> float:
+        """Return when the next cycle is due; those that are past already are counted and left out."""
+        due_s += self._cycle_s
+        missed = int((self._clock.now_s() - due_s) / self._cycle_s)
+        if missed > 0:
+            OVERRUNS.inc(missed)
+            due_s += missed * self._cycle_s
+        return due_s

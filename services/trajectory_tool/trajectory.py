@@ -1,0 +1,158 @@
+"""A trajectory: where each joint is at each moment of a motion, within its limits.
+
+It is a function of time, so a control cycle that comes late is at the right place all the same. A motion is
+a straight line in joint space, and a stop stays on that line. The profile along the line is ruckig's.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError
+from ruckig import Trajectory as RuckigProfile
+
+from services.trajectory_tool.robot import Joints, RobotFault
+
+NOTHING_RAD = 1e-9
+"""A joint that turns by less need not turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What each joint may do at most: rad/s, rad/s^2, rad/s^3."""
+
+    velocity: Joints
+    acceleration: Joints
+    jerk: Joints
+
+    def slowed(self, speed: float) -> "Limits":
+        """Return the limits under which a motion looks the same, played back at `speed` (0 to 1)."""
+        return Limits(
+            tuple(speed * value for value in self.velocity),
+            tuple(speed**2 * value for value in self.acceleration),
+            tuple(speed**3 * value for value in self.jerk),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Where the joints are, how fast, and how that changes: rad, rad/s, rad/s^2."""
+
+    positions: Joints
+    velocities: Joints
+    accelerations: Joints
+
+    @classmethod
+    def at_rest(cls, positions: Joints) -> "Setpoint":
+        """Return the setpoint of joints that stand still."""
+        still = (0.0,) * len(positions)
+        return cls(positions, still, still)
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """The way from `start` to `target`, as a place that goes from 0 to 1."""
+
+    start: Joints
+    target: Joints
+
+    @property
+    def way(self) -> Joints:
+        return tuple(there - here for here, there in zip(self.start, self.target, strict=True))
+
+    def along(self, limits: Limits) -> tuple[float, float, float]:
+        """Return how fast, and how suddenly, the place may change so that no joint exceeds its limits."""
+        return (
+            min(_allowed(limits.velocity, self.way)),
+            min(_allowed(limits.acceleration, self.way)),
+            min(_allowed(limits.jerk, self.way)),
+        )
+
+    def at(self, place: float, velocity: float, acceleration: float) -> Setpoint:
+        way = self.way
+        return Setpoint(
+            tuple(here + place * there for here, there in zip(self.start, way, strict=True)),
+            tuple(velocity * there for there in way),
+            tuple(acceleration * there for there in way),
+        )
+
+
+class Course:
+    """A motion under way: to its target, or, once it may not go on, to rest. Time is given to it.
+
+    `cruise` are the limits of the motion, `limits` those of the robot, with which it stops; both hold for
+    every joint. Raises `RobotFault` when there is no such motion.
+    """
+
+    def __init__(self, start: Joints, target: Joints, cruise: Limits, limits: Limits, began_s: float) -> None:
+        self.stopping = False
+        self._line = _Line(start, target)
+        if not all(map(math.isfinite, (*start, *target))):
+            raise RobotFault(f"there is no motion from {start} to {target}: each angle must be a number")
+        self._limits = limits
+        self._began_s = began_s
+        self._profile: Any = None
+        self._duration_s = 0.0
+        if any(abs(there) > NOTHING_RAD for there in self._line.way):
+            self._follow(_to_the_end(self._line.along(cruise)))
+
+    def at(self, now_s: float, *, may_go: bool = True) -> Setpoint:
+        """Return the setpoint of this moment; the first time that `may_go` is False the stop begins."""
+        since_s = min(max(now_s - self._began_s, 0.0), self._duration_s)
+        if self.is_over(now_s) and not self.stopping:
+            return Setpoint.at_rest(self._line.target)
+        place, velocity, acceleration = (values[0] for values in self._profile.at_time(since_s))
+        if self.is_over(now_s):
+            return Setpoint.at_rest(self._line.at(place, 0.0, 0.0).positions)
+        if not may_go and not self.stopping:
+            self.stopping = True
+            self._began_s = now_s
+            self._follow(_to_rest(place, velocity, acceleration, self._line.along(self._limits)))
+        return self._line.at(place, velocity, acceleration)
+
+    def remaining_s(self, now_s: float) -> float:
+        """Return how long it still takes until the joints are at rest."""
+        return max(self._began_s + self._duration_s - now_s, 0.0)
+
+    def is_over(self, now_s: float) -> bool:
+        """Say whether the joints are at rest: at the target, or, if it was `stopping`, on the way."""
+        return now_s - self._began_s >= self._duration_s
+
+    def _follow(self, given: Any) -> None:
+        profile = RuckigProfile(1)
+        try:
+            result = Ruckig(1).calculate(given, profile)
+        except RuckigError as error:
+            raise RobotFault(f"there is no motion along {self._line}: {error}") from error
+        if result not in {Result.Working, Result.Finished}:
+            raise RobotFault(f"there is no motion along {self._line}: {result}")
+        self._profile, self._duration_s = profile, float(profile.duration)
+
+
+def duration_s(start: Joints, target: Joints, cruise: Limits) -> float:
+    """Return how long the motion from rest at `start` to rest at `target` takes. Raises `RobotFault`."""
+    return Course(start, target, cruise, cruise, began_s=0.0).remaining_s(0.0)
+
+
+def _allowed(limits: Joints, way: Joints) -> list[float]:
+    return [limit / abs(there) for limit, there in zip(limits, way, strict=True) if abs(there) > NOTHING_RAD]
+
+
+def _to_the_end(along: tuple[float, float, float]) -> Any:
+    given = _given((0.0, 0.0, 0.0), along)
+    given.target_position = [1.0]
+    return given
+
+
+def _to_rest(place: float, velocity: float, acceleration: float, along: tuple[float, float, float]) -> Any:
+    given = _given((place, velocity, acceleration), along)
+    given.control_interface = ControlInterface.Velocity
+    given.target_velocity = [0.0]
+    return given
+
+
+def _given(start: tuple[float, float, float], along: tuple[float, float, float]) -> Any:
+    given = InputParameter(1)
+    given.current_position, given.current_velocity, given.current_acceleration = ([value] for value in start)
+    given.max_velocity, given.max_acceleration, given.max_jerk = ([value] for value in along)
+    return given

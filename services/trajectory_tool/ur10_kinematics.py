@@ -1,0 +1,198 @@
+"""The kinematics of a UR10: from six joint angles to the flange, and back again in closed form.
+
+The arm is a turntable, a planar arm of two links and a wrist; the way back solves each in turn, and finds
+up to eight ways to reach a pose. Dimensions: Universal Robots, "DH parameters for calculations of kinematics
+and dynamics", UR10 (CB3).
+"""
+
+import math
+from collections.abc import Iterator
+
+from handover.errors import HandoverError
+from services.trajectory_tool.poses import Frame
+from services.trajectory_tool.robot import Joints
+
+D1, D4, D5, D6 = 0.1273, 0.163941, 0.1157, 0.0922
+A2, A3 = -0.612, -0.5723
+"""The Denavit-Hartenberg lengths in m."""
+
+REACH_M = abs(A2) + abs(A3) + D5
+"""How far the last wrist joint gets from the shoulder at the very most."""
+
+JOINT_LIMIT_RAD = 2 * math.pi
+"""Each joint turns by one full turn either way."""
+
+_TWISTS = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
+_LENGTHS = (0.0, A2, A3, 0.0, 0.0, 0.0)
+_OFFSETS = (D1, 0.0, 0.0, D4, D5, D6)
+
+_FULL_TURN = 2 * math.pi
+_ROUNDING = 1e-9
+_ALIGNED = 1e-6
+"""Below this sine of joint 5 the axes of joints 4 and 6 are parallel, but for a microradian, and joint 6 is
+free."""
+
+
+class Unreachable(HandoverError):
+    """No way of holding the arm brings the flange there; the message says how far it is."""
+
+
+def forward(joints: Joints) -> Frame:
+    """Return the frame of the flange, seen from the base, for six joint angles in rad."""
+    first, *rest = (_link(number, angle) for number, angle in enumerate(joints))
+    reached = first
+    for link in rest:
+        reached = reached @ link
+    return reached
+
+
+def inverse(flange: Frame, near: Joints) -> list[Joints]:
+    """Return all ways to hold the arm (rad, each joint in -pi..pi) so that the flange is at `flange`.
+
+    `near` says which angle a joint takes that does not matter there, as joint 6 when the axes of joints 4 and
+    6 are parallel. The list is empty when the pose cannot be reached.
+    """
+    return [
+        joints
+        for shoulder in _shoulder_angles(flange)
+        for wrist, tool in _wrist_angles(flange, shoulder, near)
+        for joints in _arm_angles(flange, shoulder, wrist, tool)
+    ]
+
+
+def nearest(flange: Frame, current: Joints) -> Joints:
+    """Return the way to reach `flange` that is nearest to `current`: its largest turn is the smallest.
+
+    Joints may end anywhere within their limits of a full turn either way. Raises `Unreachable`.
+    """
+    solutions = inverse(flange, current)
+    if not solutions:
+        raise Unreachable(_why_not(flange))
+    brought_near = (_brought_near(joints, current) for joints in solutions)
+    return min(brought_near, key=lambda joints: _effort(joints, current))
+
+
+def _link(number: int, angle: float) -> Frame:
+    c, s = math.cos(angle), math.sin(angle)
+    ct, st = math.cos(_TWISTS[number]), math.sin(_TWISTS[number])
+    length = _LENGTHS[number]
+    return Frame(
+        ((c, -s * ct, s * st), (s, c * ct, -c * st), (0.0, st, ct)),
+        (length * c, length * s, _OFFSETS[number]),
+    )
+
+
+def _wrist_centre(flange: Frame) -> tuple[float, float, float]:
+    x, y, z = flange.position
+    axis = (flange.rotation[0][2], flange.rotation[1][2], flange.rotation[2][2])
+    return (x - D6 * axis[0], y - D6 * axis[1], z - D6 * axis[2])
+
+
+def _shoulder_angles(flange: Frame) -> Iterator[float]:
+    """Yield joint 1: the planar arm passes the base axis at the distance D4, on its left or on its right."""
+    x, y, _ = _wrist_centre(flange)
+    beside = x * x + y * y - D4 * D4
+    if beside < -_ROUNDING:
+        return
+    opening = math.atan2(math.sqrt(max(beside, 0.0)), D4)
+    direction = math.atan2(y, x) + math.pi / 2
+    yield _wrapped(direction + opening)
+    if opening > _ROUNDING:
+        yield _wrapped(direction - opening)
+
+
+def _wrist_angles(flange: Frame, shoulder: float, near: Joints) -> Iterator[tuple[float, float]]:
+    """Yield joints 5 and 6: the wrist may be turned either way, unless it is straight."""
+    s1, c1 = math.sin(shoulder), math.cos(shoulder)
+    across = [s1 * x - c1 * y for x, y in zip(flange.rotation[0], flange.rotation[1], strict=True)]
+    sine = math.hypot(across[0], across[1])
+    bend = math.atan2(sine, across[2])
+    if sine < _ALIGNED:
+        for tool in _free_tool_angles(flange, shoulder, bend, near[5]):
+            yield (bend, _wrapped(tool))
+        return
+    yield (bend, math.atan2(-across[1], across[0]))
+    yield (-bend, math.atan2(across[1], -across[0]))
+
+
+def _free_tool_angles(flange: Frame, shoulder: float, wrist: float, wanted: float) -> list[float]:
+    """Return joint 6 for a wrist that is straight: as `wanted`, or else just so that the arm reaches.
+
+    The axes of joints 4 and 6 are parallel then, D5 apart: turning joint 6 leads the end of the forearm along
+    a circle, and only a part of that circle may be within the reach of the two links.
+    """
+    east, north, west = (
+        _forearm_end(flange, shoulder, wrist, angle).position for angle in (0.0, math.pi / 2, math.pi)
+    )
+    x, y = (east[0] + west[0]) / 2, (east[1] + west[1]) / 2
+    outward = math.atan2(x * (north[0] - x) + y * (north[1] - y), x * (east[0] - x) + y * (east[1] - y))
+    middle, swing = x * x + y * y + D5 * D5, 2 * math.hypot(x, y) * D5
+    least, most = (abs(A2) - abs(A3)) ** 2, (abs(A2) + abs(A3)) ** 2
+    if least <= middle + swing * math.cos(wanted - outward) <= most or swing < _ROUNDING:
+        return [wanted]
+    edges = ((limit - middle) / swing for limit in (least, most))
+    reached = [max(-1.0, min(edge, 1.0)) for edge in edges if abs(edge) <= 1 + _ROUNDING]
+    return [outward + side * math.acos(edge) for edge in reached for side in (1, -1)]
+
+
+def _forearm_end(flange: Frame, shoulder: float, wrist: float, tool: float) -> Frame:
+    """Return the frame of joint 4's axis, seen from the shoulder."""
+    hand = _link(4, wrist) @ _link(5, tool)
+    return _link(0, shoulder).inverse() @ flange @ hand.inverse()
+
+
+def _arm_angles(flange: Frame, shoulder: float, wrist: float, tool: float) -> Iterator[Joints]:
+    """Yield all six joints: the planar arm of two links, with its elbow up or down."""
+    forearm_end = _forearm_end(flange, shoulder, wrist, tool)
+    # Joint 4's offset points out of the plane of the arm, so that x and y are what the two links must span.
+    x, y = forearm_end.position[0], forearm_end.position[1]
+    cosine = (x * x + y * y - A2 * A2 - A3 * A3) / (2 * A2 * A3)
+    if abs(cosine) > 1 + _ROUNDING:
+        return
+    sine = math.sqrt(max(1 - cosine * cosine, 0.0))
+    pitch = math.atan2(forearm_end.rotation[1][0], forearm_end.rotation[0][0])
+    for bent in (sine, -sine) if sine > _ROUNDING else (sine,):
+        elbow = math.atan2(bent, cosine)
+        lift = math.atan2(y, x) - math.atan2(A3 * math.sin(elbow), A2 + A3 * math.cos(elbow))
+        yield (
+            shoulder,
+            _wrapped(lift),
+            elbow,
+            _wrapped(pitch - lift - elbow),
+            wrist,
+            tool,
+        )
+
+
+def _brought_near(joints: Joints, current: Joints) -> Joints:
+    return tuple(_same_angle_near(angle, now) for angle, now in zip(joints, current, strict=True))
+
+
+def _same_angle_near(angle: float, now: float) -> float:
+    turns = (angle + _FULL_TURN * turn for turn in (-1, 0, 1))
+    allowed = (turned for turned in turns if abs(turned) <= JOINT_LIMIT_RAD + _ROUNDING)
+    chosen = min(allowed, key=lambda turned: abs(turned - now))
+    return max(-JOINT_LIMIT_RAD, min(chosen, JOINT_LIMIT_RAD))
+
+
+def _effort(joints: Joints, current: Joints) -> tuple[float, float]:
+    ways = [abs(angle - now) for angle, now in zip(joints, current, strict=True)]
+    return (round(max(ways), 9), sum(ways))
+
+
+def _wrapped(angle: float) -> float:
+    return math.remainder(angle, _FULL_TURN)
+
+
+def _why_not(flange: Frame) -> str:
+    x, y, z = _wrist_centre(flange)
+    beside_m, distance_m = math.hypot(x, y), math.dist((x, y, z), (0.0, 0.0, D1))
+    if beside_m < D4:
+        return (
+            f"the wrist would be {beside_m:.3f} m from the axis of the base, and the arm passes that axis at "
+            f"{D4:.3f} m; choose a pose further out"
+        )
+    return (
+        f"the wrist would be {distance_m:.3f} m from the shoulder, and the arm reaches {REACH_M:.2f} m at "
+        "most, less with some orientations; choose a pose nearer to the base or another orientation"
+    )
