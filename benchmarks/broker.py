@@ -1,0 +1,320 @@
+"""The embedded broker: one process, a durable store, 16 connections on loopback, Tasks of about 400 bytes.
+
+    python -m benchmarks.broker [--requests 4000] [--rounds 5] [--stored 10000]
+
+Prints creates, patches, retrievals and queries a second (median of the rounds, p50 and p99 of a request), the
+time from PATCH to notification, the cold start and the resident memory. The load generator is a small
+client on bare sockets in this process, so that the broker is what is measured.
+"""
+
+import argparse
+import asyncio
+import itertools
+import os
+import random
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import orjson
+import psutil
+
+CONNECTIONS = 16
+FLOORS = {"create": 6000, "patch": 6000, "retrieve": 15000, "query, 20 hits": 1500, "query, 1000 hits": 200}
+CONTEXT = "https://w3id.org/handover/context.jsonld"
+LINK = f'<{CONTEXT}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
+FIRST_HITS = 20
+
+
+class Broker:
+    """The broker as a process."""
+
+    def __init__(self, data_dir: Path) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port: int = probe.getsockname()[1]
+        self.data_dir = data_dir
+        self.process: subprocess.Popen[bytes] | None = None
+
+    async def start(self) -> float:
+        """Start and return the seconds until the first answer."""
+        environment = {
+            **os.environ,
+            "HANDOVER_BROKER_PORT": str(self.port),
+            "HANDOVER_DATA_DIR": str(self.data_dir),
+            "HANDOVER_LOG_LEVEL": "warning",
+        }
+        started_s = time.perf_counter()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "services.context_broker"], env=environment, stdin=subprocess.DEVNULL
+        )
+        while True:
+            try:
+                line = await Line.open(self.port)
+                await line.exchange(request("GET", "/ngsi-ld/v1/types"))
+            except OSError:
+                if self.process.poll() is not None:
+                    raise SystemExit("the broker did not start") from None
+                await asyncio.sleep(0.002)
+            else:
+                line.close()
+                return time.perf_counter() - started_s
+
+    def memory_mb(self) -> float:
+        """Return the resident memory in MB."""
+        assert self.process is not None
+        return float(psutil.Process(self.process.pid).memory_info().rss) / 1e6
+
+    def stop(self) -> None:
+        """End."""
+        if self.process is not None:
+            self.process.terminate()
+            self.process.wait(timeout=20)
+
+
+class Line:
+    """One connection: a request is sent, its answer awaited."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader = reader
+        self._writer = writer
+
+    @classmethod
+    async def open(cls, port: int) -> "Line":
+        """Connect."""
+        return cls(*await asyncio.open_connection("127.0.0.1", port, limit=1 << 24))
+
+    async def exchange(self, sent: bytes) -> bytes:
+        """Return the body of the answer; raise if the broker refuses."""
+        self._writer.write(sent)
+        head = await self._reader.readuntil(b"\r\n\r\n")
+        length = head.lower().partition(b"content-length: ")[2].partition(b"\r\n")[0]
+        body = await self._reader.readexactly(int(length)) if length else b""
+        if not head.startswith(b"HTTP/1.1 2"):
+            raise SystemExit(f"refused: {head.decode()} {body.decode()} to {sent[:300]!r}")
+        return body
+
+    def close(self) -> None:
+        """Hang up."""
+        self._writer.close()
+
+
+def request(method: str, path: str, body: bytes = b"") -> bytes:
+    """Return an HTTP request."""
+    lines = [f"{method} {path} HTTP/1.1", "Host: x", f"Link: {LINK}"]
+    if body:
+        lines += ["Content-Type: application/json", f"Content-Length: {len(body)}"]
+    return ("\r\n".join(lines) + "\r\n\r\n").encode() + body
+
+
+def task(number: int, status: str = "pending", kind: str = "Task") -> dict[str, Any]:
+    """Return a Task of about 400 bytes."""
+    return {
+        "id": f"urn:ngsi-ld:{kind}:demo:{number}",
+        "type": kind,
+        "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:confirm"},
+        "status": {"type": "Property", "value": status, "observedAt": "2026-01-01T12:00:00.000Z"},
+        "workParameters": {
+            "type": "Property",
+            "value": {
+                "description": "Confirm that the part lies free",
+                "commandId": 3,
+                "gesture": "Thumbs up",
+            },
+        },
+    }
+
+
+async def load(port: int, requests: Iterable[bytes]) -> tuple[float, list[float]]:
+    """Send `requests` over all connections; return how many a second were answered, and the times in ms."""
+    waiting = iter(requests)
+    times_ms: list[float] = []
+
+    async def worker(line: Line) -> None:
+        for one in waiting:
+            started_s = time.perf_counter()
+            await line.exchange(one)
+            times_ms.append((time.perf_counter() - started_s) * 1e3)
+
+    lines = [await Line.open(port) for _ in range(CONNECTIONS)]
+    started_s = time.perf_counter()
+    await asyncio.gather(*(worker(line) for line in lines))
+    taken_s = time.perf_counter() - started_s
+    for line in lines:
+        line.close()
+    return len(times_ms) / taken_s, times_ms
+
+
+def report(name: str, rounds: Sequence[tuple[float, list[float]]]) -> None:
+    """Print a row."""
+    rate = statistics.median(rate for rate, _ in rounds)
+    times = sorted(itertools.chain.from_iterable(times for _, times in rounds))
+    floor = FLOORS.get(name)
+    against = "" if floor is None else f"  floor {floor}: {rate / floor:.2f} times"
+    print(
+        f"{name:28} {rate:9.0f}/s   p50 {quantile(times, 0.5):6.2f} ms   "
+        f"p99 {quantile(times, 0.99):6.2f} ms{against}"
+    )
+
+
+def quantile(ordered: Sequence[float], share: float) -> float:
+    """Return the value below which `share` of the ordered values lie."""
+    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+
+
+class Subscriber(asyncio.Protocol):
+    """A subscriber on a bare socket: notes when each notification came, answers at once."""
+
+    told: asyncio.Queue[float]
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take a connection."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self._buffer = b""
+
+    def data_received(self, data: bytes) -> None:
+        """Answer every whole notification."""
+        self._buffer += data
+        while True:
+            head, blank, rest = self._buffer.partition(b"\r\n\r\n")
+            if not blank:
+                return
+            length = int(head.lower().partition(b"content-length: ")[2].partition(b"\r\n")[0])
+            if len(rest) < length:
+                return
+            self._buffer = rest[length:]
+            self.told.put_nowait(time.perf_counter())
+            self._transport.write(b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n")
+
+
+async def notifications(broker: Broker, subscriptions: int, count: int) -> list[float]:
+    """Return the times from PATCH to notification in ms, of `count` in sequence; one subscription matches."""
+    kind = f"Told{subscriptions}"
+    Subscriber.told = asyncio.Queue()
+    server = await asyncio.get_running_loop().create_server(Subscriber, "127.0.0.1", 0)
+    url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/notify"
+    line = await Line.open(broker.port)
+    for number in range(subscriptions):
+        body = {
+            "id": f"urn:ngsi-ld:Subscription:demo:{kind}-{number}",
+            "type": "Subscription",
+            "entities": [{"type": kind, "id": f"urn:ngsi-ld:{kind}:demo:{number}"}],
+            "watchedAttributes": ["status"],
+            "notification": {"endpoint": {"uri": url, "accept": "application/json"}},
+        }
+        await line.exchange(request("POST", "/ngsi-ld/v1/subscriptions", orjson.dumps(body)))
+    await line.exchange(request("POST", "/ngsi-ld/v1/entities", orjson.dumps(task(0, kind=kind))))
+    await Subscriber.told.get()
+    times_ms = []
+    for patch in itertools.islice(patches(kind, itertools.repeat(0)), count):
+        started_s = time.perf_counter()
+        await line.exchange(patch)
+        times_ms.append((await Subscriber.told.get() - started_s) * 1e3)
+    line.close()
+    server.close()
+    return sorted(times_ms)
+
+
+def patches(kind: str, numbers: Iterable[int]) -> Iterator[bytes]:
+    """Yield patches of the status of Tasks."""
+    for number in numbers:
+        status = task(number)["status"]
+        path = f"/ngsi-ld/v1/entities/urn:ngsi-ld:{kind}:demo:{number}/attrs"
+        yield request("PATCH", path, orjson.dumps({"status": status}))
+
+
+def queries(status: str, limit: int, count: int) -> list[bytes]:
+    """Return queries for Tasks by status."""
+    q = quote(f'status=="{status}"')
+    path = f"/ngsi-ld/v1/entities?type=Task&q={q}&limit={limit}"
+    return [request("GET", path)] * count
+
+
+async def fill(broker: Broker, first: int, stored: int) -> None:
+    """Store Tasks up to `stored`: 20 in progress, 1000 paused, the rest pending."""
+    line = await Line.open(broker.port)
+    for start in range(first, stored, 500):
+        statuses = (
+            "inProgress" if n < FIRST_HITS else "paused" if n < 1020 else "pending"
+            for n in itertools.count(start)
+        )
+        batch = [
+            task(n, status)
+            for n, status in zip(range(start, min(start + 500, stored)), statuses, strict=False)
+        ]
+        await line.exchange(request("POST", "/ngsi-ld/v1/entityOperations/create", orjson.dumps(batch)))
+    line.close()
+
+
+async def measure(broker: Broker, requests: int, rounds: int, stored: int) -> None:
+    """Print every row."""
+    print(f"{'cold start':28} {await broker.start() * 1e3:9.0f} ms  floor 800 ms")
+    print(f"{'memory, empty':28} {broker.memory_mb():9.0f} MB  floor 90 MB")
+    path = "/ngsi-ld/v1/entities"
+    fresh = itertools.count(10_000_000)
+    rows = [
+        await load(
+            broker.port,
+            (request("POST", path, orjson.dumps(task(next(fresh), kind="New"))) for _ in range(requests)),
+        )
+        for _ in range(rounds)
+    ]
+    report("create", rows)
+    await fill(broker, 0, 1000)
+    report(
+        "query, 20 hits (of 1000)",
+        [await load(broker.port, queries("inProgress", 100, requests)) for _ in range(rounds)],
+    )
+    await fill(broker, 1000, stored)
+    dice = random.Random(4)
+    numbers = [dice.randrange(1020, stored) for _ in range(requests)]
+    report("patch", [await load(broker.port, patches("Task", numbers)) for _ in range(rounds)])
+    retrievals = [request("GET", f"{path}/urn:ngsi-ld:Task:demo:{number}") for number in numbers]
+    report("retrieve", [await load(broker.port, retrievals) for _ in range(rounds)])
+    report(
+        "query, 20 hits",
+        [await load(broker.port, queries("inProgress", 100, requests)) for _ in range(rounds)],
+    )
+    report(
+        "query, 1000 hits",
+        [await load(broker.port, queries("paused", 1000, requests // 10)) for _ in range(rounds)],
+    )
+    for subscriptions in (1, 100):
+        times = await notifications(broker, subscriptions, 500)
+        name = f"PATCH to notification, {subscriptions}"
+        print(
+            f"{name:28} p50 {quantile(times, 0.5):.2f} ms, p99 {quantile(times, 0.99):.2f} ms  "
+            "floor 1 ms and 5 ms"
+        )
+    memory_mb = broker.memory_mb()
+    entities = stored + requests * rounds
+    print(f"{f'memory, {entities} entities':28} {memory_mb:9.0f} MB")
+
+
+def main() -> None:
+    """Measure."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--requests", type=int, default=4000, help="requests in a round")
+    parser.add_argument("--rounds", type=int, default=5, help="rounds, of which the median counts")
+    parser.add_argument("--stored", type=int, default=10_000, help="Tasks stored (more than 1100)")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        broker = Broker(Path(folder))
+        try:
+            asyncio.run(measure(broker, options.requests, options.rounds, options.stored))
+        finally:
+            broker.stop()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""A cell for a test: the real services as processes, on free ports, in a directory of their own."""
+
+import itertools
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import hypothesis
+import pytest
+
+REPOSITORY = Path(__file__).parent.parent
+RECORDINGS = REPOSITORY.parent / "shared" / "data" / "glove_recordings"
+
+NOT_OURS = "are not here"
+"""Part of the reason for which tests of published examples and recordings skip where those are absent."""
+
+hypothesis.settings.register_profile("ci", derandomize=True)
+if os.environ.get("CI"):  # what CI says of a change must not depend on luck; people's runs look further
+    hypothesis.settings.load_profile("ci")
+
+_worker = int(re.sub(r"\D", "", os.environ.get("PYTEST_XDIST_WORKER", "")) or 0)
+_candidates = itertools.count(15_000 + 2_000 * (_worker % 8) + os.getpid() * 37 % 1_200)
+
+
+def next_free_port() -> int:
+    """Return a port nobody listens on, below those the system hands out, another for each call and worker."""
+    for port in _candidates:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return port
+    raise AssertionError("no free port")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
+    """In CI nothing is left out but what needs recordings that are not ours to ship."""
+    report = yield
+    if report.skipped and os.environ.get("CI") and NOT_OURS not in str(report.longrepr):
+        report.outcome = "failed"
+        report.longrepr = f"{item.nodeid} was skipped, which CI does not allow: {report.longrepr}"
+    return report
+
+
+@pytest.fixture
+def free_port() -> Callable[[], int]:
+    """Give free ports, one a call."""
+    return next_free_port
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder of real glove recordings; skips where it is absent."""
+    if not RECORDINGS.is_dir():
+        pytest.skip(f"the glove recordings are not here ({RECORDINGS})")
+    return RECORDINGS
+
+
+@dataclass
+class Cell:
+    """The services of one cell; `start` and `kill` them by the name of their folder."""
+
+    data_dir: Path
+    ports: dict[str, int]
+    extra: dict[str, str] = field(default_factory=dict)
+    processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What the processes of this cell are told."""
+        return {
+            **{name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")},
+            "HANDOVER_DATA_DIR": str(self.data_dir),
+            "HANDOVER_BROKER_URL": self.url("context_broker"),
+            "HANDOVER_BROKER_PORT": str(self.ports["context_broker"]),
+            "HANDOVER_ORCHESTRATOR_PORT": str(self.ports["task_orchestrator"]),
+            "HANDOVER_CONTROLLER_PORT": str(self.ports["gesture_controller"]),
+            "HANDOVER_TRAJECTORY_PORT": str(self.ports["trajectory_tool"]),
+            "HANDOVER_GLOVE_PORT": str(self.ports["glove"]),
+            "HANDOVER_RECONCILE_S": "1",
+            "COLUMNS": "200",
+            "NO_COLOR": "1",
+            **self.extra,
+        }
+
+    def url(self, service: str) -> str:
+        """Where a service answers."""
+        return f"http://127.0.0.1:{self.ports[service]}"
+
+    def log(self, service: str) -> str:
+        """What a service has logged."""
+        return (self.data_dir / f"{service}.log").read_text(errors="replace")
+
+    def start(self, *services: str) -> None:
+        """Start services and wait until each is ready."""
+        for service in services:
+            with (self.data_dir / f"{service}.log").open("ab") as log:
+                self.processes[service] = subprocess.Popen(
+                    [sys.executable, "-m", f"services.{service}"],
+                    env=self.environment,
+                    cwd=self.data_dir,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                )
+        for service in services:
+            self.wait_ready(service)
+
+    def wait_ready(self, service: str, within_s: float = 30.0) -> None:
+        """Wait until a service says that it is ready."""
+
+        def ready() -> bool:
+            process = self.processes.get(service)
+            assert process is None or process.poll() is None, f"{service} ended: {self.log(service)[-2000:]}"
+            try:
+                return httpx.get(f"{self.url(service)}/readyz", timeout=5).is_success
+            except httpx.TransportError:
+                return False
+
+        wait_until(ready, within_s, lambda: f"{service} is not ready: {self.log(service)[-2000:]}")
+
+    def kill(self, service: str) -> None:
+        """End a service as a power cut would."""
+        process = self.processes.pop(service)
+        process.send_signal(signal.SIGKILL)
+        process.wait(timeout=10)
+
+    def stop(self) -> None:
+        """End every service."""
+        for process in self.processes.values():
+            process.terminate()
+        for process in self.processes.values():
+            try:
+                process.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait(timeout=10)
+
+
+def wait_until(
+    condition: Callable[[], object], within_s: float = 20.0, why: Callable[[], str] = lambda: "it never came"
+) -> None:
+    """Wait until `condition` holds; fail with `why` when it has not within `within_s`."""
+    deadline_s = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline_s, why()
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def eventually() -> Callable[..., None]:
+    """Wait for a condition with a bound."""
+    return wait_until
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[Cell]:
+    """A cell of which nothing runs yet."""
+    names = ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "glove")
+    made = Cell(tmp_path, {name: next_free_port() for name in names})
+    yield made
+    made.stop()

@@ -1,0 +1,140 @@
+"""The demonstration as a newcomer sees it: `handover demo` in a terminal."""
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+
+Start = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture
+def handover(cell: Any) -> Iterator[Start]:
+    """Start the command line as a person would; whatever still runs at the end is stopped."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*words: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "handover.cli", *words],
+            env=cell.environment,
+            cwd=cell.data_dir,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def read_until_ready(process: subprocess.Popen[str]) -> None:
+    assert process.stdout is not None
+    assert any(line.startswith("ready") for line in process.stdout)
+
+
+def services_of(process: subprocess.Popen[str]) -> dict[str, psutil.Process]:
+    """The processes that a running command has started, by the folder of the service."""
+    found = {}
+    for child in psutil.Process(process.pid).children():
+        module = child.cmdline()[2]
+        found[module.rsplit(".", 1)[-1]] = child
+    return found
+
+
+def test_the_demo_completes_and_can_be_run_again_on_the_same_data(handover: Start, cell: Any) -> None:
+    for _ in range(2):
+        process = handover("demo", "--once", "--data-dir", str(cell.data_dir / "data"))
+        story, _ = process.communicate(timeout=180)
+        assert process.returncode == 0, story
+        assert "process   completed" in story
+        assert "no part found" in story
+        assert ", part found" in story
+        gestures = set(re.findall(r"showed ([A-Z].*?) for", story))
+        assert len(gestures) >= 4, story
+        assert "pick done" in story
+        assert "place done" in story
+
+
+def test_ctrl_c_stops_everything(handover: Start) -> None:
+    process = handover("up")
+    read_until_ready(process)
+    children = list(services_of(process).values())
+    assert len(children) == 4
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=20) == 0
+    assert not any(child.is_running() for child in children)
+
+
+def test_no_service_outlives_a_killed_launcher(handover: Start, eventually: Callable[..., None]) -> None:
+    process = handover("up")
+    read_until_ready(process)
+    children = list(services_of(process).values())
+    process.kill()
+    process.wait(timeout=10)
+    eventually(lambda: not any(child.is_running() for child in children), 15)
+
+
+@pytest.mark.parametrize(
+    "service", ["context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool"]
+)
+def test_a_service_killed_in_the_middle_is_started_again_and_the_process_completes(
+    handover: Start, service: str
+) -> None:
+    process = handover("demo", "--once", "--timeout", "150")
+    assert process.stdout is not None
+    story = []
+    kills_at = {"pick": 1, "is asked": 3}
+    for line in process.stdout:
+        story.append(line)
+        for words in list(kills_at):
+            if words in line:
+                kills_at[words] -= 1
+                if kills_at[words] == 0:
+                    del kills_at[words]
+                    services_of(process)[service].kill()
+    assert process.wait(timeout=180) == 0, "".join(story)
+    told = "".join(story)
+    assert told.count("SIGKILL") == 2, told
+    assert "process   completed" in told
+    assert told.count("pick done") == 1, told
+    assert told.count("place done") == 1, told
+
+
+@pytest.mark.parametrize(
+    ("taken", "setting"),
+    [("gesture_controller", "HANDOVER_CONTROLLER_PORT"), ("glove", "HANDOVER_GLOVE_PORT")],
+)
+def test_a_taken_port_is_one_readable_line(handover: Start, cell: Any, taken: str, setting: str) -> None:
+    with socket.create_server(("127.0.0.1", cell.ports[taken])):
+        process = handover("demo", "--once")
+        said, _ = process.communicate(timeout=60)
+    assert process.returncode == 2
+    complaint = said.strip().splitlines()[-1]
+    assert str(cell.ports[taken]) in complaint
+    assert setting in complaint
+    assert "Traceback" not in said
+
+
+def test_a_data_directory_that_cannot_be_used_is_one_readable_line(handover: Start, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a directory")
+    process = handover("up", "--data-dir", str(tmp_path / "file"))
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert len(said.strip().splitlines()) == 1
+    assert "--data-dir" in said

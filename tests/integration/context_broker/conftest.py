@@ -1,0 +1,231 @@
+"""A broker as a process, and a subscriber as a real HTTP server, for every test of this folder."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+JSON = {"Content-Type": "application/json"}
+
+
+def free_port() -> int:
+    """Return a port nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_for(condition: Callable[[], Any], within_s: float = 20.0, why: str = "it never came") -> Any:
+    """Return what `condition` returns once that is true; fail after `within_s`."""
+    deadline_s = time.monotonic() + within_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline_s, why
+        time.sleep(0.01)
+    return found
+
+
+@dataclass
+class BrokerProcess:
+    """The broker on a port and a data directory of its own; `kill` is a power cut."""
+
+    data_dir: Path
+    port: int = field(default_factory=free_port)
+    extra: dict[str, str] = field(default_factory=dict)
+    process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    @property
+    def api(self) -> str:
+        return f"{self.url}/ngsi-ld/v1"
+
+    def log(self) -> str:
+        return (self.data_dir / "log").read_text(errors="replace")
+
+    def spawn(self) -> subprocess.Popen[bytes]:
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")}
+        environment |= {"HANDOVER_BROKER_PORT": str(self.port), "HANDOVER_DATA_DIR": str(self.data_dir)}
+        with (self.data_dir / "log").open("ab") as log:
+            return subprocess.Popen(
+                [sys.executable, "-m", "services.context_broker"],
+                env=environment | self.extra,
+                cwd=self.data_dir,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )
+
+    def start(self) -> "BrokerProcess":
+        process = self.process = self.spawn()
+
+        def ready() -> bool:
+            assert process.poll() is None, f"the broker ended: {self.log()[-3000:]}"
+            try:
+                return httpx.get(f"{self.url}/readyz", timeout=5, trust_env=False).is_success
+            except httpx.TransportError:
+                return False
+
+        wait_for(ready, 30, "the broker is not ready")
+        return self
+
+    def kill(self) -> None:
+        assert self.process is not None
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait(timeout=10)
+        self.process = None
+
+    def stop(self) -> None:
+        if self.process is None:
+            return
+        self.process.terminate()
+        try:
+            self.process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(timeout=10)
+            raise
+        finally:
+            self.process = None
+
+    def client(self) -> httpx.Client:
+        return httpx.Client(base_url=self.api, timeout=20, trust_env=False)
+
+    def metric(self, name: str) -> float:
+        text = httpx.get(f"{self.url}/metrics", trust_env=False).text
+        return sum(
+            float(value) for value in re.findall(rf"^{name}(?:{{[^}}]*}})? (\S+)$", text, re.MULTILINE)
+        )
+
+
+@pytest.fixture(scope="module")
+def shared_broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrokerProcess]:
+    """A broker for all tests of a module; each uses ids and types of its own."""
+    broker = BrokerProcess(tmp_path_factory.mktemp("broker")).start()
+    yield broker
+    broker.stop()
+
+
+@pytest.fixture
+def http(shared_broker: BrokerProcess) -> Iterator[httpx.Client]:
+    """A client of the shared broker."""
+    with shared_broker.client() as client:
+        yield client
+
+
+@pytest.fixture
+def own_broker(tmp_path: Path) -> Iterator[BrokerProcess]:
+    """A broker for one test, which may kill it and start it again; not started yet."""
+    broker = BrokerProcess(tmp_path)
+    yield broker
+    broker.stop()
+
+
+class Subscriber:
+    """A subscriber: notes what it is told, and answers as it is told to."""
+
+    def __init__(self, port: int = 0) -> None:
+        self.received: list[dict[str, Any]] = []
+        self.headers: list[dict[str, str]] = []
+        self.status = 200
+        self.go_on = threading.Event()
+        self.go_on.set()
+        subscriber = self
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def do_POST(self) -> None:
+                body = self.rfile.read(int(self.headers["Content-Length"]))
+                subscriber.go_on.wait(60)
+                status = subscriber.status
+                if status < 300:
+                    subscriber.headers.append({name.lower(): value for name, value in self.headers.items()})
+                    subscriber.received.append(json.loads(body))
+                try:
+                    self.send_response(status)
+                    self.send_header("Content-Length", "0")
+                    self.end_headers()
+                except OSError:
+                    self.close_connection = True  # the broker had no patience left
+
+            def do_GET(self) -> None:
+                body = json.dumps(subscriber.document).encode()
+                self.send_response(200 if subscriber.document is not None else 404)
+                self.send_header("Content-Type", "application/ld+json")
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *_: Any) -> None:
+                pass
+
+        class Server(ThreadingHTTPServer):
+            daemon_threads = True
+            request_queue_size = 64
+
+            def handle_error(self, *_: Any) -> None:
+                pass  # a broker that was killed leaves its connections behind
+
+        self.document: Any = None
+        self.server = Server(("127.0.0.1", port), Handler)
+        self.port = self.server.server_address[1]
+        self.url = f"http://127.0.0.1:{self.port}/notify"
+        self._thread = threading.Thread(target=self.server.serve_forever, args=(0.02,), daemon=True)
+        self._thread.start()
+
+    def entities(self, subscription: str | None = None) -> list[dict[str, Any]]:
+        return [
+            entity
+            for one in list(self.received)
+            if subscription in {None, one["subscriptionId"]}
+            for entity in one["data"]
+        ]
+
+    def stop(self) -> None:
+        self.go_on.set()
+        self.server.shutdown()
+        self.server.server_close()
+        self._thread.join(5)
+
+
+@pytest.fixture
+def subscriber() -> Iterator[Subscriber]:
+    """A subscriber that answers 200."""
+    made = Subscriber()
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def new_subscriber() -> Iterator[Callable[..., Subscriber]]:
+    """Make subscribers, on a given port if need be."""
+    made: list[Subscriber] = []
+
+    def make(port: int = 0) -> Subscriber:
+        made.append(Subscriber(port))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.stop()
+
+
+@pytest.fixture
+def eventually() -> Callable[..., Any]:
+    """Wait for a condition with a bound; returns what it returned."""
+    return wait_for

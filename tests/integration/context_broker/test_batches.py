@@ -1,0 +1,85 @@
+"""Batches over HTTP: each entity has its own fate."""
+
+import json
+from typing import Any
+
+import httpx
+
+
+def lamp(name: str, **attributes: Any) -> dict[str, Any]:
+    return {"id": f"urn:ngsi-ld:Lamp:demo:{name}", "type": "Lamp", **attributes}
+
+
+def read(http: httpx.Client, name: str) -> Any:
+    return http.get(f"/entities/urn:ngsi-ld:Lamp:demo:{name}", params={"options": "keyValues"}).json()
+
+
+def post(http: httpx.Client, operation: str, body: Any, **parameters: str) -> httpx.Response:
+    return http.post(f"/entityOperations/{operation}", json=body, params=parameters)
+
+
+def test_a_batch_creates_what_it_can_and_tells_the_rest(http: httpx.Client) -> None:
+    answer = post(http, "create", [lamp("a"), lamp("b", lit=True)])
+    assert answer.status_code == 201
+    assert answer.json() == [lamp("a")["id"], lamp("b")["id"]]
+    answer = post(http, "create", [lamp("a"), lamp("c"), {"id": "no uri", "type": "Lamp"}, 7])
+    assert answer.status_code == 207
+    body = answer.json()
+    assert body["success"] == [lamp("c")["id"]]
+    assert [one["error"]["status"] for one in body["errors"]] == [409, 400, 400]
+    assert body["errors"][0]["entityId"] == lamp("a")["id"]
+
+
+def test_an_upsert_replaces_or_updates(http: httpx.Client) -> None:
+    assert post(http, "upsert", [lamp("u", a=1, b=2)]).status_code == 201
+    assert post(http, "upsert", [lamp("u", a=5)], options="update").status_code == 204
+    assert read(http, "u") == lamp("u", a=5, b=2)
+    answer = post(http, "upsert", [lamp("u", a=6), lamp("v")])
+    assert answer.status_code == 201
+    assert answer.json() == [lamp("v")["id"]]
+    assert read(http, "u") == lamp("u", a=6)
+    assert post(http, "upsert", [lamp("u")], options="update,replace").status_code == 400
+
+
+def test_one_batch_may_speak_of_an_entity_twice(http: httpx.Client) -> None:
+    assert post(http, "upsert", [lamp("w", a=1), lamp("w", b=2)], options="update").status_code == 201
+    assert read(http, "w") == lamp("w", a=1, b=2)
+
+
+def test_batches_update_merge_and_delete(http: httpx.Client) -> None:
+    post(http, "create", [lamp("x", a={"value": {"p": 1}}), lamp("y", a=1)])
+    assert post(http, "merge", [lamp("x", a={"value": {"q": 2}})]).status_code == 204
+    assert read(http, "x")["a"] == {"p": 1, "q": 2}
+    answer = post(http, "update", [lamp("y", a=2, b=3), lamp("nobody", a=1)])
+    assert answer.status_code == 207
+    assert answer.json()["errors"][0]["error"]["status"] == 404
+    assert read(http, "y") == lamp("y", a=2, b=3)
+    answer = post(http, "update", [lamp("y", a=9, c=4)], options="noOverwrite")
+    assert answer.status_code == 207
+    assert read(http, "y") == lamp("y", a=2, b=3, c=4)
+    answer = post(http, "delete", [lamp("x")["id"], lamp("nobody")["id"], lamp("y")["id"]])
+    assert answer.status_code == 207
+    assert answer.json()["success"] == [lamp("x")["id"], lamp("y")["id"]]
+
+
+def test_a_batch_that_is_none_is_refused(http: httpx.Client) -> None:
+    for operation in ("create", "upsert", "update", "merge", "delete"):
+        for body in ({}, [], "x"):
+            assert post(http, operation, body).status_code == 400, (operation, body)
+
+
+def test_each_entity_of_a_batch_may_bring_its_own_context(http: httpx.Client) -> None:
+    given = [
+        lamp("own", size=1)
+        | {"@context": {"size": "https://a.example/size", "Lamp": "https://a.example/Lamp"}},
+        lamp("none", size=2),
+    ]
+    answer = http.post(
+        "/entityOperations/create",
+        content=json.dumps(given),
+        headers={"Content-Type": "application/ld+json"},
+    )
+    assert answer.status_code == 207
+    assert answer.json()["success"] == [lamp("own")["id"]]
+    assert "@context" in answer.json()["errors"][0]["error"]["detail"]
+    assert read(http, "own")["https://a.example/size"] == 1

@@ -1,0 +1,298 @@
+"""What was acknowledged is there: after a power cut, after a full disk, for those not told yet."""
+
+import random
+import resource
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+Eventually = Callable[..., Any]
+WRITERS = 6
+ENTITIES_EACH = 12
+
+
+class Writer(threading.Thread):
+    """Creates, patches and deletes entities of its own, and notes what was acknowledged of each.
+
+    `acknowledged` is the state the broker has promised; `attempted` the one that was asked for last and may
+    or may not be there when the answer never came.
+    """
+
+    def __init__(self, broker: Any, number: int) -> None:
+        super().__init__(daemon=True)
+        self.broker = broker
+        self.number = number
+        self.dice = random.Random(number)
+        self.acknowledged: dict[str, int | None] = {}
+        self.attempted: dict[str, int | None] = {}
+        self.count = 0
+        self.failures: list[str] = []
+        self.over = threading.Event()
+
+    def run(self) -> None:
+        with self.broker.client() as http:
+            while not self.over.is_set():
+                try:
+                    self._write(http)
+                except httpx.TransportError:
+                    return
+
+    def _write(self, http: httpx.Client) -> None:
+        entity_id = f"urn:ngsi-ld:Load:demo:{self.number}-{self.dice.randrange(ENTITIES_EACH)}"
+        known = self.acknowledged.get(entity_id)
+        self.count += 1
+        wanted: int | None = self.count
+        if known is None:
+            self.attempted[entity_id] = wanted
+            answer = http.post(
+                "/entities", json={"id": entity_id, "type": "Load", "n": wanted, "pad": "x" * 200}
+            )
+        elif self.dice.random() < 0.2:
+            wanted = self.attempted[entity_id] = None
+            answer = http.delete(f"/entities/{entity_id}")
+        else:
+            self.attempted[entity_id] = wanted
+            answer = http.patch(f"/entities/{entity_id}/attrs", json={"n": wanted})
+        if not answer.is_success:
+            self.failures.append(f"{answer.status_code} {answer.text}")
+        self.acknowledged[entity_id] = wanted
+
+
+def compare(http: httpx.Client, writer: Writer) -> None:
+    """Every entity is as acknowledged, or as the one request left open would have made it."""
+    open_requests = 0
+    for entity_id, acknowledged in writer.acknowledged.items() | {
+        (one, None) for one in writer.attempted if one not in writer.acknowledged
+    }:
+        answer = http.get(f"/entities/{entity_id}", params={"options": "keyValues"})
+        found = answer.json()["n"] if answer.status_code == 200 else None
+        if found != acknowledged:
+            assert found == writer.attempted[entity_id], (
+                entity_id,
+                acknowledged,
+                writer.attempted[entity_id],
+            )
+            open_requests += 1
+        writer.acknowledged[entity_id] = writer.attempted[entity_id] = found
+    assert open_requests <= 1, "a writer has one request open at a time"
+
+
+@pytest.mark.slow
+def test_a_power_cut_takes_nothing_back_that_was_acknowledged(own_broker: Any) -> None:
+    state: list[Writer] = [Writer(own_broker, number) for number in range(WRITERS)]
+    written = 0
+    for cut in range(8):
+        own_broker.start()
+        with own_broker.client() as http:
+            for writer in state:
+                compare(http, writer)
+        fresh = [Writer(own_broker, writer.number) for writer in state]
+        for writer, before in zip(fresh, state, strict=True):
+            writer.acknowledged, writer.attempted = before.acknowledged, before.attempted
+            writer.count, writer.dice = before.count, before.dice
+            writer.start()
+        state = fresh
+        deadline_s = time.monotonic() + 20
+        goal = sum(writer.count for writer in state) + 150 + 60 * cut
+        while sum(writer.count for writer in state) < goal:
+            assert time.monotonic() < deadline_s, "the writers do not get on"
+            time.sleep(0.001)
+        own_broker.kill()
+        for writer in state:
+            writer.join(30)
+            assert not writer.is_alive()
+            assert writer.failures == []
+        written = sum(writer.count for writer in state)
+    own_broker.start()
+    with own_broker.client() as http:
+        for writer in state:
+            compare(http, writer)
+        answer = http.get("/entities", params={"type": "Load", "limit": 1000, "count": "true"})
+    known = {one for writer in state for one, value in writer.acknowledged.items() if value is not None}
+    assert {entity["id"] for entity in answer.json()} == known
+    assert written > 1500
+
+
+def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
+    subscription_id = f"urn:ngsi-ld:Subscription:demo:{name}"
+    body = {
+        "id": subscription_id,
+        "type": "Subscription",
+        "entities": [{"type": "Owed"}],
+        "notification": {"endpoint": {"uri": url, "accept": "application/json"}},
+        **members,
+    }
+    assert http.post("/subscriptions", json=body).status_code == 201
+    return subscription_id
+
+
+def numbers(subscriber: Any) -> list[int]:
+    """What a subscriber was told, without what it was told twice in a row."""
+    told = [entity["n"]["value"] for entity in subscriber.entities()]
+    return [number for place, number in enumerate(told) if place == 0 or told[place - 1] != number]
+
+
+@pytest.mark.slow
+def test_what_was_owed_before_a_power_cut_is_told_after_it(
+    own_broker: Any, new_subscriber: Callable[..., Any], eventually: Eventually
+) -> None:
+    subscriber = new_subscriber()
+    subscriber.status = 503
+    own_broker.start()
+    with own_broker.client() as http:
+        subscription = subscribe(http, "owed", subscriber.url)
+        throttled = subscribe(http, "throttled", subscriber.url, throttling=0.2)
+        gone = subscribe(http, "gone", subscriber.url)
+        for number in range(700):  # more than memory holds for one subscriber
+            entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "n": number}
+            assert http.post("/entities", json=entity).status_code == 201
+        assert http.delete(f"/subscriptions/{gone}").status_code == 204
+    own_broker.kill()
+    subscriber.status = 200
+    own_broker.start()
+    with own_broker.client() as http:
+
+        def told(one: str) -> list[int]:
+            return [entity["n"]["value"] for entity in subscriber.entities(one)]
+
+        eventually(lambda: len(told(subscription)) >= 700)
+        assert told(subscription) == list(range(700))
+        eventually(lambda: set(told(throttled)) == set(range(700)))
+        assert told(gone) == []
+        path = f"/subscriptions/{subscription}"
+        eventually(lambda: http.get(path).json()["notification"]["timesSent"] >= 700)
+    own_broker.stop()
+    before = len(subscriber.received)
+    own_broker.start()
+    with own_broker.client() as http:
+        assert http.get(path).json()["notification"]["timesSent"] >= 700
+        entity = {"id": "urn:ngsi-ld:Owed:demo:last", "type": "Owed", "n": 700}
+        assert http.post("/entities", json=entity).status_code == 201
+        eventually(lambda: 700 in told(subscription))
+    assert subscriber.received[before]["data"][0]["n"]["value"] == 700, "what was delivered is not told again"
+
+
+@pytest.mark.slow
+def test_power_cuts_while_notifying_lose_no_notification_and_keep_the_order(
+    own_broker: Any, subscriber: Any, eventually: Eventually
+) -> None:
+    own_broker.start()
+    with own_broker.client() as http:
+        subscribe(http, "cuts", subscriber.url)
+    number = 0
+    for _ in range(3):
+        with own_broker.client() as http:
+            for _ in range(60):
+                number += 1
+                entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "n": number}
+                assert http.post("/entities", json=entity).status_code == 201
+        own_broker.kill()
+        own_broker.start()
+    eventually(lambda: set(numbers(subscriber)) == set(range(1, number + 1)))
+    first_told = list(dict.fromkeys(numbers(subscriber)))
+    assert first_told == sorted(first_told)
+
+
+@pytest.mark.slow
+def test_a_million_would_not_fill_the_memory_because_a_window_of_them_is_held(
+    own_broker: Any, new_subscriber: Callable[..., Any], eventually: Eventually
+) -> None:
+    subscriber = new_subscriber()
+    subscriber.go_on.clear()
+    own_broker.start()
+    with own_broker.client() as http:
+        subscribe(http, "slow", subscriber.url)
+        entities = [{"id": f"urn:ngsi-ld:Owed:demo:{n}", "type": "Owed", "n": n} for n in range(3000)]
+        for start in range(0, 3000, 500):
+            answer = http.post("/entityOperations/create", json=entities[start : start + 500])
+            assert answer.status_code == 201
+        assert own_broker.metric("handover_broker_notifications_waiting") <= 256
+        subscriber.go_on.set()
+        eventually(lambda: len(set(numbers(subscriber))) == 3000, within_s=40)
+    assert list(dict.fromkeys(numbers(subscriber))) == list(range(3000))
+
+
+@pytest.fixture
+def full_disk(own_broker: Any) -> Callable[[bool], None]:
+    """Make the disk full for the broker, and make room again: by a limit on the size of its files."""
+    own_broker.start()
+    unlimited = resource.RLIM_INFINITY
+
+    def fill(full: bool) -> None:
+        largest = max(path.stat().st_size for path in Path(own_broker.data_dir).glob("broker.db*"))
+        soft = largest if full else unlimited
+        resource.prlimit(own_broker.process.pid, resource.RLIMIT_FSIZE, (soft, unlimited))
+
+    return fill
+
+
+@pytest.mark.skipif(
+    not hasattr(resource, "prlimit"), reason="only Linux can limit the files of another process"
+)
+def test_a_full_disk_refuses_writes_and_nothing_else(
+    own_broker: Any, full_disk: Callable[[bool], None], subscriber: Any, eventually: Eventually
+) -> None:
+    with own_broker.client() as http:
+        subscribe(http, "full", subscriber.url)
+        first = {"id": "urn:ngsi-ld:Owed:demo:first", "type": "Owed", "n": 0}
+        assert http.post("/entities", json=first).status_code == 201
+        eventually(lambda: numbers(subscriber) == [0])
+        path = f"/entities/{first['id']}"
+        full_disk(True)
+        refused = http.patch(f"{path}/attrs", json={"n": {"value": 1, "pad": "x" * 1_000_000}})
+        assert refused.status_code == 507, refused.text
+        assert "not stored" in refused.json()["detail"]
+        pad = "x" * 1_000_000
+        lost = {"id": "urn:ngsi-ld:Owed:demo:lost", "type": "Owed", "n": 9, "pad": pad}
+        assert http.post("/entities", json=lost).status_code == 507
+        batch = http.post("/entityOperations/upsert", json=[{**first, "n": 5, "pad": pad}, lost])
+        assert batch.status_code == 207
+        assert [one["error"]["status"] for one in batch.json()["errors"]] == [507, 507]
+        wish = {
+            "entities": [{"type": "X"}],
+            "description": pad,
+            "notification": {"endpoint": {"uri": "http://a/"}},
+        }
+        assert http.post("/subscriptions", json=wish).status_code == 507
+        assert http.get(path, params={"options": "keyValues"}).json()["n"] == 0
+        assert http.get(f"/entities/{lost['id']}").status_code == 404
+        assert len(http.get("/subscriptions").json()) == 1
+        full_disk(False)
+        assert http.patch(f"{path}/attrs", json={"n": 2}).status_code == 204
+        assert http.post("/entities", json=lost).status_code == 201
+        eventually(lambda: numbers(subscriber)[-1] == 9)
+    assert numbers(subscriber) == [0, 2, 9]
+    own_broker.kill()
+    own_broker.start()
+    with own_broker.client() as http:
+        assert http.get(path, params={"options": "keyValues"}).json()["n"] == 2
+        assert http.get(f"/entities/{lost['id']}").status_code == 200
+
+
+def test_a_second_broker_on_the_same_file_is_refused_in_one_line(own_broker: Any) -> None:
+    own_broker.start()
+    rival = type(own_broker)(own_broker.data_dir)
+    process = rival.spawn()
+    try:
+        assert process.wait(20) == 2
+    finally:
+        process.kill()
+    last = own_broker.log().strip().splitlines()[-1]
+    assert "another broker is at work" in last
+    assert "HANDOVER_DATA_DIR" in last
+
+
+def test_a_file_that_is_no_database_is_refused_in_one_line(own_broker: Any) -> None:
+    (own_broker.data_dir / "broker.db").write_bytes(b"shopping list: bolts, nuts" * 100)
+    process = own_broker.spawn()
+    try:
+        assert process.wait(20) == 2
+    finally:
+        process.kill()
+    assert own_broker.log().strip().count("\n") == 0
+    assert "cannot use" in own_broker.log()

@@ -1,0 +1,257 @@
+"""Notifications: who is told what, in which order, and what happens when somebody does not listen."""
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+Eventually = Callable[..., Any]
+
+
+def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
+    notification = members.pop("notification", {})
+    endpoint = {"uri": url, "accept": "application/json", **notification.pop("endpoint", {})}
+    answer = http.post(
+        "/subscriptions",
+        json={
+            "id": f"urn:ngsi-ld:Subscription:demo:{name}",
+            "type": "Subscription",
+            "entities": [{"type": name}],
+            "notification": {**notification, "endpoint": endpoint},
+            **members,
+        },
+    )
+    assert answer.status_code == 201, answer.text
+    return f"urn:ngsi-ld:Subscription:demo:{name}"
+
+
+def create(http: httpx.Client, kind: str, name: str = "1", **attributes: Any) -> str:
+    entity_id = f"urn:ngsi-ld:{kind}:demo:{name}"
+    answer = http.post("/entities", json={"id": entity_id, "type": kind, **attributes})
+    assert answer.status_code == 201, answer.text
+    return entity_id
+
+
+def patch(http: httpx.Client, entity_id: str, **attributes: Any) -> None:
+    answer = http.patch(f"/entities/{entity_id}/attrs", json=attributes)
+    assert answer.status_code == 204, answer.text
+
+
+def test_a_notification_tells_how_the_entity_is_now(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscription = subscribe(http, "Tell", subscriber.url)
+    create(http, "Tell", status="pending")
+    eventually(lambda: subscriber.received)
+    told = subscriber.received[0]
+    assert told["type"] == "Notification"
+    assert told["id"].startswith("urn:ngsi-ld:Notification:")
+    assert told["subscriptionId"] == subscription
+    assert told["notifiedAt"].endswith("Z")
+    assert told["data"] == [
+        {
+            "id": "urn:ngsi-ld:Tell:demo:1",
+            "type": "Tell",
+            "status": {"type": "Property", "value": "pending"},
+        }
+    ]
+    assert subscriber.headers[0]["content-type"] == "application/json"
+    assert "json-ld#context" in subscriber.headers[0]["link"]
+
+
+def test_only_watched_attributes_are_told(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscribe(http, "Watch", subscriber.url, watchedAttributes=["status", "requestedStatus"])
+    entity = create(http, "Watch", other=0)
+    patch(http, entity, other=1)
+    http.post(f"/entities/{entity}/attrs", json={"status": "pending"})
+    patch(http, entity, other=2)
+    patch(http, entity, status="completed")
+    eventually(lambda: len(subscriber.received) >= 2)
+    assert [one["status"]["value"] for one in subscriber.entities()] == ["pending", "completed"]
+    assert subscriber.entities()[1]["other"]["value"] == 2
+
+
+def test_q_id_and_pattern_choose_who_is_told_of(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    selectors = [
+        {"type": "Choose", "id": "urn:ngsi-ld:Choose:demo:one"},
+        {"type": "Choose", "idPattern": "demo:two.*"},
+    ]
+    subscribe(http, "Choose", subscriber.url, entities=selectors, q="n>1")
+    for name in ("one", "two-b", "three"):
+        entity = create(http, "Choose", name, n=1)
+        patch(http, entity, n=2)
+    create(http, "Choose", "two-last", n=5)
+    eventually(lambda: len(subscriber.received) >= 3)
+    assert [one["id"].rpartition(":")[2] for one in subscriber.entities()] == ["one", "two-b", "two-last"]
+
+
+@pytest.mark.parametrize(
+    ("form", "status"),
+    [
+        ("normalized", {"type": "Property", "value": "pending", "unitCode": "X"}),
+        ("concise", {"value": "pending", "unitCode": "X"}),
+        ("keyValues", "pending"),
+        ("simplified", "pending"),
+    ],
+)
+def test_format_and_attributes_shape_what_is_told(
+    http: httpx.Client, subscriber: Any, eventually: Eventually, form: str, status: Any
+) -> None:
+    kind = f"Form{form}"
+    subscribe(http, kind, subscriber.url, notification={"format": form, "attributes": ["status"]})
+    create(http, kind, status={"value": "pending", "unitCode": "X"}, other=1)
+    eventually(lambda: subscriber.received)
+    assert subscriber.entities() == [{"id": f"urn:ngsi-ld:{kind}:demo:1", "type": kind, "status": status}]
+
+
+def test_json_ld_carries_its_context_and_headers_are_sent_along(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    endpoint = {"accept": "application/ld+json", "receiverInfo": [{"key": "X-Cell", "value": "4"}]}
+    subscribe(http, "Ld", subscriber.url, notification={"endpoint": endpoint})
+    create(http, "Ld", a=1)
+    eventually(lambda: subscriber.received)
+    assert "@context" in subscriber.received[0]
+    headers = subscriber.headers[0]
+    assert headers["content-type"] == "application/ld+json"
+    assert headers["x-cell"] == "4"
+    assert "link" not in headers
+
+
+def test_the_order_is_kept_and_the_counts_are_true(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscription = subscribe(http, "Order", subscriber.url)
+    entity = create(http, "Order", n=0)
+    for number in range(1, 300):
+        patch(http, entity, n=number)
+    eventually(lambda: len(subscriber.received) == 300)
+    assert [one["n"]["value"] for one in subscriber.entities()] == list(range(300))
+    notification = eventually(
+        lambda: (
+            (found := http.get(f"/subscriptions/{subscription}").json()["notification"])["timesSent"] == 300
+            and found
+        )
+    )
+    assert notification["status"] == "ok"
+    assert notification["lastSuccess"] == notification["lastNotification"]
+    assert "lastFailure" not in notification
+
+
+def test_the_paused_the_expired_and_the_deleted_are_not_told(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscribe(http, "Quiet", subscriber.url, isActive=False)
+    other = {"entities": [{"type": "Quiet"}]}
+    subscribe(http, "QuietExpired", subscriber.url, expiresAt="2020-01-01T00:00:00Z", **other)
+    deleted = subscribe(http, "QuietDeleted", subscriber.url, **other)
+    assert http.delete(f"/subscriptions/{deleted}").status_code == 204
+    entity = create(http, "Quiet", n=1)
+    http.patch("/subscriptions/urn:ngsi-ld:Subscription:demo:Quiet", json={"isActive": True})
+    patch(http, entity, n=2)
+    eventually(lambda: subscriber.received)
+    assert [one["n"]["value"] for one in subscriber.entities()] == [2]
+
+
+def test_a_dead_and_a_hanging_subscriber_delay_nobody_else(
+    http: httpx.Client, subscriber: Any, new_subscriber: Callable[..., Any], eventually: Eventually
+) -> None:
+    hanging = new_subscriber()
+    hanging.go_on.clear()
+    same = {"entities": [{"type": "Neighbour"}]}
+    dead = subscribe(http, "NeighbourDead", "http://127.0.0.1:9/notify", **same)
+    subscribe(http, "NeighbourHanging", hanging.url, **same)
+    subscribe(http, "Neighbour", subscriber.url)
+    entity = create(http, "Neighbour", n=0)
+    for number in range(1, 100):
+        patch(http, entity, n=number)
+    eventually(lambda: len(subscriber.received) == 100, within_s=4)
+    assert hanging.received == []
+    told = http.get(f"/subscriptions/{dead}").json()["notification"]
+    assert told["status"] == "failed"
+    assert told["timesFailed"] >= 1
+    hanging.go_on.set()
+    eventually(lambda: len({one["n"]["value"] for one in hanging.entities()}) == 100, within_s=30)
+    first_told = list(dict.fromkeys(one["n"]["value"] for one in hanging.entities()))
+    assert first_told == list(range(100))
+
+
+def test_what_could_not_be_delivered_comes_when_the_subscriber_is_back(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscriber.status = 503
+    subscription = subscribe(http, "Back", subscriber.url)
+    entity = create(http, "Back", n=0)
+    patch(http, entity, n=1)
+    eventually(lambda: http.get(f"/subscriptions/{subscription}").json()["notification"]["timesFailed"] >= 2)
+    subscriber.status = 204
+    eventually(lambda: len(subscriber.received) == 2)
+    assert [one["n"]["value"] for one in subscriber.entities()] == [0, 1]
+
+
+def test_a_notification_that_is_refused_for_good_makes_way_for_the_next(
+    http: httpx.Client, shared_broker: Any, subscriber: Any, eventually: Eventually
+) -> None:
+    subscriber.status = 400
+    subscription = subscribe(http, "Refuse", subscriber.url)
+    entity = create(http, "Refuse", n=0)
+    eventually(lambda: http.get(f"/subscriptions/{subscription}").json()["notification"]["timesFailed"] == 1)
+    subscriber.status = 200
+    patch(http, entity, n=1)
+    eventually(lambda: subscriber.received)
+    assert [one["n"]["value"] for one in subscriber.entities()] == [1]
+    assert shared_broker.metric("handover_broker_notifications_given_up_total") >= 1
+
+
+def test_throttled_changes_are_told_together_and_the_last_state_is_never_lost(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscribe(http, "Throttle", subscriber.url, throttling=0.5)
+    first = create(http, "Throttle", "first", n=0)
+    eventually(lambda: subscriber.received)
+    second = create(http, "Throttle", "second", n=0)
+    for number in range(1, 20):
+        patch(http, first, n=number)
+        patch(http, second, n=number)
+    eventually(lambda: [one["n"]["value"] for one in subscriber.entities()][-2:] == [19, 19])
+    assert len(subscriber.received) < 20
+    assert {one["id"] for one in subscriber.received[-1]["data"]} == {first, second}
+
+
+def test_a_changed_endpoint_counts_at_once_also_for_what_waits(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscription = subscribe(http, "Moved", "http://127.0.0.1:9/notify")
+    create(http, "Moved", n=0)
+    path = f"/subscriptions/{subscription}"
+    eventually(lambda: http.get(path).json()["notification"]["timesFailed"] >= 4)
+    http.patch(path, json={"notification": {"endpoint": {"uri": subscriber.url}}})
+    eventually(lambda: subscriber.received)
+    assert subscriber.entities()[0]["n"]["value"] == 0
+
+
+def test_an_answer_that_is_no_http_is_a_failure_like_any_other(
+    http: httpx.Client, eventually: Eventually
+) -> None:
+    import socketserver
+    import threading
+
+    class Gibberish(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            self.request.recv(65536)
+            self.request.sendall(b"\x00\x01 not http \r\n\r\n")
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Gibberish) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        subscription = subscribe(http, "Gibberish", f"http://127.0.0.1:{server.server_address[1]}/")
+        create(http, "Gibberish", n=0)
+        path = f"/subscriptions/{subscription}"
+        eventually(lambda: http.get(path).json()["notification"]["timesFailed"] >= 2)
+        assert http.delete(path).status_code == 204
+        server.shutdown()

@@ -1,0 +1,171 @@
+"""Subscriptions over HTTP: made, read, changed, deleted, and refused with the reason."""
+
+from typing import Any
+
+import httpx
+import pytest
+
+ENDPOINT = {"uri": "http://127.0.0.1:9/notify", "accept": "application/json"}
+
+
+def wish(name: str, **members: Any) -> dict[str, Any]:
+    return {
+        "id": f"urn:ngsi-ld:Subscription:demo:{name}",
+        "type": "Subscription",
+        "entities": [{"type": "Task"}],
+        "notification": {"endpoint": ENDPOINT},
+        **members,
+    }
+
+
+def made(http: httpx.Client, name: str, **members: Any) -> str:
+    answer = http.post("/subscriptions", json=wish(name, **members))
+    assert answer.status_code == 201, answer.text
+    return f"/subscriptions/{wish(name)['id']}"
+
+
+def test_a_subscription_is_read_back_as_it_was(http: httpx.Client) -> None:
+    given = wish(
+        "full",
+        subscriptionName="all of it",
+        description="what a subscription can say",
+        entities=[{"type": "Task", "idPattern": ".*demo.*"}, {"id": "urn:x:1", "type": "Device"}],
+        watchedAttributes=["status", "requestedStatus"],
+        q='status=="pending"',
+        throttling=2,
+        expiresAt="2999-01-01T00:00:00Z",
+        isActive=True,
+        notification={
+            "attributes": ["status"],
+            "format": "keyValues",
+            "endpoint": {**ENDPOINT, "receiverInfo": [{"key": "X-Cell", "value": "4"}]},
+        },
+    )
+    answer = http.post("/subscriptions", json=given)
+    assert answer.status_code == 201
+    assert answer.headers["location"] == f"/ngsi-ld/v1/subscriptions/{given['id']}"
+    kept = http.get(f"/subscriptions/{given['id']}").json()
+    assert kept.pop("status") == "active"
+    assert kept["notification"].pop("timesSent") == 0
+    assert kept["notification"].pop("timesFailed") == 0
+    kept.pop("jsonldContext")
+    assert kept == given
+
+
+def test_a_subscription_without_id_gets_one(http: httpx.Client) -> None:
+    anonymous = wish("x")
+    del anonymous["id"]
+    answer = http.post("/subscriptions", json=anonymous)
+    assert answer.status_code == 201
+    assert http.get(answer.headers["location"].removeprefix("/ngsi-ld/v1")).status_code == 200
+
+
+def test_an_id_that_is_taken_is_refused(http: httpx.Client) -> None:
+    made(http, "twice")
+    answer = http.post("/subscriptions", json=wish("twice"))
+    assert answer.status_code == 409
+    assert answer.json()["type"].endswith("AlreadyExists")
+
+
+def test_a_change_replaces_members_merges_the_notification_and_null_deletes(http: httpx.Client) -> None:
+    path = made(http, "change", q="n>1", notification={"endpoint": ENDPOINT, "attributes": ["a"]})
+    change = {"q": None, "isActive": False, "notification": {"format": "concise", "attributes": None}}
+    assert http.patch(path, json=change).status_code == 204
+    kept = http.get(path, params={"options": "sysAttrs"}).json()
+    assert "q" not in kept
+    assert kept["status"] == "paused"
+    assert kept["modifiedAt"] > kept["createdAt"]
+    assert kept["notification"]["format"] == "concise"
+    assert kept["notification"]["endpoint"] == ENDPOINT
+    assert "attributes" not in kept["notification"]
+
+
+def test_a_change_that_cannot_be_leaves_everything_as_it_was(http: httpx.Client) -> None:
+    path = made(http, "stubborn")
+    assert http.patch(path, json={"q": "((", "isActive": False}).status_code == 400
+    assert http.get(path).json()["status"] == "active"
+
+
+def test_an_expired_subscription_says_so(http: httpx.Client) -> None:
+    path = made(http, "expired", expiresAt="2020-01-01T00:00:00Z")
+    assert http.get(path).json()["status"] == "expired"
+
+
+def test_what_is_deleted_is_gone(http: httpx.Client) -> None:
+    path = made(http, "gone")
+    assert http.delete(path).status_code == 204
+    for answer in (http.get(path), http.delete(path), http.patch(path, json={"isActive": True})):
+        assert answer.status_code == 404
+        assert answer.json()["type"].endswith("ResourceNotFound")
+
+
+def test_subscriptions_are_listed_page_by_page(http: httpx.Client) -> None:
+    for number in range(5):
+        made(http, f"list-{number}")
+    total = int(
+        http.get("/subscriptions", params={"limit": 0, "count": "true"}).headers["ngsild-results-count"]
+    )
+    seen: list[str] = []
+    for offset in range(0, total, 2):
+        page = http.get("/subscriptions", params={"limit": 2, "offset": offset})
+        seen += [one["id"] for one in page.json()]
+        assert ('rel="next"' in page.headers["link"]) is (offset + 2 < total)
+    assert len(set(seen)) == len(seen) == total >= 5
+
+
+@pytest.mark.parametrize(
+    ("members", "status", "word"),
+    [
+        ({"entities": None}, 400, "watchedAttributes"),
+        ({"entities": []}, 400, "selector"),
+        ({"entities": [{}]}, 400, "selector"),
+        ({"entities": [{"kind": "Task"}]}, 400, "kind"),
+        ({"entities": [{"type": "Task", "id": "x y"}]}, 400, "URI"),
+        ({"entities": [{"type": "Task", "idPattern": "("}]}, 400, "pattern"),
+        ({"entities": [{"type": 4}]}, 400, "4"),
+        ({"type": "Order"}, 400, "Order"),
+        ({"colour": "red"}, 400, "colour"),
+        ({"q": "status=="}, 400, "character"),
+        ({"q": 4}, 400, "text"),
+        ({"watchedAttributes": []}, 400, "watchedAttributes"),
+        ({"watchedAttributes": [3]}, 400, "watchedAttributes"),
+        ({"throttling": -1}, 400, "throttling"),
+        ({"throttling": True}, 400, "throttling"),
+        ({"expiresAt": "tomorrow"}, 400, "expiresAt"),
+        ({"isActive": "yes"}, 400, "isActive"),
+        ({"id": "no uri"}, 400, "URI"),
+        ({"notification": None}, 400, "endpoint"),
+        ({"notification": {"endpoint": {}}}, 400, "uri"),
+        ({"notification": {"endpoint": {"uri": "ftp://a.example/x"}}}, 400, "http"),
+        ({"notification": {"endpoint": {"uri": "http://:80/x"}}}, 400, "http"),
+        ({"notification": {"endpoint": {"uri": "http://a.example:99999/"}}}, 400, "http"),
+        ({"notification": {"endpoint": {"uri": "mqtt://a.example/x"}}}, 422, "MQTT"),
+        ({"notification": {"endpoint": {**ENDPOINT, "accept": "text/html"}}}, 400, "accept"),
+        ({"notification": {"endpoint": ENDPOINT, "format": "xml"}}, 400, "format"),
+        ({"notification": {"endpoint": ENDPOINT, "attributes": "a"}}, 400, "attributes"),
+        ({"notification": {"endpoint": {**ENDPOINT, "timeout": "x"}}}, 400, "timeout"),
+        (
+            {"notification": {"endpoint": {**ENDPOINT, "receiverInfo": [{"key": "X\r\nY", "value": "1"}]}}},
+            400,
+            "header",
+        ),
+        (
+            {
+                "notification": {
+                    "endpoint": {**ENDPOINT, "receiverInfo": [{"key": "X", "value": "1\r\nY: 2"}]}
+                }
+            },
+            400,
+            "header",
+        ),
+        ({"geoQ": {}}, 422, "geoQ"),
+    ],
+)
+def test_a_subscription_that_cannot_be_is_told_why(
+    http: httpx.Client, members: dict[str, Any], status: int, word: str
+) -> None:
+    body = {name: value for name, value in wish("refused", **members).items() if value is not None}
+    answer = http.post("/subscriptions", json=body)
+    assert answer.status_code == status, answer.text
+    assert word in answer.json()["detail"]
+    assert http.get(f"/subscriptions/{wish('refused')['id']}").status_code == 404

@@ -1,0 +1,135 @@
+"""A real broker and a real controller as processes; the glove is a TCP client with a clock of its own."""
+
+import socket
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import httpx
+import orjson
+import pytest
+
+from datamodels.entities import Task
+from handover.broker import BrokerClient
+from handover.settings import Settings
+
+GLOVE = "urn:ngsi-ld:Device:demo:glove-1"
+STRAIGHT, BENT = 2000, 100
+
+
+class TcpGlove:
+    """Shows hands to the controller; its clock runs as fast as frames are sent."""
+
+    def __init__(self, port: int, name: str = "glove-1") -> None:
+        self.link = socket.create_connection(("127.0.0.1", port), timeout=10)
+        self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.t_s = 0.0
+        self.say({"type": "hello", "version": 1, "glove": name, "hand": "right"})
+        self.answer = orjson.loads(self.link.recv(4096))
+
+    def show(self, code: str, seconds: float) -> None:
+        """Make five finger states for `seconds` of its own time, at 50 Hz."""
+        bend = [STRAIGHT if state == "0" else BENT for state in code]
+        frames = []
+        for _ in range(round(seconds * 50)):
+            self.t_s = round(self.t_s + 0.02, 3)
+            frames.append(orjson.dumps({"type": "frame", "t": self.t_s, "bend": bend}) + b"\n")
+        self.link.sendall(b"".join(frames))
+
+    def say(self, what: dict[str, Any]) -> None:
+        """Send one line."""
+        self.link.sendall(orjson.dumps(what) + b"\n")
+
+    def close(self) -> None:
+        """Hang up."""
+        self.link.close()
+
+
+class Bench:
+    """What a test does at the workplace: put Tasks, look at the screen, press its buttons."""
+
+    def __init__(self, cell: Any, broker: BrokerClient) -> None:
+        self.cell = cell
+        self.broker = broker
+        self.screen = httpx.Client(base_url=cell.url("gesture_controller"), timeout=10, trust_env=False)
+
+    async def put(self, name: str, resource: str = GLOVE, **parameters: Any) -> str:
+        """Put a pending Task for `resource` and return its id."""
+        task_id = f"urn:ngsi-ld:Task:demo:{name}"
+        await self.broker.create(
+            {
+                "id": task_id,
+                "type": "Task",
+                "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:confirm"},
+                "status": {"type": "Property", "value": "pending", "observedAt": "2026-01-01T12:00:00Z"},
+                "involves": {"type": "Property", "value": [{"type": "Relationship", "object": resource}]},
+                "workParameters": {"type": "Property", "value": parameters},
+            }
+        )
+        return task_id
+
+    async def status(self, task_id: str) -> str:
+        """Return the status of a Task as the broker has it."""
+        return str((await self.broker.get(task_id, Task)).status.value)
+
+    async def outputs(self, task_id: str) -> dict[str, Any]:
+        """Return the outputParameters of a Task."""
+        given = (await self.broker.get(task_id, Task)).output_parameters
+        return dict(given.value) if given is not None else {}
+
+    async def device(self, glove: str = GLOVE) -> dict[str, Any]:
+        """Return the values of a Device entity."""
+        entity = await self.broker.retrieve(glove)
+        return {name: one.get("value") for name, one in entity.items() if isinstance(one, dict)}
+
+    async def alerts(self) -> list[dict[str, Any]]:
+        """Return all Alerts."""
+        return await self.broker.query(type="Alert")
+
+    def view(self, glove: str = "glove-1") -> dict[str, Any]:
+        """Return what the screen shows of a glove."""
+        view: dict[str, Any] = self.screen.get(f"/gloves/{glove}").raise_for_status().json()
+        return view
+
+    def press(self, act: str, glove: str = "glove-1", **body: Any) -> httpx.Response:
+        """Press a button of the screen."""
+        return self.screen.post(f"/gloves/{glove}/{act}", json=body or None)
+
+
+@pytest.fixture
+def silence_s() -> float:
+    """After how long a glove is taken for lost: long, so that a glove may wait for the test."""
+    return 60.0
+
+
+@pytest.fixture
+def running_cell(cell: Any, silence_s: float) -> Any:
+    """A cell in which broker and controller run."""
+    cell.extra["HANDOVER_SILENCE_S"] = str(silence_s)
+    cell.start("context_broker", "gesture_controller")
+    return cell
+
+
+@pytest.fixture
+async def bench(running_cell: Any) -> AsyncIterator[Bench]:
+    """The workplace."""
+    settings = Settings.load(broker_url=running_cell.url("context_broker"))
+    async with BrokerClient(settings) as broker:
+        made = Bench(running_cell, broker)
+        try:
+            yield made
+        finally:
+            made.screen.close()
+
+
+@pytest.fixture
+def put_on(running_cell: Any) -> Iterator[Callable[..., TcpGlove]]:
+    """Put on a glove."""
+    with ExitStack() as stack:
+
+        def wear(name: str = "glove-1") -> TcpGlove:
+            glove = TcpGlove(running_cell.ports["glove"], name)
+            stack.callback(glove.close)
+            return glove
+
+        yield wear

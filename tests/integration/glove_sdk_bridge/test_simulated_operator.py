@@ -1,0 +1,108 @@
+"""The simulated operator before a real controller: calibrates the glove, then completes Tasks."""
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
+
+
+class Workplace:
+    """A broker into which Tasks are put, and the screen of a controller."""
+
+    def __init__(self, cell: Any) -> None:
+        self._http = httpx.Client(timeout=10, trust_env=False)
+        self._entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
+        self._screen = f"{cell.url('gesture_controller')}/gloves/glove-1"
+
+    def screen(self) -> dict[str, Any]:
+        """What is shown of the glove; empty while it is not known."""
+        answer = self._http.get(self._screen)
+        return dict(answer.json()) if answer.is_success else {}
+
+    def put(self, name: str, gesture: str) -> str:
+        task_id = f"urn:ngsi-ld:Task:demo:{name}"
+        involved = {"type": "Relationship", "object": "urn:ngsi-ld:Device:demo:glove-1"}
+        answer = self._http.post(
+            self._entities,
+            json={
+                "id": task_id,
+                "type": "Task",
+                "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:confirm"},
+                "status": {"type": "Property", "value": "pending", "observedAt": "2026-01-01T12:00:00Z"},
+                "involves": {"type": "Property", "value": [involved]},
+                "workParameters": {"type": "Property", "value": {"gesture": gesture}},
+            },
+        )
+        assert answer.status_code == 201, answer.text
+        return task_id
+
+    def task(self, task_id: str) -> dict[str, Any]:
+        """A Task's values."""
+        answer = self._http.get(f"{self._entities}/{task_id}", params={"options": "keyValues"})
+        return dict(answer.json())
+
+    def close(self) -> None:
+        self._http.close()
+
+
+@pytest.fixture
+def workplace(cell: Any) -> Any:
+    cell.start("context_broker", "gesture_controller")
+    made = Workplace(cell)
+    yield made
+    made.close()
+
+
+def words(cell: Any, *more: str) -> list[str]:
+    port, url = cell.ports["glove"], cell.url("gesture_controller")
+    return ["simulate", "--port", str(port), "--controller", url, "--seed", "3", *more]
+
+
+GESTURES = ["Thumbs up", "Point with index", "Horns", "Middle, ring and little straight", "Thumbs up"]
+
+
+def test_tasks_are_completed_with_the_gestures_they_ask_for_mistakes_and_a_restart_included(
+    cell: Any, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+) -> None:
+    operator = bridge(*words(cell, "--mistakes", "1", "--speed", "3"))
+    for number, gesture in enumerate(GESTURES):
+        task = workplace.put(f"t{number}", gesture)
+        wait_for(lambda task=task: workplace.task(task)["status"] == "completed", 60)
+        outputs = workplace.task(task)["outputParameters"]
+        assert outputs["gesture"] == gesture
+        assert outputs["by"] == "gesture"
+        assert outputs["heldMs"] >= 1500
+        if number == 2:
+            cell.kill("gesture_controller")
+            cell.start("gesture_controller")
+    operator.terminate()
+    assert operator.wait(timeout=20) == 0
+    complaints = operator.stderr.read().decode()
+    assert "calibrated with a fist and an open hand" in complaints
+    assert "Traceback" not in complaints
+
+
+def test_the_calibration_fits_the_hand(
+    cell: Any, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+) -> None:
+    operator = bridge(*words(cell))
+    wait_for(lambda: workplace.screen().get("thresholds", {}).get("thumb", {}).get("upper", 999) < 500)
+    thresholds = workplace.screen()["thresholds"]
+    for finger, (bent, straight) in {"thumb": (305, 405), "index": (485, 714), "little": (470, 677)}.items():
+        assert bent < thresholds[finger]["lower"] < thresholds[finger]["upper"] < straight
+    operator.terminate()
+    assert operator.wait(timeout=20) == 0
+
+
+def test_without_calibration_the_thresholds_stay_as_they_are(
+    cell: Any, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+) -> None:
+    operator = bridge(*words(cell, "--no-calibrate"))
+    wait_for(lambda: workplace.screen().get("frames", 0) > 100)
+    assert workplace.screen()["thresholds"]["thumb"] == {"upper": 1000, "lower": 800}
+    operator.terminate()
+    assert operator.wait(timeout=20) == 0
+    assert b"calibrated" not in operator.stderr.read()

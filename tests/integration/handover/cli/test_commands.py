@@ -1,0 +1,110 @@
+"""The command line as a person types it, against running services."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BAD = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL" targetNamespace="urn:t">
+<process id="headless" isExecutable="true">
+<endEvent id="end"/>
+</process></definitions>"""
+
+WAITS = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL"
+  xmlns:handover="urn:handover:bpmn" targetNamespace="urn:t">
+<process id="ask-somebody" isExecutable="true">
+<extensionElements><handover:process><handover:parameter name="colour" value="red"/></handover:process>
+</extensionElements>
+<startEvent id="begin"/>
+<userTask id="ask" name="Ask"><extensionElements><handover:task definition="ask">
+<handover:involves resource="Person:nobody"/><handover:parameter name="colour" expression="colour"/>
+</handover:task></extensionElements></userTask>
+<endEvent id="end"/>
+<sequenceFlow id="a" sourceRef="begin" targetRef="ask"/><sequenceFlow id="b" sourceRef="ask" targetRef="end"/>
+</process></definitions>"""
+
+Handover = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def handover(cell: Any) -> Handover:
+    def command(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "handover.cli", *words],
+            env=cell.environment,
+            cwd=cell.data_dir,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+
+    return command
+
+
+@pytest.mark.slow
+def test_a_process_is_deployed_started_listed_shown_and_cancelled(
+    handover: Handover, cell: Any, tmp_path: Path, eventually: Callable[..., None]
+) -> None:
+    cell.start("context_broker", "task_orchestrator")
+    (tmp_path / "bad.bpmn").write_text(BAD)
+    (tmp_path / "ask.bpmn").write_text(WAITS)
+
+    refused = handover("process", "deploy", str(tmp_path / "bad.bpmn"))
+    assert refused.returncode == 2
+    assert "line 2, headless: a process has one start event" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+    deployed = handover("process", "deploy", str(tmp_path / "ask.bpmn"))
+    assert deployed.stdout == "ask-somebody version 1 deployed\n", deployed.stderr
+    started = handover("process", "start", "ask-somebody", "--set", "colour=green")
+    process = started.stdout.split()[0]
+
+    listed = handover("process", "list").stdout
+    assert "ask-somebody" in listed
+    assert "bin-picking" in listed
+    assert process in listed
+    shown = json.loads(handover("process", "show", process).stdout)
+    assert shown["status"] == "inProgress"
+    assert shown["variables"]["colour"] == "green"
+
+    assert handover("process", "cancel", process).returncode == 0
+    eventually(lambda: json.loads(handover("process", "show", process).stdout)["status"] == "failed")
+    again = handover("process", "cancel", process)
+    assert again.returncode == 2
+    assert "failed already" in again.stderr
+
+
+def test_what_cannot_be_done_is_one_line_with_the_way_out(handover: Handover, tmp_path: Path) -> None:
+    for words, expected in (
+        (("process", "start", "bin-picking"), "handover up"),
+        (("process", "start", "bin-picking", "--set", "colour"), "name=value"),
+        (("process", "deploy", str(tmp_path / "none.bpmn")), "cannot be read"),
+        (("run", "coffee-machine"), "context-broker"),
+        (("glove", "replay", str(tmp_path / "none.csv")), "cannot be read"),
+        (("glove", "dance"), "dance"),
+    ):
+        said = handover(*words)
+        assert said.returncode == 2, words
+        assert expected in said.stderr, said.stderr
+        assert len(said.stderr.strip().splitlines()) == 1, said.stderr
+
+
+def test_settings_are_listed_with_where_they_come_from(handover: Handover, cell: Any) -> None:
+    said = handover("settings").stdout
+    port = next(line for line in said.splitlines() if line.startswith("HANDOVER_BROKER_PORT"))
+    assert str(cell.ports["context_broker"]) in port
+    assert "environment" in port
+    for setting in ("HANDOVER_GLOVE_PORT", "HANDOVER_SCAN_SEED", "HANDOVER_PROCESS_DIR"):
+        assert setting in said
+
+
+def test_the_doctor_says_what_is_there_and_what_is_missing(handover: Handover) -> None:
+    examined = handover("doctor")
+    assert examined.returncode == 0, examined.stdout
+    assert "Python" in examined.stdout
+    assert "is free" in examined.stdout

@@ -1,0 +1,234 @@
+"""The lamp of the README takes real Tasks from a real broker."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from datamodels.entities import Task, TaskStatus
+from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.settings import Settings
+
+LAMP = "urn:ngsi-ld:Device:demo:lamp-1"
+HERE = Path(__file__).parent
+
+
+def a_task(name: str, **parameters: Any) -> Task:
+    return Task.from_ngsild(
+        {
+            "id": f"urn:ngsi-ld:Task:demo:{name}",
+            "type": "Task",
+            "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:light"},
+            "status": {"type": "Property", "value": "pending", "observedAt": "2026-01-01T12:00:00Z"},
+            "involves": {"type": "Property", "value": [{"type": "Relationship", "object": LAMP}]},
+            "workParameters": {"type": "Property", "value": parameters},
+        }
+    )
+
+
+class LampProcess:
+    """The lamp of the README, as a process on a port of its own."""
+
+    def __init__(self, cell: Any, port: int) -> None:
+        self.cell = cell
+        source = (HERE / "lamp.py").read_text().replace("9100", str(port))
+        self.file = cell.data_dir / "lamp.py"
+        self.file.write_text(source)
+        cell.ports["lamp"] = port
+        self.start()
+
+    def start(self) -> None:
+        with (self.cell.data_dir / "lamp.log").open("ab") as log:
+            self.cell.processes["lamp"] = subprocess.Popen(
+                [sys.executable, str(self.file)],
+                env=self.cell.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )
+        self.cell.wait_ready("lamp")
+
+    def kill(self) -> None:
+        self.cell.kill("lamp")
+
+
+@pytest.fixture
+def lamp(cell: Any, free_port: Callable[[], int]) -> Iterator[LampProcess]:
+    cell.start("context_broker")
+    return LampProcess(cell, free_port())
+
+
+@pytest.fixture
+async def broker(cell: Any, lamp: LampProcess) -> AsyncIterator[BrokerClient]:
+    async with BrokerClient(Settings.load(broker_url=cell.url("context_broker"))) as client:
+        yield client
+
+
+async def comes_to(broker: BrokerClient, task: Task, status: TaskStatus, within_s: float = 15) -> Task:
+    """Wait until the Task is in `status`, and return it."""
+    import asyncio
+
+    seen = task
+    async with asyncio.timeout(within_s):
+        while (seen := await broker.get(task.id, Task)).status.value is not status:
+            await asyncio.sleep(0.02)
+    return seen
+
+
+async def ask(broker: BrokerClient, task: Task, wish: str) -> None:
+    await broker.append(
+        task.id,
+        {"requestedStatus": {"type": "Property", "value": wish, "observedAt": "2026-01-01T12:00:01Z"}},
+    )
+
+
+async def test_a_lamp_takes_a_task_reports_progress_and_completes_it(broker: BrokerClient) -> None:
+    task = a_task("one", steps=30)
+    await broker.create(task)
+    await comes_to(broker, task, TaskStatus.IN_PROGRESS)
+    done = await comes_to(broker, task, TaskStatus.COMPLETED)
+    assert done.output_parameters is not None
+    assert done.output_parameters.value == {"lit": True}
+    assert done.output_parameters.observed_at is not None
+
+
+async def test_a_task_pauses_goes_on_and_is_cancelled_when_asked(broker: BrokerClient) -> None:
+    task = a_task("two", steps=100_000)
+    await broker.create(task)
+    await comes_to(broker, task, TaskStatus.IN_PROGRESS)
+    await ask(broker, task, "paused")
+    paused = await comes_to(broker, task, TaskStatus.PAUSED)
+    assert paused.to_normalized()["status"]["reason"]["value"] == "requested"
+    await ask(broker, task, "inProgress")
+    await comes_to(broker, task, TaskStatus.IN_PROGRESS)
+    await ask(broker, task, "cancelled")
+    ended = await comes_to(broker, task, TaskStatus.FAILED)
+    assert ended.output_parameters is not None
+    assert ended.output_parameters.value["reason"] == "cancelled"
+
+
+async def test_one_task_is_done_at_a_time_and_one_that_waits_can_be_cancelled(broker: BrokerClient) -> None:
+    first, second = a_task("first", steps=100_000), a_task("second", steps=1)
+    await broker.create(first)
+    await comes_to(broker, first, TaskStatus.IN_PROGRESS)
+    await broker.create(second)
+    await ask(broker, second, "cancelled")
+    await comes_to(broker, second, TaskStatus.FAILED)
+    assert (await broker.get(first.id, Task)).status.value is TaskStatus.IN_PROGRESS
+
+
+async def test_a_task_posted_while_nobody_listened_is_found_by_asking(
+    broker: BrokerClient, lamp: LampProcess
+) -> None:
+    lamp.kill()
+    task = a_task("quiet", steps=1)
+    await broker.create(task)
+    lamp.start()
+    await comes_to(broker, task, TaskStatus.COMPLETED)
+
+
+async def test_a_killed_performer_takes_up_again_what_it_had_begun(
+    broker: BrokerClient, lamp: LampProcess
+) -> None:
+    task = a_task("interrupted", steps=60)
+    await broker.create(task)
+    await comes_to(broker, task, TaskStatus.IN_PROGRESS)
+    lamp.kill()
+    lamp.start()
+    await comes_to(broker, task, TaskStatus.COMPLETED)
+
+
+async def test_a_task_is_finished_though_the_broker_was_killed_meanwhile(
+    broker: BrokerClient, cell: Any, lamp: LampProcess
+) -> None:
+    task = a_task("outage", steps=20)
+    await broker.create(task)
+    await comes_to(broker, task, TaskStatus.IN_PROGRESS)
+    cell.kill("context_broker")
+    cell.start("context_broker")
+    await comes_to(broker, task, TaskStatus.COMPLETED)
+
+
+async def test_what_somebody_else_finished_is_dropped(broker: BrokerClient) -> None:
+    task = a_task("taken-away", steps=100_000)
+    await broker.create(task)
+    await comes_to(broker, task, TaskStatus.IN_PROGRESS)
+    await broker.update(
+        task.id, {"status": {"type": "Property", "value": "failed", "observedAt": "2030-01-01T00:00:00Z"}}
+    )
+    after = a_task("after", steps=1)
+    await broker.create(after)
+    await comes_to(broker, after, TaskStatus.COMPLETED)
+    assert (await broker.get(task.id, Task)).status.value is TaskStatus.FAILED
+
+
+async def test_the_first_resource_with_a_performer_gets_the_task(broker: BrokerClient) -> None:
+    other = "urn:ngsi-ld:Device:demo:other-1"
+    performer = {"type": "Property", "value": "somebody else"}
+    await broker.create({"id": other, "type": "Device", "performer": performer})
+
+    def involving(name: str, *resources: str) -> dict[str, Any]:
+        links = [{"type": "Relationship", "object": resource} for resource in resources]
+        return {**a_task(name, steps=1).to_normalized(), "involves": {"type": "Property", "value": links}}
+
+    await broker.create(involving("theirs", other, LAMP))
+    ours = involving("ours", "urn:ngsi-ld:Material:demo:pallet", LAMP, other)
+    await broker.create(ours)
+    await comes_to(broker, Task.from_ngsild(ours), TaskStatus.COMPLETED)
+    assert (await broker.get("urn:ngsi-ld:Task:demo:theirs", Task)).status.value is TaskStatus.PENDING
+
+
+async def test_notifications_that_cannot_be_read_are_refused_and_nothing_stops(
+    broker: BrokerClient, cell: Any
+) -> None:
+    notifications = f"{cell.url('lamp')}/notifications"
+    async with httpx.AsyncClient() as http:
+        for body in (b"not JSON", b"[]", b'{"data": 3}', b"\xff\xfe", b'{"data": [3]}'):
+            answer = await http.post(notifications, content=body)
+            assert answer.status_code == 400
+            assert answer.headers["content-type"] == "application/problem+json"
+        assert (await http.post(notifications, json={"data": [{"type": "Task"}]})).status_code == 204
+        assert "handover_notifications_refused_total" in (await http.get(f"{cell.url('lamp')}/metrics")).text
+    task = a_task("still-working", steps=1)
+    await broker.create(task)
+    await comes_to(broker, task, TaskStatus.COMPLETED)
+
+
+async def test_the_client_says_what_went_wrong(broker: BrokerClient, cell: Any, lamp: LampProcess) -> None:
+    task = a_task("twice", steps=1)
+    await broker.create(task)
+    with pytest.raises(AlreadyExists):
+        await broker.create(task)
+    with pytest.raises(NotFound, match="nowhere"):
+        await broker.retrieve("urn:ngsi-ld:Task:demo:nowhere")
+    cell.kill("context_broker")
+    with pytest.raises(BrokerUnavailable, match="does not answer"):
+        await broker.retrieve(task.id)
+
+
+def test_the_readme_shows_the_lamp_as_it_is() -> None:
+    readme = (HERE.parents[2] / "README.md").read_text()
+    shown = readme.split("## A component of your own", 1)[1].split("```python\n", 1)[1].split("```", 1)[0]
+    assert shown.strip() in (HERE / "lamp.py").read_text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_lamp_ends_quietly_when_told(lamp: LampProcess, cell: Any, number: signal.Signals) -> None:
+    process = cell.processes["lamp"]
+    os.kill(process.pid, number)
+    assert process.wait(timeout=10) in (0, -signal.SIGTERM)
+    assert "Application shutdown complete" in cell.log("lamp")
+    assert "Traceback" not in cell.log("lamp")
+
+
+async def test_an_update_of_an_attribute_that_is_not_there_is_said(broker: BrokerClient) -> None:
+    task = a_task("bare", steps=100_000)
+    await broker.create(task)
+    with pytest.raises(BrokerError, match="colour"):
+        await broker.update(task.id, {"colour": {"type": "Property", "value": "red"}})

@@ -1,0 +1,195 @@
+"""A cell for tests: broker, orchestrator and a scripted performer as real processes that can be killed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx
+
+from handover.settings import Settings
+
+PATIENCE_S = 60.0
+CONTEXT = (
+    f"<{Settings.model_fields['context_url'].default}>; "
+    'rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
+)
+T = TypeVar("T")
+FreePort = Callable[[], int]
+
+
+def eventually(look: Callable[[], T | None], what: str, patience_s: float = PATIENCE_S) -> T:
+    """Return what `look` gives as soon as it is true; fail with `what` when patience ends."""
+    ends = time.monotonic() + patience_s
+    while True:
+        seen = look()
+        if seen:
+            return seen
+        assert time.monotonic() < ends, f"{what} did not come about within {patience_s} s"
+        time.sleep(0.03)
+
+
+class Member:
+    """A process of the cell: `start` it, `kill` it without warning, `start` it again."""
+
+    def __init__(
+        self, name: str, command: list[str], environment: Mapping[str, str], log: Path, ready: str
+    ) -> None:
+        self.name = name
+        self._command = command
+        self._environment = environment
+        self._log = log
+        self._ready = ready
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it and wait until it answers."""
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen(
+                self._command, env=self._environment, cwd=self._log.parent, stdout=log, stderr=log
+            )
+        self.wait()
+
+    def wait(self) -> None:
+        """Wait until it answers."""
+        eventually(self._answers, f"{self.name} being up ({self._log})")
+
+    def _answers(self) -> bool:
+        assert self._process is not None
+        assert self._process.poll() is None, f"{self.name} has ended: {self.log()[-2000:]}"
+        try:
+            return httpx.get(self._ready, trust_env=False, timeout=5).status_code == 200
+        except httpx.TransportError:
+            return False
+
+    def kill(self) -> None:
+        """End it as a power cut does."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGKILL)
+        self._process.wait()
+
+    def stop(self) -> None:
+        """End it in good order."""
+        if self._process is not None and self._process.poll() is None:
+            self._process.terminate()
+            self._process.wait(10)
+
+    def log(self) -> str:
+        """Return what it has logged."""
+        return self._log.read_text(errors="replace")
+
+
+class Cell:
+    """The broker, the orchestrator and a performer that writes down each time it does something."""
+
+    def __init__(self, folder: Path, free_port: FreePort, database_url: str | None = None) -> None:
+        broker, orchestrator, performer = free_port(), free_port(), free_port()
+        self.done_file = folder / "done.txt"
+        self.script_file = folder / "script.json"
+        self.script_file.write_text("{}")
+        environment = {
+            **{name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")},
+            "PYTHONUNBUFFERED": "1",
+            "HANDOVER_DATA_DIR": str(folder),
+            "HANDOVER_BROKER_PORT": str(broker),
+            "HANDOVER_BROKER_URL": f"http://127.0.0.1:{broker}",
+            "HANDOVER_ORCHESTRATOR_PORT": str(orchestrator),
+            "HANDOVER_RECONCILE_S": "0.5",
+        }
+        of_orchestrator = dict(environment)
+        if database_url:
+            of_orchestrator["HANDOVER_DATABASE_URL"] = database_url
+        of_performer = {
+            **environment,
+            "PERFORMER_PORT": str(performer),
+            "PERFORMER_DONE": str(self.done_file),
+            "PERFORMER_SCRIPT": str(self.script_file),
+        }
+        python = sys.executable
+        self.broker = Member(
+            "broker",
+            [python, "-m", "services.context_broker"],
+            environment,
+            folder / "broker.log",
+            f"http://127.0.0.1:{broker}/readyz",
+        )
+        self.orchestrator = Member(
+            "orchestrator",
+            [python, "-m", "services.task_orchestrator"],
+            of_orchestrator,
+            folder / "orchestrator.log",
+            f"http://127.0.0.1:{orchestrator}/healthz",
+        )
+        self.performer = Member(
+            "performer",
+            [python, str(Path(__file__).parent / "scripted_performer.py")],
+            of_performer,
+            folder / "performer.log",
+            f"http://127.0.0.1:{performer}/healthz",
+        )
+        self.members = (self.broker, self.orchestrator, self.performer)
+        self.api = httpx.Client(base_url=f"http://127.0.0.1:{orchestrator}", trust_env=False, timeout=10)
+        self.entities = httpx.Client(
+            base_url=f"http://127.0.0.1:{broker}/ngsi-ld/v1/entities",
+            headers={"Link": CONTEXT},
+            trust_env=False,
+            timeout=10,
+        )
+
+    def begin(self, definition: str, **parameters: Any) -> str:
+        """Start a process and return its id."""
+        answer = self.api.post("/processes", json={"definition": definition, "parameters": parameters})
+        assert answer.status_code == 201, answer.text
+        return str(answer.json()["id"])
+
+    def look(self, process: str) -> dict[str, Any]:
+        """Return the process as the orchestrator shows it."""
+        answer = self.api.get(f"/processes/{process}")
+        assert answer.status_code == 200, answer.text
+        seen: dict[str, Any] = answer.json()
+        return seen
+
+    def ended(self, process: str) -> dict[str, Any]:
+        """Wait until the process has ended and return it."""
+        return eventually(lambda: self._if_ended(process), f"the end of {process}")
+
+    def _if_ended(self, process: str) -> dict[str, Any] | None:
+        seen = self.look(process)
+        return seen if seen["endedAt"] else None
+
+    def done(self) -> list[str]:
+        """Return what the performer has done, in order: `element-visit`."""
+        return self.done_file.read_text().split() if self.done_file.exists() else []
+
+    def entity(self, entity_id: str) -> dict[str, Any] | None:
+        """Return an entity of the broker, None if it is not there."""
+        answer = self.entities.get(f"/{entity_id}")
+        if answer.status_code == 404:
+            return None
+        seen: dict[str, Any] = answer.json()
+        return seen
+
+    def of_type(self, kind: str) -> list[dict[str, Any]]:
+        """Return the entities of a type."""
+        listed: list[dict[str, Any]] = self.entities.get("", params={"type": kind, "limit": 500}).json()
+        return listed
+
+
+@contextmanager
+def cell(folder: Path, free_port: FreePort, database_url: str | None = None) -> Iterator[Cell]:
+    """Run a cell with all its members up."""
+    running = Cell(folder, free_port, database_url)
+    try:
+        for member in running.members:
+            member.start()
+        yield running
+    finally:
+        running.api.close()
+        running.entities.close()
+        for member in reversed(running.members):
+            member.stop()

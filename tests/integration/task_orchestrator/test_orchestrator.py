@@ -1,0 +1,155 @@
+"""The orchestrator over its database: what could not be written did not happen, in memory either."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import text
+
+from datamodels.times import iso
+from handover.broker import BrokerClient
+from handover.database import connect
+from handover.errors import Problem
+from services.task_orchestrator.orchestrator import Orchestrator, utc_now
+from services.task_orchestrator.settings import OrchestratorSettings
+from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path, start, timer
+
+NOBODY = "http://127.0.0.1:9"
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> OrchestratorSettings:
+    return OrchestratorSettings(_env_file=None, data_dir=tmp_path, broker_url=NOBODY)
+
+
+@pytest.fixture
+async def orchestrator(settings: OrchestratorSettings) -> AsyncIterator[Orchestrator]:
+    async with BrokerClient(settings) as broker, Orchestrator(settings, broker) as working:
+        await working.deploy(drawing(ONE_STEP))
+        yield working
+
+
+def task_of(process: str) -> str:
+    return f"urn:ngsi-ld:Task:demo:{process}-work-1"
+
+
+def completed(task: str, **outputs: Any) -> dict[str, Any]:
+    return {
+        "id": task,
+        "type": "Task",
+        "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"},
+        "status": {"type": "Property", "value": "completed", "observedAt": iso(utc_now())},
+        "outputParameters": {"type": "Property", "value": outputs},
+    }
+
+
+def run_sql(settings: OrchestratorSettings, statement: str, **values: Any) -> None:
+    engine = connect(settings.database("orchestrator"))
+    with engine.begin() as connection:
+        connection.execute(text(statement), values)
+    engine.dispose()
+
+
+async def test_what_could_not_be_written_is_taken_back_and_can_be_heard_again(
+    orchestrator: Orchestrator, settings: OrchestratorSettings
+) -> None:
+    process, _ = await orchestrator.begin("p", {})
+    run_sql(settings, "UPDATE orchestrator_processes SET revision = revision + 1")  # as a second one would
+    with pytest.raises(Problem, match="another orchestrator"):
+        await orchestrator.hear([completed(task_of(process))])
+    assert await orchestrator.hear([completed(task_of(process))]) == 1
+    assert process not in orchestrator.processes
+    (record,) = await orchestrator.on_disk(lambda: orchestrator.store.processes(ids=[process]))
+    assert record.status.value == "completed"
+
+
+async def test_one_that_cannot_be_written_does_not_hold_up_the_others(
+    orchestrator: Orchestrator, settings: OrchestratorSettings
+) -> None:
+    processes = [(await orchestrator.begin("p", {}))[0] for _ in range(5)]
+    run_sql(
+        settings,
+        "INSERT INTO orchestrator_inbox (task, nth, status, heard_at) VALUES (:task, 1, 'assigned', 'then')",
+        task=task_of(processes[2]),
+    )
+    answers = await asyncio.gather(
+        *(orchestrator.hear([completed(task_of(process))]) for process in processes), return_exceptions=True
+    )
+    assert [answer for answer in answers if not isinstance(answer, Problem)] == [1, 1, 1, 1]
+    assert isinstance(answers[2], Problem)
+    assert answers[2].status == 503
+    run_sql(settings, "DELETE FROM orchestrator_inbox WHERE heard_at = 'then'")
+    assert await orchestrator.hear([completed(task_of(processes[2]))]) == 1
+
+
+async def test_a_process_whose_start_could_not_be_written_does_not_exist(
+    orchestrator: Orchestrator, settings: OrchestratorSettings
+) -> None:
+    run_sql(settings, "ALTER TABLE orchestrator_outbox RENAME TO mislaid")
+    with pytest.raises(Problem, match="nothing was changed"):
+        await orchestrator.begin("p", {})
+    run_sql(settings, "ALTER TABLE mislaid RENAME TO orchestrator_outbox")
+    await orchestrator.begin("p", {})
+    assert len(orchestrator.processes) == 1
+    assert len(await orchestrator.on_disk(orchestrator.store.processes)) == 1
+
+
+async def test_a_hundred_at_once_are_all_moved_and_written(orchestrator: Orchestrator) -> None:
+    processes = [
+        answer[0] for answer in await asyncio.gather(*(orchestrator.begin("p", {}) for _ in range(100)))
+    ]
+    heard = await asyncio.gather(*(orchestrator.hear([completed(task_of(process))]) for process in processes))
+    assert heard == [1] * 100
+    assert orchestrator.processes == {}
+    records = await orchestrator.on_disk(lambda: orchestrator.store.processes(status="completed"))
+    assert {record.id for record in records} == set(processes)
+
+
+async def test_the_same_key_at_the_same_moment_starts_one_process(orchestrator: Orchestrator) -> None:
+    answers = await asyncio.gather(*(orchestrator.begin("p", {}, key="k") for _ in range(10)))
+    assert len({process for process, _ in answers}) == 1
+    assert sorted(created for _, created in answers) == [False] * 9 + [True]
+
+
+@pytest.mark.parametrize("parameters", [{"x": 2**70}, {"x": "\ud800"}, {"not": 1}, {"a b": 1}])
+async def test_parameters_that_cannot_be_kept_are_refused(
+    orchestrator: Orchestrator, parameters: dict[str, Any]
+) -> None:
+    with pytest.raises(Problem) as refusal:
+        await orchestrator.begin("p", parameters)
+    assert refusal.value.status == 422
+    assert orchestrator.processes == {}
+
+
+async def test_timers_and_their_tasks_are_there_after_a_restart(settings: OrchestratorSettings) -> None:
+    now = utc_now()
+    wait = f'<bpmn:intermediateCatchEvent id="wait">{timer("PT1H")}</bpmn:intermediateCatchEvent>'
+    body = start() + wait + activity("work") + end() + path("start", "wait", "work", "end")
+    async with BrokerClient(settings) as broker:
+        async with Orchestrator(settings, broker, clock=lambda: now) as before:
+            await before.deploy(drawing(body))
+            process, _ = await before.begin("p", {})
+            assert before.next_due() == now + timedelta(hours=1)
+        async with Orchestrator(settings, broker, clock=lambda: now + timedelta(minutes=59)) as early:
+            await early.tick()
+            assert early.processes[process].tasks == {}
+        async with Orchestrator(settings, broker, clock=lambda: now + timedelta(hours=1)) as after:
+            await after.tick()
+            assert list(after.processes[process].tasks) == [task_of(process)]
+            (due,) = (await after.on_disk(after.store.timers))[process]
+            assert due.subject == task_of(process)
+
+
+async def test_what_was_not_told_before_a_crash_is_told_after_it(settings: OrchestratorSettings) -> None:
+    async with BrokerClient(settings) as broker:
+        async with Orchestrator(settings, broker) as before:
+            await before.deploy(drawing(ONE_STEP))
+            process, _ = await before.begin("p", {})
+            untold = await before.on_disk(before.store.outbox)
+        async with Orchestrator(settings, broker) as after:
+            assert await after.on_disk(after.store.outbox) == untold
+            assert after.outbox.on_its_way(task_of(process))
+            assert after.awaited() == []

@@ -1,0 +1,121 @@
+"""The trajectory tool as a screen sees it, without a broker: robots over REST, joints over WebSocket."""
+
+import itertools
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+NAMES = [
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+]
+
+
+@pytest.fixture
+def tool(cell: Any, eventually: Any) -> Iterator[Any]:
+    with (cell.data_dir / "trajectory_tool.log").open("ab") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "services.trajectory_tool"],
+            env=cell.environment,
+            cwd=cell.data_dir,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+        )
+    cell.processes["trajectory_tool"] = process
+
+    def answers() -> bool:
+        assert process.poll() is None, cell.log("trajectory_tool")
+        try:
+            return httpx.get(f"{cell.url('trajectory_tool')}/healthz").is_success
+        except httpx.TransportError:
+            return False
+
+    eventually(answers, 30)
+    return cell
+
+
+def joint_states(cell: Any, query: str = "", robot: str = "ur10-1") -> ClientConnection:
+    url = cell.url("trajectory_tool").replace("http", "ws")
+    return connect(f"{url}/robots/{robot}/joint_states{query}", proxy=None)
+
+
+@pytest.mark.slow
+def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Any) -> None:
+    robots = httpx.get(f"{tool.url('trajectory_tool')}/robots").json()
+    assert [robot["id"] for robot in robots] == ["ur10-1"]
+    robot = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1").json()
+    assert robot["device"] == "urn:ngsi-ld:Device:demo:ur10-1"
+    assert robot["deviceState"] == "idle"
+    assert robot["gripper"] == {"closed": False, "holds": None}
+    assert robot["task"] is None
+    assert len(robot["toolPose"]["position"]) == 3
+    by_urn = httpx.get(f"{tool.url('trajectory_tool')}/robots/{robot['device']}")
+    assert by_urn.json()["id"] == "ur10-1"
+
+    with joint_states(tool) as stream:
+        frames = [json.loads(stream.recv(timeout=10)) for _ in range(20)]
+    assert frames[0]["name"] == NAMES
+    assert frames[0]["position"] == robot["joints"]["position"]
+    assert len(frames[0]["velocity"]) == 6
+    stamps = [frame["stamp"] for frame in frames]
+    assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
+
+    with joint_states(tool, "?hz=125") as fast, joint_states(tool, "?hz=5") as slow:
+        assert json.loads(fast.recv(timeout=10))["name"] == NAMES
+        first, second = (json.loads(slow.recv(timeout=10))["stamp"] for _ in range(2))
+        assert second - first > 0.1
+
+    unready = httpx.get(f"{tool.url('trajectory_tool')}/readyz")
+    assert unready.status_code == 503
+    assert "broker" in unready.json()
+
+
+@pytest.mark.slow
+def test_what_cannot_be_answered_says_why(tool: Any) -> None:
+    unknown = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9")
+    assert unknown.status_code == 404
+    assert unknown.headers["content-type"] == "application/problem+json"
+    assert "there is ur10-1" in unknown.json()["detail"]
+    for query, robot, code in (("", "ur10-9", 4404), ("?hz=0", "ur10-1", 4400), ("?hz=nan", "ur10-1", 4400)):
+        with joint_states(tool, query, robot) as stream, pytest.raises(ConnectionClosed) as closed:
+            stream.recv(timeout=10)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == code
+    garbage = httpx.post(f"{tool.url('trajectory_tool')}/notifications", content=b"not JSON")
+    assert garbage.status_code == 400
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("setting", "value", "complaint"),
+    [
+        ("HANDOVER_SCENE_FILE", "nowhere.yaml", "nowhere.yaml cannot be read"),
+        ("HANDOVER_ROBOT_SPEED", "7", "HANDOVER_ROBOT_SPEED"),
+        ("HANDOVER_MAX_JOINT_SPEED_RAD_S", "[1, 2]", "HANDOVER_MAX_JOINT_SPEED_RAD_S"),
+    ],
+)
+def test_a_wrong_setting_is_one_readable_line(cell: Any, setting: str, value: str, complaint: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "services.trajectory_tool"],
+        env={**cell.environment, setting: value},
+        cwd=cell.data_dir,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -1,0 +1,254 @@
+"""The trajectory tool takes real Tasks from a real broker; both are processes."""
+
+import asyncio
+import itertools
+from collections.abc import AsyncIterator, Callable
+from datetime import UTC, datetime
+from typing import Any
+
+import httpx
+import pytest
+
+from datamodels.entities import Device, DeviceState, Task, TaskStatus
+from handover.broker import BrokerClient, NotFound
+from handover.settings import Settings
+
+pytestmark = pytest.mark.slow
+
+ROBOT = "urn:ngsi-ld:Device:demo:ur10-1"
+AWAY = [1.5, -1.2, 1.4, -1.5, -1.5, 0.0]
+HOME = [0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
+
+
+class Shop:
+    """A broker and a trajectory tool, and Tasks for its robot."""
+
+    def __init__(self, cell: Any, broker: BrokerClient) -> None:
+        self.cell = cell
+        self.broker = broker
+        self._numbers = itertools.count(1)
+
+    async def ask(self, operation: str, definition: str = "work", **parameters: Any) -> str:
+        """Create a Task and return its id; without `operation` its definition says what to do."""
+        task_id = f"urn:ngsi-ld:Task:demo:{operation or definition}-{next(self._numbers)}"
+        given = {"operation": operation, **parameters} if operation else parameters
+        await self.broker.create(
+            Task.from_ngsild(
+                {
+                    "id": task_id,
+                    "type": "Task",
+                    "isDefinedBy": f"urn:ngsi-ld:TaskDefinition:demo:{definition}",
+                    "status": {"type": "Property", "value": "pending", "observedAt": _now()},
+                    "involves": {"type": "Property", "value": [{"type": "Relationship", "object": ROBOT}]},
+                    "workParameters": {"type": "Property", "value": given},
+                }
+            )
+        )
+        return task_id
+
+    async def wish(self, task_id: str, wish: str) -> None:
+        written = {"type": "Property", "value": wish, "observedAt": _now()}
+        await self.broker.append(task_id, {"requestedStatus": written})
+
+    async def comes_to(self, task_id: str, status: TaskStatus, within_s: float = 30.0) -> dict[str, Any]:
+        """Wait until a Task is in `status`; return its outputParameters."""
+        async with asyncio.timeout(within_s):
+            while (task := await self.broker.get(task_id, Task)).status.value is not status:
+                await asyncio.sleep(0.02)
+        return dict(task.output_parameters.value) if task.output_parameters else {}
+
+    async def done(self, operation: str, **parameters: Any) -> dict[str, Any]:
+        return await self.comes_to(await self.ask(operation, **parameters), TaskStatus.COMPLETED)
+
+    async def refused(self, operation: str, **parameters: Any) -> str:
+        failed = await self.comes_to(await self.ask(operation, **parameters), TaskStatus.FAILED)
+        return str(failed["reason"])
+
+    async def device_is(self, state: DeviceState) -> Device:
+        async with asyncio.timeout(15):
+            while True:
+                try:
+                    device = await self.broker.get(ROBOT, Device)
+                except (NotFound, ValueError):
+                    await asyncio.sleep(0.02)
+                    continue
+                if device.device_state is not None and device.device_state.value is state:
+                    return device
+                await asyncio.sleep(0.02)
+
+    def robot(self) -> dict[str, Any]:
+        answer = httpx.get(f"{self.cell.url('trajectory_tool')}/robots/ur10-1")
+        return dict(answer.raise_for_status().json())
+
+    async def in_motion(self) -> dict[str, Any]:
+        async with asyncio.timeout(15):
+            while True:
+                seen = self.robot()
+                if max(map(abs, seen["joints"]["velocity"])) > 0.3:
+                    return seen
+                await asyncio.sleep(0.01)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat().replace("+00:00", "Z")
+
+
+@pytest.fixture
+async def shop(cell: Any) -> AsyncIterator[Shop]:
+    cell.start("context_broker", "trajectory_tool")
+    async with BrokerClient(Settings.load(broker_url=cell.url("context_broker"))) as broker:
+        yield Shop(cell, broker)
+
+
+async def test_the_robots_part_of_the_process_is_done(shop: Shop) -> None:
+    assert (await shop.done("", definition="home"))["joints"] == HOME
+    missed = await shop.done("scan", bin="bin-1")
+    assert missed["found"] is False
+    assert missed["reason"] == "no part lies free in bin-1"
+    seen = await shop.done("scan", bin="bin-1")
+    assert seen["found"] is True
+    picked = await shop.done("pick", part=seen["part"], pose=seen["pose"])
+    assert picked["part"] == seen["part"]
+    assert picked["gripped"] is True
+    assert 1 < picked["durationS"] < 10
+    device = await shop.device_is(DeviceState.IDLE)
+    assert device.value is not None
+    assert device.value.value["holds"] == seen["part"]
+    placed = await shop.done("place", location="fixture-1")
+    assert placed["location"] == "fixture-1"
+    assert placed["progress"] == 1.0
+    metrics = httpx.get(f"{shop.cell.url('trajectory_tool')}/metrics").text
+    assert 'handover_trajectory_tool_tasks_total{operation="scan",outcome="completed"} 2.0' in metrics
+
+
+async def test_a_task_reports_its_progress_while_the_robot_moves(shop: Shop) -> None:
+    task = await shop.ask("moveTo", joints=AWAY, speed=0.3)
+    fractions = []
+    async with asyncio.timeout(30):
+        while (now := await shop.broker.get(task, Task)).status.value is not TaskStatus.COMPLETED:
+            if now.status.value is TaskStatus.IN_PROGRESS and now.output_parameters is not None:
+                fractions.append(now.output_parameters.value["progress"])
+            await asyncio.sleep(0.05)
+    assert fractions == sorted(fractions)
+    assert len(set(fractions)) >= 3
+    assert any(0.1 < fraction < 0.9 for fraction in fractions)
+
+
+async def test_the_device_says_what_the_robot_does(shop: Shop) -> None:
+    device = await shop.device_is(DeviceState.IDLE)
+    assert device.category is not None
+    assert device.category.value == ("robot",)
+    assert device.controlled_property.value == ("pose",)
+    task = await shop.ask("moveTo", joints=AWAY, speed=0.3)
+    await shop.device_is(DeviceState.BUSY)
+    await shop.wish(task, "paused")
+    await shop.device_is(DeviceState.PAUSED)
+    await shop.wish(task, "inProgress")
+    await shop.device_is(DeviceState.BUSY)
+    await shop.comes_to(task, TaskStatus.COMPLETED)
+    idle = await shop.device_is(DeviceState.IDLE)
+    assert idle.value is not None
+    assert idle.value.value["joints"] == AWAY
+
+
+async def test_a_paused_task_stands_still_and_reaches_its_target_afterwards(shop: Shop) -> None:
+    task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
+    seen = await shop.in_motion()
+    assert seen["task"] == task
+    assert seen["operation"] == "moveTo"
+    assert seen["remainingS"] > 0
+    await shop.wish(task, "paused")
+    await shop.comes_to(task, TaskStatus.PAUSED)
+    rest = shop.robot()
+    assert rest["deviceState"] == "paused"
+    assert rest["joints"]["velocity"] == [0.0] * 6
+    assert 0 < rest["joints"]["position"][0] < AWAY[0]
+    assert 0 < rest["progress"] < 1
+    assert shop.robot()["joints"]["position"] == rest["joints"]["position"]
+    await shop.wish(task, "inProgress")
+    assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
+    assert shop.robot()["task"] is None
+
+
+async def test_a_cancelled_task_stops_the_robot_and_the_next_one_is_done(shop: Shop) -> None:
+    task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
+    following = await shop.ask("home")
+    await shop.in_motion()
+    await shop.wish(task, "cancelled")
+    assert (await shop.comes_to(task, TaskStatus.FAILED))["reason"] == "cancelled"
+    assert (await shop.comes_to(following, TaskStatus.COMPLETED))["joints"] == HOME
+
+
+async def test_a_paused_task_can_be_cancelled(shop: Shop) -> None:
+    task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
+    await shop.in_motion()
+    await shop.wish(task, "paused")
+    await shop.comes_to(task, TaskStatus.PAUSED)
+    await shop.wish(task, "cancelled")
+    assert (await shop.comes_to(task, TaskStatus.FAILED))["reason"] == "cancelled"
+    await shop.device_is(DeviceState.IDLE)
+
+
+async def test_a_task_that_cannot_be_done_says_why(shop: Shop) -> None:
+    assert "moveTo, scan, pick, place, home" in await shop.refused("dance")
+    assert 'no operation "work"' in await shop.refused("")
+    assert "at least 6" in await shop.refused("moveTo", joints=[0, 0])
+    assert "reaches 1.30 m" in await shop.refused("moveTo", pose={"position": [3, 0, 0]})
+    assert "the gripper is empty" in await shop.refused("place", location="fixture-1")
+    assert (await shop.done("home"))["joints"] == HOME
+
+
+async def test_a_motion_cut_short_by_a_power_cut_is_done_again(shop: Shop) -> None:
+    task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
+    await shop.in_motion()
+    shop.cell.kill("trajectory_tool")
+    shop.cell.start("trajectory_tool")
+    assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
+
+
+async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(shop: Shop) -> None:
+    task = await shop.ask("pick", bin="bin-1", speed=0.5)
+    async with asyncio.timeout(30):
+        while shop.robot()["gripper"]["holds"] is None:
+            await asyncio.sleep(0.01)
+    memory = shop.cell.data_dir / "trajectory_tool" / "ur10-1.json"
+    async with asyncio.timeout(10):
+        while '"held":"part-1"' not in memory.read_text():
+            await asyncio.sleep(0.01)
+    shop.cell.kill("trajectory_tool")
+    assert (await shop.broker.get(task, Task)).status.value is TaskStatus.IN_PROGRESS
+    shop.cell.start("trajectory_tool")
+    picked = await shop.comes_to(task, TaskStatus.COMPLETED)
+    assert picked["part"] == "part-1"
+    placed = await shop.done("place", location="fixture-1")
+    assert placed["part"] == "part-1"
+    assert (await shop.done("pick", bin="bin-1"))["part"] == "part-2"
+
+
+async def test_the_device_is_written_again_after_the_broker_was_away(
+    shop: Shop, eventually: Callable[..., None]
+) -> None:
+    await shop.device_is(DeviceState.IDLE)
+    shop.cell.kill("context_broker")
+    shop.cell.start("context_broker")
+    shop.cell.wait_ready("trajectory_tool")
+    task = await shop.ask("moveTo", joints=AWAY)
+    await shop.comes_to(task, TaskStatus.COMPLETED)
+    idle = await shop.device_is(DeviceState.IDLE)
+    assert idle.value is not None
+    assert idle.value.value["joints"] == AWAY
+
+
+async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(shop: Shop) -> None:
+    url = f"{shop.cell.url('trajectory_tool')}/robots/ur10-1/gripper/free"
+    await shop.done("pick", bin="bin-1")
+    task = await shop.ask("home")
+    await shop.in_motion()
+    refused = httpx.post(url)
+    assert refused.status_code == 409
+    assert task in refused.json()["detail"]
+    await shop.comes_to(task, TaskStatus.COMPLETED)
+    async with asyncio.timeout(10):
+        while (freed := httpx.post(url)).status_code != 200:
+            await asyncio.sleep(0.02)
+    assert freed.json()["gripper"] == {"closed": False, "holds": None}

@@ -1,0 +1,103 @@
+"""Whatever JSON comes in: it is taken, or refused with a problem; nothing breaks."""
+
+from collections.abc import Callable
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from datamodels.contexts import HANDOVER_URL, TermMap
+from handover.errors import Problem
+from services.context_broker.changes import appended, created, merged
+from services.context_broker.contexts import Context
+from services.context_broker.intake import read_change, read_entity
+from services.context_broker.rendering import Form, View, render
+from services.context_broker.subscriptions import (
+    kept_document,
+    shown_document,
+    subscription,
+    updated_document,
+)
+
+CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
+TERMS = CONTEXT.terms
+AT = "2026-01-01T00:00:00.000000Z"
+
+
+def documents(*members: str, values: tuple[Any, ...] = ()) -> st.SearchStrategy[Any]:
+    """JSON that often has the members and values that mean something."""
+    plain = st.none() | st.booleans() | st.integers() | st.text(max_size=5) | st.sampled_from(values)
+    names = st.sampled_from(members) | st.text(max_size=3)
+    return st.recursive(
+        plain,
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(names, inner, max_size=4),
+        max_leaves=10,
+    )
+
+
+ATTRIBUTES = documents(
+    "type", "@type", "value", "object", "vocab", "languageMap", "objectList", "datasetId", "coordinates",
+    values=("Property", "Relationship", "GeoProperty", "Point", "VocabProperty", "ListRelationship",
+            "urn:ngsi-ld:null", "urn:x:1"),
+)  # fmt: skip
+WISHES = documents(
+    "id", "type", "entities", "idPattern", "watchedAttributes", "q", "notification", "endpoint", "uri",
+    "accept", "format", "receiverInfo", "key", "throttling", "expiresAt",
+    values=("Subscription", "urn:x:1", "http://127.0.0.1:9/", "normalized", "application/json"),
+)  # fmt: skip
+
+
+def refusal(act: Callable[[], object]) -> int | None:
+    """The status with which something was refused; None if it was taken."""
+    try:
+        act()
+    except Problem as problem:
+        return problem.status if problem.detail else 0
+    return None
+
+
+@given(ATTRIBUTES)
+def test_any_entity(attribute: Any) -> None:
+    def keep_and_show() -> None:
+        entity = created(read_entity({"id": "urn:x:1", "type": "Task", "a": attribute}, TERMS), AT, 1)
+        for form in Form:
+            assert render(entity, TERMS, View(form, sys_attrs=True))
+
+    assert refusal(keep_and_show) in {None, 400, 422}
+    assert refusal(lambda: read_entity(attribute, TERMS)) in {None, 400, 422}
+
+
+@given(ATTRIBUTES, ATTRIBUTES)
+def test_any_change(first: Any, second: Any) -> None:
+    def change() -> None:
+        before = created(read_change({"id": "urn:x:1", "type": "Task", "a": first}, TERMS), AT, 1)
+        wanted = read_change({"a": second}, TERMS)
+        for after in (appended(before, wanted, AT).entity, merged(before, wanted, AT).entity):
+            for form in Form:
+                assert render(after, TERMS, View(form, sys_attrs=True))
+
+    assert refusal(change) in {None, 400, 422}
+
+
+@given(WISHES, WISHES)
+def test_any_subscription(first: Any, second: Any) -> None:
+    base = {
+        "id": "urn:x:1",
+        "entities": [{"type": "Task"}],
+        "notification": {"endpoint": {"uri": "http://127.0.0.1:9/"}},
+        "context": HANDOVER_URL,
+    }
+
+    def keep_and_show(given_document: Any) -> None:
+        document = updated_document(base, kept_document(given_document, CONTEXT))
+        made = subscription({**document, "context": HANDOVER_URL}, CONTEXT)
+        assert shown_document(made, CONTEXT, 0.0, sys_attrs=True)
+
+    for given_document in (
+        first,
+        {"notification": first},
+        {"notification": {"endpoint": first}},
+        {"entities": [first], "q": second},
+        {"notification": {"endpoint": {"uri": "http://a/", "accept": first, "receiverInfo": second}}},
+    ):
+        assert refusal(lambda sent=given_document: keep_and_show(sent)) in {None, 400, 422}

@@ -1,0 +1,101 @@
+"""Changes: what each operation makes of an entity, and what of it is news."""
+
+from typing import Any
+
+import pytest
+
+from datamodels.contexts import HANDOVER_URL, TermMap
+from services.context_broker import changes
+from services.context_broker.entity import Entity
+from services.context_broker.intake import read_change, read_entity
+from services.context_broker.rendering import Form, View, render
+
+TERMS = TermMap(HANDOVER_URL)
+BEFORE, AFTER = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"
+
+
+def entity(**attributes: Any) -> Entity:
+    document = {"id": "urn:ngsi-ld:Task:demo:1", "type": "Task", **attributes}
+    return changes.created(read_entity(document, TERMS), BEFORE, 7)
+
+
+def change(**attributes: Any) -> Any:
+    return read_change(attributes, TERMS)
+
+
+def shown(one: Entity, form: Form = Form.KEY_VALUES) -> dict[str, Any]:
+    document = render(one, TERMS, View(form))
+    return {name: value for name, value in document.items() if name not in {"id", "type"}}
+
+
+def names(iris: frozenset[str]) -> set[str]:
+    return {TERMS.compact(iri) for iri in iris}
+
+
+def test_a_change_makes_a_new_entity_and_leaves_the_old_one() -> None:
+    before = entity(status="pending")
+    outcome = changes.updated(before, change(status="assigned"), AFTER)
+    assert shown(before) == {"status": "pending"}
+    assert shown(outcome.entity) == {"status": "assigned"}
+    assert outcome.entity.seq == before.seq
+    assert (outcome.entity.created_at, outcome.entity.modified_at) == (BEFORE, AFTER)
+
+
+def test_only_what_was_written_is_news() -> None:
+    outcome = changes.updated(entity(status="a", note="b"), change(status="c", absent=1), AFTER)
+    assert names(outcome.touched) == {"status"}
+    assert set(outcome.refused) == {TERMS.expand("absent")}
+
+
+def test_a_change_that_changes_nothing_makes_no_new_entity() -> None:
+    before = entity(status="a")
+    assert changes.updated(before, change(absent=1), AFTER).entity is before
+    assert changes.appended(before, change(status=1), AFTER, overwrite=False).entity is before
+
+
+def test_what_was_deleted_is_gone_but_no_news() -> None:
+    outcome = changes.merged(entity(status="a", note="b"), change(note="urn:ngsi-ld:null"), AFTER)
+    assert shown(outcome.entity) == {"status": "a"}
+    assert outcome.touched == frozenset()
+    assert changes.without(entity(note=1), TERMS.expand("note"), None, AFTER).touched == frozenset()
+
+
+def test_an_attribute_keeps_its_creation_time_when_it_is_overwritten() -> None:
+    outcome = changes.appended(entity(status="a"), change(status="b", note="c"), AFTER)
+    written = render(outcome.entity, TERMS, View(sys_attrs=True))
+    assert (written["status"]["createdAt"], written["status"]["modifiedAt"]) == (BEFORE, AFTER)
+    assert written["note"]["createdAt"] == AFTER
+
+
+def test_merging_keeps_metadata_and_attributes_of_attributes_that_are_not_named() -> None:
+    before = entity(
+        speed={"value": 1, "unitCode": "MTS", "accuracy": {"value": 0.1}, "source": {"value": "lidar"}}
+    )
+    part = change(speed={"value": 2, "accuracy": {"value": 0.2}, "source": "urn:ngsi-ld:null"})
+    assert shown(changes.merged(before, part, AFTER).entity, Form.CONCISE) == {
+        "speed": {"value": 2, "unitCode": "MTS", "accuracy": 0.2}
+    }
+
+
+def test_merging_another_kind_replaces_the_attribute() -> None:
+    outcome = changes.merged(
+        entity(isDefinedBy={"value": 1, "unitCode": "X"}), change(isDefinedBy={"object": "urn:x:1"}), AFTER
+    )
+    assert shown(outcome.entity, Form.CONCISE) == {"isDefinedBy": {"object": "urn:x:1"}}
+
+
+def test_metadata_can_be_deleted_in_a_merge() -> None:
+    before = entity(speed={"value": 1, "unitCode": "MTS"})
+    outcome = changes.merged(before, change(speed={"value": 1, "unitCode": "urn:ngsi-ld:null"}), AFTER)
+    assert shown(outcome.entity, Form.CONCISE) == {"speed": 1}
+
+
+def test_instances_are_written_one_by_one() -> None:
+    before = entity(speed=[{"type": "Property", "value": 1}, {"value": 2, "datasetId": "urn:x:gps"}])
+    outcome = changes.updated(before, change(speed={"value": 3, "datasetId": "urn:x:gps"}), AFTER)
+    assert shown(outcome.entity) == {"speed": {"dataset": {"@none": 1, "urn:x:gps": 3}}}
+    name = TERMS.expand("speed")
+    assert shown(changes.without(outcome.entity, name, "urn:x:gps", AFTER).entity) == {"speed": 1}
+    assert shown(changes.without(outcome.entity, name, None, AFTER, every=True).entity) == {}
+    with pytest.raises(KeyError):
+        changes.without(outcome.entity, name, "urn:x:radar", AFTER)

@@ -1,0 +1,317 @@
+"""Normalized, concise and keyValues tell the same story, whatever the entity."""
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from datamodels import TYPES, DataModelError, DeviceState, Form, RequestedStatus, Severity, TaskStatus, read
+from datamodels.forms import kind_of, normalized_attribute, to_concise, to_key_values
+
+unhurried = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+words = st.text(st.characters(codec="utf-8"), max_size=12)
+names = st.sampled_from(["mass", "colour", "hand", "value2", "x_y", "temperature"])
+uris = st.from_regex(r"urn:ngsi-ld:[A-Z][a-z]{1,6}:demo:[a-z0-9]{1,6}", fullmatch=True)
+numbers = st.integers(-(10**9), 10**9) | st.floats(allow_nan=False, allow_infinity=False)
+tricky = st.sampled_from(
+    [
+        {"value": 5},
+        {"object": "urn:x:y"},
+        {"type": "Property", "value": 1},
+        [{"type": "Relationship", "object": "urn:x:y"}],
+        {"type": "Point", "coordinates": [1, 2]},
+        {"@type": "DateTime", "@value": "2026-01-01T00:00:00Z"},
+        {"json": {}},
+        {"languageMap": {"fi": "käsi"}, "observedAt": 3},
+        {"dataset": {"a": 1}},
+        "urn:ngsi-ld:Device:demo:x",
+    ]
+)
+anything = st.recursive(
+    st.booleans() | numbers | words | st.none() | tricky,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(words, inner, max_size=3),
+    max_leaves=6,
+)
+stated = anything.filter(lambda value: value is not None)  # null is no value in NGSI-LD
+objects = st.dictionaries(words, anything, max_size=3)
+moments = st.datetimes().map(lambda moment: moment.isoformat(timespec="milliseconds") + "Z")
+points = st.tuples(numbers, numbers).map(lambda at: {"type": "Point", "coordinates": list(at)})
+date_times = moments.map(lambda text: {"@type": "DateTime", "@value": text})
+
+SAID = {
+    "Property": stated,
+    "Relationship": uris,
+    "GeoProperty": points,
+    "LanguageProperty": st.dictionaries(st.sampled_from(["en", "fi", "de"]), words, min_size=1),
+    "JsonProperty": anything,
+    "VocabProperty": words,
+    "ListProperty": st.lists(anything, max_size=3),
+    "ListRelationship": st.lists(st.fixed_dictionaries({"object": uris}), min_size=1, max_size=3),
+}
+MEMBER = {
+    "LanguageProperty": "languageMap",
+    "JsonProperty": "json",
+    "VocabProperty": "vocab",
+    "ListProperty": "valueList",
+    "ListRelationship": "objectList",
+    "Relationship": "object",
+}
+
+
+@st.composite
+def attributes(draw: st.DrawFn, kind: str, said: st.SearchStrategy[Any], depth: int = 1) -> dict[str, Any]:
+    """Draw a normalized attribute of `kind` that says one of `said`, with metadata and sub-attributes."""
+    attribute: dict[str, Any] = {"type": kind, MEMBER.get(kind, "value"): draw(said)}
+    attribute |= draw(
+        st.fixed_dictionaries({}, optional={"observedAt": moments, "createdAt": moments, "datasetId": uris})
+    )
+    if kind == "Property" and draw(st.booleans()):
+        attribute["unitCode"] = draw(st.sampled_from(["MTR", "CEL", "P1"]))
+    if depth:
+        for name in draw(st.lists(names, max_size=2)):
+            attribute[name] = draw(others(depth - 1))
+    return attribute
+
+
+def others(depth: int = 1) -> st.SearchStrategy[Any]:
+    """Return attributes that the vocabulary does not know, of every kind."""
+    return st.sampled_from(list(SAID)).flatmap(lambda kind: attributes(kind, SAID[kind], depth))
+
+
+def property_of(said: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    return attributes("Property", said)
+
+
+links = st.lists(attributes("Relationship", uris), max_size=3)
+one_of = {
+    state: st.sampled_from([str(word) for word in state]) for state in (TaskStatus, DeviceState, Severity)
+}
+requested = st.sampled_from([str(word) for word in RequestedStatus])
+lists_of_words = st.lists(words, max_size=3)
+relationship = attributes("Relationship", uris)
+text = property_of(words)
+
+REQUIRED: dict[str, dict[str, Any]] = {
+    "ProcessDefinition": {"name": text, "version": text, "bpmn": text},
+    "TaskDefinition": {"name": text},
+    "ResourceSpecification": {"name": text, "resourceType": text},
+    "Location": {"name": text},
+    "Process": {"isDefinedBy": relationship, "status": property_of(one_of[TaskStatus])},
+    "Task": {"isDefinedBy": relationship, "status": property_of(one_of[TaskStatus])},
+    "Device": {"controlledProperty": property_of(lists_of_words)},
+    "Material": {},
+    "Asset": {},
+    "Person": {},
+    "Alert": {"category": text, "dateIssued": property_of(date_times), "alertSource": relationship},
+}
+OPTIONAL: dict[str, dict[str, Any]] = {
+    "ProcessDefinition": {"description": text},
+    "TaskDefinition": {
+        "gesture": text,
+        "commandId": property_of(st.integers(0, 99)),
+        "requiredSkills": property_of(lists_of_words),
+        "workParametersSchema": property_of(objects),
+        "isPartOf": relationship,
+    },
+    "ResourceSpecification": {"skills": property_of(lists_of_words), "parameters": property_of(objects)},
+    "Location": {"location": attributes("GeoProperty", points), "isPartOf": relationship},
+    "Process": {
+        "workParameters": property_of(objects),
+        "outputParameters": property_of(objects),
+        "isComposedOf": property_of(links),
+    },
+    "Task": {
+        "involves": property_of(links),
+        "happensAt": property_of(links),
+        "description": text,
+        "workParameters": property_of(objects),
+        "outputParameters": property_of(objects),
+        "requestedStatus": property_of(requested),
+        "deadline": property_of(date_times),
+    },
+    "Device": {
+        "category": property_of(lists_of_words),
+        "source": text | relationship,
+        "serialNumber": text,
+        "value": property_of(stated),
+        "deviceState": property_of(one_of[DeviceState]),
+        "batteryLevel": property_of(numbers),
+        "relativePosition": property_of(st.lists(numbers, max_size=3)),
+        "isSpecifiedBy": property_of(links),
+        "commandId": property_of(st.integers(0, 99)),
+        "performer": text,
+    },
+    "Material": {"description": text, "state": property_of(stated), "isSpecifiedBy": property_of(links)},
+    "Asset": {"description": text, "state": property_of(stated), "isSpecifiedBy": property_of(links)},
+    "Person": {"firstName": text, "lastName": text, "state": property_of(stated), "performer": text},
+    "Alert": {
+        "subCategory": text,
+        "severity": property_of(one_of[Severity]),
+        "description": text,
+        "validFrom": property_of(date_times),
+        "validTo": property_of(date_times),
+        "location": attributes("GeoProperty", points),
+        "source": text | relationship,
+        "humanVerified": property_of(st.booleans()),
+    },
+}
+
+
+@st.composite
+def entities(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw a normalized entity of any type of the vocabulary, with foreign attributes."""
+    name = draw(st.sampled_from(sorted(TYPES)))
+    entity: dict[str, Any] = {"id": draw(uris), "type": name}
+    entity |= draw(st.fixed_dictionaries(REQUIRED[name], optional=OPTIONAL[name]))
+    for other in draw(st.lists(names, max_size=2)):
+        entity[other] = draw(others())
+    if draw(st.booleans()):
+        entity["many"] = [draw(others()), {**draw(others()), "datasetId": "urn:ngsi-ld:Dataset:2"}]
+    return entity
+
+
+def same(one: Any, other: Any) -> bool:
+    """Say whether two JSON values are the same, 1 and 1.0 and True told apart."""
+    return json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
+
+
+@unhurried
+@given(entities())
+def test_a_normalized_entity_comes_back_unchanged(entity: dict[str, Any]) -> None:
+    assert same(read(entity).to_normalized(), entity)
+
+
+@unhurried
+@given(entities())
+def test_the_concise_form_loses_nothing(entity: dict[str, Any]) -> None:
+    concise = read(entity).to_concise()
+    assert same(read(concise).to_normalized(), entity)
+    assert len(json.dumps(concise)) <= len(json.dumps(entity))
+
+
+@unhurried
+@given(entities())
+def test_bare_values_lose_only_what_stands_beside_the_values(entity: dict[str, Any]) -> None:
+    bare = read(entity).to_key_values()
+    again = read(bare, Form.KEY_VALUES)
+    assert same(again.to_key_values(), bare)
+    first = read(entity)
+    for name in type(first).model_fields.keys() - {"source", "created_at", "modified_at"}:
+        one, other = getattr(first, name), getattr(again, name)
+        assert getattr(one, "value", one) == getattr(other, "value", other) or (
+            [link.object for link in one] == [link.object for link in other]
+            if isinstance(one, tuple)
+            else one.object == other.object
+        )
+
+
+@unhurried
+@given(st.sampled_from(sorted(TYPES)), st.dictionaries(words | names, anything), st.data())
+def test_any_json_is_read_or_refused_with_a_reason(
+    name: str, entity: dict[str, Any], data: st.DataObject
+) -> None:
+    known = [field.alias or field_name for field_name, field in TYPES[name].model_fields.items()]
+    entity |= data.draw(st.dictionaries(st.sampled_from(known), anything | others()))
+    entity |= {"type": name, "id": data.draw(uris | words)}
+    for form in (None, Form.KEY_VALUES):
+        written, refusal = read_or_refused(entity, form)
+        if refusal is not None:
+            assert f"is no valid {name}: " in refusal
+        else:
+            assert same(read(written).to_normalized(), written)
+
+
+def read_or_refused(entity: dict[str, Any], form: Form | None) -> tuple[dict[str, Any], str | None]:
+    """Return the entity as it is written again, or why it was refused; nothing else may happen."""
+    try:
+        return read(entity, form).to_normalized(), None
+    except DataModelError as refused:
+        return {}, str(refused)
+
+
+def test_concise_leaves_out_what_goes_without_saying() -> None:
+    assert to_concise(
+        {
+            "id": "urn:x:y",
+            "type": "T",
+            "plain": {"type": "Property", "value": 1},
+            "timed": {"type": "Property", "value": 1, "observedAt": "2026-01-01T00:00:00Z"},
+            "deep": {"type": "Property", "value": 1, "of": {"type": "Property", "value": 2}},
+            "link": {"type": "Relationship", "object": "urn:x:z"},
+            "place": {"type": "GeoProperty", "value": {"type": "Point", "coordinates": [1, 2]}},
+            "data": {"type": "Property", "value": {"value": 1}},
+            "shape": {"type": "Property", "value": {"type": "Point", "coordinates": [1, 2]}},
+        }
+    ) == {
+        "id": "urn:x:y",
+        "type": "T",
+        "plain": 1,
+        "timed": {"value": 1, "observedAt": "2026-01-01T00:00:00Z"},
+        "deep": {"value": 1, "of": 2},
+        "link": {"object": "urn:x:z"},
+        "place": {"type": "Point", "coordinates": [1, 2]},
+        "data": {"value": {"value": 1}},
+        "shape": {"type": "Property", "value": {"type": "Point", "coordinates": [1, 2]}},
+    }
+
+
+def test_key_values_are_the_bare_values() -> None:
+    assert to_key_values(
+        {
+            "id": "urn:x:y",
+            "type": "T",
+            "@context": ["https://example.com/c.jsonld"],
+            "plain": {"type": "Property", "value": [1], "observedAt": "2026-01-01T00:00:00Z"},
+            "link": {"type": "Relationship", "object": "urn:x:z"},
+            "links": {"type": "Property", "value": [{"type": "Relationship", "object": "urn:x:z"}]},
+            "said": {"type": "LanguageProperty", "languageMap": {"fi": "käsi"}},
+        },
+        link_lists=["links"],
+    ) == {
+        "id": "urn:x:y",
+        "type": "T",
+        "@context": ["https://example.com/c.jsonld"],
+        "plain": [1],
+        "link": "urn:x:z",
+        "links": ["urn:x:z"],
+        "said": {"languageMap": {"fi": "käsi"}},
+    }
+
+
+def test_bare_objects_with_a_member_value_need_the_form_to_be_told() -> None:
+    bare = {
+        "id": "urn:x:t",
+        "type": "Task",
+        "isDefinedBy": "urn:x:d",
+        "status": "pending",
+        "workParameters": {"value": 5},
+    }
+    told = read(bare, Form.KEY_VALUES)
+    assert told.to_normalized()["workParameters"] == {"type": "Property", "value": {"value": 5}}
+    with pytest.raises(DataModelError, match='attribute "workParameters"'):
+        read(bare)
+
+
+@pytest.mark.parametrize(
+    ("written", "kind"),
+    [
+        ({"value": 1}, "Property"),
+        ({"value": {"type": "Point", "coordinates": [1, 2]}}, "GeoProperty"),
+        ({"object": "urn:x:y"}, "Relationship"),
+        ({"languageMap": {"fi": "käsi"}}, "LanguageProperty"),
+        ({"json": {"a": 1}}, "JsonProperty"),
+        ({"vocab": "open"}, "VocabProperty"),
+        ({"valueList": [1]}, "ListProperty"),
+        ({"objectList": []}, "ListRelationship"),
+        ({"type": "Point", "coordinates": [1, 2]}, "GeoProperty"),
+        ({"type": "screw", "value": 3}, "Property"),
+        (7, "Property"),
+        ([], "Property"),
+        (None, "Property"),
+    ],
+)
+def test_a_shortened_attribute_is_known_by_what_it_has(written: Any, kind: str) -> None:
+    assert kind_of(normalized_attribute(written)) == kind

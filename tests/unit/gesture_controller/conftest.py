@@ -1,0 +1,151 @@
+"""A glove without network: hands that show gestures, Tasks that wait, and a notebook of what happened."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+import uvloop
+
+from datamodels.entities import Task
+from handover.broker import BrokerClient
+from handover.job import Job
+from services.gesture_controller.configuration import built_in
+from services.gesture_controller.errand import Asked, Errand
+from services.gesture_controller.frames import Frame, Hello
+from services.gesture_controller.gestures import M2O2P_GESTURES
+from services.gesture_controller.glove import Glove
+from services.gesture_controller.hold import HoldTiming
+from services.gesture_controller.pipeline import Senses
+from services.gesture_controller.settings import ControllerSettings
+from services.gesture_controller.thresholds import Threshold, Thresholds
+
+SAME = Thresholds((Threshold(600, 400),) * 5)
+
+
+@dataclass
+class Notebook:
+    """Writes down what gloves tell."""
+
+    states: list[str] = field(default_factory=list)
+    silent: list[str] = field(default_factory=list)
+    back: list[str] = field(default_factory=list)
+
+    def state_changed(self, glove: Glove) -> None:
+        if not self.states or self.states[-1] != glove.device_state:
+            self.states.append(glove.device_state)
+
+    def went_silent(self, glove: Glove) -> None:
+        self.silent.append(glove.name)
+
+    def came_back(self, glove: Glove) -> None:
+        self.back.append(glove.name)
+
+
+@dataclass
+class Wire:
+    """The connection of a glove, as the glove sees it."""
+
+    ended: list[str] = field(default_factory=list)
+
+    def end(self, reason: str) -> None:
+        self.ended.append(reason)
+
+
+@dataclass
+class Hand:
+    """Wears the glove: `now_s` is the time here, the glove's own clock is `ahead_s` ahead of it."""
+
+    glove: Glove
+    wire: Wire
+    now_s: float = 1000.0
+    ahead_s: float = 50.0
+
+    def show(self, gesture: str | None, seconds: float, hz: float = 50) -> None:
+        """Hold a gesture (None: an open hand) for a while."""
+        code = M2O2P_GESTURES[gesture] if gesture else "00000"
+        self.make(code, seconds, hz)
+
+    def make(self, code: str, seconds: float, hz: float = 50) -> None:
+        """Make five finger states for a while."""
+        bend = [{"0": 700.0, "1": 500.0, "2": 300.0}[state] for state in code]
+        for _ in range(round(seconds * hz)):
+            self.now_s += 1 / hz
+            self.glove.take(Frame(self.now_s + self.ahead_s, bend), b"", self.now_s)
+            self.glove.look_after(self.now_s, silence_s=2.0)
+
+    def be_silent(self, seconds: float) -> None:
+        """Send nothing for a while."""
+        for _ in range(round(seconds * 10)):
+            self.now_s += 0.1
+            self.glove.look_after(self.now_s, silence_s=2.0)
+
+
+def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], Any]]:
+    """Try the glove server on both event loops: services run on uvloop where there is one."""
+    plain = {"asyncio": asyncio.SelectorEventLoop}
+    return {**plain, "uvloop": uvloop.new_event_loop} if item.path.stem == "test_glove_server" else plain
+
+
+@pytest.fixture
+def notebook() -> Notebook:
+    """What gloves have told."""
+    return Notebook()
+
+
+@pytest.fixture
+def glove(notebook: Notebook) -> Glove:
+    """A right glove whose fingers are straight above 600 and bent below 400."""
+    site = built_in()
+    return Glove(
+        "glove-1",
+        hand="right",
+        person=None,
+        senses=Senses(SAME, site.gestures, HoldTiming()),
+        commands=site.commands,
+        filtering=True,
+        listener=notebook,
+    )
+
+
+@pytest.fixture
+def hand(glove: Glove) -> Hand:
+    """A hand in the glove, which is connected."""
+    wire = Wire()
+    glove.connect(wire, Hello("glove-1"), 1000.0)
+    return Hand(glove, wire)
+
+
+@pytest.fixture
+async def make_job() -> AsyncIterator[Callable[..., Job]]:
+    """Make jobs; their broker is never asked."""
+    async with BrokerClient(ControllerSettings()) as broker:
+
+        def make(name: str = "t1", **attributes: Any) -> Job:
+            task = Task.model_validate(
+                {
+                    "id": f"urn:ngsi-ld:Task:demo:{name}",
+                    "is_defined_by": "urn:ngsi-ld:TaskDefinition:demo:confirm",
+                    "status": "inProgress",
+                    **attributes,
+                }
+            )
+            return Job(task, "urn:ngsi-ld:Device:demo:glove-1", broker)
+
+        yield make
+
+
+@pytest.fixture
+def ask(glove: Glove, make_job: Callable[..., Job]) -> Callable[..., Errand]:
+    """Ask the wearer of the glove for a gesture."""
+
+    def begin(gesture: str, name: str = "t1") -> Errand:
+        job = make_job(name)
+        asked = Asked(job.task.id, "Confirm", gesture, M2O2P_GESTURES[gesture], 3)
+        errand = Errand(asked, job, asyncio.get_running_loop().create_future())
+        glove.begin(errand)
+        glove.listen()
+        return errand
+
+    return begin

@@ -1,0 +1,276 @@
+"""A glove answers a Task with the right gesture, held long enough, after it was asked, and once."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from handover.job import Wants
+from services.gesture_controller.frames import Hello
+from services.gesture_controller.glove import CannotComplete, Glove
+from services.gesture_controller.view import view_of
+
+Ask = Callable[..., Any]
+
+
+async def test_the_asked_gesture_held_1500_ms_answers_the_task(glove: Glove, hand: Any, ask: Ask) -> None:
+    errand = ask("Thumbs up")
+    hand.show(None, 0.5)
+    hand.show("Thumbs up", 1.48)
+    assert not errand.answer.done()
+    hand.show("Thumbs up", 0.04)
+    assert errand.answer.result().outputs() == {
+        "gesture": "Thumbs up",
+        "commandId": 3,
+        "heldMs": 1500,
+        "by": "gesture",
+    }
+    assert glove.command is not None
+    assert glove.command[0] == 3
+
+
+async def test_the_asked_gesture_is_announced_at_500_ms(glove: Glove, hand: Any, ask: Ask) -> None:
+    ask("Thumbs up")
+    hand.show("Thumbs up", 0.4)
+    assert view_of(glove, hand.now_s)["message"] == "Show: Thumbs up."
+    hand.show("Thumbs up", 0.2)
+    view = view_of(glove, hand.now_s)
+    assert view["message"] == "Right. Hold it for another second to confirm."
+    assert view["hold"] == {"gesture": "Thumbs up", "heldMs": 580, "announceMs": 500, "confirmMs": 1500}
+
+
+async def test_another_gesture_never_answers_and_is_told_which_finger_differs(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    errand = ask("Thumbs up")
+    hand.show("Thumb and little straight", 5)
+    view = view_of(glove, hand.now_s)
+    assert not errand.answer.done()
+    assert view["differs"] == ["little"]
+    assert view["message"] == (
+        "Thumb and little straight is not the gesture this Task asks for: bend your little finger."
+    )
+    assert glove.command is None
+
+
+async def test_a_hand_that_is_nearly_right_is_helped(glove: Glove, hand: Any, ask: Ask) -> None:
+    ask("Thumbs up")
+    hand.make("02212", 0.3)
+    assert view_of(glove, hand.now_s)["message"] == "Show: Thumbs up."
+    hand.make("02212", 0.3)
+    assert view_of(glove, hand.now_s)["message"] == "Show: Thumbs up. Almost: bend your ring finger."
+
+
+async def test_a_hold_that_began_before_the_task_does_not_count(glove: Glove, hand: Any, ask: Ask) -> None:
+    hand.show("Thumbs up", 10)
+    errand = ask("Thumbs up")
+    hand.show("Thumbs up", 1.4)
+    assert not errand.answer.done()
+    hand.show("Thumbs up", 0.2)
+    assert errand.answer.done()
+
+
+async def test_one_hold_answers_one_task(glove: Glove, hand: Any, ask: Ask) -> None:
+    first = ask("Thumbs up")
+    hand.show("Thumbs up", 2)
+    assert first.answer.done()
+    glove.end()
+    second = ask("Thumbs up", "t2")
+    hand.show("Thumbs up", 5)
+    assert not second.answer.done()
+    view = view_of(glove, hand.now_s)
+    assert view["message"] == "This counted already. Let go, then show Thumbs up again."
+    assert view["hold"]["heldMs"] == 0
+    hand.show(None, 0.3)
+    hand.show("Thumbs up", 1.6)
+    assert second.answer.done()
+
+
+async def test_in_testing_mode_nothing_answers_but_all_is_shown(glove: Glove, hand: Any, ask: Ask) -> None:
+    errand = ask("Thumbs up")
+    glove.switch(testing=True, filtering=False)
+    hand.show("Thumbs up", 5)
+    view = view_of(glove, hand.now_s)
+    assert not errand.answer.done()
+    assert glove.command is None
+    assert (view["states"], view["gesture"], view["testing"]) == ("02222", "Thumbs up", True)
+    assert view["bend"] == [700.0, 300.0, 300.0, 300.0, 300.0]
+    assert view["message"] == "Testing, nothing is sent. This is Thumbs up."
+    with pytest.raises(CannotComplete, match="switch testing off, then complete"):
+        glove.complete_on_screen("Anna", hand.now_s)
+    glove.switch(testing=False, filtering=None)
+    hand.show("Thumbs up", 1.4)
+    assert not errand.answer.done()
+    hand.show("Thumbs up", 0.2)
+    assert errand.answer.done()
+
+
+async def test_without_filtering_every_gesture_with_a_command_is_given_once(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    glove.switch(testing=None, filtering=False)
+    hand.show("Horns", 3)
+    assert glove.command is not None
+    assert glove.command[0] == 8
+    given_at = glove.command[1]
+    hand.show("Horns", 3)
+    assert glove.command == (8, given_at)
+    errand = ask("Thumbs up")
+    hand.show("Little straight", 3)
+    assert glove.command[0] == 7
+    assert not errand.answer.done()
+    hand.show("Thumbs up", 1.6)
+    assert errand.answer.done()
+
+
+async def test_with_filtering_no_gesture_gives_a_command_without_a_task(glove: Glove, hand: Any) -> None:
+    hand.show("Horns", 5)
+    assert glove.command is None
+
+
+async def test_while_paused_on_the_screen_nothing_answers(glove: Glove, hand: Any, ask: Ask) -> None:
+    errand = ask("Thumbs up")
+    glove.pause()
+    assert errand.job.wants is Wants.PAUSE
+    assert glove.device_state == "paused"
+    hand.show("Thumbs up", 5)
+    assert not errand.answer.done()
+    with pytest.raises(CannotComplete, match="is paused; resume it"):
+        glove.complete_on_screen("Anna", hand.now_s)
+    glove.resume()
+    assert errand.job.wants is Wants.GO
+    hand.show("Thumbs up", 1.4)
+    assert not errand.answer.done()
+    hand.show("Thumbs up", 0.2)
+    assert errand.answer.done()
+
+
+async def test_a_task_that_comes_while_paused_on_the_screen_waits(glove: Glove, hand: Any, ask: Ask) -> None:
+    glove.pause()
+    errand = ask("Thumbs up")
+    assert errand.job.wants is Wants.PAUSE
+    assert "Paused on the screen" in view_of(glove, hand.now_s)["message"]
+
+
+async def test_a_glove_silent_for_2_s_in_a_task_holds_it_until_it_is_back(
+    glove: Glove, hand: Any, ask: Ask, notebook: Any
+) -> None:
+    errand = ask("Thumbs up")
+    hand.show(None, 0.2)
+    hand.be_silent(1.9)
+    assert errand.job.wants is Wants.GO
+    hand.be_silent(0.2)
+    assert errand.job.wants is Wants.PAUSE
+    assert notebook.silent == ["glove-1"]
+    assert glove.device_state == "error"
+    assert "glove-1 is silent" in view_of(glove, hand.now_s)["message"]
+    assert view_of(glove, hand.now_s)["connected"] is False
+    hand.be_silent(60)
+    assert notebook.silent == ["glove-1"]
+    glove.rest()  # as the controller does while the Task is paused
+    hand.show("Thumbs up", 0.02)
+    assert errand.job.wants is Wants.GO
+    assert glove.device_state == "busy"
+    hand.show("Thumbs up", 1.6)
+    assert errand.answer.done()
+    assert notebook.back == ["glove-1", "glove-1"]  # its first frame ever, and its return
+
+
+async def test_a_silent_gloves_task_can_be_completed_on_the_screen(glove: Glove, hand: Any, ask: Ask) -> None:
+    errand = ask("Thumbs up")
+    hand.be_silent(3)
+    glove.complete_on_screen("Anna", hand.now_s)
+    assert errand.job.wants is Wants.GO
+    assert errand.answer.result().outputs() == {
+        "gesture": "Thumbs up",
+        "commandId": 3,
+        "heldMs": 0,
+        "by": "screen",
+        "operator": "Anna",
+    }
+
+
+async def test_a_pause_on_the_screen_outlives_the_return_of_the_glove(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    errand = ask("Thumbs up")
+    hand.be_silent(3)
+    glove.pause()
+    hand.show(None, 0.1)
+    assert errand.job.wants is Wants.PAUSE
+
+
+async def test_a_task_without_a_glove_asks_to_put_it_on_and_is_not_held(
+    glove: Glove, ask: Ask, notebook: Any
+) -> None:
+    errand = ask("Thumbs up")
+    glove.look_after(60.0, silence_s=2.0)
+    assert errand.job.wants is Wants.GO
+    assert notebook.silent == []
+    assert view_of(glove, 60.0)["message"].startswith("Put on glove-1")
+    glove.complete_on_screen("Anna", 60.0)
+    assert errand.answer.result().by == "screen"
+
+
+async def test_nothing_can_be_completed_without_a_task(glove: Glove) -> None:
+    with pytest.raises(CannotComplete, match="has no Task"):
+        glove.complete_on_screen("Anna", 1.0)
+
+
+async def test_a_task_is_completed_on_the_screen_only_once(glove: Glove, hand: Any, ask: Ask) -> None:
+    ask("Thumbs up")
+    glove.complete_on_screen("Anna", hand.now_s)
+    with pytest.raises(CannotComplete, match="has no Task"):
+        glove.complete_on_screen("Ben", hand.now_s)
+
+
+async def test_the_newest_connection_of_a_glove_wins(glove: Glove, hand: Any) -> None:
+    newer = type(hand.wire)()
+    glove.connect(newer, Hello("glove-1", "left"), hand.now_s)
+    assert hand.wire.ended == ["glove-1 has connected anew from elsewhere; only its newest connection counts"]
+    glove.disconnect(hand.wire)
+    assert glove.link is newer
+    assert glove.hand == "left"
+    glove.disconnect(newer)
+    assert not glove.connected
+
+
+async def test_a_hold_does_not_go_on_over_a_new_connection(glove: Glove, hand: Any, ask: Ask) -> None:
+    errand = ask("Thumbs up")
+    hand.show("Thumbs up", 1.4)
+    glove.connect(type(hand.wire)(), Hello("glove-1"), hand.now_s)
+    hand.show("Thumbs up", 1.4)
+    assert not errand.answer.done()
+
+
+async def test_other_thresholds_read_the_hand_at_once(glove: Glove, hand: Any) -> None:
+    hand.make("02222", 0.1)
+    glove.read_with(glove.senses.thresholds.with_changes({"thumb": {"upper": 800}}))
+    hand.make("02222", 0.1)
+    assert glove.sight.states == "12222"
+
+
+async def test_the_device_state_follows_the_work(glove: Glove, hand: Any, ask: Ask, notebook: Any) -> None:
+    hand.show(None, 0.1)
+    ask("Thumbs up")
+    glove.pause()
+    glove.resume()
+    hand.show("Thumbs up", 1.6)
+    glove.end()
+    glove.disconnect(hand.wire)
+    assert notebook.states == ["ok", "busy", "paused", "busy", "ok", "idle"]
+
+
+async def test_the_rate_is_measured(glove: Glove, hand: Any) -> None:
+    hand.show(None, 3.0, hz=50)
+    assert view_of(glove, hand.now_s)["rate_hz"] == pytest.approx(50, abs=1)
+    hand.be_silent(3)
+    assert view_of(glove, hand.now_s)["rate_hz"] == 0
+
+
+async def test_thanks_are_said_for_a_while(glove: Glove, hand: Any, ask: Ask) -> None:
+    ask("Thumbs up")
+    hand.show("Thumbs up", 1.6)
+    glove.end()
+    assert view_of(glove, hand.now_s)["message"] == "Confirmed: Thumbs up."
+    assert view_of(glove, hand.now_s + 6)["message"] == "No Task for you at the moment."

@@ -1,0 +1,332 @@
+"""Gloves on TCP: what is well said is answered, anything else is told why or dropped, and nothing stops."""
+
+import asyncio
+import resource
+import tracemalloc
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pytest
+
+from handover.errors import UsageError
+from services.gesture_controller.configuration import built_in
+from services.gesture_controller.frames import MAX_LINE_BYTES
+from services.gesture_controller.glove_server import WAITING_ROOM, GloveServer
+from services.gesture_controller.glove_store import GloveStore
+from services.gesture_controller.gloves import Gloves
+from services.gesture_controller.settings import ControllerSettings
+
+HELLO: dict[str, Any] = {"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"}
+FRAME = b'{"type":"frame","seq":1,"t":%f,"bend":[700,300,300,300,300]}\n'
+WITHIN_S = 10.0
+
+Open = Callable[..., Any]
+
+
+class Line:
+    """A TCP connection to the controller, as a glove's bridge has it."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader = reader
+        self.writer = writer
+
+    async def say(self, what: dict[str, Any] | bytes) -> None:
+        self.writer.write(what if isinstance(what, bytes) else orjson.dumps(what) + b"\n")
+        await self.writer.drain()
+
+    async def hear(self) -> dict[str, Any] | None:
+        """Return the next line, None at the end."""
+        async with asyncio.timeout(WITHIN_S):
+            line = await self.reader.readline()
+        return orjson.loads(line) if line else None
+
+    async def close(self) -> None:
+        self.writer.close()
+        try:
+            await self.writer.wait_closed()
+        except ConnectionError:
+            return  # the other side was quicker
+
+
+class Site:
+    """A glove server with its gloves, and lines to it."""
+
+    def __init__(self, settings: ControllerSettings, gloves: Gloves, server: GloveServer) -> None:
+        self.settings = settings
+        self.gloves = gloves
+        self.server = server
+        self.lines: list[Line] = []
+
+    async def connect(self, hello: dict[str, Any] | None = None) -> Line:
+        reader, writer = await asyncio.open_connection("127.0.0.1", self.settings.glove_port)
+        line = Line(reader, writer)
+        self.lines.append(line)
+        if hello is not None:
+            await line.say(hello)
+        return line
+
+    async def until(self, condition: Callable[[], object]) -> None:
+        async with asyncio.timeout(WITHIN_S):
+            while not condition():
+                await asyncio.sleep(0.005)
+
+
+OpenSite = Callable[..., Awaitable[Site]]
+
+
+@pytest.fixture
+async def open_site(tmp_path: Path, notebook: Any, free_port: Callable[[], int]) -> AsyncIterator[OpenSite]:
+    """Open a glove server; settings may be given."""
+    async with AsyncExitStack() as stack:
+
+        async def begin(**overrides: Any) -> Site:
+            settings = ControllerSettings.load(glove_port=free_port(), data_dir=tmp_path, **overrides)
+            store = GloveStore(tmp_path / "gloves")
+            gloves = Gloves(settings, built_in(), store, notebook, lambda _: None)
+            server = await stack.enter_async_context(GloveServer(settings, gloves))
+            site = Site(settings, gloves, server)
+            stack.push_async_callback(_hang_up, site)
+            return site
+
+        yield begin
+
+
+async def _hang_up(site: Site) -> None:
+    for line in site.lines:
+        await line.close()
+    await site.until(lambda: not site.server.open)
+
+
+async def test_a_hello_is_acknowledged_and_frames_are_taken(open_site: OpenSite) -> None:
+    site = await open_site()
+    line = await site.connect(HELLO)
+    assert await line.hear() == {"type": "ack", "version": 1, "glove": "glove-1"}
+    for count in range(100):
+        await line.say(FRAME % (count / 50))
+    glove = site.gloves.named("glove-1")
+    await site.until(lambda: glove.frames == 100)
+    assert glove.connected
+    assert glove.sight.gesture is None  # the thresholds shipped read 700 of a thumb as bent
+    await line.close()
+    await site.until(lambda: not glove.connected)
+
+
+async def test_a_glove_nobody_knew_is_taken_in(open_site: OpenSite) -> None:
+    site = await open_site()
+    line = await site.connect({**HELLO, "glove": "glove-7", "hand": "left"})
+    assert (await line.hear() or {})["type"] == "ack"
+    assert site.gloves.named("glove-7").hand == "left"
+
+
+async def test_frames_in_pieces_and_in_bundles_are_read_alike(open_site: OpenSite) -> None:
+    site = await open_site()
+    line = await site.connect(HELLO)
+    await line.hear()
+    glove = site.gloves.named("glove-1")
+    stream = b"".join(FRAME % (count / 50) for count in range(20))
+    for at in range(0, len(stream), 7):
+        await line.say(stream[at : at + 7])
+        await asyncio.sleep(0)
+    await site.until(lambda: glove.frames == 20)
+    await line.say(stream + stream)
+    await site.until(lambda: glove.frames == 60)
+    assert not glove.dropped
+
+
+async def test_a_half_frame_at_the_end_of_a_connection_is_no_frame(open_site: OpenSite) -> None:
+    site = await open_site()
+    line = await site.connect(HELLO)
+    await line.hear()
+    await line.say(FRAME % 1.0 + b'{"type":"frame","t":1.02,"ben')
+    glove = site.gloves.named("glove-1")
+    await site.until(lambda: glove.frames == 1)
+    await line.close()
+    await site.until(lambda: glove.link is None)
+    again = await site.connect(HELLO)
+    await again.hear()
+    await again.say(FRAME % 2.0)
+    await site.until(lambda: glove.frames == 2)
+    assert not glove.dropped
+
+
+async def test_bad_lines_are_counted_by_reason_and_good_ones_go_on(open_site: OpenSite) -> None:
+    site = await open_site()
+    line = await site.connect(HELLO)
+    await line.hear()
+    await line.say(b"garbage\n\n\r\n")
+    await line.say(b'{"type":"frame","t":1,"bend":[1,2,NaN,4,5]}\n')
+    await line.say(b'{"type":"frame","t":1,"bend":[1,2,3]}\n')
+    await line.say(b'{"type":"frame","t":1,"bend":[1,2,3,4,"5"]}\n')
+    await line.say(HELLO)
+    await line.say(FRAME % 1.0)
+    glove = site.gloves.named("glove-1")
+    await site.until(lambda: glove.frames == 1)
+    assert glove.dropped == {"not JSON": 2, "missing fingers": 1, "not a number": 1, "not a frame": 1}
+
+
+async def test_a_ten_megabyte_line_is_refused_and_does_not_grow_memory(open_site: OpenSite) -> None:
+    site = await open_site()
+    working = await site.connect({**HELLO, "glove": "working"})
+    await working.hear()
+    line = await site.connect(HELLO)
+    await line.hear()
+    megabyte = b"x" * 1_000_000
+    tracemalloc.start()
+    try:
+        for _ in range(10):
+            await line.say(megabyte)
+        answer = await line.hear()
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert answer == {
+        "type": "error",
+        "reason": "a line holds at most 65536 bytes, end each with a newline",
+        "retry": True,
+    }
+    assert peak < 5_000_000  # what the sender itself has in flight included
+    assert await line.hear() is None
+    await working.say(FRAME % 1.0)
+    await site.until(lambda: site.gloves.named("working").frames == 1)
+
+
+async def test_a_long_line_with_an_end_is_refused_too(open_site: OpenSite) -> None:
+    site = await open_site()
+    line = await site.connect(HELLO)
+    await line.hear()
+    await line.say(b"x" * (MAX_LINE_BYTES + 1) + b"\n")
+    assert (await line.hear() or {})["type"] == "error"
+
+
+async def test_a_line_of_just_the_limit_is_read(open_site: OpenSite) -> None:
+    site = await open_site()
+    line = await site.connect(HELLO)
+    await line.hear()
+    await line.say(b"x" * MAX_LINE_BYTES + b"\n" + FRAME % 1.0)
+    glove = site.gloves.named("glove-1")
+    await site.until(lambda: glove.frames == 1)
+    assert glove.dropped == {"not JSON": 1}
+
+
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [
+        (b"GET / HTTP/1.1\r\n", "not JSON; send a hello first"),
+        (FRAME % 1.0, "not a hello"),
+        (orjson.dumps({**HELLO, "sensors": ["thumb"]}) + b"\n", "index, middle, ring, little missing"),
+        (b"x" * 70_000, "at most 65536 bytes"),
+    ],
+)
+async def test_who_does_not_say_hello_is_told_why_and_let_go(
+    open_site: OpenSite, first: bytes, words: str
+) -> None:
+    site = await open_site()
+    line = await site.connect()
+    await line.say(first)
+    answer = await line.hear() or {}
+    assert answer["type"] == "error"
+    assert words in answer["reason"]
+    assert await line.hear() is None
+
+
+async def test_who_says_nothing_is_let_go(open_site: OpenSite) -> None:
+    site = await open_site(hello_timeout_s=0.05)
+    line = await site.connect()
+    assert await line.hear() == {"type": "error", "reason": "no hello within 0.05 s", "retry": True}
+    assert await line.hear() is None
+    slow_but_there = await site.connect(HELLO)
+    assert (await slow_but_there.hear() or {})["type"] == "ack"
+    await site.until(lambda: not site.server.waiting)
+    await slow_but_there.say(FRAME % 1.0)
+    await site.until(lambda: site.gloves.named("glove-1").frames == 1)
+
+
+async def test_a_wrong_token_is_refused(open_site: OpenSite) -> None:
+    site = await open_site(glove_token="open sesame")
+    for token in ("open barley", "", "open sesame ", "öffne dich"):
+        line = await site.connect({**HELLO, "token": token})
+        answer = await line.hear() or {}
+        assert answer["type"] == "error"
+        assert "the token is wrong" in answer["reason"]
+        assert answer["retry"] is False
+        assert "sesame" not in answer["reason"]
+    line = await site.connect({**HELLO, "token": "open sesame"})
+    assert (await line.hear() or {})["type"] == "ack"
+
+
+async def test_a_second_connection_of_a_glove_takes_its_place(open_site: OpenSite) -> None:
+    site = await open_site()
+    older, newer = await site.connect(HELLO), await site.connect()
+    await older.hear()
+    await newer.say(HELLO)
+    assert (await newer.hear() or {})["type"] == "ack"
+    assert "connected anew from elsewhere" in (await older.hear() or {})["reason"]
+    assert await older.hear() is None
+    await newer.say(FRAME % 1.0)
+    await site.until(lambda: site.gloves.named("glove-1").frames == 1)
+
+
+async def test_there_is_an_end_to_new_gloves_but_not_to_known_ones(open_site: OpenSite) -> None:
+    site = await open_site(max_gloves=3)
+    for name in ("a", "b"):
+        line = await site.connect({**HELLO, "glove": name})
+        assert (await line.hear() or {})["type"] == "ack"
+    refused = await site.connect({**HELLO, "glove": "c"})
+    answer = await refused.hear() or {}
+    assert "serves 3 gloves at most; raise HANDOVER_MAX_GLOVES" in answer["reason"]
+    expected = await site.connect(HELLO)
+    assert (await expected.hear() or {})["type"] == "ack"
+
+
+async def test_when_the_server_stops_gloves_are_told(open_site: OpenSite) -> None:
+    site = await open_site()
+    line = await site.connect(HELLO)
+    await line.hear()
+    await site.server.__aexit__()
+    assert "the controller stops" in (await line.hear() or {})["reason"]
+
+
+async def test_a_port_that_is_taken_is_one_line(open_site: OpenSite) -> None:
+    site = await open_site()
+    with pytest.raises(UsageError, match="set HANDOVER_GLOVE_HOST and HANDOVER_GLOVE_PORT"):
+        async with GloveServer(site.settings, site.gloves):
+            raise AssertionError("two servers on one port")
+
+
+def test_an_open_address_without_a_token_is_refused_at_once(
+    tmp_path: Path, notebook: Any, free_port: Callable[[], int]
+) -> None:
+    settings = ControllerSettings.load(glove_host="0.0.0.0", glove_port=free_port(), data_dir=tmp_path)
+    gloves = Gloves(settings, built_in(), GloveStore(tmp_path), notebook, lambda _: None)
+    with pytest.raises(UsageError, match="HANDOVER_GLOVE_TOKEN"):
+        GloveServer(settings, gloves)
+
+
+@asynccontextmanager
+async def many_files() -> AsyncIterator[None]:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (before[1], before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+async def test_two_thousand_silent_connections_keep_no_glove_from_working(open_site: OpenSite) -> None:
+    async with many_files():
+        site = await open_site(hello_timeout_s=60)
+        working = await site.connect({**HELLO, "glove": "working"})
+        await working.hear()
+        glove = site.gloves.named("working")
+        first = await site.connect()
+        for count in range(2000):
+            await site.connect()
+            await working.say(FRAME % (count / 50))
+        assert "connections wait to say hello" in (await first.hear() or {})["reason"]
+        await site.until(lambda: glove.frames == 2000)
+        assert len(site.server.waiting) <= WAITING_ROOM
+        late = await site.connect(HELLO)
+        assert (await late.hear() or {})["type"] == "ack"
+        await site.until(lambda: len(site.server.open) <= WAITING_ROOM + 2)
+        assert glove.connected

@@ -1,0 +1,36 @@
+"""Settings that could not work are refused in one line."""
+
+import pytest
+
+from handover.errors import UsageError
+from services.gesture_controller.settings import ControllerSettings
+
+
+def test_a_glove_port_open_to_others_needs_a_token() -> None:
+    for host in ("0.0.0.0", "::", "192.168.1.5", "cell-3.example.org"):
+        with pytest.raises(UsageError, match="HANDOVER_GLOVE_TOKEN is not set"):
+            ControllerSettings.load(glove_host=host).require_token_beyond_loopback()
+        with pytest.raises(UsageError, match="HANDOVER_GLOVE_TOKEN"):
+            ControllerSettings.load(glove_host=host, glove_token="").require_token_beyond_loopback()
+        ControllerSettings.load(glove_host=host, glove_token="secret").require_token_beyond_loopback()
+
+
+def test_a_glove_port_on_this_machine_needs_none() -> None:
+    for host in ("127.0.0.1", "::1", "localhost", "127.1.2.3"):
+        ControllerSettings.load(glove_host=host).require_token_beyond_loopback()
+
+
+def test_a_gesture_is_announced_before_it_counts() -> None:
+    with pytest.raises(UsageError, match=r"announce_ms \(1500\) must be less than confirm_ms \(1500\)"):
+        ControllerSettings.load(announce_ms=1500)
+
+
+def test_the_token_is_not_shown() -> None:
+    assert "hush" not in repr(ControllerSettings.load(glove_token="hush"))
+
+
+def test_the_broker_is_told_an_address_it_can_reach() -> None:
+    assert ControllerSettings.load(controller_port=5).notify_url == "http://127.0.0.1:5/notifications"
+    assert ControllerSettings.load(host="0.0.0.0", controller_port=5).notify_url.startswith("http://127.")
+    elsewhere = ControllerSettings.load(controller_url="http://gestures:54210/")
+    assert elsewhere.notify_url == "http://gestures:54210/notifications"

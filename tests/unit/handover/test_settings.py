@@ -1,0 +1,53 @@
+"""Settings: one prefix, and one readable line for a wrong one."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import Field, SecretStr
+
+from handover.errors import UsageError
+from handover.settings import Settings, origins
+
+
+class LampSettings(Settings):
+    lamp_port: int = Field(9000, description="where the lamp listens")
+    lamp_token: SecretStr = Field(SecretStr(""), description="what a lamp must say")
+
+
+def test_a_value_comes_from_the_environment_before_the_file_before_the_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / ".env").write_text("HANDOVER_FACTORY=from-file\nHANDOVER_LAMP_PORT=9001\n")
+    monkeypatch.setenv("HANDOVER_LAMP_PORT", "9002")
+    seen = {setting.name: setting for setting in origins([LampSettings])}
+    assert (seen["HANDOVER_LAMP_PORT"].value, seen["HANDOVER_LAMP_PORT"].origin) == ("9002", "environment")
+    assert (seen["HANDOVER_FACTORY"].value, seen["HANDOVER_FACTORY"].origin) == ("from-file", ".env")
+    assert seen["HANDOVER_HOST"].origin == "default"
+
+
+def test_secrets_are_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDOVER_LAMP_TOKEN", "sesame")
+    monkeypatch.setenv("HANDOVER_DATABASE_URL", "postgresql://lamp:sesame@host/name")
+    assert "sesame" not in repr(list(origins([LampSettings])))
+    assert "postgresql://lamp:********@host/name" in repr(list(origins([LampSettings])))
+
+
+def test_a_wrong_setting_is_named_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDOVER_LAMP_PORT", "ninety")
+    with pytest.raises(UsageError, match=r"^setting HANDOVER_LAMP_PORT: .*integer") as wrong:
+        LampSettings.load()
+    assert "\n" not in str(wrong.value)
+
+
+@pytest.mark.parametrize(
+    "url", ["http://broker:1026/", "http://broker:1026/ngsi-ld/v1", "http://broker:1026"]
+)
+def test_a_broker_url_is_taken_with_or_without_its_path(url: str) -> None:
+    assert Settings.load(broker_url=url).broker_url == "http://broker:1026"
+
+
+def test_a_name_becomes_an_id_of_this_factory_and_an_id_stays() -> None:
+    settings = Settings.load(factory="plant")
+    assert settings.entity_id("Device", "ur10-1") == "urn:ngsi-ld:Device:plant:ur10-1"
+    assert settings.entity_id("Device", "urn:ngsi-ld:Device:x:y") == "urn:ngsi-ld:Device:x:y"

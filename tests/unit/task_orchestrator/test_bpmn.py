@@ -1,0 +1,348 @@
+"""Reading BPMN: what a file says, and every way in which it can be wrong."""
+
+from pathlib import Path
+
+import pytest
+
+import services.task_orchestrator
+from services.gesture_controller.gestures import DEFAULT_COMMANDS
+from services.task_orchestrator.bpmn import read_bpmn
+from services.task_orchestrator.definition import BadBpmn, Definition
+from services.task_orchestrator.library import read_runnable
+from tests.unit.task_orchestrator.drawing import (
+    ONE_STEP,
+    activity,
+    boundary,
+    drawing,
+    end,
+    flow,
+    gateway,
+    parameters,
+    path,
+    start,
+    timer,
+)
+
+SHIPPED = sorted((Path(services.task_orchestrator.__file__).parent / "processes").glob("*.bpmn"))
+
+
+def faults(body: str, **more: str) -> list[str]:
+    with pytest.raises(BadBpmn) as bad:
+        read_runnable(drawing(body, **more))
+    assert bad.value.status == 422
+    listed = bad.value.body()["errors"]
+    assert [set(error) for error in listed] == [{"element", "line", "message"}] * len(listed)
+    return [str(fault) for fault in bad.value.faults]
+
+
+def test_an_activity_says_what_its_task_is() -> None:
+    inner = (
+        '<handover:involves expression="operator"/>'
+        '<handover:happensAt location="Location:bin-1" function="source"/>'
+        '<handover:parameter name="commandId" value="3"/>'
+        '<handover:parameter name="gesture" value="Thumbs up"/>'
+        '<handover:parameter name="target" expression="scan.pose"/>'
+        '<handover:output name="partFound" from="found"/>'
+    )
+    body = (
+        start() + activity("work", inner, attributes='deadline="PT5M"') + end() + path("start", "work", "end")
+    )
+    work = read_bpmn(drawing(body)).activities["work"]
+    assert work.definition == "work"
+    assert [given.value({"operator": "Device:x"}) for given in work.involves] == [
+        "Device:glove-1",
+        "Device:x",
+    ]
+    assert work.happens_at[0].function == "source"
+    assert {name: given.literal for name, given in work.parameters.items()} == {
+        "commandId": 3,
+        "gesture": "Thumbs up",
+        "target": None,
+    }
+    assert work.parameters["target"].value({"scan": {"pose": [1]}}) == [1]
+    assert work.results({"found": True, "other": 1}) == {"partFound": True}
+    assert work.deadline is not None
+    assert work.deadline.rest.total_seconds() == 300
+
+
+def test_without_named_outputs_all_of_them_go_to_a_variable_named_after_the_element() -> None:
+    body = start() + activity("scan-the.bin") + end() + path("start", "scan-the.bin", "end")
+    work = read_bpmn(drawing(body)).activities["scan-the.bin"]
+    assert work.results({"found": True}) == {"scan_the_bin": {"found": True}}
+
+
+def test_a_process_declares_its_parameters_with_defaults() -> None:
+    definition = read_bpmn(drawing(parameters(tries="3", bin="bin-1") + ONE_STEP))
+    assert definition.label == "7"
+    assert definition.arguments({"bin": "bin-2"}) == {"tries": 3, "bin": "bin-2"}
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
+def test_the_shipped_processes_can_be_deployed(file: Path) -> None:
+    definition = read_runnable(file.read_bytes())
+    assert definition.activities
+
+
+def bin_picking() -> Definition:
+    return read_runnable(next(file for file in SHIPPED if file.stem == "bin_picking").read_bytes())
+
+
+def test_bin_picking_asks_for_six_gestures_each_under_the_number_of_the_command_map() -> None:
+    asked = {
+        activity.parameters["commandId"].literal: activity.parameters["gesture"].literal
+        for activity in bin_picking().activities.values()
+        if activity.lane == "Operator"
+    }
+    assert len(asked) == 6
+    assert asked == {command: DEFAULT_COMMANDS[command] for command in asked}
+
+
+def test_bin_picking_can_be_drawn() -> None:
+    definition = bin_picking()
+    text = definition.xml.decode()
+    for node in definition.nodes:
+        assert f'bpmnElement="{node}"' in text
+    assert text.count("<bpmn:sequenceFlow ") == text.count("<bpmndi:BPMNEdge ")
+
+
+WORK = activity("work")
+
+WRONG = {
+    "no start event": (WORK + end() + path("work", "end"), "one start event, this one has none"),
+    "two start events": (
+        start() + start("again") + WORK + end() + path("start", "work", "end") + flow("again", "work"),
+        'line 1, "again": a process has one start event, this is another',
+    ),
+    "no end event": (start() + WORK + path("start", "work"), "at least one end event"),
+    "dangling flow": (ONE_STEP + flow("work", "nowhere"), 'targetRef "nowhere" is no node'),
+    "nothing leaves": (
+        start() + WORK + end() + path("start", "work"),
+        "no sequence flow leaves this userTask",
+    ),
+    "nothing leads to": (
+        ONE_STEP + activity("lonely") + flow("lonely", "end"),
+        "no sequence flow leads to this userTask",
+    ),
+    "two ways out of a task": (ONE_STEP + end("other") + flow("work", "other"), "put a gateway behind it"),
+    "unreachable ring": (ONE_STEP + activity("a") + activity("b") + path("a", "b", "a"), "cannot be reached"),
+    "no condition": (
+        start() + gateway("g") + end() + end("other") + path("start", "g", "end") + flow("g", "other", "x"),
+        'its flow "g_end" to "end" has no condition',
+    ),
+    "wrong default": (
+        start() + gateway("g", default="start_g") + end() + path("start", "g", "end"),
+        'its default flow "start_g" does not leave it',
+    ),
+    "condition behind a task": (
+        start() + WORK + end() + flow("start", "work") + flow("work", "end", "x"),
+        "only flows that leave an exclusive or inclusive gateway",
+    ),
+    "bad condition": (
+        start()
+        + gateway("g", default="g_end")
+        + end()
+        + end("o")
+        + path("start", "g", "end")
+        + flow("g", "o", "import os"),
+        "is not an expression",
+    ),
+    "hostile condition": (
+        start()
+        + gateway("g", default="g_end")
+        + end()
+        + end("o")
+        + path("start", "g", "end")
+        + flow("g", "o", "open('x')"),
+        "only these functions can be called",
+    ),
+    "no definition": (
+        start() + '<bpmn:userTask id="work"/>' + end() + path("start", "work", "end"),
+        "an activity needs <handover:task",
+    ),
+    "nobody involved": (
+        start() + '<bpmn:task id="work"><bpmn:extensionElements><handover:task definition="x"/>'
+        "</bpmn:extensionElements></bpmn:task>" + end() + path("start", "work", "end"),
+        "nobody does it",
+    ),
+    "no reference": (
+        start()
+        + activity("work", '<handover:involves resource="glove one"/>')
+        + end()
+        + path("start", "work", "end"),
+        'resource="glove one" names no entity',
+    ),
+    "bad deadline": (
+        start() + activity("work", attributes='deadline="soon"') + end() + path("start", "work", "end"),
+        "no ISO 8601 duration",
+    ),
+    "bad parameter": (
+        start()
+        + activity("work", '<handover:parameter name="x" expression="1 +"/>')
+        + end()
+        + path("start", "work", "end"),
+        "is not an expression",
+    ),
+    "parameter twice": (
+        start()
+        + activity("work", '<handover:parameter name="x" value="1"/><handover:parameter name="x" value="2"/>')
+        + end()
+        + path("start", "work", "end"),
+        'the parameter "x" is given twice',
+    ),
+    "unknown extension": (
+        start() + activity("work", '<handover:lane name="x"/>') + end() + path("start", "work", "end"),
+        "lane is unknown here",
+    ),
+    "unknown attribute": (
+        start() + activity("work", attributes='robot="x"') + end() + path("start", "work", "end"),
+        'has no attribute "robot"',
+    ),
+    "variable that is a word of the language": (
+        start() + activity("not") + end() + path("start", "not", "end"),
+        '"not" cannot be a variable',
+    ),
+    "id twice": (ONE_STEP + activity("work"), 'the id "work" is used twice'),
+    "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of letters"),
+    "call activity": (ONE_STEP + '<bpmn:callActivity id="c"/>', "callActivity is not supported yet"),
+    "sub-process": (ONE_STEP + '<bpmn:subProcess id="s"/>', "subProcess is not supported yet"),
+    "unknown element": (ONE_STEP + '<bpmn:teleport id="t"/>', "teleport is not supported yet"),
+    "loop marker": (
+        start()
+        + WORK.replace("</bpmn:userTask>", "<bpmn:standardLoopCharacteristics/></bpmn:userTask>")
+        + end()
+        + path("start", "work", "end"),
+        "standardLoopCharacteristics in a userTask is not supported",
+    ),
+    "message catch event": (
+        start()
+        + '<bpmn:intermediateCatchEvent id="m"><bpmn:messageEventDefinition/></bpmn:intermediateCatchEvent>'
+        + end()
+        + path("start", "m", "end"),
+        "intermediateCatchEvent with messageEventDefinition is not supported",
+    ),
+    "cycle timer": (
+        start() + '<bpmn:intermediateCatchEvent id="t"><bpmn:timerEventDefinition>'
+        "<bpmn:timeCycle>R3/PT1M</bpmn:timeCycle></bpmn:timerEventDefinition></bpmn:intermediateCatchEvent>"
+        + end()
+        + path("start", "t", "end"),
+        "timeCycle is not supported",
+    ),
+    "bad timer": (
+        start()
+        + f'<bpmn:intermediateCatchEvent id="t">{timer("P5X")}</bpmn:intermediateCatchEvent>'
+        + end()
+        + path("start", "t", "end"),
+        "no ISO 8601 duration",
+    ),
+    "boundary on nothing": (
+        ONE_STEP + boundary("late", "nothing", timer("PT1M")) + flow("late", "end"),
+        'attachedToRef "nothing" names no task',
+    ),
+    "error that goes on": (
+        ONE_STEP
+        + boundary("oops", "work", "<bpmn:errorEventDefinition/>", interrupting=False)
+        + flow("oops", "end"),
+        "an error boundary event interrupts",
+    ),
+    "same error twice": (
+        ONE_STEP
+        + boundary("oops", "work", "<bpmn:errorEventDefinition/>")
+        + boundary("again", "work", "<bpmn:errorEventDefinition/>")
+        + flow("oops", "end")
+        + flow("again", "end"),
+        "catches the same error",
+    ),
+    "unknown error": (
+        ONE_STEP
+        + boundary("oops", "work", '<bpmn:errorEventDefinition errorRef="no"/>')
+        + flow("oops", "end"),
+        'errorRef "no" names no bpmn:error',
+    ),
+    "script of Python": (
+        start()
+        + '<bpmn:scriptTask id="s"><bpmn:script>import os</bpmn:script></bpmn:scriptTask>'
+        + end()
+        + path("start", "s", "end"),
+        "a script has lines like",
+    ),
+    "empty script": (
+        start() + '<bpmn:scriptTask id="s"/>' + end() + path("start", "s", "end"),
+        "a scriptTask needs a script",
+    ),
+    "parallel gateway that waits for itself": (
+        start()
+        + gateway("g", "parallel")
+        + WORK
+        + end()
+        + path("start", "g", "work", "g")
+        + flow("g", "end"),
+        'its flow "work_g" only comes after the gateway itself',
+    ),
+    "too many nodes": (
+        start()
+        + "".join(activity(f"a{n}") for n in range(310))
+        + end()
+        + path("start", *(f"a{n}" for n in range(310)), "end"),
+        "at most 300 nodes",
+    ),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=str)
+def test_a_wrong_drawing_is_refused_with_element_line_and_rule(wrong: str) -> None:
+    body, reason = WRONG[wrong]
+    assert any(reason in fault for fault in faults(body)), faults(body)
+
+
+def test_all_faults_are_said_at_once_with_their_lines() -> None:
+    body = (
+        "\n" + start() + "\n" + activity("a", attributes='deadline="x"') + "\n<bpmn:callActivity id='c'/>\n"
+    )
+    said = faults(body)
+    assert len(said) >= 4
+    assert any(fault.startswith('line 3, "a"') for fault in said)
+    assert any(fault.startswith('line 4, "c"') for fault in said)
+
+
+@pytest.mark.parametrize(
+    ("xml", "reason"),
+    [
+        (b"", "not well-formed"),
+        (b"this is no XML", "not well-formed"),
+        (b"\xff\xfe\x00", "not well-formed"),
+        (b"<a/>", "the root must be bpmn:definitions"),
+        (drawing(ONE_STEP)[:-20], "not well-formed"),
+        (b" " * 1_100_000, "at most 1048576 bytes"),
+        (
+            drawing("").replace(b'isExecutable="true"', b'isExecutable="false"'),
+            "exactly one executable process",
+        ),
+        (drawing(ONE_STEP, beside='<bpmn:message id="m"/>'), "message is not supported yet"),
+        (drawing(ONE_STEP, beside='<bpmn:process id="q" isExecutable="true"/>'), "exactly one executable"),
+        (drawing(ONE_STEP, name="a b"), "needs an id"),
+    ],
+)
+def test_what_is_no_bpmn_file_is_refused(xml: bytes, reason: str) -> None:
+    with pytest.raises(BadBpmn, match=reason):
+        read_bpmn(xml)
+
+
+def test_an_xml_bomb_is_refused_at_once() -> None:
+    laughs = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
+    bomb = f'<!DOCTYPE bomb [<!ENTITY l0 "ha">{laughs}]>'.encode() + drawing(ONE_STEP.replace("work", "&l9;"))
+    with pytest.raises(BadBpmn):
+        read_bpmn(bomb)
+
+
+def test_an_external_entity_is_never_read(tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("the secret")
+    doctype = f'<!DOCTYPE x [<!ENTITY secret SYSTEM "file://{secret}">]>'.encode()
+    with pytest.raises(BadBpmn, match="DOCTYPE") as bad:
+        read_bpmn(doctype + drawing(start() + "&secret;"))
+    assert "the secret" not in str(bad.value.body())
+
+
+def test_elements_called_like_the_engines_own_do_not_disturb_it() -> None:
+    body = start("Start") + activity("Root") + end("End") + path("Start", "Root", "End")
+    assert set(read_runnable(drawing(body)).nodes) == {"Start", "Root", "End"}

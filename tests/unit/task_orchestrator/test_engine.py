@@ -1,0 +1,435 @@
+"""The engine: tokens move as the drawing says, survive a restart at every point, and never run Python."""
+
+from collections.abc import Callable, Mapping
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.task_orchestrator.engine import Plan, Run, RunFailed
+from services.task_orchestrator.library import read_runnable
+from tests.unit.task_orchestrator.drawing import (
+    NOW,
+    ONE_STEP,
+    activity,
+    boundary,
+    drawing,
+    end,
+    flow,
+    gateway,
+    path,
+    start,
+    timer,
+)
+
+ERROR = "<bpmn:errorEventDefinition{}/>"
+
+
+class Story:
+    """A run that is written down and read again after every step, as after a crash."""
+
+    def __init__(self, body: str, beside: str = "", **variables: Any) -> None:
+        self.plan = Plan(read_runnable(drawing(body, beside=beside)))
+        self.now: datetime = NOW
+        self.run = self._again(self.plan.start(variables, NOW))
+
+    def _again(self, run: Run) -> Run:
+        again = self.plan.resume(run.snapshot())
+        assert again.open() == run.open()
+        assert again.waiting() == run.waiting()
+        assert again.variables() == run.variables()
+        assert again.next_due() == run.next_due()
+        return again
+
+    @property
+    def open(self) -> list[str]:
+        return sorted(f"{each.element}-{each.visit}" for each in self.run.open())
+
+    def _token(self, name: str) -> str:
+        return next(each.token for each in self.run.open() if f"{each.element}-{each.visit}" == name)
+
+    def done(self, name: str, **results: Any) -> "Story":
+        self.run.complete(self._token(name), results, self.now)
+        self.run = self._again(self.run)
+        return self
+
+    def failed(self, name: str, code: str | None = None) -> bool:
+        caught = self.run.fail(self._token(name), {"code": code, "reason": "slipped"}, self.now)
+        self.run = self._again(self.run)
+        return caught
+
+    def after(self, **time: float) -> "Story":
+        self.now += timedelta(**time)
+        self.run.advance(self.now)
+        self.run = self._again(self.run)
+        return self
+
+
+def test_a_process_of_one_step_waits_for_it_and_ends() -> None:
+    story = Story(ONE_STEP, colour="red")
+    assert story.open == ["work-1"]
+    assert story.run.open()[0].variables == {"colour": "red"}
+    story.done("work-1", work={"grip": 3})
+    assert story.run.completed
+    assert story.run.variables() == {"colour": "red", "work": {"grip": 3}}
+
+
+CHOICE = (
+    start()
+    + activity("scan")
+    + gateway("found", default="found_stir")
+    + activity("stir")
+    + activity("pick")
+    + end()
+    + path("start", "scan", "found", "stir", "scan")
+    + flow("found", "pick", "scan.found")
+    + flow("pick", "end")
+)
+
+
+def test_a_gateway_goes_by_the_result_and_a_loop_counts_its_visits() -> None:
+    story = Story(CHOICE)
+    story.done("scan-1", scan={"found": False})
+    assert story.open == ["stir-1"]
+    story.done("stir-1").done("scan-2", scan={"found": True})
+    assert story.open == ["pick-1"]
+    story.done("pick-1")
+    assert story.run.completed
+
+
+def test_a_loop_costs_the_same_however_often_it_is_walked() -> None:
+    story = Story(CHOICE)
+    sizes = []
+    for visit in range(1, 400):
+        story.done(f"scan-{visit}", scan={"found": False}).done(f"stir-{visit}")
+        sizes.append(len(story.run.snapshot()))
+    assert max(sizes[100:]) <= max(sizes[:100]) + 200
+    story.done("scan-400", scan={"found": True}).done("pick-1")
+    assert story.run.completed
+
+
+def test_a_gateway_without_a_way_out_fails_by_name() -> None:
+    body = (
+        start()
+        + gateway("g")
+        + end()
+        + end("other")
+        + flow("start", "g")
+        + flow("g", "end", "x == 1")
+        + flow("g", "other", "x == 2")
+    )
+    with pytest.raises(RunFailed, match='"g"'):
+        Story(body, x=3)
+
+
+def test_a_condition_on_a_missing_variable_fails_by_name() -> None:
+    with pytest.raises(RunFailed, match=r'at "found".*there is no "found"'):
+        Story(CHOICE).done("scan-1", scan={})
+
+
+PARALLEL = (
+    start()
+    + gateway("fork", "parallel")
+    + activity("left")
+    + activity("right")
+    + activity("middle")
+    + gateway("join", "parallel")
+    + activity("after")
+    + end()
+    + flow("start", "fork")
+    + "".join(flow("fork", way) + flow(way, "join") for way in ("left", "right", "middle"))
+    + path("join", "after", "end")
+)
+
+
+@pytest.mark.parametrize(
+    "order", [("left", "right", "middle"), ("middle", "right", "left"), ("right", "left", "middle")]
+)
+def test_parallel_ways_are_open_together_and_join_once(order: tuple[str, ...]) -> None:
+    story = Story(PARALLEL)
+    assert story.open == ["left-1", "middle-1", "right-1"]
+    for way in order:
+        assert "after-1" not in story.open
+        story.done(f"{way}-1", **{way: 1})
+    assert story.open == ["after-1"]
+    story.done("after-1")
+    assert story.run.completed
+    assert story.run.variables() == {"left": 1, "middle": 1, "right": 1}
+
+
+def test_parallel_ways_in_a_loop_join_every_time() -> None:
+    body = PARALLEL.replace(flow("start", "fork"), path("start", "merge", "fork")).replace(
+        path("join", "after", "end"), path("join", "after", "more")
+    )
+    body += gateway("merge") + gateway("more", default="more_merge")
+    story = Story(body + flow("more", "merge") + flow("more", "end", "after.stop"))
+    for round_ in range(1, 30):
+        for way in ("right", "middle", "left"):
+            story.done(f"{way}-{round_}")
+        story.done(f"after-{round_}", after={"stop": round_ == 29})
+    assert story.run.completed
+
+
+def test_an_inclusive_gateway_takes_every_way_whose_condition_holds() -> None:
+    body = (
+        start()
+        + gateway("g", "inclusive", default="g_none")
+        + activity("a")
+        + activity("b")
+        + activity("none")
+        + gateway("j", "inclusive")
+        + end()
+        + flow("start", "g")
+        + flow("g", "a", "x &gt; 1")
+        + flow("g", "b", "x &gt; 2")
+        + flow("g", "none")
+        + flow("a", "j")
+        + flow("b", "j")
+        + flow("none", "j")
+        + flow("j", "end")
+    )
+    both = Story(body, x=3)
+    assert both.open == ["a-1", "b-1"]
+    assert not both.done("a-1").run.completed
+    assert both.done("b-1").run.completed
+    assert Story(body, x=2).open == ["a-1"]
+    assert Story(body, x=0).open == ["none-1"]
+
+
+CAUGHT = ONE_STEP + boundary("any", "work", ERROR.format("")) + activity("help") + path("any", "help", "work")
+
+
+def test_a_failed_activity_goes_to_its_error_boundary_event() -> None:
+    story = Story(CAUGHT)
+    assert story.failed("work-1")
+    assert story.open == ["help-1"]
+    assert story.run.variables()["error"] == {"code": None, "reason": "slipped"}
+    story.done("help-1")
+    assert story.open == ["work-2"]
+    assert story.done("work-2").run.completed
+
+
+def test_an_error_code_chooses_its_boundary_event_and_the_one_without_takes_the_rest() -> None:
+    body = (
+        CAUGHT
+        + boundary("jam", "work", ERROR.format(' errorRef="e"'))
+        + activity("clear")
+        + path("jam", "clear", "end")
+    )
+    beside = '<bpmn:error id="e" errorCode="JAM"/>'
+    story = Story(body, beside)
+    assert story.failed("work-1", "JAM")
+    assert story.open == ["clear-1"]
+    other = Story(body, beside)
+    assert other.failed("work-1", "OTHER")
+    assert other.open == ["help-1"]
+
+
+def test_a_failed_activity_that_nobody_catches_is_said_to_be_so() -> None:
+    body = ONE_STEP + boundary("jam", "work", ERROR.format(' errorRef="e"')) + flow("jam", "end")
+    story = Story(body, '<bpmn:error id="e" errorCode="JAM"/>')
+    assert not story.failed("work-1", "OTHER")
+    assert story.open == ["work-1"]
+
+
+def test_an_error_end_event_fails_the_process() -> None:
+    body = start() + activity("work") + end("bad", ERROR.format("")) + path("start", "work", "bad")
+    with pytest.raises(RunFailed, match='error end event "bad"'):
+        Story(body).done("work-1")
+
+
+def test_a_terminate_end_event_ends_every_way() -> None:
+    body = (
+        start()
+        + gateway("fork", "parallel")
+        + activity("a")
+        + activity("b")
+        + end()
+        + end("stop", "<bpmn:terminateEventDefinition/>")
+        + flow("start", "fork")
+        + flow("fork", "a")
+        + flow("fork", "b")
+        + flow("a", "stop")
+        + flow("b", "end")
+    )
+    story = Story(body).done("a-1")
+    assert story.run.completed
+    assert story.open == []
+
+
+def catch(name: str, text: str) -> str:
+    return f'<bpmn:intermediateCatchEvent id="{name}">{timer(text)}</bpmn:intermediateCatchEvent>'
+
+
+@pytest.mark.parametrize("text", ["PT90S", "2026-05-04T08:01:30Z", "pause", "'PT' + seconds + 'S'"])
+def test_a_timer_waits_by_the_clock_it_is_told(text: str) -> None:
+    body = start() + catch("wait", text) + activity("work") + end() + path("start", "wait", "work", "end")
+    story = Story(body, pause="PT90S", seconds="90")
+    assert story.run.next_due() == NOW + timedelta(seconds=90)
+    assert story.run.waiting() == ("wait",)
+    assert story.after(seconds=89).open == []
+    assert story.after(seconds=1).open == ["work-1"]
+    assert story.run.next_due() is None
+
+
+def test_a_timer_in_a_loop_starts_anew_each_time() -> None:
+    body = start() + catch("wait", "PT10S") + activity("work") + gateway("g", default="g_wait") + end()
+    story = Story(body + path("start", "wait", "work", "g", "wait") + flow("g", "end", "work.stop"))
+    for visit in (1, 2, 3):
+        assert story.run.next_due() == story.now + timedelta(seconds=10)
+        story.after(seconds=10).done(f"work-{visit}", work={"stop": False})
+
+
+def test_a_timer_that_is_no_time_fails_by_name() -> None:
+    body = start() + catch("wait", "pause") + end() + path("start", "wait", "end")
+    with pytest.raises(RunFailed):
+        Story(body, pause=90)
+
+
+LATE = ONE_STEP + activity("remind") + end("reminded") + path("late", "remind", "reminded")
+
+
+def test_an_interrupting_timer_takes_the_activity_away() -> None:
+    story = Story(LATE + boundary("late", "work", timer("PT1M"))).after(seconds=60)
+    assert story.open == ["remind-1"]
+    assert story.done("remind-1").run.completed
+
+
+def test_a_non_interrupting_timer_leaves_the_activity_open() -> None:
+    story = Story(LATE + boundary("late", "work", timer("PT1M"), interrupting=False)).after(seconds=60)
+    assert story.open == ["remind-1", "work-1"]
+    story.done("work-1")
+    assert story.open == ["remind-1"]
+    assert story.done("remind-1").run.completed
+
+
+def test_an_activity_done_in_time_stops_its_timer() -> None:
+    story = Story(LATE + boundary("late", "work", timer("PT1M"))).done("work-1")
+    assert story.run.completed
+    assert story.run.next_due() is None
+
+
+def script(text: str) -> str:
+    return f'<bpmn:scriptTask id="count"><bpmn:script>{text}</bpmn:script></bpmn:scriptTask>'
+
+
+def test_a_script_sets_variables_in_our_language() -> None:
+    body = start() + script("tries = tries + 1\ntwice = tries * 2") + end() + path("start", "count", "end")
+    assert Story(body, tries=1).run.variables() == {"tries": 2, "twice": 4}
+
+
+def test_a_loop_that_never_waits_is_stopped() -> None:
+    body = (
+        start()
+        + script("n = n + 1")
+        + gateway("g", default="g_count")
+        + end()
+        + path("start", "count", "g", "count")
+    )
+    with pytest.raises(RunFailed, match="without waiting"):
+        Story(body + flow("g", "end", "n &lt; 0"), n=0)
+
+
+def test_a_value_that_doubles_in_a_loop_is_stopped() -> None:
+    story = Story(
+        start()
+        + script("n = [n, n]")
+        + gateway("g", default="g_work")
+        + activity("work")
+        + end()
+        + path("start", "count", "g", "work", "count")
+        + flow("g", "end", "false"),
+        n=1,
+    )
+    with pytest.raises(RunFailed, match="holds at most"):
+        _walk(story, "work", times=100)
+
+
+def _walk(story: Story, name: str, times: int) -> None:
+    for visit in range(1, times):
+        story.done(f"{name}-{visit}")
+
+
+HOSTILE = "__import__('pathlib').Path('{}').touch()"
+
+
+@pytest.fixture
+def forbidden_builtins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python's evaluators raise while the engine runs."""
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise AssertionError("Python was evaluated")
+
+    monkeypatch.setattr("SpiffWorkflow.bpmn.script_engine.python_environment.eval", refuse, raising=False)
+    monkeypatch.setattr("SpiffWorkflow.bpmn.script_engine.python_environment.exec", refuse, raising=False)
+
+
+@pytest.mark.usefixtures("forbidden_builtins")
+def test_no_python_is_evaluated_for_gateways_timers_scripts_and_parameters() -> None:
+    body = (
+        start()
+        + script("tries = 1")
+        + gateway("g", default="g_end")
+        + catch("wait", "pause")
+        + activity("work", '<handover:parameter name="x" expression="tries"/>')
+        + boundary("late", "work", timer("pause"))
+        + end()
+        + path("start", "count", "g", "end")
+        + flow("g", "wait", "tries == 1")
+        + path("wait", "work", "end")
+        + flow("late", "end")
+    )
+    story = Story(body, pause="PT1S").after(seconds=1)
+    assert story.open == ["work-1"]
+    assert story.after(seconds=1).run.completed
+
+
+@pytest.mark.parametrize(
+    "unchecked",
+    [
+        lambda text: start() + script(text) + end() + path("start", "count", "end"),
+        lambda text: start() + catch("wait", text) + end() + path("start", "wait", "end"),
+        lambda text: (
+            start()
+            + gateway("g", default="g_end")
+            + end()
+            + end("o")
+            + path("start", "g", "end")
+            + flow("g", "o", text)
+        ),
+    ],
+    ids=["script", "timer", "gateway"],
+)
+def test_python_that_got_past_the_reading_is_refused_when_it_is_reached(
+    unchecked: Callable[[str], str], tmp_path: Path
+) -> None:
+    """Even a definition that was tampered with after deployment runs no Python."""
+    spoor = tmp_path / "touched"
+    harmless = {"script": "x = 1", "timer": "x", "gateway": "x"}
+    for text in harmless.values():
+        try:
+            definition = read_runnable(drawing(unchecked(text)))
+        except Exception:  # noqa: BLE001 - the other kinds of text do not fit this place
+            continue
+        tampered = object.__new__(type(definition))
+        for name in definition.__dataclass_fields__:
+            value: Mapping[str, Any] | bytes = getattr(definition, name)
+            object.__setattr__(tampered, name, value)
+        object.__setattr__(tampered, "xml", drawing(unchecked(HOSTILE.format(spoor))))
+        with pytest.raises(RunFailed):
+            Plan(tampered).start({"x": True}, NOW)
+    assert not spoor.exists()
+
+
+def test_results_that_look_like_the_engines_own_records_stay_plain_data() -> None:
+    odd = {"typename": "BpmnWorkflow", "id": "x", "data": {"typename": "UUID", "value": "no"}}
+    story = Story(ONE_STEP.replace(flow("work", "end"), "") + activity("more") + path("work", "more", "end"))
+    story.done("work-1", work=odd)
+    assert story.run.open()[0].variables["work"] == odd
+
+
+def test_variables_beyond_measure_fail_the_run() -> None:
+    story = Story(ONE_STEP.replace(flow("work", "end"), "") + activity("more") + path("work", "more", "end"))
+    with pytest.raises(RunFailed, match="bytes"):
+        story.done("work-1", work={"much": "x" * 5_000_000})

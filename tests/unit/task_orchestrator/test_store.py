@@ -1,0 +1,169 @@
+"""The store: a step is written whole or not at all, on SQLite and on PostgreSQL."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import text
+
+from datamodels.entities import TaskStatus
+from handover.database import connect
+from handover.errors import UsageError
+from services.task_orchestrator.records import (
+    DefinitionRecord,
+    Move,
+    ProcessRecord,
+    Saying,
+    Step,
+    TaskRecord,
+    Timer,
+    TimerKind,
+)
+from services.task_orchestrator.store import Conflict, Store
+from tests.postgres import postgres_server
+from tests.unit.task_orchestrator.drawing import NOW
+
+ODD: dict[str, Any] = {"text": "größer \u0000 'quoted'", "list": [1, None, {"deep": True}]}
+
+
+@pytest.fixture(scope="module")
+def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
+        yield url
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    url = f"sqlite:///{tmp_path / 'orchestrator.db'}"
+    if request.param == "postgresql":
+        url = request.getfixturevalue("postgres")
+        engine = connect(url)
+        with engine.begin() as connection:
+            connection.execute(text("DROP SCHEMA public CASCADE"))
+            connection.execute(text("CREATE SCHEMA public"))
+        engine.dispose()
+    store = Store(connect(url))
+    store.migrate()
+    yield store
+    store.close()
+
+
+PROCESS = ProcessRecord(
+    id="p-1",
+    definition="p",
+    version=1,
+    key="order 7",
+    status=TaskStatus.IN_PROGRESS,
+    parameters=ODD,
+    variables=ODD,
+    waiting=("work",),
+    reason=None,
+    started_at=NOW,
+    ended_at=None,
+    revision=1,
+    state=b"\x00\xff",
+)
+TASK = TaskRecord(
+    id="urn:ngsi-ld:Task:demo:p-1-work-1",
+    process="p-1",
+    element="work",
+    visit=1,
+    token="t",
+    status=TaskStatus.PENDING,
+    observed_at=NOW,
+    moves=0,
+    created_at=NOW,
+    deadline=NOW + timedelta(minutes=5),
+    entity=ODD,
+)
+
+
+def first_step() -> Step:
+    step = Step(1, processes={"p-1": PROCESS}, tasks={TASK.id: TASK}, new={"p-1", TASK.id})
+    step.timers["p-1"] = (Timer(TimerKind.DEADLINE, TASK.id, TASK.deadline),)
+    step.definitions.append(DefinitionRecord("p", 1, "d", "Title", None, b"<xml/>", NOW))
+    step.say("p-1", Saying.CREATE, TASK.id, ODD)
+    return step
+
+
+def test_what_was_written_is_read_as_it_was(store: Store) -> None:
+    step = first_step()
+    store.write(step)
+    assert store.unfinished() == [PROCESS]
+    assert store.processes(ids=["p-1"]) == [PROCESS]
+    assert store.processes(status="completed") == []
+    assert store.by_key("order 7") == PROCESS
+    assert store.tasks("p-1") == [TASK]
+    assert store.definitions() == step.definitions
+    assert store.outbox() == step.messages
+    assert store.timers() == step.timers
+
+
+def test_a_later_step_replaces_and_strikes_off(store: Store) -> None:
+    store.write(first_step())
+    done = TASK.changed(status=TaskStatus.COMPLETED, ended_at=NOW, moves=1, outputs=ODD)
+    over = replace(PROCESS, status=TaskStatus.COMPLETED, ended_at=NOW, state=None, revision=2, waiting=())
+    step = Step(2, processes={"p-1": over}, tasks={TASK.id: done}, delivered=[1])
+    step.moves.append(Move(TASK.id, 1, TaskStatus.COMPLETED, None, NOW))
+    step.timers["p-1"] = ()
+    store.write(step)
+    assert store.unfinished() == []
+    assert store.tasks("p-1") == [done]
+    assert store.moves("p-1") == step.moves
+    assert store.outbox() == []
+    assert store.timers() == {}
+
+
+def test_an_ended_process_with_a_task_that_has_not_is_not_over(store: Store) -> None:
+    step = first_step()
+    step.processes["p-1"] = replace(PROCESS, ended_at=NOW, state=None)
+    store.write(step)
+    assert [process.id for process in store.unfinished()] == ["p-1"]
+
+
+@pytest.mark.parametrize("broken", ["news taken in twice", "moved by somebody else", "key taken"])
+def test_a_step_that_cannot_be_written_leaves_nothing_behind(store: Store, broken: str) -> None:
+    store.write(first_step())
+    step = Step(2, processes={"p-1": replace(PROCESS, revision=2)}, tasks={TASK.id: TASK.changed(moves=1)})
+    step.say("p-1", Saying.CLEAR, "x", {})
+    step.moves.append(Move(TASK.id, 1, TaskStatus.ASSIGNED, NOW, NOW))
+    if broken == "news taken in twice":
+        step.moves *= 2
+    elif broken == "moved by somebody else":
+        step.processes["p-1"] = replace(PROCESS, revision=3)
+    else:
+        step.processes["p-2"] = replace(PROCESS, id="p-2")
+        step.new.add("p-2")
+    with pytest.raises(Exception, match=r"UNIQUE|unique|another orchestrator|there already"):
+        store.write(step)
+    assert store.processes(ids=["p-1", "p-2"]) == [PROCESS]
+    assert store.tasks("p-1") == [TASK]
+    assert store.moves("p-1") == []
+    assert [message.seq for message in store.outbox()] == [1]
+
+
+def test_two_orchestrators_cannot_both_move_a_process(store: Store) -> None:
+    store.write(first_step())
+    store.write(Step(2, processes={"p-1": replace(PROCESS, revision=2)}))
+    with pytest.raises(Conflict, match="another orchestrator"):
+        store.write(Step(2, processes={"p-1": replace(PROCESS, revision=2)}))
+
+
+def test_migrating_again_changes_nothing(store: Store) -> None:
+    store.write(first_step())
+    store.migrate()
+    assert store.unfinished() == [PROCESS]
+
+
+def test_a_database_of_a_later_release_is_refused_in_one_line(tmp_path: Path) -> None:
+    engine = connect(f"sqlite:///{tmp_path / 'later.db'}")
+    store = Store(engine)
+    store.migrate()
+    with engine.begin() as connection:
+        connection.execute(text("UPDATE orchestrator_schema SET version = 99"))
+    with pytest.raises(UsageError, match="99"):
+        store.migrate()
+    store.close()

@@ -1,0 +1,91 @@
+"""The controller's judgement, with a broker that is not there: nothing here depends on an answer of it."""
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prometheus_client import REGISTRY
+
+from datamodels.entities import DeviceState, Task
+from handover.broker import BrokerClient
+from handover.performer import Job, TaskFailed
+from services.trajectory_tool.controller import Controller
+from services.trajectory_tool.settings import TrajectorySettings
+
+
+@pytest.fixture
+async def controller(tmp_path: Path, free_port: Any) -> AsyncIterator[Controller]:
+    settings = TrajectorySettings.load(
+        data_dir=tmp_path, broker_url=f"http://127.0.0.1:{free_port()}", robot_speed=1.0
+    )
+    async with BrokerClient(settings) as broker:
+        made = Controller(settings, broker)
+        async with made.cell:
+            yield made
+
+
+def a_job(controller: Controller, definition: str = "home", **parameters: Any) -> Job:
+    task = Task.from_ngsild(
+        {
+            "id": "urn:ngsi-ld:Task:demo:t",
+            "type": "Task",
+            "isDefinedBy": f"urn:ngsi-ld:TaskDefinition:demo:{definition}",
+            "status": "inProgress",
+            "workParameters": {"type": "Property", "value": parameters},
+        }
+    )
+    return Job(task, controller.device.id, controller.broker)
+
+
+def counted(operation: str, outcome: str) -> float:
+    labels = {"operation": operation, "outcome": outcome}
+    return REGISTRY.get_sample_value("handover_trajectory_tool_tasks_total", labels) or 0.0
+
+
+async def test_the_task_definition_names_the_operation(controller: Controller) -> None:
+    before = counted("home", "completed")
+    result = await controller.perform(a_job(controller, "home"))
+    assert result["progress"] == 1.0
+    assert result["durationS"] >= 0
+    assert counted("home", "completed") == before + 1
+    assert controller.work is None
+
+
+async def test_the_operation_in_the_parameters_comes_first(controller: Controller) -> None:
+    assert "found" in await controller.perform(a_job(controller, "home", operation="scan", bin="bin-1"))
+
+
+async def test_unknown_operations_are_counted_together(controller: Controller) -> None:
+    before = counted("unknown", "failed")
+    with pytest.raises(TaskFailed, match="dance"):
+        await controller.perform(a_job(controller, operation="dance"))
+    assert counted("unknown", "failed") == before + 1
+    assert controller.device.state is DeviceState.IDLE
+
+
+async def test_a_fault_of_the_robot_fails_the_task_and_shows_on_the_device(controller: Controller) -> None:
+    async with controller.cell.robot:
+        pass  # somebody has switched it off
+    with pytest.raises(TaskFailed, match="the robot cannot move: the robot is switched off"):
+        await controller.perform(a_job(controller))
+    assert controller.device.state is DeviceState.ERROR
+
+
+async def test_a_disk_that_cannot_be_written_fails_the_task_in_plain_words(controller: Controller) -> None:
+    in_the_way = controller.cell.file.path.with_suffix(".new")
+    in_the_way.mkdir(parents=True)
+    with pytest.raises(TaskFailed, match=r"cannot be kept in .*ur10-1\.json: .*HANDOVER_DATA_DIR"):
+        await controller.perform(a_job(controller))
+    assert controller.device.state is DeviceState.IDLE
+    in_the_way.rmdir()
+    await controller.perform(a_job(controller))
+
+
+async def test_what_the_robot_stands_like_is_remembered_when_it_is_switched_off(tmp_path: Path) -> None:
+    settings = TrajectorySettings.load(data_dir=tmp_path)
+    async with BrokerClient(settings) as broker:
+        controller = Controller(settings, broker)
+        async with controller.cell as cell:
+            await cell.robot.move((0.1, -1.5, 1.5, -1.5, -1.5, 0.1), 1.0, lambda: True)
+        assert Controller(settings, broker).cell.joints == (0.1, -1.5, 1.5, -1.5, -1.5, 0.1)

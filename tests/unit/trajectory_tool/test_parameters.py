@@ -1,0 +1,66 @@
+import math
+from typing import Any
+
+import pytest
+
+from handover.performer import TaskFailed
+from services.trajectory_tool import operations, parameters
+
+
+def read(operation: str, /, **given: Any) -> Any:
+    return parameters.read(operations.known(operation).parameters, operation, given)
+
+
+@pytest.mark.parametrize(
+    ("operation", "given", "complaint"),
+    [
+        ("moveTo", {"joints": [0, 0, 0]}, r'parameter "joints" of moveTo: .*at least 6'),
+        ("moveTo", {"joints": [0] * 7}, r'parameter "joints" of moveTo: .*at most 6'),
+        ("moveTo", {"joints": [0, 0, 0, 0, 0, math.nan]}, r'"joints\.5" of moveTo: .*finite'),
+        ("moveTo", {"joints": [0, 0, 0, 0, 0, "1"]}, r'"joints\.5" of moveTo: must be a number'),
+        ("moveTo", {"joints": [0, 0, 0, 0, 0, True]}, r'"joints\.5" of moveTo: must be a number'),
+        ("moveTo", {}, r'moveTo needs either "joints" .* or "pose"'),
+        ("moveTo", {"joints": [0] * 6, "pose": {"position": [0, 0, 1]}}, "and not both"),
+        ("moveTo", {"pose": {"position": [0, 1]}}, r'"pose\.position'),
+        ("moveTo", {"pose": {"position": [0, 0, 1], "orientation": [1, 1, 0, 0]}}, "of length 1; .* 1.414"),
+        ("moveTo", {"joints": [0] * 6, "speed": 1.5}, r'"speed" of moveTo: .*less than or equal to 1'),
+        ("home", {"speed": 0}, r'"speed" of home: .*greater than or equal to 0\.01'),
+        ("home", {"speeed": 0.5}, r'home knows no parameter "speeed"; it knows speed'),
+        ("scan", {}, r'"bin" of scan: field required'),
+        ("scan", {"bin": 7}, r'"bin" of scan'),
+        ("place", {}, r'place needs either "location"'),
+    ],
+)
+def test_a_wrong_parameter_is_named_with_its_rule(
+    operation: str, given: dict[str, Any], complaint: str
+) -> None:
+    with pytest.raises(TaskFailed, match=complaint):
+        read(operation, **given)
+
+
+def test_every_fault_is_told_at_once() -> None:
+    with pytest.raises(TaskFailed, match=r'"speed".*; .*"joints"') as told:
+        read("moveTo", joints=[1], speed=7)
+    assert "\n" not in str(told.value)
+
+
+def test_an_unknown_operation_is_told_the_known_ones() -> None:
+    with pytest.raises(TaskFailed, match=r'no operation "dance".*moveTo, scan, pick, place, home'):
+        operations.known("dance")
+
+
+def test_a_urn_names_a_bin_by_its_last_part() -> None:
+    assert read("scan", bin="urn:ngsi-ld:Location:demo:bin-1").bin == "bin-1"
+
+
+def test_what_describes_the_work_is_no_parameter_of_it() -> None:
+    assert read("home", operation="home", description="Go home").speed == 1.0
+
+
+def test_a_pose_without_orientation_points_down() -> None:
+    assert read("moveTo", pose={"position": [0.5, 0.5, 0.5]}).pose.orientation == parameters.DOWN
+
+
+def test_a_quaternion_that_was_rounded_is_made_a_unit_again() -> None:
+    given = read("moveTo", pose={"position": [0.5, 0.5, 0.5], "orientation": [0.707, 0.707, 0, 0]})
+    assert math.hypot(*given.pose.orientation) == pytest.approx(1.0, abs=1e-12)
