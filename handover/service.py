@@ -5,10 +5,8 @@
 every error. `run` serves it until SIGTERM or Ctrl-C.
 """
 
-import errno
 import os
 import signal
-import socket
 import sys
 import threading
 from collections.abc import Awaitable, Callable, Mapping
@@ -25,6 +23,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Lifespan, Message, Receive, Scope, Send
 
 from handover.errors import Problem, UsageError
+from handover.ports import require_free
 from handover.settings import PREFIX, Settings
 from handover.telemetry import get_logger, set_up_logging
 
@@ -122,24 +121,6 @@ async def _on_unexpected(request: Request, error: Exception) -> Response:
     )
 
 
-def require_free(host: str, port: int, setting: str) -> None:
-    """Raise `UsageError` in one line when `port` cannot be listened on; `setting` names the way out."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            reason = (
-                "is taken by another program"
-                if error.errno == errno.EADDRINUSE
-                else f"cannot be used ({error.strerror})"
-            )
-            raise UsageError(
-                f"port {port} on {host} {reason}; stop that program or set {setting} to another port"
-            ) from None
-
-
 KEEP_ALIVE_S = 75
 """Longer than clients keep idle connections (httpx: 5 s), so that they never write to one that is closing."""
 
@@ -175,8 +156,8 @@ def serve(
 ) -> None:
     """Serve what `make_app` makes on `port` until told to stop; exits as `run` does."""
     try:
-        require_free(settings.host, port, port_setting)
         set_up_logging(settings, service)
+        require_free(settings.host, port, port_setting, say=log.warning)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         application = _SaysWhy(make_app())
     except (UsageError, OSError) as error:

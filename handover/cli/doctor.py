@@ -11,7 +11,7 @@ from pathlib import Path
 from handover.cli.launcher import make_room
 from handover.cli.services import SERVICES
 from handover.errors import UsageError
-from handover.service import require_free
+from handover.ports import hold
 from handover.settings import Settings
 
 OPTIONAL_PROGRAMS = {
@@ -33,7 +33,7 @@ class Finding:
 
 def examine(settings: Settings) -> list[Finding]:
     """Look at the machine and return every finding."""
-    return [*_python(), *_disk(settings), *_ports(settings), *_serial(), *_programs()]
+    return [*_python(), *_disk(settings), *_ports(), *_serial(), *_programs()]
 
 
 def _python() -> Iterator[Finding]:
@@ -55,14 +55,15 @@ def _disk(settings: Settings) -> Iterator[Finding]:
         yield Finding("data directory", True, f"{settings.data_dir.absolute()}, {free_gib:.0f} GiB free")
 
 
-def _ports(settings: Settings) -> Iterator[Finding]:
+def _ports() -> Iterator[Finding]:
     for service in SERVICES:
-        try:
-            require_free(settings.host, service.port(), service.port_setting)
-        except UsageError as error:
-            yield Finding(service.name, False, f"{error} (or it is running already)", needed=False)
-        else:
-            yield Finding(service.name, True, f"port {service.port()} is free")
+        for host, port, setting in service.listens():
+            try:
+                hold(host, port, setting).close()
+            except UsageError as error:
+                yield Finding(service.name, False, f"{error} (or it is running already)", needed=False)
+            else:
+                yield Finding(service.name, True, f"port {port} is free")
 
 
 def _serial() -> Iterator[Finding]:

@@ -20,7 +20,8 @@ import httpx
 
 from handover.cli.services import Service
 from handover.errors import UsageError
-from handover.service import LIFELINE, require_free
+from handover.ports import held
+from handover.service import LIFELINE
 from handover.settings import Settings
 
 READY_WITHIN_S = 30.0
@@ -63,13 +64,13 @@ class Launcher:
         self._say = say
         self._running: list[Running] = []
         self._watchers: list[asyncio.Task[None]] = []
+        self._ports = contextlib.ExitStack()
         self._stopping = False
 
     async def __aenter__(self) -> Self:
         make_room(self._data_dir)
-        for service in self._services:
-            require_free(self._settings.host, service.port(), service.port_setting)
         try:
+            await self._hold_ports()
             for service in self._services:
                 await self.add(service.name, [sys.executable, "-m", service.module], service.url())
             await self._all_ready()
@@ -111,6 +112,13 @@ class Launcher:
                 with contextlib.suppress(ProcessLookupError):
                     process.kill()
         await asyncio.gather(*waits)
+        self._ports.close()
+
+    async def _hold_ports(self) -> None:
+        """Keep the services' ports theirs: no connection gets one, not even while its service is down."""
+        for service in self._services:
+            for host, port, setting in service.listens():
+                self._ports.enter_context(await held(host, port, setting, say=self._say))
 
     async def _start(self, running: Running) -> None:
         running.log.parent.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,6 @@
 """The services of a cell, as the command line knows them: name, module and port."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from handover.errors import UsageError
@@ -12,12 +13,14 @@ from services.trajectory_tool.settings import TrajectorySettings
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """One service; `port_field` is the setting that says where it listens."""
+    """One service; `port_field` is the setting that says where it answers HTTP."""
 
     name: str
     module: str
     settings: type[Settings]
     port_field: str
+    also_listens: tuple[tuple[str, str], ...] = ()
+    """More places where it listens: the settings that say the host and the port."""
 
     @property
     def port_setting(self) -> str:
@@ -28,6 +31,13 @@ class Service:
         """Return the port it listens on."""
         return int(getattr(self.settings.load(), self.port_field))
 
+    def listens(self) -> Iterator[tuple[str, int, str]]:
+        """Yield every host and port it listens on, with the environment variable that sets the port."""
+        loaded = self.settings.load()
+        for host_field, port_field in (("host", self.port_field), *self.also_listens):
+            host, port = getattr(loaded, host_field), getattr(loaded, port_field)
+            yield str(host), int(port), f"HANDOVER_{port_field.upper()}"
+
     def url(self) -> str:
         """Return where it answers on this machine."""
         return self.settings.load().url_of(self.port())
@@ -36,7 +46,13 @@ class Service:
 SERVICES = (
     Service("context-broker", "services.context_broker", BrokerSettings, "broker_port"),
     Service("task-orchestrator", "services.task_orchestrator", OrchestratorSettings, "orchestrator_port"),
-    Service("gesture-controller", "services.gesture_controller", ControllerSettings, "controller_port"),
+    Service(
+        "gesture-controller",
+        "services.gesture_controller",
+        ControllerSettings,
+        "controller_port",
+        (("glove_host", "glove_port"),),
+    ),
     Service("trajectory-tool", "services.trajectory_tool", TrajectorySettings, "trajectory_port"),
 )
 

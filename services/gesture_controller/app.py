@@ -11,7 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
-from handover.service import create_app, require_free
+from handover.ports import require_free
+from handover.service import create_app
+from handover.telemetry import get_logger
 from services.gesture_controller import configuration
 from services.gesture_controller.controller import Controller
 from services.gesture_controller.glove import CannotComplete, Glove
@@ -19,6 +21,8 @@ from services.gesture_controller.glove_server import GloveServer
 from services.gesture_controller.live import follow, frames_of
 from services.gesture_controller.settings import ControllerSettings
 from services.gesture_controller.view import view_of
+
+log = get_logger(__name__)
 
 GloveView = dict[str, Any]
 Frames = Annotated[list[list[FiniteFloat]], Field(max_length=20_000)]
@@ -58,7 +62,7 @@ class Completion(_Body):
 def make_app(settings: ControllerSettings) -> FastAPI:
     """Return the application; raises `UsageError` when it could not work as it is set."""
     settings.require_token_beyond_loopback()
-    require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT")
+    require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT", say=log.warning)
     broker = BrokerClient(settings)
     controller = Controller(settings, configuration.load(settings.gestures_file), broker)
 

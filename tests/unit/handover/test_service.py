@@ -1,14 +1,13 @@
 """A service: health, readiness, metrics, and errors as problem details."""
 
-import socket
 from collections.abc import AsyncIterator
 
 import httpx
 import pytest
 from fastapi import FastAPI
 
-from handover.errors import Problem, UsageError
-from handover.service import create_app, require_free
+from handover.errors import Problem
+from handover.service import create_app
 
 
 async def works() -> None:
@@ -80,11 +79,3 @@ async def test_every_error_is_a_problem_that_says_what_to_change(
     assert answer.headers["content-type"] == "application/problem+json"
     assert words in answer.json()["detail"]
     assert "secret" not in answer.text
-
-
-def test_a_taken_port_is_named_with_the_way_out() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(UsageError, match=rf"port {port} .* taken .* HANDOVER_LAMP_PORT"):
-            require_free("127.0.0.1", port, "HANDOVER_LAMP_PORT")
-    require_free("127.0.0.1", port, "HANDOVER_LAMP_PORT")
