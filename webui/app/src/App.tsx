@@ -1,0 +1,37 @@
+/** The pages and where they are. Each page but the first loads when it is opened. */
+import { lazy } from "react";
+import { useTranslation } from "react-i18next";
+import { Link, Route, Switch, useLocation } from "wouter";
+import { RouterProvider } from "react-aria-components";
+import { Empty } from "~/design/Empty";
+import { Shell } from "~/shell/Shell";
+import { Stumble } from "~/shell/Stumble";
+import StartPage from "~/start/StartPage";
+
+const WorkPage = lazy(() => import("~/work/WorkPage"));
+const ProcessesPage = lazy(() => import("~/processes/ProcessesPage"));
+const SystemPage = lazy(() => import("~/system/SystemPage"));
+
+export function App() {
+  const [path, go] = useLocation();
+  return (
+    <RouterProvider navigate={go}>
+      <Shell>
+        <Stumble key={path.split("/")[1]}>
+          <Switch>
+            <Route path="/" component={StartPage} />
+            <Route path="/work" component={WorkPage} />
+            <Route path="/processes/*?" component={ProcessesPage} />
+            <Route path="/system" component={SystemPage} />
+            <Route component={UnknownPage} />
+          </Switch>
+        </Stumble>
+      </Shell>
+    </RouterProvider>
+  );
+}
+
+function UnknownPage() {
+  const { t } = useTranslation("common");
+  return <Empty title={t("unknownPage.title")} act={<Link href="/">{t("unknownPage.act")}</Link>} />;
+}

@@ -1,0 +1,73 @@
+/** An act that cannot be undone asks once, and names what it does on the button itself. */
+import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
+import { useState, type ReactNode } from "react";
+import { useTranslation } from "react-i18next";
+import { describe } from "~/api/http";
+import { Button } from "./Button";
+import { Problem } from "./Problem";
+import "./Ask.css";
+
+export interface AskProps {
+  isOpen: boolean;
+  onClose: () => void;
+  title: string;
+  children?: ReactNode;
+  /** What the button that does it says: "Cancel bin picking". */
+  act: string;
+  kind?: "main" | "stop";
+  size?: "normal" | "large";
+  isDisabled?: boolean;
+  /** Does it; what it throws is shown, and the question stays open. */
+  onAct: () => Promise<unknown>;
+}
+
+export function Ask({ isOpen, onClose, title, children, act, kind = "main", size = "normal", isDisabled = false, onAct }: AskProps) {
+  const { t } = useTranslation("common");
+  const [busy, setBusy] = useState(false);
+  const [failure, setFailure] = useState<string | null>(null);
+  const close = () => {
+    setFailure(null);
+    onClose();
+  };
+  const perform = async () => {
+    setBusy(true);
+    setFailure(null);
+    try {
+      await onAct();
+      close();
+    } catch (error) {
+      setFailure(describe(error));
+    } finally {
+      setBusy(false);
+    }
+  };
+  return (
+    <ModalOverlay className="ask__veil" isOpen={isOpen} onOpenChange={(open) => !open && close()} isDismissable>
+      <Modal className={`ask ask--${size}`}>
+        <Dialog className="ask__dialog">
+          <Heading slot="title" className="ask__title">
+            {title}
+          </Heading>
+          <form
+            className="ask__form"
+            onSubmit={(event) => {
+              event.preventDefault();
+              if (!busy && !isDisabled) void perform();
+            }}
+          >
+            {children}
+            {failure !== null && <Problem>{failure}</Problem>}
+            <div className="ask__acts">
+              <Button onPress={close} size={size}>
+                {t("leaveIt")}
+              </Button>
+              <Button type="submit" kind={kind} size={size} isDisabled={busy || isDisabled}>
+                {act}
+              </Button>
+            </div>
+          </form>
+        </Dialog>
+      </Modal>
+    </ModalOverlay>
+  );
+}

@@ -1,0 +1,26 @@
+/** A button names its act. `large` ones are for gloves: 64 px and more. */
+import { Button as AriaButton, type ButtonProps as AriaButtonProps } from "react-aria-components";
+import type { ReactNode } from "react";
+import "./Button.css";
+
+export interface ButtonProps extends Omit<AriaButtonProps, "children" | "className"> {
+  kind?: "main" | "plain" | "quiet" | "stop";
+  size?: "normal" | "large";
+  icon?: ReactNode;
+  children?: ReactNode;
+  /** For a button that shows only its icon: what it does. */
+  label?: string;
+}
+
+export function Button({ kind = "plain", size = "normal", icon, children, label, ...rest }: ButtonProps) {
+  return (
+    <AriaButton
+      {...rest}
+      {...(label === undefined ? {} : { "aria-label": label })}
+      className={`button button--${kind} button--${size}`}
+    >
+      {icon}
+      {children !== undefined && <span>{children}</span>}
+    </AriaButton>
+  );
+}

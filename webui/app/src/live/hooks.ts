@@ -1,0 +1,72 @@
+/** How parts of a page look at what is live. */
+import { createContext, useContext, useEffect, useSyncExternalStore } from "react";
+import type {
+  AlertView, DefinitionView, DeviceView, GloveView, LiveEvent, ProcessView, RobotView, TopicValues,
+} from "./messages";
+import { LiveStore, type Link } from "./store";
+
+export const Live = createContext(new LiveStore());
+
+export function useLive(): LiveStore {
+  return useContext(Live);
+}
+
+/** The newest value of a topic; undefined while there is none. */
+export function useTopic<T extends keyof TopicValues>(topic: T): TopicValues[T] | undefined {
+  const live = useLive();
+  return useSyncExternalStore(
+    (listener) => live.watch(topic, listener),
+    () => live.value(topic) as TopicValues[T] | undefined,
+  );
+}
+
+interface Families {
+  glove: GloveView;
+  robot: RobotView;
+  process: ProcessView;
+  definition: DefinitionView;
+  alert: AlertView;
+  device: DeviceView;
+}
+
+/** All values of a family, in the order of their names. */
+export function useFamily<F extends keyof Families>(family: F): readonly Families[F][] {
+  const live = useLive();
+  return useSyncExternalStore(
+    (listener) => live.watchFamily(family, listener),
+    () => live.list(family) as readonly Families[F][],
+  );
+}
+
+/** A value picked from a topic; drawn anew only when the pick is another (compared by `Object.is`). */
+export function usePick<T extends keyof TopicValues, P>(
+  topic: T,
+  pick: (value: TopicValues[T] | undefined) => P,
+): P {
+  const live = useLive();
+  return useSyncExternalStore(
+    (listener) => live.watch(topic, listener),
+    () => pick(live.value(topic) as TopicValues[T] | undefined),
+  );
+}
+
+/** A topic that is only sent while somebody shows it; `T` is what `messages.ts` says it carries. */
+// eslint-disable-next-line @typescript-eslint/no-unnecessary-type-parameters -- the wire has no types
+export function useWanted<T>(topic: string | null): T | undefined {
+  const live = useLive();
+  useEffect(() => (topic === null ? undefined : live.want(topic)), [live, topic]);
+  return useSyncExternalStore(
+    (listener) => (topic === null ? () => undefined : live.watch(topic, listener)),
+    () => (topic === null ? undefined : (live.value(topic) as T | undefined)),
+  );
+}
+
+export function useEvents(): readonly LiveEvent[] {
+  const live = useLive();
+  return useSyncExternalStore((listener) => live.watch("events", listener), () => live.events);
+}
+
+export function useLink(): Link {
+  const live = useLive();
+  return useSyncExternalStore((listener) => live.watch("link", listener), () => live.link);
+}

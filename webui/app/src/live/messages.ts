@@ -1,0 +1,234 @@
+/**
+ * What the one WebSocket (`/api/live`) carries. The server's side of it is `webui/live.py`.
+ *
+ * A topic has one value, and only its newest counts; `null` says that the thing is gone. Events are never
+ * left out: their `seq` rises by one, and a gap is filled from `GET /api/events?after=`.
+ */
+
+export type Status = "pending" | "assigned" | "inProgress" | "completed" | "paused" | "failed";
+export type DeviceState =
+  | "ok" | "idle" | "busy" | "paused" | "charging" | "outOfBattery" | "forMaintenance" | "error";
+export type Severity = "informational" | "low" | "medium" | "high" | "critical";
+export type Finger = "thumb" | "index" | "middle" | "ring" | "little";
+
+/** `services`: one row a component; `rates` are per second, by what is counted. */
+export interface ServiceHealth {
+  name: string;
+  state: "up" | "degraded" | "down";
+  /** Why it is not up, in the service's own words. */
+  detail: string | null;
+  since: string;
+  rates: Record<string, number>;
+  lastMessage: { at: string; text: string } | null;
+}
+
+/** `glove/<name>`: the gesture controller's view of a glove. */
+export interface GloveView {
+  glove: string;
+  hand: "left" | "right";
+  person: string | null;
+  connected: boolean;
+  deviceState: DeviceState;
+  battery: number | null;
+  task: GloveTask | null;
+  message: Message;
+  hold: { gesture: string | null; heldMs: number; announceMs: number; confirmMs: number };
+  bend: number[] | null;
+  states: string | null;
+  gesture: string | null;
+  differs: Finger[];
+  testing: boolean;
+  filtering: boolean;
+  paused: boolean;
+  lost: boolean;
+  thresholds: Record<Finger, { upper: number; lower: number }>;
+  frames: number;
+  dropped: number;
+  droppedBy: Record<string, number>;
+  rate_hz: number;
+}
+
+export interface GloveTask {
+  id: string;
+  description: string;
+  gesture: string;
+  /** Five finger states, thumb first: 0 straight, 1 between, 2 bent. */
+  code: string;
+  commandId: number | null;
+  status: Status;
+}
+
+/** What the controller says: `key` and `values` for the page's own languages, `text` in English. */
+export interface Message {
+  key: string;
+  values: Record<string, string | number | string[]>;
+  text: string;
+}
+
+/** `robot/<id>`: the trajectory tool's view of a robot, some times a second. */
+export interface RobotView {
+  id: string;
+  device: string;
+  deviceState: DeviceState;
+  joints: JointState;
+  toolPose: { position: number[]; orientation: number[] };
+  gripper: { closed: boolean; holds: string | null };
+  task: string | null;
+  operation: string | null;
+  progress: number | null;
+  remainingS: number | null;
+}
+
+/** `robot/<id>/joints`: only for pages that want it (see `Want`), up to 30 times a second; may lose some. */
+export interface JointState {
+  stamp: number;
+  name: string[];
+  position: number[];
+  velocity: number[];
+}
+
+/** `process/<id>`: every process that has not ended, and the last ten that have. */
+export interface ProcessView {
+  id: string;
+  entity: string;
+  definition: string;
+  version: number;
+  /** The process's name for people, "Bin picking". */
+  title: string;
+  key: string | null;
+  status: Status;
+  reason: string | null;
+  startedAt: string;
+  endedAt: string | null;
+  parameters: Record<string, unknown>;
+  variables: Record<string, unknown>;
+  /** The BPMN elements that hold a token now. */
+  waiting: string[];
+  /** The activities that may come after those, the likeliest first. */
+  next: Activity[];
+  /** How far it is: activities done at least once, of all that the definition has. */
+  done: number;
+  activities: number;
+  /** Per BPMN activity. */
+  elements: Record<string, ElementCount>;
+  tasks: TaskView[];
+  /** Whether somebody can retry, and which Task. */
+  retry: string | null;
+}
+
+export interface Activity {
+  element: string;
+  name: string;
+  description: string | null;
+  lane: string | null;
+  /** The URNs of the resources it involves, as far as they are known by now. */
+  involves: string[];
+}
+
+export interface ElementCount {
+  running: number;
+  completed: number;
+  failed: number;
+  /** How long the last one, and the median of all, took from creation to its end. */
+  lastMs: number | null;
+  medianMs: number | null;
+}
+
+export interface TaskView {
+  id: string;
+  element: string;
+  name: string;
+  visit: number;
+  description: string | null;
+  status: Status;
+  involves: string[];
+  workParameters: Record<string, unknown>;
+  outputParameters: Record<string, unknown> | null;
+  createdAt: string;
+  deadline: string | null;
+  endedAt: string | null;
+  cancelled: boolean;
+  /** Why it failed, for people. */
+  reason: string | null;
+  history: { status: Status; at: string }[];
+}
+
+/** `definition/<name>`: the latest version of each. */
+export interface DefinitionView {
+  name: string;
+  version: number;
+  title: string;
+  label: string | null;
+  deployedAt: string;
+  /** Why it cannot run any more, if so. */
+  unusable?: string;
+  parameters: { name: string; required: boolean; default: unknown }[];
+}
+
+/** `alert/<urn>`: those that stand, and the last fifty that are over. */
+export interface AlertView {
+  id: string;
+  category: string;
+  subCategory: string | null;
+  severity: Severity;
+  description: string;
+  source: string;
+  dateIssued: string;
+  validTo: string | null;
+  acknowledged: { by: string; at: string } | null;
+}
+
+/** `device/<urn>`: the Device entities in the broker, key-values. */
+export interface DeviceView {
+  id: string;
+  category: string[];
+  deviceState: DeviceState | null;
+  batteryLevel: number | null;
+  observedAt: string | null;
+  value: unknown;
+}
+
+/** `operator`: the simulated operator that this page can start. */
+export interface OperatorView {
+  running: boolean;
+  glove: string;
+  detail: string | null;
+}
+
+/** Something that happened, for the event log: `key` and `values` for the page's languages, `text` in English. */
+export interface LiveEvent {
+  seq: number;
+  at: string;
+  level: "info" | "attention" | "stop";
+  source: string;
+  key: string;
+  values: Record<string, string | number>;
+  text: string;
+}
+
+export interface TopicValues {
+  services: ServiceHealth[];
+  operator: OperatorView;
+  /** What the cell is called, and whether the page was built from the running version. */
+  cell: { factory: string; version: string };
+  [glove: `glove/${string}`]: GloveView;
+  [robot: `robot/${string}`]: RobotView;
+  [process: `process/${string}`]: ProcessView;
+  [definition: `definition/${string}`]: DefinitionView;
+  [alert: `alert/${string}`]: AlertView;
+  [device: `device/${string}`]: DeviceView;
+}
+
+/** Server to page. A snapshot holds everything: what it does not name is gone. */
+export interface Batch {
+  type: "snapshot" | "batch";
+  at: string;
+  topics: Record<string, unknown>;
+  events: LiveEvent[];
+}
+
+/** Page to server: the topics beyond the usual ones (`robot/ur10-1/joints`) that the page shows now. */
+export interface Want {
+  type: "want";
+  topics: string[];
+}

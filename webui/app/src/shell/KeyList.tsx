@@ -1,0 +1,48 @@
+/** All keys, those of the page first. */
+import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import { Button } from "~/design/Button";
+import "~/design/Ask.css";
+import "./KeyList.css";
+
+interface Row {
+  key: string;
+  does: string;
+}
+
+export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean; onClose: () => void; everywhere: readonly Row[]; here: readonly Row[] }) {
+  const { t } = useTranslation("common");
+  return (
+    <ModalOverlay className="ask__veil" isOpen={isOpen} onOpenChange={(open) => !open && onClose()} isDismissable>
+      <Modal className="ask">
+        <Dialog className="ask__dialog key-list">
+          <Heading slot="title" className="ask__title">
+            {t("keys.title")}
+          </Heading>
+          <h3>{t("keys.here")}</h3>
+          {here.length === 0 ? <p className="quiet">{t("keys.none")}</p> : <Rows rows={here} />}
+          <h3>{t("keys.everywhere")}</h3>
+          <Rows rows={everywhere} />
+          <div className="ask__acts">
+            <Button onPress={onClose}>{t("close")}</Button>
+          </div>
+        </Dialog>
+      </Modal>
+    </ModalOverlay>
+  );
+}
+
+function Rows({ rows }: { rows: readonly Row[] }) {
+  return (
+    <dl className="key-list__rows">
+      {rows.map((row) => (
+        <div key={row.key}>
+          <dt>
+            <kbd>{row.key === " " ? "␣" : row.key}</kbd>
+          </dt>
+          <dd>{row.does}</dd>
+        </div>
+      ))}
+    </dl>
+  );
+}

@@ -1,0 +1,114 @@
+/** The frame round every page: where one can go, whether the cell is there, and how the screen speaks. */
+import { CircleHelp, Cog, HardHat, House, Settings2, Workflow } from "lucide-react";
+import { Suspense, useEffect, useState, type ReactNode } from "react";
+import { useTranslation } from "react-i18next";
+import { Link, useLocation } from "wouter";
+import { Button } from "~/design/Button";
+import { useLink } from "~/live/hooks";
+import { KeyList } from "./KeyList";
+import { isForSomethingElse, usePageKeys } from "./keys";
+import { Preferences } from "./Preferences";
+import "./Shell.css";
+
+const pages = [
+  { path: "/", name: "start", icon: House, key: "1" },
+  { path: "/work", name: "work", icon: HardHat, key: "2" },
+  { path: "/processes", name: "processes", icon: Workflow, key: "3" },
+  { path: "/system", name: "system", icon: Cog, key: "4" },
+] as const;
+
+export function Shell({ children }: { children: ReactNode }) {
+  const { t } = useTranslation("common");
+  const [path, go] = useLocation();
+  const [showsKeys, setShowsKeys] = useState(false);
+  const [showsPreferences, setShowsPreferences] = useState(false);
+  const pageKeys = usePageKeys();
+  const here = pages.find((page) => (page.path === "/" ? path === "/" : path.startsWith(page.path)));
+
+  useEffect(() => {
+    const listen = (event: KeyboardEvent) => {
+      if (isForSomethingElse(event)) return;
+      const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+      const page = pages.find((one) => one.key === key);
+      const act = pageKeys.find((one) => one.key === key)?.act;
+      if (key === "?") setShowsKeys(true);
+      else if (act !== undefined) act();
+      else if (page !== undefined) go(page.path);
+      else return;
+      event.preventDefault();
+    };
+    document.addEventListener("keydown", listen);
+    return () => document.removeEventListener("keydown", listen);
+  }, [pageKeys, go]);
+
+  useEffect(() => {
+    document.title = here === undefined ? "Handover" : `${t(`pages.${here.name}`)} · Handover`;
+  }, [here, t]);
+
+  return (
+    <div className="shell">
+      <a className="shell__skip" href="#content">
+        {t("skip")}
+      </a>
+      <header className="shell__bar">
+        <nav className="shell__nav" aria-label="Handover">
+          {pages.map((page) => (
+            <Link
+              key={page.path}
+              href={page.path}
+              className="shell__page"
+              aria-current={page === here ? "page" : undefined}
+            >
+              <page.icon aria-hidden size={20} />
+              <span>{t(`pages.${page.name}`)}</span>
+            </Link>
+          ))}
+        </nav>
+        <div className="shell__aside">
+          <Button kind="quiet" label={t("keys.open")} icon={<CircleHelp aria-hidden size={20} />} onPress={() => setShowsKeys(true)} />
+          <Button
+            kind="quiet"
+            label={t("settings")}
+            icon={<Settings2 aria-hidden size={20} />}
+            onPress={() => setShowsPreferences(true)}
+          />
+        </div>
+      </header>
+      <LinkBanner />
+      <main id="content" className="shell__content" tabIndex={-1}>
+        <Suspense fallback={<p className="shell__loading quiet">{t("loading")}</p>}>{children}</Suspense>
+      </main>
+      <KeyList
+        isOpen={showsKeys}
+        onClose={() => setShowsKeys(false)}
+        everywhere={[
+          ...pages.map((page) => ({ key: page.key, does: t("keys.goTo", { page: t(`pages.${page.name}`) }) })),
+          { key: "?", does: t("keys.open") },
+        ]}
+        here={pageKeys}
+      />
+      <Preferences isOpen={showsPreferences} onClose={() => setShowsPreferences(false)} />
+    </div>
+  );
+}
+
+function LinkBanner() {
+  const { t } = useTranslation("common");
+  const link = useLink();
+  const [late, setLate] = useState(false);
+  useEffect(() => {
+    if (link === "open") return;
+    // A reconnection that takes a moment is nobody's concern; nothing blinks for it.
+    const timer = setTimeout(() => setLate(true), 1000);
+    return () => {
+      clearTimeout(timer);
+      setLate(false);
+    };
+  }, [link]);
+  if (link === "open" || !late) return null;
+  return (
+    <p className="shell__link" role="status">
+      {t(`link.${link}`)}
+    </p>
+  );
+}

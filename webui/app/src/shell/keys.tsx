@@ -1,0 +1,45 @@
+/** Keys: a page says which it has (`useKeys`), the frame listens, and `?` lists them all. */
+import { useEffect, useRef, useSyncExternalStore } from "react";
+
+export interface Key {
+  /** As `KeyboardEvent.key` has it; letters in lower case. */
+  key: string;
+  /** What it does, in the language of the page. */
+  does: string;
+  act: () => void;
+}
+
+let pageKeys: readonly Key[] = [];
+const listeners = new Set<() => void>();
+
+function set(keys: readonly Key[]): void {
+  pageKeys = keys;
+  for (const listener of listeners) listener();
+}
+
+/** Offer keys while this page is shown. */
+export function useKeys(keys: readonly Key[]): void {
+  const signature = keys.map((key) => `${key.key} ${key.does}`).join("\n");
+  const newest = useRef(keys);
+  useEffect(() => {
+    newest.current = keys;
+  });
+  useEffect(() => {
+    set(newest.current.map((key, nth) => ({ ...key, act: () => newest.current[nth]?.act() })));
+    return () => set([]);
+  }, [signature]);
+}
+
+export function usePageKeys(): readonly Key[] {
+  return useSyncExternalStore((listener) => {
+    listeners.add(listener);
+    return () => listeners.delete(listener);
+  }, () => pageKeys);
+}
+
+/** Whether a key press is meant for a field, a menu or an open dialog rather than for the page. */
+export function isForSomethingElse(event: KeyboardEvent): boolean {
+  if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return true;
+  const target = event.target as Element | null;
+  return target?.closest("input, textarea, select, [contenteditable], [role=dialog], [role=listbox], [role=menu]") != null;
+}

@@ -1,0 +1,41 @@
+/** Light, dark, or like the device. `public/theme.js` sets the chosen one before the first paint. */
+import { useSyncExternalStore } from "react";
+
+export type Theme = "system" | "light" | "dark";
+
+const KEPT = "handover.theme";
+const device = matchMedia("(prefers-color-scheme: dark)");
+const listeners = new Set<() => void>();
+
+export function chosenTheme(): Theme {
+  const kept = localStorage.getItem(KEPT);
+  return kept === "light" || kept === "dark" ? kept : "system";
+}
+
+function shown(): "light" | "dark" {
+  const chosen = chosenTheme();
+  return chosen === "system" ? (device.matches ? "dark" : "light") : chosen;
+}
+
+function apply(): void {
+  document.documentElement.dataset["theme"] = shown();
+  for (const listener of listeners) listener();
+}
+
+export function chooseTheme(theme: Theme): void {
+  localStorage.setItem(KEPT, theme);
+  apply();
+}
+
+export function startTheme(): void {
+  device.addEventListener("change", apply);
+  apply();
+}
+
+/** The theme that is shown, for what cannot be drawn with CSS: plots and the 3D view. */
+export function useShownTheme(): "light" | "dark" {
+  return useSyncExternalStore((listener) => {
+    listeners.add(listener);
+    return () => listeners.delete(listener);
+  }, shown);
+}
