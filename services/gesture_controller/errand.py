@@ -22,17 +22,21 @@ class Asked:
 class Answer:
     """How a person completed a Task; `operator` is whoever pressed the button, if it was the screen."""
 
-    gesture: str
-    command_id: int | None
+    asked: Asked
     held_ms: float
     by: Literal["gesture", "screen"]
     operator: str | None = None
+
+    @property
+    def gesture(self) -> str:
+        """Return the gesture that was asked for."""
+        return self.asked.gesture
 
     def outputs(self) -> dict[str, Any]:
         """Return the outputParameters of the completed Task."""
         outputs = {
             "gesture": self.gesture,
-            "commandId": self.command_id,
+            "commandId": self.asked.command_id,
             "heldMs": round(self.held_ms),
             "by": self.by,
             "operator": self.operator,

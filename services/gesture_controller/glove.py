@@ -217,8 +217,7 @@ class Glove:
             if self.lost:
                 errand.job.pause(SILENT)
             raise CannotComplete(f"the Task of {self.name} is paused; resume it, then complete it")
-        asked = errand.asked
-        self._answer(errand, Answer(asked.gesture, asked.command_id, 0, "screen", operator), now_s)
+        self._answer(errand, Answer(errand.asked, 0, "screen", operator), now_s)
 
     def pause(self) -> None:
         """Let nothing count, and hold the Task, until `resume`."""
@@ -267,9 +266,8 @@ class Glove:
         if verdict is Verdict.WRONG:
             metrics.WRONG_GESTURES.inc()
         elif verdict is Verdict.COMPLETE and self.errand is not None:
-            asked = self.errand.asked
             self.sight = replace(self.sight, hold=hold.spend())
-            self._answer(self.errand, Answer(asked.gesture, asked.command_id, hold.held_ms, "gesture"), now_s)
+            self._answer(self.errand, Answer(self.errand.asked, hold.held_ms, "gesture"), now_s)
         elif verdict is Verdict.COMMAND and hold.gesture is not None:
             self.sight = replace(self.sight, hold=hold.spend())
             metrics.COMMANDS.inc()
@@ -279,8 +277,8 @@ class Glove:
         errand.answer.set_result(answer)
         metrics.CONFIRMATIONS.labels(answer.by).inc()
         self.last_answer = (answer, now_s)
-        if answer.command_id is not None:
-            self._give(answer.command_id)
+        if answer.asked.command_id is not None:
+            self._give(answer.asked.command_id)
 
     def _give(self, command_id: int) -> None:
         self.command = (command_id, datetime.now(UTC))

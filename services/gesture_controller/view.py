@@ -7,6 +7,7 @@ from services.gesture_controller import wording
 from services.gesture_controller.errand import Asked
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.hold import HoldEvent
+from services.gesture_controller.wording import Message
 
 THANKS_S = 5.0
 """How long "Confirmed" stays when no other Task follows."""
@@ -25,12 +26,14 @@ def view_of(glove: Glove, now_s: float) -> dict[str, Any]:
         "deviceState": glove.device_state,
         "battery": glove.battery,
         "task": _task(glove),
-        "message": message(glove, now_s),
+        "message": message(glove, now_s).as_dict(),
+        "answered": _answered(glove),
         "hold": {
             "gesture": hold.gesture if there else None,
             "heldMs": round(hold.held_ms) if there and not hold.is_spent else 0,
             "announceMs": timing.announce_ms,
             "confirmMs": timing.confirm_ms,
+            "spent": there and hold.is_spent,
         },
         "bend": glove.bend if there else None,
         "states": (glove.sight.states or None) if there else None,
@@ -39,6 +42,7 @@ def view_of(glove: Glove, now_s: float) -> dict[str, Any]:
         "testing": glove.testing,
         "filtering": glove.filtering,
         "paused": glove.paused or wants_pause,
+        "lost": glove.lost,
         "thresholds": glove.senses.thresholds.as_dict(),
         "frames": glove.frames,
         "dropped": sum(glove.dropped.values()),
@@ -61,6 +65,19 @@ def _task(glove: Glove) -> dict[str, Any] | None:
     }
 
 
+def _answered(glove: Glove) -> dict[str, Any] | None:
+    """Return the last answer that this hand or its screen gave, so that no screen misses a quick one."""
+    if glove.last_answer is None:
+        return None
+    answer, _ = glove.last_answer
+    return {
+        "task": answer.asked.task_id,
+        "gesture": answer.gesture,
+        "by": answer.by,
+        "operator": answer.operator,
+    }
+
+
 def differing_fingers(glove: Glove) -> list[str]:
     """Return the fingers that are not as the Task's gesture has them."""
     if glove.errand is None or not glove.connected or not glove.sight.states:
@@ -68,7 +85,7 @@ def differing_fingers(glove: Glove) -> list[str]:
     return wording.differing(glove.sight.states, glove.errand.asked.code)
 
 
-def message(glove: Glove, now_s: float) -> str:
+def message(glove: Glove, now_s: float) -> Message:
     """Return what the controller says to the wearer of `glove` at `now_s`."""
     errand = glove.errand
     if glove.testing:
@@ -78,22 +95,22 @@ def message(glove: Glove, now_s: float) -> str:
     if glove.lost:
         return wording.silent(glove.name)
     if glove.device_state == "paused":
-        return wording.paused("on the screen" if glove.paused else "by whoever runs the process")
+        return wording.paused_on_screen() if glove.paused else wording.paused_by_process()
     if not glove.connected:
         return wording.put_on(glove.name)
     return _about_the_hand(glove, errand.asked)
 
 
-def _thanks(glove: Glove, now_s: float) -> str:
+def _thanks(glove: Glove, now_s: float) -> Message | None:
     if glove.last_answer is None:
-        return ""
+        return None
     answer, at_s = glove.last_answer
     if now_s - at_s > THANKS_S:
-        return ""
+        return None
     return wording.by_screen(answer.operator) if answer.operator else wording.confirmed(answer.gesture)
 
 
-def _about_the_hand(glove: Glove, asked: Asked) -> str:
+def _about_the_hand(glove: Glove, asked: Asked) -> Message:
     sight, timing = glove.sight, glove.senses.timing
     hold, differs = sight.hold, differing_fingers(glove)
     if hold.is_spent and hold.gesture == asked.gesture:

@@ -1,12 +1,45 @@
 """Wording: what the controller says to the person who wears the glove.
 
 Short, calm, and always with what to do; a finger that differs is named together with the way it should go.
+Each message has a key and its values as well, so that a screen can say it in its own language.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 from services.gesture_controller.finger_states import STRAIGHT
 from services.gesture_controller.thresholds import FINGERS
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Something said: what it is (`key`), of what (`values`), and the same as an English sentence."""
+
+    key: str
+    text: str
+    values: Mapping[str, str | float | list[str]] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as it stands in the view of a glove."""
+        return {"key": self.key, "values": dict(self.values), "text": self.text}
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """How a hand must change: which fingers to stretch, and which to bend."""
+
+    stretch: tuple[str, ...]
+    bend: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return it as half a sentence, as in "bend your thumb"."""
+        parts = (("stretch", self.stretch), ("bend", self.bend))
+        return ", ".join(f"{verb} your {_listed([_called(f) for f in some])}" for verb, some in parts if some)
+
+    def as_dict(self) -> dict[str, list[str]]:
+        """Return it as values of a message."""
+        return {"stretch": list(self.stretch), "bend": list(self.bend)}
 
 
 def differing(states: str, asked: str) -> list[str]:
@@ -14,77 +47,93 @@ def differing(states: str, asked: str) -> list[str]:
     return [finger for finger, seen, wanted in zip(FINGERS, states, asked, strict=True) if seen != wanted]
 
 
-def advice(fingers: Sequence[str], asked: str) -> str:
-    """Return how `fingers` must move to make the code `asked`, as in "bend your thumb"."""
+def advice(fingers: Sequence[str], asked: str) -> Advice:
+    """Return how `fingers` must move to make the code `asked`."""
     wanted = dict(zip(FINGERS, asked, strict=True))
-    stretch = [_called(finger) for finger in fingers if wanted[finger] == STRAIGHT]
-    bend = [_called(finger) for finger in fingers if wanted[finger] != STRAIGHT]
-    parts = [f"{verb} your {_listed(some)}" for verb, some in (("stretch", stretch), ("bend", bend)) if some]
-    return ", ".join(parts)
+    return Advice(
+        tuple(finger for finger in fingers if wanted[finger] == STRAIGHT),
+        tuple(finger for finger in fingers if wanted[finger] != STRAIGHT),
+    )
 
 
-def show(gesture: str) -> str:
+def show(gesture: str) -> Message:
     """Return the invitation to show what the Task asks for."""
-    return f"Show: {gesture}."
+    return Message("show", f"Show: {gesture}.", {"gesture": gesture})
 
 
-def almost(gesture: str, hint: str) -> str:
+def almost(gesture: str, hint: Advice) -> Message:
     """Return the invitation when the hand is nearly there."""
-    return f"Show: {gesture}. Almost: {hint}."
+    return Message("almost", f"Show: {gesture}. Almost: {hint}.", {"gesture": gesture, **hint.as_dict()})
 
 
-def hold_on(confirm_in_ms: float) -> str:
+def hold_on(confirm_in_ms: float) -> Message:
     """Return what is said when the right gesture has been announced."""
     seconds = confirm_in_ms / 1000
     rest = "another second" if seconds == 1 else f"another {seconds:g} seconds"
-    return f"Right. Hold it for {rest} to confirm."
+    return Message("holdOn", f"Right. Hold it for {rest} to confirm.", {"seconds": seconds})
 
 
-def wrong(shown: str, hint: str) -> str:
+def wrong(shown: str, hint: Advice) -> Message:
     """Return what is said when another gesture than the asked one is held."""
-    return f"{shown} is not the gesture this Task asks for: {hint}."
+    text = f"{shown} is not the gesture this Task asks for: {hint}."
+    return Message("wrong", text, {"shown": shown, **hint.as_dict()})
 
 
-def let_go(gesture: str) -> str:
+def let_go(gesture: str) -> Message:
     """Return what is said when a gesture that has counted already is still held."""
-    return f"This counted already. Let go, then show {gesture} again."
+    text = f"This counted already. Let go, then show {gesture} again."
+    return Message("letGo", text, {"gesture": gesture})
 
 
-def confirmed(gesture: str) -> str:
+def confirmed(gesture: str) -> Message:
     """Return the thanks."""
-    return f"Confirmed: {gesture}."
+    return Message("confirmed", f"Confirmed: {gesture}.", {"gesture": gesture})
 
 
-def by_screen(operator: str) -> str:
+def by_screen(operator: str) -> Message:
     """Return the thanks to whoever pressed the button."""
-    return f"Completed on the screen by {operator}."
+    return Message("byScreen", f"Completed on the screen by {operator}.", {"operator": operator})
 
 
-def testing(shown: str | None) -> str:
+def testing(shown: str | None) -> Message:
     """Return what is said in testing mode."""
-    return f"Testing, nothing is sent. {f'This is {shown}.' if shown else 'Try a gesture.'}"
+    if shown is None:
+        return Message("testing", "Testing, nothing is sent. Try a gesture.")
+    return Message("testingShown", f"Testing, nothing is sent. This is {shown}.", {"shown": shown})
 
 
-def paused(reason: str) -> str:
-    """Return what is said while the work is paused by `reason`."""
-    return f"Paused {reason}. Nothing you show counts until the work goes on."
+def paused_on_screen() -> Message:
+    """Return what is said while the wearer's own screen has paused the work."""
+    return Message("pausedOnScreen", _paused("on the screen"))
 
 
-def put_on(glove: str) -> str:
+def paused_by_process() -> Message:
+    """Return what is said while somebody else has paused the work."""
+    return Message("pausedByProcess", _paused("by whoever runs the process"))
+
+
+def put_on(glove: str) -> Message:
     """Return what is said when a Task waits for a glove that is not there."""
-    return f"Put on {glove} and switch it on: a Task waits for it. Or complete it on the screen."
+    text = f"Put on {glove} and switch it on: a Task waits for it. Or complete it on the screen."
+    return Message("putOn", text, {"glove": glove})
 
 
-def silent(glove: str) -> str:
+def silent(glove: str) -> Message:
     """Return what is said when the glove has stopped sending in the middle of a Task."""
-    return f"{glove} is silent, the Task waits. Check that it is on and near, or use the screen."
+    text = f"{glove} is silent, the Task waits. Check that it is on and near, or use the screen."
+    return Message("silent", text, {"glove": glove})
 
 
-def nothing_to_do(glove: str, connected: bool) -> str:
+def nothing_to_do(glove: str, connected: bool) -> Message:
     """Return what is said when no Task is there."""
-    return (
-        "No Task for you at the moment." if connected else f"{glove} is not connected. No Task waits for it."
-    )
+    if connected:
+        return Message("nothingToDo", "No Task for you at the moment.")
+    text = f"{glove} is not connected. No Task waits for it."
+    return Message("notConnected", text, {"glove": glove})
+
+
+def _paused(reason: str) -> str:
+    return f"Paused {reason}. Nothing you show counts until the work goes on."
 
 
 def _called(finger: str) -> str:

@@ -96,7 +96,7 @@ async def test_one_hold_completes_one_task_and_tasks_come_in_order(bench: Any, p
     glove.show(UP, 5)
 
     async def told() -> bool:
-        return "Let go" in bench.view()["message"]
+        return "Let go" in bench.view()["message"]["text"]
 
     await until(told)
     assert await bench.status(second) == "inProgress"
@@ -152,7 +152,7 @@ async def test_a_task_for_an_unknown_gesture_fails_with_the_reason_and_an_alert(
 async def test_without_a_glove_the_screen_says_so_and_completes_the_task(bench: Any) -> None:
     task = await bench.put("t1", commandId=3)
     await asked(bench, task)
-    assert bench.view()["message"].startswith("Put on glove-1")
+    assert bench.view()["message"]["text"].startswith("Put on glove-1")
     assert bench.press("complete", by="Anna").is_success
     await ends(bench, task, "completed")
     assert await bench.outputs(task) == {

@@ -32,11 +32,17 @@ async def test_the_asked_gesture_held_1500_ms_answers_the_task(glove: Glove, han
 async def test_the_asked_gesture_is_announced_at_500_ms(glove: Glove, hand: Any, ask: Ask) -> None:
     ask("Thumbs up")
     hand.show("Thumbs up", 0.4)
-    assert view_of(glove, hand.now_s)["message"] == "Show: Thumbs up."
+    assert view_of(glove, hand.now_s)["message"]["text"] == "Show: Thumbs up."
     hand.show("Thumbs up", 0.2)
     view = view_of(glove, hand.now_s)
-    assert view["message"] == "Right. Hold it for another second to confirm."
-    assert view["hold"] == {"gesture": "Thumbs up", "heldMs": 580, "announceMs": 500, "confirmMs": 1500}
+    assert view["message"]["text"] == "Right. Hold it for another second to confirm."
+    assert view["hold"] == {
+        "gesture": "Thumbs up",
+        "heldMs": 580,
+        "announceMs": 500,
+        "confirmMs": 1500,
+        "spent": False,
+    }
 
 
 async def test_another_gesture_never_answers_and_is_told_which_finger_differs(
@@ -47,7 +53,7 @@ async def test_another_gesture_never_answers_and_is_told_which_finger_differs(
     view = view_of(glove, hand.now_s)
     assert not errand.answer.done()
     assert view["differs"] == ["little"]
-    assert view["message"] == (
+    assert view["message"]["text"] == (
         "Thumb and little straight is not the gesture this Task asks for: bend your little finger."
     )
     assert glove.command is None
@@ -56,9 +62,9 @@ async def test_another_gesture_never_answers_and_is_told_which_finger_differs(
 async def test_a_hand_that_is_nearly_right_is_helped(glove: Glove, hand: Any, ask: Ask) -> None:
     ask("Thumbs up")
     hand.make("02212", 0.3)
-    assert view_of(glove, hand.now_s)["message"] == "Show: Thumbs up."
+    assert view_of(glove, hand.now_s)["message"]["text"] == "Show: Thumbs up."
     hand.make("02212", 0.3)
-    assert view_of(glove, hand.now_s)["message"] == "Show: Thumbs up. Almost: bend your ring finger."
+    assert view_of(glove, hand.now_s)["message"]["text"] == "Show: Thumbs up. Almost: bend your ring finger."
 
 
 async def test_a_hold_that_began_before_the_task_does_not_count(glove: Glove, hand: Any, ask: Ask) -> None:
@@ -79,7 +85,7 @@ async def test_one_hold_answers_one_task(glove: Glove, hand: Any, ask: Ask) -> N
     hand.show("Thumbs up", 5)
     assert not second.answer.done()
     view = view_of(glove, hand.now_s)
-    assert view["message"] == "This counted already. Let go, then show Thumbs up again."
+    assert view["message"]["text"] == "This counted already. Let go, then show Thumbs up again."
     assert view["hold"]["heldMs"] == 0
     hand.show(None, 0.3)
     hand.show("Thumbs up", 1.6)
@@ -95,7 +101,7 @@ async def test_in_testing_mode_nothing_answers_but_all_is_shown(glove: Glove, ha
     assert glove.command is None
     assert (view["states"], view["gesture"], view["testing"]) == ("02222", "Thumbs up", True)
     assert view["bend"] == [700.0, 300.0, 300.0, 300.0, 300.0]
-    assert view["message"] == "Testing, nothing is sent. This is Thumbs up."
+    assert view["message"]["text"] == "Testing, nothing is sent. This is Thumbs up."
     with pytest.raises(CannotComplete, match="switch testing off, then complete"):
         glove.complete_on_screen("Anna", hand.now_s)
     glove.switch(testing=False, filtering=None)
@@ -149,7 +155,7 @@ async def test_a_task_that_comes_while_paused_on_the_screen_waits(glove: Glove, 
     glove.pause()
     errand = ask("Thumbs up")
     assert errand.job.wants is Wants.PAUSE
-    assert "Paused on the screen" in view_of(glove, hand.now_s)["message"]
+    assert "Paused on the screen" in view_of(glove, hand.now_s)["message"]["text"]
 
 
 async def test_a_glove_silent_for_2_s_in_a_task_holds_it_until_it_is_back(
@@ -163,7 +169,7 @@ async def test_a_glove_silent_for_2_s_in_a_task_holds_it_until_it_is_back(
     assert errand.job.wants is Wants.PAUSE
     assert notebook.silent == ["glove-1"]
     assert glove.device_state == "error"
-    assert "glove-1 is silent" in view_of(glove, hand.now_s)["message"]
+    assert "glove-1 is silent" in view_of(glove, hand.now_s)["message"]["text"]
     assert view_of(glove, hand.now_s)["connected"] is False
     hand.be_silent(60)
     assert notebook.silent == ["glove-1"]
@@ -207,7 +213,7 @@ async def test_a_task_without_a_glove_asks_to_put_it_on_and_is_not_held(
     glove.look_after(60.0, silence_s=2.0)
     assert errand.job.wants is Wants.GO
     assert notebook.silent == []
-    assert view_of(glove, 60.0)["message"].startswith("Put on glove-1")
+    assert view_of(glove, 60.0)["message"]["text"].startswith("Put on glove-1")
     glove.complete_on_screen("Anna", 60.0)
     assert errand.answer.result().by == "screen"
 
@@ -272,5 +278,35 @@ async def test_thanks_are_said_for_a_while(glove: Glove, hand: Any, ask: Ask) ->
     ask("Thumbs up")
     hand.show("Thumbs up", 1.6)
     glove.end()
-    assert view_of(glove, hand.now_s)["message"] == "Confirmed: Thumbs up."
-    assert view_of(glove, hand.now_s + 6)["message"] == "No Task for you at the moment."
+    assert view_of(glove, hand.now_s)["message"]["text"] == "Confirmed: Thumbs up."
+    assert view_of(glove, hand.now_s + 6)["message"]["text"] == "No Task for you at the moment."
+
+
+async def test_the_last_answer_stays_in_view_when_the_next_task_is_there_at_once(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    assert view_of(glove, hand.now_s)["answered"] is None
+    first = ask("Thumbs up")
+    hand.show("Thumbs up", 1.6)
+    glove.end()
+    ask("Horns", "t2")
+    hand.show("Thumbs up", 0.1)
+    view = view_of(glove, hand.now_s)
+    assert view["message"]["key"] == "show"
+    assert view["answered"] == {
+        "task": first.asked.task_id,
+        "gesture": "Thumbs up",
+        "by": "gesture",
+        "operator": None,
+    }
+    assert view["hold"]["spent"] is True
+    glove.complete_on_screen("Anna", hand.now_s)
+    assert view_of(glove, hand.now_s)["answered"]["operator"] == "Anna"
+
+
+async def test_a_lost_glove_is_seen_to_be_lost(glove: Glove, hand: Any, ask: Ask) -> None:
+    ask("Thumbs up")
+    hand.show(None, 0.2)
+    assert view_of(glove, hand.now_s)["lost"] is False
+    hand.be_silent(2.2)
+    assert view_of(glove, hand.now_s)["lost"] is True
