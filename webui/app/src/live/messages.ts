@@ -32,11 +32,14 @@ export interface GloveView {
   battery: number | null;
   task: GloveTask | null;
   message: Message;
-  hold: { gesture: string | null; heldMs: number; announceMs: number; confirmMs: number };
+  /** `spent`: the gesture that is held has counted already; it must be let go before it can count again. */
+  hold: { gesture: string | null; heldMs: number; announceMs: number; confirmMs: number; spent: boolean };
   bend: number[] | null;
   states: string | null;
   gesture: string | null;
   differs: Finger[];
+  /** The last answer given with this hand or on its screen; it stays until the next one. */
+  answered: { task: string; gesture: string; by: "gesture" | "screen"; operator: string | null } | null;
   testing: boolean;
   filtering: boolean;
   paused: boolean;
