@@ -1,0 +1,118 @@
+/**
+ * What stands round the robot: the table, its bins and fixtures and the parts in them, as plain boxes in the
+ * frame of the robot's base (metres). The trajectory tool says where the gripper goes; the rest follows from it.
+ */
+
+export type Triple = readonly [number, number, number];
+export type Quaternion = readonly [x: number, y: number, z: number, w: number];
+
+interface Spot {
+  position: Triple;
+  yaw_deg: number;
+}
+
+/** `GET /robots/{robot}/scene` of the trajectory tool, as far as it is drawn. */
+export interface CellScene {
+  name: string;
+  bins: Record<string, { parts: Spot[] }>;
+  fixtures: Record<string, { nests: Spot[] }>;
+  parts: { part: string; place: string | null; position: Triple; orientation: Quaternion }[];
+}
+
+export type PieceKind = "table" | "bin" | "fixture" | "nest" | "part";
+
+/** A box: its middle, its size along its own axes. */
+export interface Piece {
+  kind: PieceKind;
+  name: string;
+  size: Triple;
+  position: Triple;
+  orientation: Quaternion;
+}
+
+/** A part as the gripper holds it, by its middle, across the fingers. */
+export const PART_SIZE: Triple = [0.03, 0.075, 0.03];
+
+const UPRIGHT: Quaternion = [0, 0, 0, 1];
+const TABLE_M = 0.05;
+const WALL_M = 0.012;
+const BIN_HEIGHT_M = 0.11;
+const ROOM_M = 0.075;
+const NEST: Triple = [0.05, 0.085, 0.008];
+
+/** All that stands in a cell; without its scene only the table that the robot needs. */
+export function furnitureOf(scene: CellScene | null): Piece[] {
+  const bins = Object.entries(scene?.bins ?? {}).flatMap(([name, bin]) => binPieces(name, bin.parts));
+  const fixtures = Object.entries(scene?.fixtures ?? {}).flatMap(([name, { nests }]) => fixturePieces(name, nests));
+  const parts = (scene?.parts ?? []).map(
+    ({ part, position, orientation }): Piece => ({ kind: "part", name: part, size: PART_SIZE, position, orientation }),
+  );
+  const standing = [...bins, ...fixtures];
+  return [table(standing), ...standing, ...parts];
+}
+
+/** The table reaches under the robot and all that stands on it. */
+function table(standing: readonly Piece[]): Piece {
+  const [least, most] = extent([[-0.25, -0.25, 0], [0.25, 0.25, 0], ...standing.map((piece) => piece.position)], 0.28);
+  return {
+    kind: "table",
+    name: "table",
+    size: [most[0] - least[0], most[1] - least[1], TABLE_M],
+    position: [(least[0] + most[0]) / 2, (least[1] + most[1]) / 2, -TABLE_M / 2],
+    orientation: UPRIGHT,
+  };
+}
+
+function binPieces(name: string, parts: readonly Spot[]): Piece[] {
+  if (parts.length === 0) return [];
+  const [least, most] = extent(parts.map((spot) => spot.position), ROOM_M);
+  const [width, depth] = [most[0] - least[0], most[1] - least[1]];
+  const [x, y] = [(least[0] + most[0]) / 2, (least[1] + most[1]) / 2];
+  const box = (size: Triple, position: Triple): Piece => ({ kind: "bin", name, size, position, orientation: UPRIGHT });
+  const z = BIN_HEIGHT_M / 2;
+  return [
+    box([width, depth, WALL_M], [x, y, WALL_M / 2]),
+    box([width, WALL_M, BIN_HEIGHT_M], [x, least[1], z]),
+    box([width, WALL_M, BIN_HEIGHT_M], [x, most[1], z]),
+    box([WALL_M, depth, BIN_HEIGHT_M], [least[0], y, z]),
+    box([WALL_M, depth, BIN_HEIGHT_M], [most[0], y, z]),
+  ];
+}
+
+function fixturePieces(name: string, nests: readonly Spot[]): Piece[] {
+  if (nests.length === 0) return [];
+  const [least, most] = extent(nests.map((nest) => nest.position), 0.07);
+  const top = Math.max(Math.min(...nests.map((nest) => nest.position[2])) - PART_SIZE[2] / 2 - NEST[2], 0.01);
+  const plate: Piece = {
+    kind: "fixture",
+    name,
+    size: [most[0] - least[0], most[1] - least[1], top],
+    position: [(least[0] + most[0]) / 2, (least[1] + most[1]) / 2, top / 2],
+    orientation: UPRIGHT,
+  };
+  const marks = nests.map(
+    ({ position: [x, y], yaw_deg }): Piece => ({
+      kind: "nest",
+      name,
+      size: NEST,
+      position: [x, y, top + NEST[2] / 2],
+      orientation: turned(yaw_deg),
+    }),
+  );
+  return [plate, ...marks];
+}
+
+/** A turn about the vertical. */
+function turned(degrees: number): Quaternion {
+  const half = (degrees * Math.PI) / 360;
+  return [0, 0, Math.sin(half), Math.cos(half)];
+}
+
+/** The corners of what holds all `points`, with some room round it. */
+function extent(points: readonly Triple[], room: number): [Triple, Triple] {
+  const along = (axis: 0 | 1 | 2) => points.map((point) => point[axis]);
+  return [
+    [Math.min(...along(0)) - room, Math.min(...along(1)) - room, Math.min(...along(2))],
+    [Math.max(...along(0)) + room, Math.max(...along(1)) + room, Math.max(...along(2))],
+  ];
+}
