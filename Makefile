@@ -11,12 +11,16 @@ export UV_NO_PROGRESS := 1
 # Two workers suit two cores; what a test starts is on free ports, so that they do not meet.
 PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
 
+# What needs the Node that built the page: lint and tests of its TypeScript.
+PAGE := $(BIN)/python -m webui.build
+
 .PHONY: help setup demo up test check lint lock bench bench-broker bench-gestures bench-handover clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
 
-setup: $(READY)  ## install everything that demo and test need into .venv
+setup: $(READY)  ## install everything that demo and test need into .venv, and build the page
+	@$(PAGE)
 
 $(READY): $(LOCK) requirements/uv.lock pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo "there is no $(PYTHON) on this machine; install Python 3.11 to 3.13, or name another with make PYTHON=…" >&2; exit 1; }
@@ -34,9 +38,11 @@ up: setup  ## every service, nobody simulated but the robot
 	@$(BIN)/handover up $(ARGS)
 
 test: setup lint  ## every check and every test
+	@$(PAGE) test
 	@$(PYTEST) $(ARGS)
 
 check: setup lint  ## what an everyday change needs: lint, types, structure and the quick tests
+	@$(PAGE) test
 	@$(PYTEST) -m "not slow" $(ARGS)
 
 lint: setup
@@ -45,11 +51,14 @@ lint: setup
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 	@$(BIN)/python -m datamodels.schemas --check
+	@$(PAGE) lint
+	@$(PAGE) size
 
 lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds hashes)
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) pyproject.toml -o requirements/run.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra dev pyproject.toml -o requirements/dev.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/uv.in -o requirements/uv.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 
 bench: bench-broker bench-gestures bench-handover  ## measure everything
 
@@ -63,4 +72,4 @@ bench-handover: setup  ## from the held gesture to the robot; cold start; memory
 	@$(BIN)/python -m benchmarks.handover
 
 clean:  ## remove what setup made (not your data in .handover)
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

