@@ -71,6 +71,14 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
         _require_known(controller, robot)
         return view_of(controller)
 
+    @app.get("/robots/{robot}/scene", tags=["robots"])
+    async def scene(robot: str) -> dict[str, Any]:
+        """Return the cell round a robot, seen from its base: bins, fixtures, and where each part lies now."""
+        _require_known(controller, robot)
+        cell = controller.cell
+        parts = [{"part": one.part, "place": one.place, **one.pose.written()} for one in cell.contents.lying]
+        return {**cell.scene.model_dump(mode="json"), "parts": parts}
+
     @app.post("/robots/{robot}/gripper/free", tags=["robots"])
     async def free(robot: str) -> RobotView:
         """Open the gripper so that a person can take the part out of it; 409 while the robot does a Task."""

@@ -64,6 +64,10 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Any) -> None:
     by_urn = httpx.get(f"{tool.url('trajectory_tool')}/robots/{robot['device']}")
     assert by_urn.json()["id"] == "ur10-1"
 
+    scene = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1/scene").json()
+    assert [len(fixture["nests"]) for fixture in scene["fixtures"].values()] == [4]
+    assert {part["place"] for part in scene["parts"]} == set(scene["bins"])
+
     with joint_states(tool) as stream:
         frames = [json.loads(stream.recv(timeout=10)) for _ in range(20)]
     assert frames[0]["name"] == NAMES
@@ -84,6 +88,7 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Any) -> None:
 
 @pytest.mark.slow
 def test_what_cannot_be_answered_says_why(tool: Any) -> None:
+    assert httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9/scene").status_code == 404
     unknown = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9")
     assert unknown.status_code == 404
     assert unknown.headers["content-type"] == "application/problem+json"

@@ -1,0 +1,24 @@
+"""The poses that the page's UR10 is checked against are those of the arm here."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from services.trajectory_tool.motion import Arm
+from services.trajectory_tool.robot import JOINT_NAMES
+
+KNOWN = json.loads(
+    (Path(__file__).parents[3] / "webui/app/src/robot3d/ur10.poses.json").read_text(encoding="utf-8")
+)
+
+
+def test_the_page_and_the_tool_name_the_joints_alike() -> None:
+    assert tuple(KNOWN["joint_names"]) == JOINT_NAMES
+
+
+@pytest.mark.parametrize("known", KNOWN["poses"], ids=lambda known: known["name"])
+def test_the_page_has_the_tip_where_the_tool_has_it(known: dict[str, list[float]]) -> None:
+    pose = Arm(KNOWN["tool_m"]).tool_pose(tuple(known["joints"]))
+    assert pose.position == pytest.approx(known["position"], abs=2e-6)
+    assert pose.orientation == pytest.approx(known["orientation"], abs=2e-6)
