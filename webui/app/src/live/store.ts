@@ -76,7 +76,8 @@ export class LiveStore {
       this.#events = merged(this.#events, batch.events);
       changed.add("events");
     }
-    const families = new Set([...changed].filter((topic) => topic.includes("/")).map(familyOf));
+    // `robot/ur10-1/joints` is no robot: thirty times a second it draws nothing anew but the arm.
+    const families = new Set([...changed].filter((topic) => topic.split("/").length === 2).map(familyOf));
     for (const family of families) this.#lists.delete(family);
     this.#tell(this.#watchers, changed);
     this.#tell(this.#families, families);
