@@ -79,7 +79,7 @@ def _refusal(answer: httpx.Response) -> str:
         return f"the orchestrator answered {answer.status_code}: {answer.text[:200]}"
     faults = [
         f"  line {fault.get('line', '?')}, {fault.get('element') or 'the file'}: {fault['message']}"
-        for fault in problem.get("errors", [])
+        for fault in problem.get("faults", [])
     ]
     if faults:
         return "\n".join([f"{problem.get('title')}:", *faults])

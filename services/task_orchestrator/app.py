@@ -12,16 +12,21 @@ from starlette.responses import JSONResponse
 
 from datamodels.entities import TaskStatus
 from handover.broker import BrokerClient
-from handover.errors import HandoverError, Problem
+from handover.errors import Problem
 from handover.notifications import notified_entities
 from handover.service import create_app
 from handover.telemetry import get_logger
 from services.task_orchestrator.definition import BadBpmn, Fault
 from services.task_orchestrator.orchestrator import Orchestrator
 from services.task_orchestrator.reconcile import Reconciler
-from services.task_orchestrator.records import DefinitionRecord
 from services.task_orchestrator.settings import OrchestratorSettings
-from services.task_orchestrator.views import process_summary, process_view
+from services.task_orchestrator.views import (
+    activity_views,
+    definition_view,
+    process_summary,
+    process_view,
+    statistics_view,
+)
 from services.task_orchestrator.xml_names import MAX_BYTES
 
 log = get_logger(__name__)
@@ -40,6 +45,25 @@ class ProcessStart(BaseModel):
     key: str | None = Field(
         None, pattern=r"^[^\x00]{1,200}$", description="the same key never starts a second process"
     )
+
+
+Name = Annotated[str, Field(pattern=r"^[^\x00]*[^\x00\s][^\x00]*$", max_length=200)]
+
+
+class Cancelling(BaseModel):
+    """Who cancels a process, if that is known."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name | None = Field(None, description="who cancels it")
+
+
+class Retrying(BaseModel):
+    """Who has a failed Task done anew."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name = Field(description="who wants it")
 
 
 class Orchestration:
@@ -107,47 +131,49 @@ def make_app(settings: OrchestratorSettings) -> FastAPI:
 
 
 def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
+    library = orchestrator.library
+
     @app.post("/definitions", status_code=201, tags=["definitions"])
-    async def deploy(request: Request) -> JSONResponse:
-        """Deploy a BPMN file (the body is the XML): 201 for a new version, 200 if it is deployed already."""
-        deployment = await orchestrator.deploy(await _body(request))
-        view = _definition_view(
-            orchestrator, orchestrator.library.record(deployment.name, deployment.version)
-        )
+    async def deploy(request: Request, *, dry: bool = False) -> JSONResponse:
+        """Deploy a BPMN file (the body is the XML): 201 for a new version, 200 if it is deployed already.
+
+        With `dry` nothing is deployed: 200 if it could be, and the version it would be.
+        """
+        body = await _body(request)
+        if dry:
+            return JSONResponse(await orchestrator.try_out(body), 200)
+        deployment = await orchestrator.deploy(body)
+        view = definition_view(library, library.record(deployment.name, deployment.version))
         return JSONResponse(view, 201 if deployment.created else 200)
 
     @app.get("/definitions", tags=["definitions"])
     async def definitions() -> list[dict[str, Any]]:
         """Return the latest version of every definition."""
-        return [_definition_view(orchestrator, record) for record in orchestrator.library.latest()]
+        return [definition_view(library, record) for record in library.latest()]
 
     @app.get("/definitions/{name}", tags=["definitions"])
     async def definition(name: str, version: int | None = None) -> dict[str, Any]:
         """Return a definition with its activities."""
-        record = orchestrator.library.record(name, version)
-        activities = orchestrator.library.plan(record).definition.activities.values()
-        return {
-            **_definition_view(orchestrator, record),
-            "activities": [
-                {
-                    "id": a.id,
-                    "name": a.name,
-                    "definition": a.definition,
-                    "lane": a.lane,
-                    "description": a.description,
-                }
-                for a in activities
-            ],
-        }
+        record = library.record(name, version)
+        activities = activity_views(library.plan(record).definition)
+        return {**definition_view(library, record), "activities": activities}
+
+    @app.get("/definitions/{name}/statistics", tags=["definitions"])
+    async def statistics(name: str, version: int | None = None) -> dict[str, Any]:
+        """Return what became of all processes of a version (the latest if none is named), by activity."""
+        record = library.record(name, version)
+        counts = await orchestrator.on_disk(orchestrator.store.counts, record.name, record.version)
+        return statistics_view(record, counts)
 
     @app.get("/definitions/{name}/bpmn", tags=["definitions"])
     async def bpmn(name: str, version: int | None = None) -> Response:
         """Return the BPMN file as it was deployed."""
-        return Response(orchestrator.library.record(name, version).xml, media_type="application/xml")
+        return Response(library.record(name, version).xml, media_type="application/xml")
 
 
 def _add_processes(app: FastAPI, at: Orchestration) -> None:
-    orchestrator, store, settings = at.orchestrator, at.orchestrator.store, at.settings
+    orchestrator, settings = at.orchestrator, at.settings
+    store, library = orchestrator.store, orchestrator.library
 
     @app.post("/processes", status_code=201, tags=["processes"])
     async def start(body: ProcessStart) -> JSONResponse:
@@ -160,48 +186,44 @@ def _add_processes(app: FastAPI, at: Orchestration) -> None:
 
     @app.get("/processes", tags=["processes"])
     async def processes(
-        status: TaskStatus | None = None, limit: Annotated[int, Query(ge=1, le=1000)] = 100
+        status: TaskStatus | None = None,
+        definition: str | None = None,
+        before: Annotated[str | None, Query(description="a process: those started before it")] = None,
+        limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     ) -> list[dict[str, Any]]:
-        """Return processes, the latest first."""
+        """Return processes, the latest first; the last one's id as `before` gives the next page."""
         wanted = status.value if status is not None else None
-        records = await orchestrator.on_disk(lambda: store.processes(status=wanted, limit=limit))
-        return [process_summary(settings, record) for record in records]
+        mark = _plain(before) if before is not None else None
+        records = await orchestrator.on_disk(
+            lambda: store.page(status=wanted, definition=definition, before=mark, limit=limit)
+        )
+        return [process_summary(settings, library, record) for record in records]
 
     @app.get("/processes/{process_id}", tags=["processes"])
     async def process(process_id: str) -> dict[str, Any]:
-        """Return a process with its variables, its Tasks and where it waits."""
+        """Return a process with its variables, its Tasks, where it waits and what may come next."""
         return await _process(process_id)
 
     @app.post("/processes/{process_id}/cancel", tags=["processes"])
-    async def cancel(process_id: str) -> dict[str, Any]:
+    async def cancel(process_id: str, body: Cancelling | None = None) -> dict[str, Any]:
         """Cancel a process and the Tasks it has handed out."""
-        await orchestrator.cancel(_plain(process_id))
+        await orchestrator.cancel(_plain(process_id), body.by.strip() if body and body.by else None)
+        return await _process(process_id)
+
+    @app.post("/processes/{process_id}/tasks/{task_id}/retry", tags=["processes"])
+    async def retry(process_id: str, task_id: str, body: Retrying) -> dict[str, Any]:
+        """Have the failed Task that has ended a process done anew, as a new Task; the process goes on."""
+        await orchestrator.retry(_plain(process_id), settings.entity_id("Task", task_id), body.by.strip())
         return await _process(process_id)
 
     async def _process(process_id: str) -> dict[str, Any]:
-        view = await orchestrator.on_disk(process_view, settings, store, _plain(process_id))
-        if view is None:
+        seen = await orchestrator.on_disk(store.everything, _plain(process_id))
+        if seen is None:
             raise Problem(404, "No such process", f'there is no process "{process_id}"')
-        return view
+        return process_view(settings, library, *seen)
 
     def _plain(process_id: str) -> str:
         return process_id.removeprefix(settings.entity_id("Process", ""))
-
-
-def _definition_view(orchestrator: Orchestrator, record: DefinitionRecord) -> dict[str, Any]:
-    view: dict[str, Any] = {
-        "name": record.name,
-        "version": record.version,
-        "label": record.label,
-        "title": record.title,
-        "deployedAt": record.deployed_at.isoformat(),
-    }
-    try:
-        parameters = orchestrator.library.plan(record).definition.parameters.values()
-    except HandoverError as error:
-        return {**view, "unusable": str(error)}
-    listed = [{"name": p.name, "required": p.required, "default": p.default} for p in parameters]
-    return {**view, "parameters": listed}
 
 
 async def _body(request: Request) -> bytes:

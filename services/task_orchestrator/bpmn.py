@@ -138,7 +138,17 @@ class _Reading:
             raise BadBpmn(sorted(self.found.faults, key=lambda fault: fault.line or 0))
         title = process.get("name") or name
         described = _documentation(process)
-        return Definition(name, title, label, described, parameters, activities, dict(self.nodes), self.xml)
+        return Definition(
+            name=name,
+            title=title,
+            label=label,
+            description=described,
+            parameters=parameters,
+            activities=activities,
+            nodes=dict(self.nodes),
+            flows=dict(self.flows),
+            xml=self.xml,
+        )
 
     def _process(self) -> etree._Element | None:
         for element in _children(self.root):

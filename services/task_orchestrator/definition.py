@@ -31,10 +31,10 @@ class BadBpmn(Problem):
     """A BPMN file cannot be deployed; `faults` say all that is wrong with it."""
 
     def __init__(self, faults: list[Fault]) -> None:
-        errors = [{"element": f.element, "line": f.line, "message": f.message} for f in faults]
+        listed = [{"element": f.element, "line": f.line, "message": f.message} for f in faults]
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         super().__init__(
-            422, "BPMN cannot be deployed", f"{faults[0]}{more}", "urn:handover:bad-bpmn", {"errors": errors}
+            422, "BPMN cannot be deployed", f"{faults[0]}{more}", "urn:handover:bad-bpmn", {"faults": listed}
         )
         self.faults = faults
 
@@ -166,6 +166,7 @@ class Definition:
     parameters: Mapping[str, ProcessParameter]
     activities: Mapping[str, Activity]
     nodes: Mapping[str, Node]
+    flows: Mapping[str, Flow]
     xml: bytes
 
     def arguments(self, given: Mapping[str, Any]) -> dict[str, Any]:

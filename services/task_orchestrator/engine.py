@@ -1,4 +1,4 @@
-"""Engine: a process as it runs, token by token. The one file that knows SpiffWorkflow.
+"""Engine: a process as it runs, token by token. Only this and `spiff.py` know SpiffWorkflow.
 
 A `Plan` is made of a definition once; each `Run` of it is told what came of its activities and what time it
 is, and answers which activities are open. No Python of a BPMN file is ever evaluated: SpiffWorkflow's script
@@ -14,14 +14,9 @@ from typing import Any
 from uuid import UUID
 
 import orjson
-from SpiffWorkflow.bpmn.parser.BpmnParser import BpmnParser
-from SpiffWorkflow.bpmn.parser.TaskParser import TaskParser
-from SpiffWorkflow.bpmn.script_engine import PythonScriptEngine
-from SpiffWorkflow.bpmn.script_engine.python_environment import BasePythonScriptEngineEnvironment
 from SpiffWorkflow.bpmn.specs.control import BoundaryEventSplit, _EndJoin
 from SpiffWorkflow.bpmn.specs.defaults import BoundaryEvent, UserTask
 from SpiffWorkflow.bpmn.specs.event_definitions import ErrorEventDefinition
-from SpiffWorkflow.bpmn.specs.event_definitions.timer import TimerEventDefinition
 from SpiffWorkflow.bpmn.specs.mixins.events.event_types import CatchingEvent
 from SpiffWorkflow.bpmn.specs.mixins.unstructured_join import UnstructuredJoin
 from SpiffWorkflow.bpmn.workflow import BpmnWorkflow
@@ -32,11 +27,9 @@ from SpiffWorkflow.util.task import TaskState
 
 from handover.errors import HandoverError
 from services.task_orchestrator.bpmn import bare_process
-from services.task_orchestrator.definition import HANDED_OVER, Definition, Kind, Trigger
-from services.task_orchestrator.durations import due, looks_like_time
-from services.task_orchestrator.expressions import ExpressionError, read, read_script
-from services.task_orchestrator.grammar import within_limits
-from services.task_orchestrator.xml_names import qualified
+from services.task_orchestrator.definition import Definition, Kind, Trigger
+from services.task_orchestrator.expressions import ExpressionError
+from services.task_orchestrator.spiff import Parser, Scripts, Timer
 
 for _chatty in ("spiff.task", "spiff.workflow"):
     logging.getLogger(_chatty).setLevel(logging.WARNING)  # unset, it lists every token for each line
@@ -63,63 +56,6 @@ class Open:
     variables: Mapping[str, Any] = field(repr=False)
 
 
-class _Environment(BasePythonScriptEngineEnvironment):  # type: ignore[misc]
-    """Where SpiffWorkflow would evaluate Python, our expressions are evaluated instead."""
-
-    def evaluate(self, expression: str, context: Any, external_context: Any = None) -> Any:
-        del external_context
-        return read(expression).value(context)
-
-    def execute(self, script: str, context: Any, external_context: Any = None) -> bool:
-        del external_context
-        for name, expression in read_script(script):
-            context[name] = within_limits(expression.value(context))
-        return True
-
-
-class _Scripts(PythonScriptEngine):  # type: ignore[misc]
-    """The script engine of one run, which also knows what time it is."""
-
-    def __init__(self, now: datetime) -> None:
-        super().__init__(_Environment())
-        self.now = now
-
-    def evaluate(self, task: Token, expression: str, external_context: Any = None) -> Any:
-        return self.environment.evaluate(expression, task.data, external_context)
-
-    def execute(self, task: Token, script: str, external_context: Any = None) -> Any:
-        return self.environment.execute(script, task.data, external_context)
-
-
-class _Timer(TimerEventDefinition):  # type: ignore[misc]
-    """A timer that goes by the time the run is told, so that it can be tried and survives a restart."""
-
-    def has_fired(self, my_task: Token) -> bool:
-        scripts = my_task.workflow.script_engine
-        moment = my_task.internal_data.get("due")
-        if moment is None:
-            text = self.expression.strip()
-            if not looks_like_time(text):
-                text = scripts.evaluate(my_task, text)
-            if not isinstance(text, str):
-                raise ExpressionError(f"`{self.expression}` gives no duration or moment")
-            moment = due(text, scripts.now).isoformat()
-            my_task.internal_data["due"] = moment
-        if datetime.fromisoformat(moment) <= scripts.now:
-            my_task.internal_data["event_fired"] = True
-        return bool(my_task.internal_data.get("event_fired", False))
-
-    def reset(self, my_task: Token) -> None:
-        my_task.internal_data.pop("due", None)
-        super().reset(my_task)
-
-
-class _Parser(BpmnParser):  # type: ignore[misc]
-    """Every activity waits for whoever does it; that SpiffWorkflow tells them apart does not matter here."""
-
-    OVERRIDE_PARSER_CLASSES = {qualified(kind.value): (TaskParser, UserTask) for kind in HANDED_OVER}  # noqa: RUF012
-
-
 _OURS = "at."
 """Before the ids of elements, so that one called "Start" is not taken for SpiffWorkflow's own."""
 
@@ -134,7 +70,7 @@ class Plan:
 
     def __init__(self, definition: Definition) -> None:
         self.definition = definition
-        parser = _Parser()
+        parser = Parser()
         try:
             parser.add_bpmn_xml(bare_process(definition, _OURS))
             self.spec = parser.get_process_parser(definition.name).get_spec()
@@ -143,11 +79,11 @@ class Plan:
         for node in definition.nodes.values():
             if node.trigger is Trigger.TIMER:
                 spec = self.spec.task_specs[_OURS + node.id]
-                spec.event_definition = _Timer(node.id, spec.event_definition.expression)
+                spec.event_definition = Timer(node.id, spec.event_definition.expression)
 
     def start(self, variables: Mapping[str, Any], now: datetime) -> "Run":
         """Return a new run with `variables`, gone as far as it can at `now`."""
-        workflow = BpmnWorkflow(self.spec, script_engine=_Scripts(now))
+        workflow = BpmnWorkflow(self.spec, script_engine=Scripts(now))
         workflow.task_tree.data = dict(variables)
         run = Run(self, workflow, {}, {})
         run.advance(now)
@@ -158,7 +94,7 @@ class Plan:
         kept = orjson.loads(snapshot)
         if kept["version"] != SNAPSHOT_VERSION:
             raise RunFailed(f"a run kept in version {kept['version']} cannot be read by this release")
-        scripts = _Scripts(datetime.now(UTC))
+        scripts = Scripts(datetime.now(UTC))
         workflow = BpmnWorkflow(self.spec, deserializing=True, script_engine=scripts)
         for row in kept["tokens"]:
             _restore(workflow, row)
@@ -238,6 +174,27 @@ class Run:
             catcher.data["error"] = dict(error)
         self.advance(now)
         return True
+
+    def is_open(self, token: str) -> bool:
+        """Say whether the activity of `token` waits for whoever does it."""
+        return token in self._seen
+
+    def visit_again(self, token: str) -> Open:
+        """Count another visit of the activity that `token` waits at: it is to be done anew."""
+        element, _ = self._seen[token]
+        self._visits[element] += 1
+        self._seen[token] = (element, self._visits[element])
+        return Open(token, element, self._visits[element], self._token(token).data)
+
+    def restart_timers(self, now: datetime) -> None:
+        """Let the timers at the border of open activities start anew at `now`: those are begun anew.
+
+        Timers elsewhere have gone on meanwhile; raise `RunFailed` if what follows from one cannot be.
+        """
+        for token in self._live():
+            if isinstance(token.task_spec, BoundaryEvent) and token.state == TaskState.WAITING:
+                token.internal_data.pop("due", None)
+        self.advance(now)
 
     def advance(self, now: datetime) -> None:
         """Let every token go as far as it can at `now`; raise `RunFailed` if one cannot go on."""

@@ -23,6 +23,7 @@ from handover.database import connect
 from handover.errors import HandoverError, Problem
 from handover.telemetry import get_logger
 from services.task_orchestrator.expressions import is_variable_name
+from services.task_orchestrator.floor import Floor
 from services.task_orchestrator.library import Deployment, Library, read_runnable
 from services.task_orchestrator.outbox import Outbox
 from services.task_orchestrator.process import Process
@@ -41,7 +42,6 @@ STEP_SECONDS = Histogram(
     buckets=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5, 2),
 )
 NEWS = Counter("handover_orchestrator_news_total", "News of Tasks heard", ["outcome"])
-ENDED = Counter("handover_orchestrator_processes_total", "Processes that have ended", ["status"])
 
 T = TypeVar("T")
 Clock = Callable[[], datetime]
@@ -53,6 +53,8 @@ class _Work:
 
     act: Callable[[Step], Any]
     done: asyncio.Future[Any]
+    process: str | None = None
+    """A process that must be at hand for it, even if it is over."""
 
 
 def utc_now() -> datetime:
@@ -72,26 +74,22 @@ class Orchestrator:
         self.store = Store(connect(settings.database("orchestrator")))
         self.library = Library(settings)
         self.outbox = Outbox(settings, broker, self._on_refused)
-        self.processes: dict[str, Process] = {}
-        self._owners: dict[str, str] = {}
         self._work: asyncio.Queue[_Work] = asyncio.Queue()
         self._next_seq = 1
-        self._stale: set[str] = set()
-        self._dues: dict[str, datetime] = {}
         self._disk = ThreadPoolExecutor(1, "orchestrator-disk")
+        self.floor = Floor(settings, self.library, self.store, self.on_disk)
         self._chores: list[asyncio.Task[None]] = []
         self.due_changed = asyncio.Event()
 
     async def __aenter__(self) -> Self:
         await self.on_disk(self.store.migrate)
         self.library.add(await self.on_disk(self.store.definitions))
-        for record in await self.on_disk(self.store.unfinished):
-            await self._load(record)
+        await self.floor.fill()
         untold = await self.on_disk(self.store.outbox)
         self._next_seq = max((message.seq for message in untold), default=0) + 1
         self._chores = [asyncio.create_task(self._write_on()), asyncio.create_task(self._strike_off())]
         self.outbox.send(untold)
-        log.info("orchestrator at work", processes=len(self.processes), untold=len(untold))
+        log.info("orchestrator at work", processes=len(self.floor.processes), untold=len(untold))
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -128,6 +126,12 @@ class Orchestrator:
 
         return await self._do(act)
 
+    async def try_out(self, xml: bytes) -> dict[str, Any]:
+        """Say what deploying a BPMN file would lead to; raise `BadBpmn` if it cannot run."""
+        definition = await asyncio.to_thread(read_runnable, xml)
+        record, created = self.library.next_version(definition, (), self.clock(), only_if_never_seen=False)
+        return {"name": record.name, "version": record.version, "title": record.title, "created": created}
+
     async def begin(
         self,
         definition: str,
@@ -152,7 +156,7 @@ class Orchestrator:
             raise Problem(422, "Bad parameter", f"the parameters are no plain JSON: {error}") from None
 
         def act(step: Step) -> tuple[str, bool]:
-            twin = next((p for p in self.processes.values() if key is not None and p.record.key == key), None)
+            twin = self._begun_with(key)
             if twin is not None:
                 return twin.record.id, False
             deployed = self.library.record(definition, version)
@@ -173,23 +177,25 @@ class Orchestrator:
                 revision=1,
                 state=None,
             )
-            self.processes[record.id] = Process.begin(self.settings, plan, record, step, now)
+            self.floor.processes[record.id] = Process.begin(self.settings, plan, record, step, now)
             return record.id, True
 
         return await self._do(act)
 
-    async def cancel(self, process_id: str) -> None:
+    async def cancel(self, process_id: str, by: str | None = None) -> None:
         """Cancel a process; raise `Problem` 404 if there is none, 409 if it has ended."""
-        if not await self.on_disk(lambda: self.store.processes(ids=[process_id])):
-            raise Problem(404, "No such process", f'there is no process "{process_id}"')
+        await self._do_with(process_id, lambda process, step: process.cancel(by, step, self.clock()))
 
-        def act(step: Step) -> None:
-            process = self.processes.get(process_id)
-            if process is None:
-                raise Problem(409, "Process has ended", f"{process_id} has ended already")
-            process.cancel(step, self.clock())
+    async def retry(self, process_id: str, task_id: str, by: str) -> None:
+        """Have the failed Task that has ended a process done anew, and let the process go on.
 
-        await self._do(act)
+        Raises `Problem` 404 if there is no such process or Task, 409 if it cannot be retried.
+        """
+        await self._do_with(process_id, lambda process, step: process.retry(task_id, by, step, self.clock()))
+
+    def _begun_with(self, key: str | None) -> Process | None:
+        begun = self.floor.processes.values()
+        return next((process for process in begun if key is not None and process.record.key == key), None)
 
     # What is heard and what is due
 
@@ -197,7 +203,7 @@ class Orchestrator:
         """Take in Tasks as the broker has them; return how many were news. Others' Tasks are ignored."""
         tasks = []
         for entity in entities:
-            owner = self._owner(str(entity.get("id")))
+            owner = self.floor.owner(str(entity.get("id")))
             if owner is None:
                 NEWS.labels("not ours").inc()
                 continue
@@ -215,7 +221,7 @@ class Orchestrator:
 
     async def recover(self) -> None:
         """Take up again what the database, when it was away, left undone."""
-        if self._stale:
+        if self.floor.stale:
             await self._do(lambda _: None)
 
     async def missing(self, task_ids: Iterable[str]) -> None:
@@ -223,7 +229,7 @@ class Orchestrator:
 
         def act(step: Step) -> None:
             for task_id in task_ids:
-                owner = self._owner(task_id)
+                owner = self.floor.owner(task_id)
                 if owner is not None:
                     owner.missing(task_id, step, self.clock())
 
@@ -234,20 +240,20 @@ class Orchestrator:
 
         def act(step: Step) -> None:
             now = self.clock()
-            for process_id in [process_id for process_id, due in self._dues.items() if due <= now]:
-                self.processes[process_id].tick(step, now)
+            for process in self.floor.due(now):
+                process.tick(step, now)
 
         await self._do(act)
 
     def next_due(self) -> datetime | None:
         """Return when something is due next."""
-        return min(self._dues.values(), default=None)
+        return self.floor.next_due()
 
     def awaited(self) -> list[str]:
         """Return the ids of our Tasks that have not ended and that the broker must have by now."""
         return [
             task_id
-            for process in self.processes.values()
+            for process in self.floor.processes.values()
             for task_id in process.tasks
             if not self.outbox.on_its_way(task_id)
         ]
@@ -256,7 +262,7 @@ class Orchestrator:
         now = self.clock()
         heard = 0
         for task in tasks:
-            owner = self._owner(task.id)
+            owner = self.floor.owner(task.id)
             if owner is not None and owner.hear(task, step, now):
                 heard += 1
                 NEWS.labels("taken in").inc()
@@ -264,19 +270,30 @@ class Orchestrator:
         return heard
 
     async def _on_refused(self, message: Message, reason: str) -> None:
-        owner = self._owner(message.subject)
+        owner = self.floor.owner(message.subject)
         if message.saying is Saying.CREATE and owner is not None:
             await self._do(lambda step: owner.refused(message.subject, reason, step, self.clock()))
 
-    def _owner(self, task_id: str) -> Process | None:
-        return self.processes.get(self._owners.get(task_id, ""))
-
     # How it is written down
 
-    async def _do(self, act: Callable[[Step], T]) -> T:
+    async def _do(self, act: Callable[[Step], T], *, process: str | None = None) -> T:
         done: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-        self._work.put_nowait(_Work(act, done))
+        self._work.put_nowait(_Work(act, done, process))
         return await done
+
+    async def _do_with(self, process_id: str, act: Callable[[Process, Step], T]) -> T:
+        """Do something with a process that may be over; raise `Problem` 404 if there is none."""
+        if not await self.on_disk(self.store.processes, [process_id]):
+            raise Problem(404, "No such process", f'there is no process "{process_id}"')
+
+        def with_it(step: Step) -> T:
+            process = self.floor.processes.get(process_id)
+            if process is None:
+                reason = f"this release cannot read {process_id}; the log says why"
+                raise Problem(409, "Process cannot be resumed", reason)
+            return act(process, step)
+
+        return await self._do(with_it, process=process_id)
 
     async def _write_on(self) -> None:
         while True:
@@ -289,8 +306,10 @@ class Orchestrator:
     async def _write_together(self, works: list[_Work]) -> None:
         step = Step(self._next_seq)
         answers: list[tuple[_Work, Any]] = []
+        fetched = {work.process for work in works if work.process is not None}
         try:
-            await self._refresh()
+            await self.floor.refresh()
+            await self.floor.fetch(fetched)
             for work in works:
                 try:
                     answers.append((work, work.act(step)))
@@ -301,13 +320,17 @@ class Orchestrator:
                 await self.on_disk(self.store.write, step)
         except Exception as error:  # noqa: BLE001 - logged, and answered, by _write_apart
             self.outbox.put_back(step.delivered)
-            self._stale |= step.touched
+            self.floor.mistrust(step.touched)
             with suppress(SQLAlchemyError):  # the database is away: the next step tries again
-                await self._refresh()
+                await self.floor.refresh()
+            self.floor.clear(fetched)
             await self._write_apart([work for work in works if not work.done.done()], error)
             return
         self._next_seq = step.next_seq
-        self._settle(step)
+        self.library.add(step.definitions)
+        self.floor.settle(step)
+        self.floor.clear(fetched)
+        self.due_changed.set()
         self.outbox.send(step.messages)
         for work, answer in answers:
             _answer(work, answer)
@@ -325,62 +348,6 @@ class Orchestrator:
             _answer(
                 work, Problem(503, "Not written", f"nothing was changed: {reason}; mend that and ask again")
             )
-
-    async def _refresh(self) -> None:
-        """Take processes anew from the database after a step with them was not written."""
-        if not self._stale:
-            return
-        records = await self.on_disk(lambda ids: self.store.processes(ids=ids), sorted(self._stale))
-        for process_id in self._stale:
-            self._forget(process_id)
-        for record in records:
-            await self._load(record)
-        self._stale.clear()
-
-    async def _load(self, record: ProcessRecord) -> None:
-        tasks = await self.on_disk(self.store.tasks, record.id)
-        try:
-            plan = self.library.plan(self.library.record(record.definition, record.version))
-            run = plan.resume(record.state) if record.state is not None else None
-        except HandoverError as error:
-            log.critical("a process cannot be resumed", process=record.id, error=str(error))
-            return
-        process = Process(self.settings, record, plan, run)
-        process.tasks = {task.id: task for task in tasks if not task.finished}
-        process.composed = [task.id for task in tasks]
-        process.told = (record.status, len(tasks))
-        if not process.over:
-            self.processes[record.id] = process
-            self._owners.update(dict.fromkeys(process.tasks, record.id))
-            self._set_due(process)
-
-    def _settle(self, step: Step) -> None:
-        """After a step: know who owns its Tasks and what is due, and let go of what is over."""
-        self.library.add(step.definitions)
-        for task in step.tasks.values():
-            self._owners[task.id] = task.process
-            if task.finished:
-                self._owners.pop(task.id, None)
-        for record in step.processes.values():
-            process = self.processes[record.id]
-            if record.id in step.ended:
-                ENDED.labels(record.status.value).inc()
-                log.info("process ended", process=record.id, status=record.status.value, reason=record.reason)
-            self._set_due(process)
-            if process.over:
-                self._forget(record.id)
-        self.due_changed.set()
-
-    def _set_due(self, process: Process) -> None:
-        self._dues.pop(process.record.id, None)
-        for timer in process.timers()[:1]:
-            self._dues[process.record.id] = timer.due
-
-    def _forget(self, process_id: str) -> None:
-        self._dues.pop(process_id, None)
-        process = self.processes.pop(process_id, None)
-        for task_id in process.tasks if process is not None else ():
-            self._owners.pop(task_id, None)
 
     async def _strike_off(self) -> None:
         """Delete delivered messages from the database when no step comes along that would do it."""

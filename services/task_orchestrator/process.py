@@ -1,10 +1,11 @@
 """Process: one instance of a definition, from its start to its end, and the Tasks it has handed out.
 
 What is heard, what is due and what people ask move it; what follows is gathered in a `Step`. Nothing here
-waits or talks to anyone, and time comes as an argument.
+waits or talks to anyone, and time comes as an argument. A Task that has ended never reopens; a process that a
+failed Task has ended does, when somebody has that Task retried: with a new Task.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 from datamodels.entities import Task, TaskStatus
 from handover.errors import Problem
 from handover.task_life import FINISHED, is_news
+from services.task_orchestrator import alarms
 from services.task_orchestrator.engine import Open, Plan, Run, RunFailed
 from services.task_orchestrator.entities import (
     cancel_request,
@@ -22,6 +24,8 @@ from services.task_orchestrator.entities import (
 )
 from services.task_orchestrator.expressions import ExpressionError
 from services.task_orchestrator.records import (
+    Act,
+    ActKind,
     Move,
     ProcessRecord,
     Saying,
@@ -30,6 +34,7 @@ from services.task_orchestrator.records import (
     Timer,
     TimerKind,
 )
+from services.task_orchestrator.retry import run_to_retry
 from services.task_orchestrator.settings import OrchestratorSettings
 
 CANCELLED = "cancelled"
@@ -52,7 +57,8 @@ class _News:
 class Process:
     """A process as it is held in memory; `run` is None once it has ended.
 
-    `tasks` are those that have not ended, `composed` the ids of all it ever had.
+    `tasks` are those that have not ended, `composed` the ids of all it ever had, `done_anyway` those, by
+    token, that were completed though they had been called back.
     """
 
     settings: OrchestratorSettings
@@ -61,6 +67,7 @@ class Process:
     run: Run | None
     tasks: dict[str, TaskRecord] = field(default_factory=dict)
     composed: list[str] = field(default_factory=list)
+    done_anyway: dict[str, TaskRecord] = field(default_factory=dict)
     told: tuple[TaskStatus, int] | None = None
     """The status and the number of Tasks that the broker has been told."""
 
@@ -78,6 +85,19 @@ class Process:
         except RunFailed as failure:
             process._fail(str(failure), step, now)
         process._follow(step, now)
+        return process
+
+    @classmethod
+    def resume(
+        cls, settings: OrchestratorSettings, plan: Plan, record: ProcessRecord, tasks: Iterable[TaskRecord]
+    ) -> "Process":
+        """Return a process as it was written down; raise `RunFailed` if this release cannot go on with it."""
+        running = record.state if record.ended_at is None else None
+        process = cls(settings, record, plan, plan.resume(running) if running is not None else None)
+        for task in tasks:
+            process.composed.append(task.id)
+            process._hold(task)
+        process.told = (record.status, len(process.composed))
         return process
 
     @property
@@ -152,14 +172,7 @@ class Process:
         else:
             self._note(task.changed(lost=task.lost + 1), step)
             if task.lost == 1:
-                self._raise_alert(
-                    step,
-                    f"{task.id.rsplit(':', 1)[-1]} lost",
-                    source=task.id,
-                    category="taskLost",
-                    description=f"The broker no longer has the Task {task.id}, which was {task.status}. "
-                    f"See what came of it, then cancel the process {self.record.id}",
-                )
+                alarms.call_for_lost(step, task)
 
     def tick(self, step: Step, now: datetime) -> None:
         """Let happen what is due at `now`."""
@@ -168,7 +181,8 @@ class Process:
         for timer in due:
             task = self.tasks.get(timer.subject)
             if timer.kind is TimerKind.DEADLINE and task is not None:
-                self._alert_not_taken_up(task, step)
+                self._note(task.changed(alerted=True), step)
+                alarms.call_for_overdue(step, task)
             elif timer.kind is TimerKind.GRACE and task is not None:
                 self._close_cancelled(task, step, now)
         if any(timer.kind is TimerKind.EVENT for timer in due) and self.run is not None:
@@ -179,12 +193,36 @@ class Process:
         if due:
             self._follow(step, now)
 
-    def cancel(self, step: Step, now: datetime) -> None:
+    def cancel(self, by: str | None, step: Step, now: datetime) -> None:
         """End the process as failed and call its Tasks back; raise `Problem` 409 if it has ended."""
-        step.touched.add(self.record.id)
         if self.run is None:
             raise Problem(409, "Process has ended", f"{self.record.id} is {self.record.status} already")
-        self._end(TaskStatus.FAILED, CANCELLED, step, now)
+        step.touched.add(self.record.id)
+        self._keep_in_mind(Act(now, ActKind.CANCEL, by))
+        self._end(TaskStatus.FAILED, f"{CANCELLED} by {by}" if by else CANCELLED, step, now)
+        self._follow(step, now)
+
+    def retry(self, task_id: str, by: str, step: Step, now: datetime) -> None:
+        """Go on where the failed Task has ended the process: hand out its activity anew.
+
+        So are those that were called back then, as soon as their Tasks have ended; what was completed anyway
+        counts, since nothing is done twice. Raises `Problem` 404 or 409 that says why it cannot be.
+        """
+        run = run_to_retry(self.plan, self.record, self.composed, task_id)
+        step.touched.add(self.record.id)
+        step.ended.discard(self.record.id)
+        alarms.end_failed(step, self.record, self.urn)
+        self._keep_in_mind(Act(now, ActKind.RETRY, by, task_id))
+        self._revise(status=TaskStatus.IN_PROGRESS, reason=None, ended_at=None, failed_by=None)
+        self.run = run
+        try:
+            run.restart_timers(now)
+            for open_ in run.open():
+                done = self.done_anyway.get(open_.token)
+                if done is not None and run.is_open(open_.token):
+                    run.complete(open_.token, self._results(done, done.outputs or {}), now)
+        except RunFailed as failure:
+            self._fail(str(failure), step, now)
         self._follow(step, now)
 
     # What follows from it
@@ -193,7 +231,7 @@ class Process:
         moves = task.moves + 1
         step.moves.append(Move(task.id, moves, news.status, news.observed_at, now))
         if task.alerted:
-            step.say(self.record.id, Saying.CLEAR, task.id, {"key": _overdue_key(task)})
+            alarms.end_overdue(step, task)
         self._note(
             task.changed(
                 status=news.status,
@@ -206,7 +244,7 @@ class Process:
             ),
             step,
         )
-        if news.final and task.cancelled_at is None and self.run is not None:
+        if news.final and self.run is not None and self.run.is_open(task.token):
             try:
                 self._go_on(self.run, task, news, step, now)
             except RunFailed as failure:
@@ -214,19 +252,25 @@ class Process:
         self._follow(step, now)
 
     def _go_on(self, run: Run, task: TaskRecord, news: _News, step: Step, now: datetime) -> None:
-        activity = self.plan.definition.activities[task.element]
         if news.status is TaskStatus.COMPLETED:
-            run.complete(task.token, activity.results(news.outputs), now)
+            run.complete(task.token, self._results(task, news.outputs), now)
             return
+        if task.cancelled_at is not None:
+            return  # called back when the process failed, wanted again since: it is handed out anew
+        activity = self.plan.definition.activities[task.element]
         reason = str(news.outputs.get("reason") or "no reason given").replace("\0", "")
         code = news.outputs.get("errorCode")
         error = {"activity": task.element, "reason": reason, "code": None if code is None else str(code)}
         if not run.fail(task.token, error, now):
+            self._revise(failed_by=task.id, state=run.snapshot())
             self._fail(f'"{activity.name}" failed: {reason}', step, now)
+
+    def _results(self, task: TaskRecord, outputs: Mapping[str, Any]) -> dict[str, Any]:
+        return self.plan.definition.activities[task.element].results(outputs)
 
     def _follow(self, step: Step, now: datetime) -> None:
         """Hand out the activities that were reached, call back those that were left, and note it all."""
-        state: bytes | None = None
+        state = self.record.state if self.record.failed_by is not None else None
         if self.run is not None:
             try:
                 self._hand_out(self.run, step, now)
@@ -242,7 +286,7 @@ class Process:
             revision=self.record.revision + (0 if known else 1),
             variables=run.variables() if run is not None else self.record.variables,
             waiting=run.waiting() if run is not None else (),
-            state=state if run is not None else None,
+            state=state if run is not None or self.record.failed_by is not None else None,
         )
         step.processes[self.record.id] = self.record
         step.timers[self.record.id] = self.timers()
@@ -253,11 +297,18 @@ class Process:
         tokens = {task.token for task in self.tasks.values()}
         for open_ in run.open():
             if open_.token not in tokens:
-                self._post(open_, step, now)
+                self._post(self._not_yet_posted(run, open_), step, now)
+
+    def _not_yet_posted(self, run: Run, open_: Open) -> Open:
+        """Return `open_`, as a further visit if its Task has ended and it is to be done all the same."""
+        return run.visit_again(open_.token) if self._task_id(open_) in self.composed else open_
+
+    def _task_id(self, open_: Open) -> str:
+        return self.settings.entity_id("Task", f"{self.record.id}-{open_.element}-{open_.visit}")
 
     def _post(self, open_: Open, step: Step, now: datetime) -> None:
         activity = self.plan.definition.activities[open_.element]
-        task_id = self.settings.entity_id("Task", f"{self.record.id}-{open_.element}-{open_.visit}")
+        task_id = self._task_id(open_)
         allowed = timedelta(seconds=self.settings.task_deadline_s)
         deadline = activity.deadline.after(now) if activity.deadline is not None else now + allowed
         entity = task_entity(self.settings, task_id, activity, open_.variables, at=now, deadline=deadline)
@@ -295,27 +346,9 @@ class Process:
         step.say(self.record.id, Saying.APPEND, task.id, closing)
         self._take_in(task, _News(TaskStatus.FAILED, now, outputs), step, now)
 
-    def _alert_not_taken_up(self, task: TaskRecord, step: Step) -> None:
-        self._note(task.changed(alerted=True), step)
-        involved = ", ".join(link["object"] for link in task.entity["involves"]["value"])
-        self._raise_alert(
-            step,
-            _overdue_key(task),
-            source=task.id,
-            category="taskOverdue",
-            sub_category="notTakenUp",
-            description=f"Nobody has taken up the Task {task.id}; it involves {involved}",
-        )
-
     def _fail(self, reason: str, step: Step, now: datetime) -> None:
         self._end(TaskStatus.FAILED, reason, step, now)
-        self._raise_alert(
-            step,
-            f"{self.record.id} failed",
-            source=self.urn,
-            category="processFailed",
-            description=f"The process {self.record.id} has failed: {reason}",
-        )
+        alarms.call_for_failed(step, self.record, self.urn)
 
     def _end(self, status: TaskStatus, reason: str | None, step: Step, now: datetime) -> None:
         step.ended.add(self.record.id)
@@ -332,6 +365,8 @@ class Process:
             outputs = {n: v for n, v in record.variables.items() if n not in record.parameters}
         elif record.status is TaskStatus.FAILED:
             outputs = {"reason": record.reason}
+        elif record.acts:
+            outputs = {}  # a process that goes on again has none, whatever was told before
         entity = process_entity(
             self.settings,
             record.id,
@@ -344,18 +379,20 @@ class Process:
         )
         step.say(record.id, Saying.UPSERT, self.urn, [entity])
 
-    def _raise_alert(self, step: Step, key: str, **alert: Any) -> None:
-        step.say(self.record.id, Saying.RAISE, alert["source"], {"key": key, **alert})
-
     def _note(self, task: TaskRecord, step: Step) -> None:
         step.tasks[task.id] = task
-        self.tasks[task.id] = task
-        if task.finished:
-            del self.tasks[task.id]
+        self._hold(task)
+
+    def _hold(self, task: TaskRecord) -> None:
+        if not task.finished:
+            self.tasks[task.id] = task
+            return
+        self.tasks.pop(task.id, None)
+        if task.cancelled_at is not None and task.status is TaskStatus.COMPLETED:
+            self.done_anyway[task.token] = task
+
+    def _keep_in_mind(self, act: Act) -> None:
+        self._revise(acts=(*self.record.acts, act))
 
     def _revise(self, **changes: Any) -> None:
         self.record = replace(self.record, **changes)
-
-
-def _overdue_key(task: TaskRecord) -> str:
-    return f"{task.id.rsplit(':', 1)[-1]} not taken up"

@@ -28,9 +28,30 @@ class DefinitionRecord:
     deployed_at: datetime
 
 
+class ActKind(StrEnum):
+    """What somebody did with a process."""
+
+    CANCEL = "cancel"
+    RETRY = "retry"
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """Something a person did with a process: who (if told), what, when, and with which Task."""
+
+    at: datetime
+    act: ActKind
+    by: str | None = None
+    task: str | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessRecord:
-    """A process as it is kept; `state` is the engine's, gone when the process has ended."""
+    """A process as it is kept.
+
+    `state` is the engine's. It goes when the process has ended, unless a failed Task, `failed_by`, was the
+    end of it: then somebody may retry that.
+    """
 
     id: str
     definition: str
@@ -45,6 +66,8 @@ class ProcessRecord:
     ended_at: datetime | None
     revision: int
     state: bytes | None = field(repr=False)
+    failed_by: str | None = None
+    acts: tuple[Act, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +95,13 @@ class TaskRecord:
     def finished(self) -> bool:
         """Say whether it is completed or failed."""
         return self.status in FINISHED
+
+    @property
+    def took_ms(self) -> int | None:
+        """Return how long it took from being handed out to its end."""
+        if self.ended_at is None:
+            return None
+        return round((self.ended_at - self.created_at).total_seconds() * 1000)
 
     def changed(self, **changes: Any) -> "TaskRecord":
         """Return the record with `changes`."""

@@ -1,62 +1,191 @@
-"""Views: a process as people look at it over HTTP."""
+"""Views: definitions and processes as people look at them over HTTP."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
+from datamodels.entities import TaskStatus
 from datamodels.times import iso
-from services.task_orchestrator.records import Move, ProcessRecord, TaskRecord
+from handover.errors import HandoverError
+from services.task_orchestrator.ahead import activities_ahead
+from services.task_orchestrator.counts import ElementCount, VersionCount, count_elements
+from services.task_orchestrator.definition import Activity, Definition
+from services.task_orchestrator.entities import resource_id
+from services.task_orchestrator.expressions import ExpressionError
+from services.task_orchestrator.extension import is_reference
+from services.task_orchestrator.library import Library
+from services.task_orchestrator.records import Act, DefinitionRecord, Move, ProcessRecord, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
-from services.task_orchestrator.store import Store
+
+View = dict[str, Any]
 
 
-def process_summary(settings: OrchestratorSettings, record: ProcessRecord) -> dict[str, Any]:
+def definition_view(library: Library, record: DefinitionRecord) -> View:
+    """Return a version of a definition and the parameters its processes can be started with."""
+    view: View = {
+        "name": record.name,
+        "version": record.version,
+        "label": record.label,
+        "title": record.title,
+        "deployedAt": iso(record.deployed_at),
+        "parameters": [],
+    }
+    try:
+        definition = library.plan(record).definition
+    except HandoverError as error:
+        return {**view, "unusable": str(error)}
+    return {**view, "parameters": parameter_views(definition)}
+
+
+def parameter_views(definition: Definition) -> list[View]:
+    """Return what a process can be started with."""
+    return [
+        {"name": each.name, "required": each.required, "default": each.default}
+        for each in definition.parameters.values()
+    ]
+
+
+def activity_views(definition: Definition) -> list[View]:
+    """Return the activities of a definition as drawn."""
+    return [
+        {
+            "id": activity.id,
+            "name": activity.name,
+            "definition": activity.definition,
+            "lane": activity.lane,
+            "description": activity.description,
+        }
+        for activity in definition.activities.values()
+    ]
+
+
+def statistics_view(record: DefinitionRecord, counts: VersionCount) -> View:
+    """Return what became of all processes of a version."""
+    return {
+        "name": record.name,
+        "version": record.version,
+        "processes": {"running": counts.running, "completed": counts.completed, "failed": counts.failed},
+        "elements": {element: _count_view(count) for element, count in counts.elements.items()},
+    }
+
+
+def process_summary(settings: OrchestratorSettings, library: Library, record: ProcessRecord) -> View:
     """Return a process in a line."""
     return {
         "id": record.id,
         "entity": settings.entity_id("Process", record.id),
         "definition": record.definition,
         "version": record.version,
+        "title": library.record(record.definition, record.version).title,
         "key": record.key,
         "status": record.status.value,
         "reason": record.reason,
         "startedAt": iso(record.started_at),
         "endedAt": _iso(record.ended_at),
         "waiting": list(record.waiting),
+        "retry": record.failed_by,
     }
 
 
-def process_view(settings: OrchestratorSettings, store: Store, process_id: str) -> dict[str, Any] | None:
-    """Return all there is to see of a process; None if there is no such process."""
-    records = store.processes(ids=[process_id])
-    if not records:
-        return None
-    moves: dict[str, list[Move]] = {}
-    for move in store.moves(process_id):
-        moves.setdefault(move.task, []).append(move)
+def process_view(
+    settings: OrchestratorSettings,
+    library: Library,
+    record: ProcessRecord,
+    tasks: Sequence[TaskRecord],
+    moves: Sequence[Move],
+) -> View:
+    """Return all there is to see of a process."""
+    definition = _definition(library, record)
+    history: dict[str, list[Move]] = {}
+    for move in moves:
+        history.setdefault(move.task, []).append(move)
+    counts = count_elements(tasks)
+    activities = definition.activities if definition is not None else {}
     return {
-        **process_summary(settings, records[0]),
-        "parameters": records[0].parameters,
-        "variables": records[0].variables,
-        "tasks": [_task_view(task, moves.get(task.id, [])) for task in store.tasks(process_id)],
+        **process_summary(settings, library, record),
+        "parameters": record.parameters,
+        "variables": record.variables,
+        "next": _next(settings, definition, record) if definition is not None else [],
+        "done": sum(count.completed > 0 for count in counts.values()),
+        "activities": len(activities),
+        "elements": {element: _count_view(count) for element, count in counts.items()},
+        "acts": [_act_view(act) for act in record.acts],
+        "tasks": [_task_view(task, activities.get(task.element), history.get(task.id, [])) for task in tasks],
     }
 
 
-def _task_view(task: TaskRecord, moves: list[Move]) -> Mapping[str, Any]:
+def _definition(library: Library, record: ProcessRecord) -> Definition | None:
+    """Return what a process was drawn as, None if this release cannot read it any more."""
+    try:
+        return library.plan(library.record(record.definition, record.version)).definition
+    except HandoverError:
+        return None
+
+
+def _next(settings: OrchestratorSettings, definition: Definition, record: ProcessRecord) -> list[View]:
+    return [
+        {
+            "element": activity.id,
+            "name": activity.name,
+            "description": activity.description,
+            "lane": activity.lane,
+            "involves": _involved(settings, activity, record.variables),
+        }
+        for activity in activities_ahead(definition, record.waiting, record.variables)
+    ]
+
+
+def _involved(settings: OrchestratorSettings, activity: Activity, variables: Mapping[str, Any]) -> list[str]:
+    """Return who and what an activity will involve, as far as the variables say so by now."""
+    known = []
+    for given in activity.involves:
+        try:
+            reference = given.value(variables)
+        except ExpressionError:
+            continue
+        if is_reference(reference):
+            known.append(resource_id(settings, reference))
+    return known
+
+
+def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move]) -> View:
+    asked: Mapping[str, Any] = task.entity["workParameters"]["value"]
+    told = asked.get("description")
+    outputs = task.outputs or {}
+    failed = task.status is TaskStatus.FAILED
     return {
         "id": task.id,
         "element": task.element,
+        "name": activity.name if activity is not None else task.element,
         "visit": task.visit,
+        "description": told if isinstance(told, str) else activity and activity.description,
         "status": task.status.value,
+        "involves": [link["object"] for link in task.entity["involves"]["value"]],
+        "workParameters": asked,
         "createdAt": iso(task.created_at),
         "deadline": iso(task.deadline),
         "endedAt": _iso(task.ended_at),
         "cancelled": task.cancelled_at is not None,
+        "reason": str(outputs["reason"]) if failed and outputs.get("reason") else None,
         "outputParameters": task.outputs,
         "history": [
             {"status": move.status.value, "at": iso(move.observed_at or move.heard_at)} for move in moves
         ],
     }
+
+
+def _count_view(count: ElementCount) -> View:
+    return {
+        "running": count.running,
+        "completed": count.completed,
+        "failed": count.failed,
+        "lastMs": count.last_ms,
+        "medianMs": count.median_ms,
+    }
+
+
+def _act_view(act: Act) -> View:
+    return {"at": iso(act.at), "by": act.by, "act": act.act.value, "task": act.task}
 
 
 def _iso(moment: datetime | None) -> str | None:

@@ -86,7 +86,7 @@ async def test_a_wrong_file_is_answered_with_every_fault(api: httpx.AsyncClient)
     answer = await api.post("/definitions", content=drawing("<bpmn:callActivity id='c'/>"))
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
-    assert {error["element"] for error in answer.json()["errors"]} == {"p", "c"}
+    assert {error["element"] for error in answer.json()["faults"]} == {"p", "c"}
     assert (await api.post("/definitions", content=b"x" * 1_048_577)).status_code == 422
 
 

@@ -61,8 +61,8 @@ async def test_what_could_not_be_written_is_taken_back_and_can_be_heard_again(
     with pytest.raises(Problem, match="another orchestrator"):
         await orchestrator.hear([completed(task_of(process))])
     assert await orchestrator.hear([completed(task_of(process))]) == 1
-    assert process not in orchestrator.processes
-    (record,) = await orchestrator.on_disk(lambda: orchestrator.store.processes(ids=[process]))
+    assert process not in orchestrator.floor.processes
+    (record,) = await orchestrator.on_disk(lambda: orchestrator.store.processes([process]))
     assert record.status.value == "completed"
 
 
@@ -93,8 +93,8 @@ async def test_a_process_whose_start_could_not_be_written_does_not_exist(
         await orchestrator.begin("p", {})
     run_sql(settings, "ALTER TABLE mislaid RENAME TO orchestrator_outbox")
     await orchestrator.begin("p", {})
-    assert len(orchestrator.processes) == 1
-    assert len(await orchestrator.on_disk(orchestrator.store.processes)) == 1
+    assert len(orchestrator.floor.processes) == 1
+    assert len(await orchestrator.on_disk(orchestrator.store.page)) == 1
 
 
 async def test_a_hundred_at_once_are_all_moved_and_written(orchestrator: Orchestrator) -> None:
@@ -103,8 +103,8 @@ async def test_a_hundred_at_once_are_all_moved_and_written(orchestrator: Orchest
     ]
     heard = await asyncio.gather(*(orchestrator.hear([completed(task_of(process))]) for process in processes))
     assert heard == [1] * 100
-    assert orchestrator.processes == {}
-    records = await orchestrator.on_disk(lambda: orchestrator.store.processes(status="completed"))
+    assert orchestrator.floor.processes == {}
+    records = await orchestrator.on_disk(lambda: orchestrator.store.page(status="completed"))
     assert {record.id for record in records} == set(processes)
 
 
@@ -121,7 +121,7 @@ async def test_parameters_that_cannot_be_kept_are_refused(
     with pytest.raises(Problem) as refusal:
         await orchestrator.begin("p", parameters)
     assert refusal.value.status == 422
-    assert orchestrator.processes == {}
+    assert orchestrator.floor.processes == {}
 
 
 async def test_timers_and_their_tasks_are_there_after_a_restart(settings: OrchestratorSettings) -> None:
@@ -135,10 +135,10 @@ async def test_timers_and_their_tasks_are_there_after_a_restart(settings: Orches
             assert before.next_due() == now + timedelta(hours=1)
         async with Orchestrator(settings, broker, clock=lambda: now + timedelta(minutes=59)) as early:
             await early.tick()
-            assert early.processes[process].tasks == {}
+            assert early.floor.processes[process].tasks == {}
         async with Orchestrator(settings, broker, clock=lambda: now + timedelta(hours=1)) as after:
             await after.tick()
-            assert list(after.processes[process].tasks) == [task_of(process)]
+            assert list(after.floor.processes[process].tasks) == [task_of(process)]
             (due,) = (await after.on_disk(after.store.timers))[process]
             assert due.subject == task_of(process)
 

@@ -30,7 +30,7 @@ def faults(body: str, **more: str) -> list[str]:
     with pytest.raises(BadBpmn) as bad:
         read_runnable(drawing(body, **more))
     assert bad.value.status == 422
-    listed = bad.value.body()["errors"]
+    listed = bad.value.body()["faults"]
     assert [set(error) for error in listed] == [{"element", "line", "message"}] * len(listed)
     return [str(fault) for fault in bad.value.faults]
 

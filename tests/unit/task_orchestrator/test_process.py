@@ -244,17 +244,17 @@ def test_a_process_that_fails_calls_its_other_tasks_back() -> None:
 
 def test_a_cancelled_process_ends_failed_and_calls_its_tasks_back() -> None:
     floor = Floor(ONE_STEP)
-    floor.process.cancel(floor.next_step(), NOW)
+    floor.process.cancel(None, floor.next_step(), NOW)
     assert processes(floor.step)[-1]["status"]["value"] == "failed"
     assert processes(floor.step)[-1]["outputParameters"]["value"] == {"reason": "cancelled"}
     assert alerts(floor.step) == []
     with pytest.raises(Problem, match="ended"):
-        floor.process.cancel(floor.next_step(), NOW)
+        floor.process.cancel(None, floor.next_step(), NOW)
 
 
 def test_a_cancelled_task_nobody_took_up_is_closed_after_a_grace() -> None:
     floor = Floor(ONE_STEP)
-    floor.process.cancel(floor.next_step(), NOW)
+    floor.process.cancel(None, floor.next_step(), NOW)
     assert [timer.kind for timer in floor.process.timers()] == [TimerKind.GRACE]
     floor.after(seconds=4)
     floor.tick()
@@ -270,7 +270,7 @@ def test_a_cancelled_task_nobody_took_up_is_closed_after_a_grace() -> None:
 def test_a_cancelled_task_that_was_taken_up_is_left_to_its_performer() -> None:
     floor = Floor(ONE_STEP)
     floor.hear("work-1", "inProgress")
-    floor.process.cancel(floor.next_step(), NOW)
+    floor.process.cancel(None, floor.next_step(), NOW)
     floor.after(hours=1)
     floor.tick()
     assert floor.open == ["work-1"]
@@ -333,7 +333,7 @@ def test_a_begun_task_the_broker_lost_is_not_done_twice_but_told_once() -> None:
 
 def test_a_cancelled_task_the_broker_lost_counts_as_closed() -> None:
     floor = Floor(ONE_STEP)
-    floor.process.cancel(floor.next_step(), NOW)
+    floor.process.cancel(None, floor.next_step(), NOW)
     floor.process.missing(task_id("work-1"), floor.next_step(), NOW)
     assert floor.process.over
 

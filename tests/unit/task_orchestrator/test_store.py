@@ -93,8 +93,8 @@ def test_what_was_written_is_read_as_it_was(store: Store) -> None:
     step = first_step()
     store.write(step)
     assert store.unfinished() == [PROCESS]
-    assert store.processes(ids=["p-1"]) == [PROCESS]
-    assert store.processes(status="completed") == []
+    assert store.processes(["p-1"]) == [PROCESS]
+    assert store.page(status="completed") == []
     assert store.by_key("order 7") == PROCESS
     assert store.tasks("p-1") == [TASK]
     assert store.definitions() == step.definitions
@@ -139,7 +139,7 @@ def test_a_step_that_cannot_be_written_leaves_nothing_behind(store: Store, broke
         step.new.add("p-2")
     with pytest.raises(Exception, match=r"UNIQUE|unique|another orchestrator|there already"):
         store.write(step)
-    assert store.processes(ids=["p-1", "p-2"]) == [PROCESS]
+    assert store.processes(["p-1", "p-2"]) == [PROCESS]
     assert store.tasks("p-1") == [TASK]
     assert store.moves("p-1") == []
     assert [message.seq for message in store.outbox()] == [1]

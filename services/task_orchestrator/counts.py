@@ -1,0 +1,126 @@
+"""Counts: how often each activity was done, how often it failed, and how long it took.
+
+What was called back counts as neither. Only what was completed says how long an activity takes, from its
+Task being handed out to its end, waiting for somebody to take it up included.
+"""
+
+import statistics
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, and_, case, func, select
+
+from datamodels.entities import TaskStatus
+from services.task_orchestrator.records import TaskRecord
+from services.task_orchestrator.schema import processes, tasks
+
+
+@dataclass(frozen=True, slots=True)
+class ElementCount:
+    """What became of the Tasks of one activity."""
+
+    running: int = 0
+    completed: int = 0
+    failed: int = 0
+    last_ms: int | None = None
+    median_ms: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VersionCount:
+    """What became of the processes of one version of a definition, and of their Tasks."""
+
+    running: int
+    completed: int
+    failed: int
+    elements: Mapping[str, ElementCount]
+
+
+def count_elements(listed: Iterable[TaskRecord]) -> dict[str, ElementCount]:
+    """Return the counts of the Tasks `listed`, those of one process, by activity."""
+    by_element: dict[str, list[TaskRecord]] = {}
+    for task in listed:
+        by_element.setdefault(task.element, []).append(task)
+    return {element: _count(of_element) for element, of_element in by_element.items()}
+
+
+def _count(of_element: list[TaskRecord]) -> ElementCount:
+    completed = [task for task in of_element if task.status is TaskStatus.COMPLETED]
+    times = [task.took_ms for task in completed if task.took_ms is not None]
+    last = max(completed, key=lambda task: (task.ended_at or task.created_at, task.id), default=None)
+    return ElementCount(
+        running=sum(not task.finished and task.cancelled_at is None for task in of_element),
+        completed=len(completed),
+        failed=sum(task.status is TaskStatus.FAILED and task.cancelled_at is None for task in of_element),
+        last_ms=last.took_ms if last is not None else None,
+        median_ms=round(statistics.median(times)) if times else None,
+    )
+
+
+def count_version(connection: Connection, definition: str, version: int) -> VersionCount:
+    """Return the counts of all processes of a version; the database does the counting."""
+    of_version = and_(processes.c.definition == definition, processes.c.version == version)
+    rows = connection.execute(
+        select(processes.c.status, func.count()).where(of_version).group_by(processes.c.status)
+    )
+    ended: dict[str, int] = dict(rows.tuples().all())
+    completed = ended.pop(TaskStatus.COMPLETED.value, 0)
+    failed = ended.pop(TaskStatus.FAILED.value, 0)
+    return VersionCount(sum(ended.values()), completed, failed, _elements(connection, of_version))
+
+
+def _elements(connection: Connection, of_version: ColumnElement[bool]) -> dict[str, ElementCount]:
+    ours = tasks.join(processes, processes.c.id == tasks.c.process)
+    completed = tasks.c.status == TaskStatus.COMPLETED.value
+    failed = tasks.c.status == TaskStatus.FAILED.value
+    kept = tasks.c.cancelled_at.is_(None)
+    counts = (
+        select(
+            tasks.c.element,
+            _how_many(and_(~completed, ~failed, kept)).label("running"),
+            _how_many(completed).label("completed"),
+            _how_many(and_(failed, kept)).label("failed"),
+        )
+        .select_from(ours)
+        .where(of_version)
+        .group_by(tasks.c.element)
+    )
+    ranked = (
+        select(
+            tasks.c.element,
+            tasks.c.took_ms,
+            func.count().over(partition_by=tasks.c.element).label("times"),
+            _place(tasks.c.took_ms, tasks.c.id).label("place"),
+            _place(tasks.c.ended_at.desc(), tasks.c.id.desc()).label("since"),
+        )
+        .select_from(ours)
+        .where(of_version, completed, tasks.c.took_ms.is_not(None))
+        .subquery()
+    )
+    in_the_middle = (2 * ranked.c.place).between(ranked.c.times, ranked.c.times + 2)
+    times = select(
+        ranked.c.element,
+        func.avg(case((in_the_middle, ranked.c.took_ms))).label("median_ms"),
+        func.max(case((ranked.c.since == 1, ranked.c.took_ms))).label("last_ms"),
+    ).group_by(ranked.c.element)
+    took: dict[str, Any] = {row.element: row for row in connection.execute(times)}
+    return {
+        row.element: ElementCount(
+            running=row.running,
+            completed=row.completed,
+            failed=row.failed,
+            last_ms=took[row.element].last_ms if row.element in took else None,
+            median_ms=round(took[row.element].median_ms) if row.element in took else None,
+        )
+        for row in connection.execute(counts)
+    }
+
+
+def _place(*order: ColumnElement[Any]) -> ColumnElement[int]:
+    """Return the place of a Task among those of its activity, from 1."""
+    return func.row_number().over(partition_by=tasks.c.element, order_by=order)
+
+
+def _how_many(condition: ColumnElement[bool]) -> ColumnElement[int]:
+    return func.sum(case((condition, 1), else_=0))

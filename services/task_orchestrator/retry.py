@@ -1,0 +1,36 @@
+"""Retry: which processes may go on again after they have failed, and from where.
+
+Only a failed Task leaves a process in a state from which it can: nobody knows how far another failure got.
+"""
+
+from collections.abc import Collection
+
+from datamodels.entities import TaskStatus
+from handover.errors import Problem
+from services.task_orchestrator.engine import Plan, Run, RunFailed
+from services.task_orchestrator.records import ProcessRecord
+
+
+def run_to_retry(plan: Plan, record: ProcessRecord, composed: Collection[str], task_id: str) -> Run:
+    """Return the run of `record` as it was before the Task `task_id` failed and ended it.
+
+    `composed` are the ids of all its Tasks. Raises `Problem` 404 if the Task is none of them, 409 with the
+    reason if it cannot be retried.
+    """
+    if task_id not in composed:
+        raise Problem(404, "No such Task", f'{record.id} has no Task "{task_id}"')
+    if record.status is not TaskStatus.FAILED:
+        raise _refusal(f"{record.id} is {record.status}, and only a failed process can be retried")
+    if record.failed_by is None or record.state is None:
+        why = f"{record.id} has not ended by a failed Task that can be retried ({record.reason})"
+        raise _refusal(f"{why}; start a new process")
+    if record.failed_by != task_id:
+        raise _refusal(f"{record.id} has ended by another Task; retry {record.failed_by}")
+    try:
+        return plan.resume(record.state)
+    except RunFailed as failure:
+        raise _refusal(f"{failure}; start a new process") from failure
+
+
+def _refusal(why: str) -> Problem:
+    return Problem(409, "Cannot be retried", why)

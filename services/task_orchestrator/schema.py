@@ -1,0 +1,197 @@
+"""Schema: the tables of the orchestrator, and how those of an earlier release become today's.
+
+A database is brought forward in one transaction, and a SQLite file is copied beside itself before. One that a
+later release has written is left alone.
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Connection,
+    Engine,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    func,
+    insert,
+    inspect,
+    select,
+    update,
+)
+from sqlalchemy.schema import CreateIndex
+
+from handover.errors import UsageError
+from handover.telemetry import get_logger
+
+log = get_logger(__name__)
+
+SCHEMA_VERSION = 2
+
+_meta = MetaData()
+schema = Table("orchestrator_schema", _meta, Column("version", Integer, nullable=False))
+definitions = Table(
+    "orchestrator_definitions",
+    _meta,
+    Column("name", String(64), primary_key=True),
+    Column("version", Integer, primary_key=True),
+    Column("digest", String(64), nullable=False),
+    Column("title", Text, nullable=False),
+    Column("label", Text),
+    Column("xml", LargeBinary, nullable=False),
+    Column("deployed_at", String(40), nullable=False),
+)
+processes = Table(
+    "orchestrator_processes",
+    _meta,
+    Column("id", String(100), primary_key=True),
+    Column("definition", String(64), nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("key", String(200), unique=True),
+    Column("status", String(20), nullable=False, index=True),
+    Column("parameters", Text, nullable=False),
+    Column("variables", Text, nullable=False),
+    Column("waiting", Text, nullable=False),
+    Column("reason", Text),
+    Column("started_at", String(40), nullable=False),
+    Column("ended_at", String(40)),
+    Column("revision", Integer, nullable=False),
+    Column("state", LargeBinary),
+    Column("failed_by", String(300)),
+    Column("acts", Text, nullable=False, server_default="[]"),
+    Index("orchestrator_processes_started", "started_at", "id"),
+    Index("orchestrator_processes_definition", "definition", "version"),
+)
+tasks = Table(
+    "orchestrator_tasks",
+    _meta,
+    Column("id", String(300), primary_key=True),
+    Column("process", String(100), nullable=False, index=True),
+    Column("element", String(64), nullable=False),
+    Column("visit", Integer, nullable=False),
+    Column("token", String(36), nullable=False),
+    Column("status", String(20), nullable=False, index=True),
+    Column("observed_at", String(40)),
+    Column("moves", Integer, nullable=False),
+    Column("created_at", String(40), nullable=False),
+    Column("deadline", String(40), nullable=False),
+    Column("ended_at", String(40)),
+    Column("cancelled_at", String(40)),
+    Column("alerted", Boolean, nullable=False),
+    Column("lost", Integer, nullable=False),
+    Column("outputs", Text),
+    Column("entity", Text, nullable=False),
+    Column("took_ms", BigInteger),
+)
+inbox = Table(
+    "orchestrator_inbox",
+    _meta,
+    Column("task", String(300), primary_key=True),
+    Column("nth", Integer, primary_key=True),
+    Column("status", String(20), nullable=False),
+    Column("observed_at", String(40)),
+    Column("heard_at", String(40), nullable=False),
+)
+outbox = Table(
+    "orchestrator_outbox",
+    _meta,
+    Column("seq", BigInteger, primary_key=True, autoincrement=False),
+    Column("stream", String(100), nullable=False),
+    Column("saying", String(10), nullable=False),
+    Column("subject", String(300), nullable=False),
+    Column("body", Text, nullable=False),
+)
+timers = Table(
+    "orchestrator_timers",
+    _meta,
+    Column("process", String(100), primary_key=True),
+    Column("kind", String(10), primary_key=True),
+    Column("subject", String(300), primary_key=True),
+    Column("due", String(40), nullable=False),
+    Index("orchestrator_timers_due", "due"),
+)
+
+
+def migrate(engine: Engine) -> None:
+    """Bring the tables to the version of this release; raise `UsageError` if they are of a later one."""
+    version = _version(engine)
+    if version is not None and version > SCHEMA_VERSION:
+        raise UsageError(
+            f"the database of the orchestrator has version {version}, newer than {SCHEMA_VERSION}; "
+            "install the newer release or take another database"
+        )
+    if version == SCHEMA_VERSION:
+        return
+    if version is not None:
+        copy = _copy_beside(engine, version)
+        log.warning(
+            "the database is brought forward", before=version, after=SCHEMA_VERSION, copy=str(copy or "none")
+        )
+    with engine.begin() as connection:
+        if engine.dialect.name == "sqlite":
+            connection.exec_driver_sql("BEGIN IMMEDIATE")  # unasked, the driver begins none for DDL
+        if version is None:
+            _meta.create_all(connection)
+            connection.execute(insert(schema).values(version=SCHEMA_VERSION))
+            return
+        connection.execute(select(schema).with_for_update())
+        for step in range(version, SCHEMA_VERSION):
+            _MIGRATIONS[step](connection)
+        connection.execute(update(schema).values(version=SCHEMA_VERSION))
+
+
+def _version(engine: Engine) -> int | None:
+    with engine.connect() as connection:
+        if not inspect(connection).has_table(schema.name):
+            return None
+        return connection.execute(select(func.max(schema.c.version))).scalar()
+
+
+def _copy_beside(engine: Engine, version: int) -> Path | None:
+    """Copy a SQLite file to one beside it that is named after the version; return where it is."""
+    file = engine.url.database if engine.dialect.name == "sqlite" else None
+    if not file or file == ":memory:":
+        return None
+    copy = Path(f"{file}.v{version}")
+    being_written = Path(f"{file}.v{version}.part")
+    being_written.unlink(missing_ok=True)
+    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        connection.exec_driver_sql("VACUUM INTO ?", (str(being_written),))
+    with being_written.open("rb+") as written:
+        os.fsync(written.fileno())
+    being_written.replace(copy)
+    return copy
+
+
+def _keep_what_a_retry_needs(connection: Connection) -> None:
+    """1 to 2: who failed a process, what people did, how long Tasks took, and lists that come in pages.
+
+    Processes that failed before were not kept so that they could go on; they stay as they are.
+    """
+    for table, column, kind in (
+        (processes, "failed_by", "VARCHAR(300)"),
+        (processes, "acts", "TEXT DEFAULT '[]' NOT NULL"),
+        (tasks, "took_ms", "BIGINT"),
+    ):
+        connection.exec_driver_sql(f"ALTER TABLE {table.name} ADD COLUMN {column} {kind}")
+    for index in processes.indexes:
+        if index.name in {"orchestrator_processes_started", "orchestrator_processes_definition"}:
+            connection.execute(CreateIndex(index))
+    ended = select(tasks.c.id, tasks.c.created_at, tasks.c.ended_at).where(tasks.c.ended_at.is_not(None))
+    for row in connection.execute(ended).all():
+        took = datetime.fromisoformat(row.ended_at) - datetime.fromisoformat(row.created_at)
+        took_ms = round(took.total_seconds() * 1000)
+        connection.execute(update(tasks).where(tasks.c.id == row.id).values(took_ms=took_ms))
+
+
+_MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {1: _keep_what_a_retry_needs}
+"""From version n to n + 1."""

@@ -1,0 +1,79 @@
+"""Spiff: SpiffWorkflow taught our rules: our expressions instead of Python, our clock instead of its own."""
+
+from datetime import datetime
+from typing import Any
+
+from SpiffWorkflow.bpmn.parser.BpmnParser import BpmnParser
+from SpiffWorkflow.bpmn.parser.TaskParser import TaskParser
+from SpiffWorkflow.bpmn.script_engine import PythonScriptEngine
+from SpiffWorkflow.bpmn.script_engine.python_environment import BasePythonScriptEngineEnvironment
+from SpiffWorkflow.bpmn.specs.defaults import UserTask
+from SpiffWorkflow.bpmn.specs.event_definitions.timer import TimerEventDefinition
+from SpiffWorkflow.task import Task as Token
+
+from services.task_orchestrator.definition import HANDED_OVER
+from services.task_orchestrator.durations import due, looks_like_time
+from services.task_orchestrator.expressions import ExpressionError, read, read_script
+from services.task_orchestrator.grammar import within_limits
+from services.task_orchestrator.xml_names import qualified
+
+
+class _Environment(BasePythonScriptEngineEnvironment):  # type: ignore[misc]
+    """Where SpiffWorkflow would evaluate Python, our expressions are evaluated instead."""
+
+    def evaluate(self, expression: str, context: Any, external_context: Any = None) -> Any:
+        del external_context
+        return read(expression).value(context)
+
+    def execute(self, script: str, context: Any, external_context: Any = None) -> bool:
+        del external_context
+        for name, expression in read_script(script):
+            context[name] = within_limits(expression.value(context))
+        return True
+
+
+class Scripts(PythonScriptEngine):  # type: ignore[misc]
+    """The script engine of one run, which also knows what time it is."""
+
+    def __init__(self, now: datetime) -> None:
+        super().__init__(_Environment())
+        self.now = now
+
+    def evaluate(self, task: Token, expression: str, external_context: Any = None) -> Any:
+        """Return the value of `expression` as the token `task` sees the variables."""
+        return self.environment.evaluate(expression, task.data, external_context)
+
+    def execute(self, task: Token, script: str, external_context: Any = None) -> Any:
+        """Do what `script` says to the variables of the token `task`."""
+        return self.environment.execute(script, task.data, external_context)
+
+
+class Timer(TimerEventDefinition):  # type: ignore[misc]
+    """A timer that goes by the time the run is told, so that it can be tried and survives a restart."""
+
+    def has_fired(self, my_task: Token) -> bool:
+        """Say whether its moment has come; the first time it is asked, that moment is set."""
+        scripts = my_task.workflow.script_engine
+        moment = my_task.internal_data.get("due")
+        if moment is None:
+            text = self.expression.strip()
+            if not looks_like_time(text):
+                text = scripts.evaluate(my_task, text)
+            if not isinstance(text, str):
+                raise ExpressionError(f"`{self.expression}` gives no duration or moment")
+            moment = due(text, scripts.now).isoformat()
+            my_task.internal_data["due"] = moment
+        if datetime.fromisoformat(moment) <= scripts.now:
+            my_task.internal_data["event_fired"] = True
+        return bool(my_task.internal_data.get("event_fired", False))
+
+    def reset(self, my_task: Token) -> None:
+        """Forget its moment: it will be set anew."""
+        my_task.internal_data.pop("due", None)
+        super().reset(my_task)
+
+
+class Parser(BpmnParser):  # type: ignore[misc]
+    """Every activity waits for whoever does it; that SpiffWorkflow tells them apart does not matter here."""
+
+    OVERRIDE_PARSER_CLASSES = {qualified(kind.value): (TaskParser, UserTask) for kind in HANDED_OVER}  # noqa: RUF012
