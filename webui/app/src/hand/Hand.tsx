@@ -1,0 +1,59 @@
+/** A hand: the same drawing for every gesture that is asked for and for the live hand in the glove. */
+import type { CSSProperties } from "react";
+import { useTranslation } from "react-i18next";
+import type { Finger } from "~/live/messages";
+import { bendsOf, box, fingers, type Side } from "./geometry";
+import { HandShape } from "./HandShape";
+import { useEased } from "./useEased";
+import "./Hand.css";
+
+export interface HandProps {
+  /** Five finger states, thumb first: 0 straight, 1 between, 2 bent. */
+  states: string;
+  side?: Side;
+  /** What the hand shows first; it then moves to `states` once. Without it there is no such opening. */
+  animateFrom?: string;
+  /** How long a change takes. */
+  moveMs?: number;
+  /** The height, as CSS has it; the width follows. */
+  size?: string;
+  /** Fingers to point out. */
+  differs?: readonly Finger[];
+  /** What it is called, "Thumbs up"; else the fingers are told one by one. */
+  label?: string;
+}
+
+const noFingers: readonly Finger[] = [];
+
+export function Hand({ states, side = "right", animateFrom, moveMs = 450, size, differs = noFingers, label }: HandProps) {
+  const told = useFingers(states);
+  const bends = useEased(bendsOf(states), moveMs, animateFrom === undefined ? undefined : bendsOf(animateFrom));
+  const style: CSSProperties | undefined = size === undefined ? undefined : { height: size };
+  return (
+    <svg
+      className="hand"
+      viewBox={`0 0 ${box.width} ${box.height}`}
+      role="img"
+      aria-label={label === undefined ? told : `${label}: ${told}`}
+      {...(style === undefined ? {} : { style })}
+    >
+      <g {...(side === "left" ? { transform: `translate(${box.width} 0) scale(-1 1)` } : {})}>
+        <HandShape bends={bends} differs={differs} />
+      </g>
+    </svg>
+  );
+}
+
+/** The states in words: "thumb straight, index finger bent, …". */
+export function useFingers(states: string): string {
+  const { t } = useTranslation("hand");
+  return fingers
+    .map((finger, nth) => t(`is.${states[nth] ?? "0"}`, { finger: t(`finger.${finger}`) }))
+    .join(", ");
+}
+
+/** What a gesture is called in the language of the page; one that a site has added keeps its own name. */
+export function useGestureName(): (gesture: string) => string {
+  const { t, i18n } = useTranslation("hand");
+  return (gesture) => (i18n.exists(`hand:gesture.${gesture}`) ? t(`gesture.${gesture}`) : gesture);
+}

@@ -1,0 +1,82 @@
+/** The drawing of a hand: what `geometry.ts` gives, as SVG. It knows nothing of time or words. */
+import type { Finger } from "~/live/messages";
+import { outline, palm, palmLines, shapeOf, type Bend, type FingerShape, type Phalanx, type Point } from "./geometry";
+
+export interface HandShapeProps {
+  bends: readonly Bend[];
+  /** Fingers to point out. */
+  differs?: readonly Finger[];
+}
+
+export function HandShape({ bends, differs = [] }: HandShapeProps) {
+  const shapes = shapeOf(bends);
+  const [thumb, ...others] = shapes;
+  // The hand is one surface: all outlines first, then all fills, so that no line runs where parts join.
+  const flat = shapes.flatMap((shape) => shape.phalanges.filter(({ folded }) => !folded).map((phalanx) => ({ shape, phalanx })));
+  return (
+    <>
+      <g className="hand__edge">
+        <polygon points={places(palm)} />
+        {flat.map(({ phalanx }, nth) => (
+          <Bone key={nth} phalanx={phalanx} />
+        ))}
+      </g>
+      <g className="hand__skin">
+        <polygon points={places(palm)} />
+      </g>
+      <g className="hand__crease">
+        {palmLines.map((line, nth) => (
+          <polyline key={nth} points={places(line)} />
+        ))}
+      </g>
+      {others.map((shape) => (
+        <FingerDrawing key={shape.finger} shape={shape} differs={differs.includes(shape.finger)} />
+      ))}
+      {thumb !== undefined && <FingerDrawing shape={thumb} differs={differs.includes("thumb")} />}
+    </>
+  );
+}
+
+function FingerDrawing({ shape, differs }: { shape: FingerShape; differs: boolean }) {
+  const flat = shape.phalanges.filter(({ folded }) => !folded);
+  const folded = shape.phalanges.filter((phalanx) => phalanx.folded);
+  return (
+    <g className={differs ? "hand__finger hand__finger--differs" : "hand__finger"}>
+      {flat.length > 0 && (
+        <g className="hand__skin">
+          {flat.map((phalanx, nth) => (
+            <Bone key={nth} phalanx={phalanx} />
+          ))}
+        </g>
+      )}
+      {folded.length > 0 && (
+        <>
+          <g className="hand__edge">
+            {folded.map((phalanx, nth) => (
+              <Bone key={nth} phalanx={phalanx} />
+            ))}
+          </g>
+          <g className="hand__skin hand__skin--folded">
+            {folded.map((phalanx, nth) => (
+              <Bone key={nth} phalanx={phalanx} />
+            ))}
+          </g>
+        </>
+      )}
+      <g className="hand__crease">
+        {shape.creases.map((crease, nth) => (
+          <polyline key={nth} points={places(crease)} />
+        ))}
+      </g>
+      {shape.nail !== null && <polygon className="hand__nail" points={places(shape.nail)} />}
+    </g>
+  );
+}
+
+function Bone({ phalanx }: { phalanx: Phalanx }) {
+  return <polygon points={places(outline(phalanx))} />;
+}
+
+function places(points: readonly Point[]): string {
+  return points.map(([x, y]) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
+}

@@ -1,0 +1,232 @@
+/**
+ * The hand as a shape: five finger states become the outlines of three phalanges a finger, over a palm.
+ *
+ * Seen is the palm of a right hand, fingers up, thumb at the right; a left hand is its mirror image. A finger
+ * bends in depth, towards who looks: its phalanges shorten, and past a right angle lie over the palm with the
+ * nail in sight. The thumb bends across the palm, below the folded fingers.
+ */
+import type { Finger } from "~/live/messages";
+
+export type Point = readonly [x: number, y: number];
+export type Side = "left" | "right";
+/** How far a finger is bent: 0 straight, 1 between, 2 bent, and anything in between while it moves. */
+export type Bend = number;
+
+export interface Phalanx {
+  from: Point;
+  to: Point;
+  /** Half the width at either end. */
+  fromRadius: number;
+  toRadius: number;
+  /** It has turned its back to who looks, and lies over what is below. */
+  folded: boolean;
+}
+
+export interface FingerShape {
+  finger: Finger;
+  phalanges: readonly [Phalanx, Phalanx, Phalanx];
+  /** The nail, if it is in sight. */
+  nail: readonly Point[] | null;
+  /** The creases of the joints, if they are in sight. */
+  creases: readonly (readonly [Point, Point])[];
+}
+
+export const fingers: readonly Finger[] = ["thumb", "index", "middle", "ring", "little"];
+
+/** What is drawn lies within this box. */
+export const box = { width: 240, height: 322 };
+
+interface Anatomy {
+  knuckle: Point;
+  /** Away from straight up, towards the thumb, in degrees. */
+  splay: number;
+  lengths: readonly [number, number, number];
+  radii: readonly [number, number, number, number];
+}
+
+const anatomy: Record<Exclude<Finger, "thumb">, Anatomy> = {
+  index: { knuckle: [142, 152], splay: 8, lengths: [43, 30, 19], radii: [12.7, 12.2, 11.4, 9.6] },
+  middle: { knuckle: [114, 145], splay: 0, lengths: [48, 34, 20], radii: [12.7, 12.3, 11.6, 9.8] },
+  ring: { knuckle: [86, 149], splay: -7, lengths: [44, 31, 19], radii: [12.5, 12, 11.2, 9.5] },
+  little: { knuckle: [60, 161], splay: -17, lengths: [33, 23, 16], radii: [11, 10.5, 9.8, 8.3] },
+};
+
+/** How much each joint has turned in depth when the finger is straight, between and bent, in degrees. */
+const fingerJoints = [
+  [0, 28, 78],
+  [0, 62, 104],
+  [0, 38, 40],
+] as const;
+
+/** Where the thumb's two joints and its tip are when it is straight, between and bent. */
+const thumbWay: readonly (readonly [Point, Point, Point])[] = [
+  [[163, 219], [193, 182], [212, 144]],
+  [[164, 224], [184, 189], [178, 158]],
+  [[159, 233], [128, 221], [97, 219]],
+];
+const thumbRoot: Point = [138, 262];
+const thumbRadii = [19, 15, 13, 9.5] as const;
+
+/** The outline of the palm down to the wrist. */
+export const palm: readonly Point[] = rounded([
+  [69, 318], [70, 300], [64, 272], [55, 242], [49, 210], [47, 184], [49, 164], [60, 150], [74, 146], [86, 138],
+  [100, 136], [114, 133], [129, 136], [144, 140], [154, 151], [157, 168], [161, 190], [170, 209], [171, 230],
+  [162, 250], [151, 270], [147, 300], [148, 318],
+]);
+
+/** The lines that make a palm a palm; they are left out where a finger lies over them. */
+export const palmLines: readonly (readonly Point[])[] = [
+  rounded([[150, 190], [132, 197], [112, 206], [90, 212]]),
+  rounded([[60, 200], [78, 204], [100, 199], [118, 186]]),
+  rounded([[146, 196], [128, 212], [118, 236], [120, 268]]),
+];
+
+/** Return the shape of all five fingers of a right hand, thumb first. */
+export function shapeOf(bends: readonly Bend[]): FingerShape[] {
+  return fingers.map((finger, nth) => {
+    const bend = Math.min(2, Math.max(0, bends[nth] ?? 0));
+    return finger === "thumb" ? thumb(bend) : longFinger(finger, bend);
+  });
+}
+
+/** Return the bends that five finger states stand for; what is no state counts as straight. */
+export function bendsOf(states: string): Bend[] {
+  return fingers.map((_, nth) => ["0", "1", "2"].indexOf(states[nth] ?? "0")).map((bend) => Math.max(0, bend));
+}
+
+/** Return a phalanx as a polygon, counter-clockwise on the screen, round at both ends. */
+export function outline({ from, to, fromRadius, toRadius }: Phalanx, steps = 7): Point[] {
+  const along = Math.atan2(to[1] - from[1], to[0] - from[0]);
+  const points: Point[] = [];
+  for (let step = 0; step <= steps; step++) {
+    points.push(onCircle(to, toRadius, along + Math.PI / 2 - (Math.PI * step) / steps));
+  }
+  for (let step = 0; step <= steps; step++) {
+    points.push(onCircle(from, fromRadius, along - Math.PI / 2 - (Math.PI * step) / steps));
+  }
+  return points;
+}
+
+/** Say whether two convex polygons share any area: no line can be put between them (separating axes). */
+export function overlap(some: readonly Point[], others: readonly Point[]): boolean {
+  return ![...normals(some), ...normals(others)].some((normal) => {
+    const [least, most] = extent(some, normal);
+    const [otherLeast, otherMost] = extent(others, normal);
+    return most <= otherLeast || otherMost <= least;
+  });
+}
+
+function longFinger(finger: Exclude<Finger, "thumb">, bend: Bend): FingerShape {
+  const { knuckle, splay, lengths, radii } = anatomy[finger];
+  const turned = fingerJoints.map((joint) => along(joint, bend));
+  const splayRad = rad(splay);
+  const up: Point = [Math.sin(splayRad), -Math.cos(splayRad)];
+  const points: Point[] = [knuckle];
+  const folded: boolean[] = [];
+  let angle = 0;
+  lengths.forEach((length, nth) => {
+    angle += turned[nth] ?? 0;
+    const seen = length * Math.cos(rad(angle));
+    const [x, y] = points[nth] ?? knuckle;
+    points.push([x + up[0] * seen, y + up[1] * seen]);
+    folded.push(angle > 75);
+  });
+  const phalanges = chain(points, radii, folded);
+  return { finger, phalanges, nail: angle > 90 ? nailOf(phalanges[2], angle) : null, creases: creasesOf(phalanges) };
+}
+
+function thumb(bend: Bend): FingerShape {
+  const nth = bend <= 1 ? 0 : 1;
+  const before = thumbWay[nth] ?? [thumbRoot, thumbRoot, thumbRoot];
+  const after = thumbWay[nth + 1] ?? before;
+  const joints = before.map((point, joint) => between(point, after[joint] ?? point, bend - nth));
+  const phalanges = chain([thumbRoot, ...joints], thumbRadii, [false, bend > 1.4, bend > 1.4]);
+  const [, , tip] = phalanges;
+  return {
+    finger: "thumb",
+    phalanges,
+    nail: bend > 1.4 ? nailOf(tip, 130) : null,
+    creases: creasesOf(phalanges),
+  };
+}
+
+function chain(points: readonly Point[], radii: readonly number[], folded: readonly boolean[]): FingerShape["phalanges"] {
+  const phalanx = (nth: 0 | 1 | 2): Phalanx => ({
+    from: points[nth] ?? [0, 0],
+    to: points[nth + 1] ?? [0, 0],
+    fromRadius: radii[nth] ?? 0,
+    toRadius: radii[nth + 1] ?? 0,
+    folded: folded[nth] ?? false,
+  });
+  return [phalanx(0), phalanx(1), phalanx(2)];
+}
+
+/** A nail sits on the back of the tip; `angle` says how far that has turned into sight. */
+function nailOf({ from, to, toRadius }: Phalanx, angle: number): Point[] {
+  const way = Math.atan2(to[1] - from[1], to[0] - from[0]);
+  const long = toRadius * Math.min(1, Math.sin(rad(Math.min(angle, 180) - 90)) + 0.35) * 0.72;
+  const wide = toRadius * 0.62;
+  return Array.from({ length: 14 }, (_, step) => {
+    const turn = (2 * Math.PI * step) / 14;
+    const [u, v] = [long * Math.cos(turn) + toRadius * 0.08, wide * Math.sin(turn)];
+    return [to[0] + u * Math.cos(way) - v * Math.sin(way), to[1] + u * Math.sin(way) + v * Math.cos(way)];
+  });
+}
+
+/** A line across each of the two outer joints; a joint that is seen end on has none. */
+function creasesOf(phalanges: FingerShape["phalanges"]): [Point, Point][] {
+  return phalanges.slice(1).flatMap((phalanx): [Point, Point][] => {
+    const [dx, dy] = [phalanx.to[0] - phalanx.from[0], phalanx.to[1] - phalanx.from[1]];
+    const length = Math.hypot(dx, dy);
+    if (length < 10) return [];
+    const half = phalanx.fromRadius * 0.55;
+    const [nx, ny] = [(-dy / length) * half, (dx / length) * half];
+    const [x, y] = phalanx.from;
+    return [[[x + nx, y + ny], [x - nx, y - ny]]];
+  });
+}
+
+/** Return a smooth line through `points` (Catmull-Rom). */
+function rounded(points: readonly Point[], steps = 4): Point[] {
+  const at = (nth: number): Point => points[Math.min(points.length - 1, Math.max(0, nth))] ?? [0, 0];
+  return points.flatMap((point, nth) =>
+    nth === points.length - 1
+      ? [point]
+      : Array.from({ length: steps }, (_, step): Point => {
+          const part = step / steps;
+          const on = (axis: 0 | 1) => {
+            const [a, b, c, d] = [at(nth - 1)[axis], at(nth)[axis], at(nth + 1)[axis], at(nth + 2)[axis]];
+            return b + 0.5 * part * (c - a + part * (2 * a - 5 * b + 4 * c - d + part * (3 * (b - c) + d - a)));
+          };
+          return [on(0), on(1)];
+        }),
+  );
+}
+
+function along(stops: readonly [number, number, number], bend: Bend): number {
+  return bend <= 1 ? stops[0] + (stops[1] - stops[0]) * bend : stops[1] + (stops[2] - stops[1]) * (bend - 1);
+}
+
+function between(from: Point, to: Point, part: number): Point {
+  return [from[0] + (to[0] - from[0]) * part, from[1] + (to[1] - from[1]) * part];
+}
+
+function onCircle([x, y]: Point, radius: number, angle: number): Point {
+  return [x + radius * Math.cos(angle), y + radius * Math.sin(angle)];
+}
+
+function normals(polygon: readonly Point[]): Point[] {
+  return polygon.map(([x, y], nth) => {
+    const [nextX, nextY] = polygon[(nth + 1) % polygon.length] ?? [x, y];
+    return [nextY - y, x - nextX];
+  });
+}
+
+function extent(polygon: readonly Point[], [nx, ny]: Point): [number, number] {
+  const places = polygon.map(([x, y]) => x * nx + y * ny);
+  return [Math.min(...places), Math.max(...places)];
+}
+
+function rad(degrees: number): number {
+  return (degrees * Math.PI) / 180;
+}
