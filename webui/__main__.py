@@ -1,0 +1,8 @@
+"""Run the server of the screen: `python -m webui`."""
+
+from handover.service import run
+from webui.server import make_app
+from webui.settings import WebuiSettings
+
+if __name__ == "__main__":
+    run("webui", make_app, WebuiSettings, port_field="webui_port")

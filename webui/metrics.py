@@ -1,0 +1,12 @@
+"""Metrics: what the screen's server counts for Prometheus."""
+
+from prometheus_client import Counter, Gauge
+
+PAGES = Gauge("handover_webui_pages", "Pages that are open")
+BATCHES = Counter("handover_webui_batches_total", "Batches sent to pages")
+COALESCED = Counter(
+    "handover_webui_coalesced_total", "Values that were overtaken by newer ones before a page had read them"
+)
+TOO_SLOW = Counter("handover_webui_slow_pages_total", "Pages that were let go because they did not read")
+EVENTS = Counter("handover_webui_events_total", "Events taken into the log", ["key"])
+AWAY = Counter("handover_webui_service_away_total", "Requests to a service that did not answer", ["service"])

@@ -1,0 +1,124 @@
+"""The page: the built screen as it lies in `webui/page`, served so that a browser loads each part once.
+
+Files under `assets/` carry a hash in their names and never change; a `.br` or `.gz` beside a file is sent
+in its place to a browser that takes it. Any other address is a place within the page, and gets the page.
+"""
+
+import asyncio
+import mimetypes
+import os
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from starlette.datastructures import Headers
+from starlette.responses import FileResponse, HTMLResponse, Response
+
+from handover.errors import Problem
+
+FOLDER: Final = Path(__file__).parent / "page"
+FOREVER: Final = "public, max-age=31536000, immutable"
+ASK_FIRST: Final = "no-cache"
+PACKED: Final = (("br", ".br"), ("gzip", ".gz"))
+TYPES: Final = {
+    ".js": "text/javascript; charset=utf-8",
+    ".mjs": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".json": "application/json",
+    ".svg": "image/svg+xml",
+    ".woff2": "font/woff2",
+    ".wasm": "application/wasm",
+    ".stl": "model/stl",
+    ".dae": "model/vnd.collada+xml",
+    ".urdf": "application/xml",
+    ".bpmn": "application/xml",
+    ".webmanifest": "application/manifest+json",
+}
+
+NOT_BUILT: Final = """<!doctype html>
+<html lang="en">
+<head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>Handover</title></head>
+<body style="font: 20px/1.5 system-ui, sans-serif; max-width: 40em; margin: 4em auto; padding: 0 1em">
+<h1>The screen is not built yet</h1>
+<p>The services run, but the page that shows them is missing. In the folder of Handover, run
+<code>make setup</code>, then load this page again.</p>
+</body>
+</html>
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A file to send: packed as `encoding` says, or as it is."""
+
+    path: Path
+    name: str
+    encoding: str | None
+    status: os.stat_result
+
+
+class Page:
+    """The files of the built page in `folder`."""
+
+    def __init__(self, folder: Path = FOLDER) -> None:
+        self._folder = folder
+
+    @property
+    def is_built(self) -> bool:
+        """Say whether there is a page to show."""
+        return (self._folder / "index.html").is_file()
+
+    async def answer(self, address: str, headers: Headers) -> Response:
+        """Return what is at `address` (a path without its leading slash), a place within the page included.
+
+        Raises `Problem` 404 for a file that is not there.
+        """
+        accepted = _accepted(headers.get("accept-encoding", ""))
+        found = await asyncio.to_thread(self._find, address, accepted)
+        if found is None:
+            if PurePosixPath(address).suffix or address.startswith("assets/"):
+                raise Problem(404, "Not found", f'the page has no file "{address}"; load the page again')
+            found = await asyncio.to_thread(self._find, "index.html", accepted)
+        if found is None:
+            return HTMLResponse(NOT_BUILT, 503, {"Cache-Control": "no-store"})
+        return _sent(found, headers.get("if-none-match", ""))
+
+    def _find(self, address: str, accepted: frozenset[str]) -> Found | None:
+        name = address or "index.html"
+        parts = PurePosixPath(name).parts
+        if not parts or ".." in parts or "\0" in name or "\\" in name or name.startswith("/"):
+            return None
+        plain = self._folder.joinpath(*parts)
+        for encoding, suffix in PACKED:
+            if encoding in accepted:
+                packed = plain.with_name(plain.name + suffix)
+                if packed.is_file() and plain.is_file():
+                    return Found(packed, name, encoding, packed.stat())
+        return Found(plain, name, None, plain.stat()) if plain.is_file() else None
+
+
+def _sent(found: Found, known: str) -> Response:
+    etag = f'"{found.status.st_mtime_ns:x}-{found.status.st_size:x}{found.encoding or ""}"'
+    headers = {
+        "Cache-Control": FOREVER if found.name.startswith("assets/") else ASK_FIRST,
+        "ETag": etag,
+        "Vary": "Accept-Encoding",
+    }
+    if etag in (tag.strip().removeprefix("W/") for tag in known.split(",")):
+        return Response(status_code=304, headers=headers)
+    if found.encoding:
+        headers["Content-Encoding"] = found.encoding
+    suffix = PurePosixPath(found.name).suffix.lower()
+    media_type = TYPES.get(suffix) or mimetypes.guess_type(found.name)[0] or "application/octet-stream"
+    return FileResponse(found.path, headers=headers, media_type=media_type, stat_result=found.status)
+
+
+def _accepted(header: str) -> frozenset[str]:
+    """Return the encodings of `Accept-Encoding`, without those that are refused with `q=0`."""
+    accepted = set()
+    for part in header.split(","):
+        encoding, _, quality = part.strip().partition(";")
+        if quality.replace(" ", "") not in {"q=0", "q=0.0", "q=0.00", "q=0.000"}:
+            accepted.add(encoding.strip().lower())
+    return frozenset(accepted)

@@ -1,0 +1,85 @@
+"""The settings of the screen's server: its own port, and where it finds the services behind it."""
+
+import ipaddress
+from collections.abc import Mapping
+from typing import Annotated
+from urllib.parse import urlsplit
+
+from pydantic import Field, SecretStr, field_validator
+from pydantic_settings import NoDecode
+
+from handover.settings import Settings
+
+BROKER = "context-broker"
+ORCHESTRATOR = "task-orchestrator"
+CONTROLLER = "gesture-controller"
+TRAJECTORY = "trajectory-tool"
+
+
+class WebuiSettings(Settings):
+    """Where the screen is served, and where the services it shows are reached."""
+
+    webui_port: int = Field(54400, ge=1, le=65535, description="the port of the screen")
+    webui_url: str | None = Field(
+        None, description="where the broker reaches the screen's server; http://host:port of it if absent"
+    )
+    webui_hosts: Annotated[tuple[str, ...], NoDecode] = Field(
+        (),
+        description="further names under which browsers may open the screen, with commas; numeric addresses, "
+        "localhost and the name of webui_url always may",
+    )
+    orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
+    orchestrator_url: str | None = Field(
+        None, description="where the broker reaches the orchestrator; host and port if absent"
+    )
+    controller_port: int = Field(
+        54210, ge=1, le=65535, description="REST and WebSocket port of the controller"
+    )
+    controller_url: str | None = Field(
+        None, description="where the broker reaches the controller; http://host:port of it if absent"
+    )
+    trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
+    trajectory_url: str | None = Field(
+        None, description="where the broker reaches the trajectory tool; http://host:port of it if absent"
+    )
+    glove_host: str = Field("127.0.0.1", description="the address on which gloves are awaited")
+    glove_port: int = Field(54000, ge=1, le=65535, description="the TCP port on which gloves are awaited")
+    glove_token: SecretStr | None = Field(
+        None, description="what a glove must say to be let in; required when glove_host is not loopback"
+    )
+
+    @field_validator("webui_hosts", mode="before")
+    @classmethod
+    def _listed_with_commas(cls, given: object) -> object:
+        return (
+            [part.strip() for part in given.split(",") if part.strip()] if isinstance(given, str) else given
+        )
+
+    @property
+    def own_url(self) -> str:
+        """Return where the broker reaches this server."""
+        return self.url_of(self.webui_port, self.webui_url)
+
+    @property
+    def service_urls(self) -> Mapping[str, str]:
+        """Return where each service behind the screen answers, by its name."""
+        return {
+            BROKER: self.broker_url,
+            ORCHESTRATOR: self.url_of(self.orchestrator_port, self.orchestrator_url),
+            CONTROLLER: self.url_of(self.controller_port, self.controller_url),
+            TRAJECTORY: self.url_of(self.trajectory_port, self.trajectory_url),
+        }
+
+    @property
+    def gloves_awaited_at(self) -> str:
+        """Return the host to which a glove on this machine connects.
+
+        Where the controller awaits gloves on all its addresses, or is another machine, that is the host of
+        its URL.
+        """
+        behind_url = urlsplit(self.service_urls[CONTROLLER]).hostname or self.glove_host
+        try:
+            address = ipaddress.ip_address(self.glove_host)
+        except ValueError:
+            return behind_url if self.glove_host == "localhost" else self.glove_host
+        return behind_url if address.is_unspecified or address.is_loopback else self.glove_host

@@ -1,0 +1,105 @@
+"""Devices: gloves, robots and whatever else has a Device entity, with the state it says it is in."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from datamodels.entities import Device, DeviceState
+from datamodels.times import iso
+from webui.events import EventLog, Happening, Level, in_milliseconds
+from webui.sources.entities import Kind
+from webui.sources.services import Services
+from webui.world import World
+
+LEVELS: Mapping[DeviceState, Level] = {
+    DeviceState.ERROR: "stop",
+    DeviceState.OUT_OF_BATTERY: "attention",
+    DeviceState.FOR_MAINTENANCE: "attention",
+}
+
+
+def short(urn: str) -> str:
+    """Return the last part of an id, by which people know the thing."""
+    return urn.rsplit(":", 1)[-1]
+
+
+class Devices(Kind):
+    """Tells the world about Device entities, and the log when one changes its state."""
+
+    ngsi_type = "Device"
+
+    def __init__(self, world: World, events: EventLog, services: Services) -> None:
+        self._world = world
+        self._events = events
+        self._services = services
+        self._performers: dict[str, str] = {}
+        self._known: set[str] = set()
+
+    def take(self, entity: Mapping[str, Any]) -> None:
+        """Take a Device as it is now; one of which only the performer is announced is none yet."""
+        if "performer" in entity:
+            performer = entity["performer"]
+            if isinstance(performer, Mapping):
+                self._performers[str(entity["id"])] = str(performer.get("value"))
+        if "controlledProperty" not in entity and "deviceState" not in entity:
+            return
+        device = Device.from_ngsild({"controlledProperty": {"type": "Property", "value": []}, **entity})
+        self._known.add(device.id)
+        self._world.tell(f"device/{device.id}", view_of(device))
+        self._log_state(device)
+
+    def still_open(self) -> Collection[str]:
+        """Return all that are known: a Device never ends."""
+        return self._known
+
+    def gone(self, entity_id: str) -> None:
+        """Forget a Device."""
+        self._known.discard(entity_id)
+        self._performers.pop(entity_id, None)
+        self._world.forget(f"device/{entity_id}")
+
+    def performer_of(self, resource: str) -> str | None:
+        """Return the component that acts for a resource."""
+        return self._performers.get(resource)
+
+    def _log_state(self, device: Device) -> None:
+        if device.device_state is None:
+            return
+        state = device.device_state.value
+        known = self._events.last_mark(device.id)
+        if known is not None and known.partition("@")[0] == state.value:
+            return
+        seen = device.device_state.observed_at
+        at = in_milliseconds(iso(seen) if seen else None)
+        name = short(device.id)
+        performer = self.performer_of(device.id)
+        if performer is not None:
+            self._services.heard(performer, f"{name}: {state.value}", at)
+        self._events.record(
+            Happening(
+                subject=device.id,
+                mark=f"{state.value}@{at}",
+                key="device.state",
+                source=name,
+                text=f"{name} is {state.value}",
+                at=at,
+                level=LEVELS.get(state, "info"),
+                values={"device": device.id, "name": name, "state": state.value},
+            )
+        )
+
+
+def view_of(device: Device) -> dict[str, Any]:
+    """Return a Device as pages get it."""
+    moments = [
+        attribute.observed_at
+        for attribute in (device.device_state, device.value, device.battery_level, device.command_id)
+        if attribute is not None and attribute.observed_at is not None
+    ]
+    return {
+        "id": device.id,
+        "category": list(device.category.value) if device.category else [],
+        "deviceState": device.device_state.value.value if device.device_state else None,
+        "batteryLevel": device.battery_level.value if device.battery_level else None,
+        "observedAt": iso(max(moments)) if moments else None,
+        "value": device.value.value if device.value else None,
+    }

@@ -1,0 +1,186 @@
+"""Entities: Tasks, Processes, Alerts and Devices as the broker has them.
+
+Learnt by a subscription of the screen's own, and by asking: at start, after a broken link, and every few
+seconds, since notifications may be late, doubled or lost. Nothing here needs more than NGSI-LD.
+"""
+
+import asyncio
+import random
+import secrets
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Final
+
+from fastapi import FastAPI, Request, Response
+
+from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.errors import Problem
+from handover.job import FIRST_RETRY_S, LAST_RETRY_S
+from handover.notifications import notified_entities
+from handover.telemetry import get_logger
+from webui.settings import BROKER, WebuiSettings
+from webui.sources.services import Services
+from webui.sources.source import Source
+
+log = get_logger(__name__)
+
+ASKED_AT_ONCE: Final = 40
+
+
+class Kind(ABC):
+    """What is made of the entities of one type; `open_q` selects those that may still change."""
+
+    ngsi_type: str
+    open_q: str | None = None
+
+    @abstractmethod
+    def take(self, entity: Mapping[str, Any]) -> None:
+        """Take an entity (normalized) as it is now."""
+
+    @abstractmethod
+    def still_open(self) -> Collection[str]:
+        """Return the ids of those known that may still change."""
+
+    @abstractmethod
+    def gone(self, entity_id: str) -> None:
+        """Take note that there is no such entity any more."""
+
+    def asks_for_all_at_start(self) -> bool:
+        """Say whether those that no longer change are asked for as well, once."""
+        return False
+
+
+class Entities(Source):
+    """Keeps each kind informed of its entities."""
+
+    def __init__(
+        self, settings: WebuiSettings, broker: BrokerClient, kinds: Sequence[Kind], services: Services
+    ) -> None:
+        self._settings = settings
+        self._broker = broker
+        self._kinds = {kind.ngsi_type: kind for kind in kinds}
+        self._services = services
+        self._path = f"/notifications/{secrets.token_urlsafe(16)}"  # known to the broker alone
+        self._subscribed = False
+        self._complete: set[str] = set()
+        self._overtaken: set[str] = set()
+        self._ask_again = asyncio.Event()
+
+    def mount(self, app: FastAPI) -> None:
+        """Add the route that the broker notifies."""
+
+        @app.post(self._path, status_code=204, include_in_schema=False)
+        async def notify(request: Request) -> Response:
+            for entity in await notified_entities(request):
+                self._overtaken.add(str(entity.get("id")))
+                self._take(entity)
+                self._services.heard(BROKER, _in_words(entity))
+            return Response(status_code=204)
+
+        @app.post("/notifications/{_}", include_in_schema=False)
+        async def stale(_: str) -> Response:
+            raise Problem(404, "Not found", "this address belonged to an earlier run of the screen's server")
+
+    def ask_again(self) -> None:
+        """Ask the broker now."""
+        self._ask_again.set()
+
+    async def follow(self) -> None:
+        """Subscribe, and ask again and again."""
+        retry_s = FIRST_RETRY_S
+        while True:
+            self._ask_again.clear()
+            try:
+                await self._reconcile()
+                wait_s = self._settings.reconcile_s * random.uniform(0.8, 1.2)  # noqa: S311 - jitter
+                retry_s = FIRST_RETRY_S
+            except BrokerError as error:
+                if self._subscribed or not isinstance(error, BrokerUnavailable):
+                    log.warning("cannot ask the broker for entities", error=str(error))
+                self._subscribed = False
+                self._complete.clear()
+                self._services.look_now()
+                wait_s, retry_s = retry_s, min(2 * retry_s, LAST_RETRY_S)
+            try:
+                async with asyncio.timeout(wait_s):
+                    await self._ask_again.wait()
+            except TimeoutError:
+                continue
+
+    async def _reconcile(self) -> None:
+        if not self._subscribed:
+            await self._broker.ensure_subscription(self._subscription())
+            self._subscribed = True
+            self._services.look_now()
+        for kind in self._kinds.values():
+            await self._ask_for(kind)
+
+    async def _ask_for(self, kind: Kind) -> None:
+        self._overtaken.clear()
+        before = set(kind.still_open())
+        everything = kind.open_q is None or (
+            kind.asks_for_all_at_start() and kind.ngsi_type not in self._complete
+        )
+        found = await self._broker.query(type=kind.ngsi_type, q=None if everything else kind.open_q)
+        self._take_fresh(found)
+        missing = sorted(before.difference(str(entity["id"]) for entity in found))
+        if kind.open_q is not None and not everything:
+            for start in range(0, len(missing), ASKED_AT_ONCE):
+                asked = missing[start : start + ASKED_AT_ONCE]
+                ended = await self._broker.query(type=kind.ngsi_type, id=asked)
+                self._take_fresh(ended)
+                for lost in set(asked).difference(str(entity["id"]) for entity in ended):
+                    await self._make_sure(kind, lost)
+        else:
+            for lost in missing:
+                await self._make_sure(kind, lost)
+        self._complete.add(kind.ngsi_type)
+
+    async def _make_sure(self, kind: Kind, entity_id: str) -> None:
+        if entity_id in self._overtaken:
+            return
+        try:
+            self._take(await self._broker.retrieve(entity_id))
+        except NotFound:
+            kind.gone(entity_id)
+
+    def _take_fresh(self, entities: Sequence[Mapping[str, Any]]) -> None:
+        """Take what was asked for, but not what a notification has overtaken meanwhile."""
+        for entity in entities:
+            if str(entity.get("id")) not in self._overtaken:
+                self._take(entity)
+
+    def _take(self, entity: Mapping[str, Any]) -> None:
+        kind = self._kinds.get(_type_of(entity))
+        if kind is None:
+            return
+        try:
+            kind.take(entity)
+        except ValueError as error:
+            log.warning("entity does not fit its data model", entity=entity.get("id"), error=str(error))
+
+    def _subscription(self) -> dict[str, Any]:
+        return {
+            "id": self._settings.entity_id("Subscription", "webui"),
+            "type": "Subscription",
+            "description": "What the screen shows",
+            "entities": [{"type": name} for name in self._kinds],
+            "notification": {
+                "format": "normalized",
+                "endpoint": {"uri": f"{self._settings.own_url}{self._path}", "accept": "application/json"},
+            },
+        }
+
+
+def _type_of(entity: Mapping[str, Any]) -> str:
+    given = entity.get("type")
+    return str(given[0] if isinstance(given, list) and given else given)
+
+
+def _in_words(entity: Mapping[str, Any]) -> str:
+    short = str(entity.get("id", "")).rsplit(":", 1)[-1]
+    for name in ("status", "deviceState", "severity"):
+        attribute = entity.get(name)
+        if isinstance(attribute, Mapping) and "value" in attribute:
+            return f"{_type_of(entity)} {short}: {attribute['value']}"
+    return f"{_type_of(entity)} {short}"

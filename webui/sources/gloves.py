@@ -1,0 +1,93 @@
+"""Gloves: the gesture controller's view of each, live as the hand moves, while somebody looks."""
+
+import asyncio
+from contextlib import suppress
+from typing import Any, Final
+from urllib.parse import quote
+
+import httpx
+import orjson
+from websockets.asyncio.client import connect
+from websockets.exceptions import WebSocketException
+
+from handover.telemetry import get_logger
+from webui.audience import Audience
+from webui.settings import CONTROLLER, WebuiSettings
+from webui.sources.services import Services
+from webui.sources.source import Source
+from webui.world import World
+
+log = get_logger(__name__)
+
+LOOK_EVERY_S: Final = 1.0
+FIRST_RETRY_S, LAST_RETRY_S = 0.2, 2.0
+PATIENCE_S: Final = 3.0
+
+
+class Gloves(Source):
+    """Follows every glove that the controller knows."""
+
+    def __init__(self, settings: WebuiSettings, world: World, audience: Audience, services: Services) -> None:
+        self._url = settings.service_urls[CONTROLLER]
+        self._world = world
+        self._audience = audience
+        self._services = services
+        self._following: dict[str, asyncio.Task[None]] = {}
+        self._live: set[str] = set()
+        audience.before_first_look(self.look)
+
+    async def follow(self) -> None:
+        """Follow the gloves while somebody looks."""
+        try:
+            while True:
+                await self._audience.until(lambda: self._audience.looks)
+                while self._audience.looks:
+                    await self.look()
+                    await self._audience.until(lambda: not self._audience.looks, LOOK_EVERY_S)
+                await self._follow_only(set())
+        finally:
+            await self._follow_only(set())
+
+    async def look(self) -> None:
+        """Ask which gloves there are, and how they are."""
+        try:
+            async with httpx.AsyncClient(timeout=PATIENCE_S, trust_env=False) as http:
+                views = (await http.get(f"{self._url}/gloves")).raise_for_status().json()
+        except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
+            log.debug("cannot ask for the gloves", error=str(error))
+            self._services.look_now()
+            return
+        for view in views:
+            if view["glove"] not in self._live:
+                self._tell(view)
+        names = {str(view["glove"]) for view in views}
+        for topic in self._world.names("glove"):
+            if topic.partition("/")[2] not in names:
+                self._world.forget(topic)
+        if self._audience.looks:
+            await self._follow_only(names)
+
+    async def _follow_only(self, names: set[str]) -> None:
+        left = [self._following.pop(name) for name in self._following.keys() - names]
+        for chore in left:
+            chore.cancel()
+        await asyncio.gather(*left, return_exceptions=True)
+        for name in names - self._following.keys():
+            self._following[name] = asyncio.create_task(self._follow_one(name))
+
+    async def _follow_one(self, name: str) -> None:
+        url = f"ws{self._url.removeprefix('http')}/gloves/{quote(name, safe='')}/live"
+        retry_s = FIRST_RETRY_S
+        while True:
+            with suppress(OSError, TimeoutError, WebSocketException):
+                async with connect(url, proxy=None, open_timeout=PATIENCE_S, compression=None) as link:
+                    async for said in link:
+                        self._tell(orjson.loads(said))
+                        self._live.add(name)
+                        retry_s = FIRST_RETRY_S
+            self._live.discard(name)
+            await asyncio.sleep(retry_s)
+            retry_s = min(2 * retry_s, LAST_RETRY_S)
+
+    def _tell(self, view: dict[str, Any]) -> None:
+        self._world.tell(f"glove/{view['glove']}", view)
