@@ -59,6 +59,7 @@ lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds has
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra dev pyproject.toml -o requirements/dev.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/uv.in -o requirements/uv.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
 
 bench: bench-broker bench-gestures bench-handover  ## measure everything
 

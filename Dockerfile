@@ -1,0 +1,58 @@
+# One image for every service of Handover; the command says which one a container is.
+#
+# Behind a mirror or a proxy, the configuration of pip and npm and the certificates they trust come in as build
+# secrets, so that nothing of them stays in the image: deploy/README.md shows how.
+
+ARG BASE=python:3.12-slim
+
+# What both building stages need: an environment to install into, away from the system's Python.
+FROM ${BASE} AS workshop
+ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_CONFIG_FILE=/run/secrets/pip.conf \
+    NPM_CONFIG_USERCONFIG=/run/secrets/npmrc PYTHONDONTWRITEBYTECODE=1
+WORKDIR /source
+RUN python -m venv /workshop
+ENV PATH=/workshop/bin:$PATH
+
+
+# The page, with the Node that comes as a Python wheel: no second base image.
+FROM workshop AS page
+COPY requirements/node.lock requirements/
+RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
+    pip install --quiet --require-hashes -r requirements/node.lock
+COPY webui/__init__.py webui/build.py webui/
+COPY webui/app webui/app
+RUN --mount=type=secret,id=npmrc --mount=type=secret,id=certificates \
+    python -m webui.build
+
+
+# The wheel with the page in it, installed beside exactly what requirements/run.lock names.
+FROM workshop AS house
+RUN python -m venv /opt/handover
+COPY requirements/run.lock requirements/build.lock requirements/
+RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
+    /opt/handover/bin/pip install --quiet --require-hashes --only-binary :all: -r requirements/run.lock \
+    && pip install --quiet --require-hashes --only-binary :all: -r requirements/build.lock
+COPY . .
+COPY --from=page /source/webui/page webui/page
+RUN hatchling build -t wheel -d /wheel \
+    && /opt/handover/bin/pip install --quiet --no-deps --no-index /wheel/*.whl \
+    && /opt/handover/bin/python -m compileall -q /opt/handover/lib \
+    && /opt/handover/bin/pip uninstall --quiet --yes pip
+
+
+FROM ${BASE}
+LABEL org.opencontainers.image.title="Handover" \
+      org.opencontainers.image.description="People and robots hand work to each other"
+RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data --shell /usr/sbin/nologin handover \
+    && install -d -o handover -g handover -m 0700 /data
+COPY --from=house /opt/handover /opt/handover
+ENV PATH=/opt/handover/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    PYTHONDONTWRITEBYTECODE=1 \
+    HANDOVER_HOST=0.0.0.0 \
+    HANDOVER_DATA_DIR=/data \
+    HANDOVER_LOG_FORMAT=json
+WORKDIR /data
+USER 10001:10001
+ENTRYPOINT []
+CMD ["handover", "--help"]
