@@ -1,4 +1,4 @@
-"""`handover process`: deploy BPMN files, start, list, show and cancel processes."""
+"""`handover process`: deploy BPMN files; start, list, show, cancel processes; retry failed Tasks."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +10,7 @@ import typer
 from handover.cli.services import service_named
 from handover.errors import UsageError
 
-app = typer.Typer(help="Processes: deploy, start, list, show, cancel.", no_args_is_help=True)
+app = typer.Typer(help="Processes: deploy, start, list, show, cancel, retry.", no_args_is_help=True)
 
 
 @app.command()
@@ -53,10 +53,24 @@ def show(process: Annotated[str, typer.Argument(help="The id of the process.")])
 
 
 @app.command()
-def cancel(process: Annotated[str, typer.Argument(help="The id of the process.")]) -> None:
+def cancel(
+    process: Annotated[str, typer.Argument(help="The id of the process.")],
+    by: Annotated[str | None, typer.Option("--by", help="Who cancels it.")] = None,
+) -> None:
     """Cancel a process; the Tasks that are being done are asked to stop."""
-    _ask("POST", f"/processes/{process}/cancel")
+    _ask("POST", f"/processes/{process}/cancel", json={"by": by})
     print(f"{process} is being cancelled")
+
+
+@app.command()
+def retry(
+    process: Annotated[str, typer.Argument(help="The id of the process that failed.")],
+    task: Annotated[str, typer.Argument(help="The id of the Task it failed by, as `show` has it in retry.")],
+    by: Annotated[str, typer.Option("--by", help="Who wants it.")],
+) -> None:
+    """Have the failed Task that has ended a process done anew; the process goes on."""
+    answer = _ask("POST", f"/processes/{process}/tasks/{task}/retry", json={"by": by})
+    print(f"{answer['id']} goes on: {', '.join(answer['waiting']) or answer['status']}")
 
 
 def _ask(method: str, path: str, **content: Any) -> Any:

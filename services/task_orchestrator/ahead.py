@@ -26,8 +26,7 @@ def activities_ahead(
     """
     drawing = _Drawing(definition)
     here = [definition.nodes[name] for name in waiting if name in definition.nodes]
-    changing = {name for node in here for name in _set_by(definition, node)}
-    known = {name: value for name, value in variables.items() if name not in changing}
+    known = _settled(definition, here, variables)
     found: dict[str, Activity] = {}
     exceptions = [node for node in here if node.kind is Kind.BOUNDARY]
     exceptions += [each for node in here for each in drawing.borders.get(node.id, ()) if each not in here]
@@ -36,6 +35,20 @@ def activities_ahead(
         for name in _Walk(drawing, host, dict(known)).activities_after(node.id):
             found.setdefault(name, definition.activities[name])
     return tuple(found.values())[:MAX_AHEAD]
+
+
+def _settled(definition: Definition, here: list[Node], variables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the variables that will still have their values at the next gateway, whichever token gets there.
+
+    Tokens side by side see different values: then only what nothing in the drawing ever sets is certain.
+    """
+    setting = here
+    if sum(node.kind is not Kind.BOUNDARY for node in here) > 1:
+        setting = list(definition.nodes.values())
+        if any(node.kind is Kind.SCRIPT for node in setting):
+            return {}
+    changing = {name for node in setting for name in _set_by(definition, node)}
+    return {name: value for name, value in variables.items() if name not in changing}
 
 
 def _set_by(definition: Definition, node: Node) -> tuple[str, ...]:

@@ -64,7 +64,7 @@ def count_version(connection: Connection, definition: str, version: int) -> Vers
     rows = connection.execute(
         select(processes.c.status, func.count()).where(of_version).group_by(processes.c.status)
     )
-    ended: dict[str, int] = dict(rows.tuples().all())
+    ended: dict[str, int] = {row[0]: row[1] for row in rows}
     completed = ended.pop(TaskStatus.COMPLETED.value, 0)
     failed = ended.pop(TaskStatus.FAILED.value, 0)
     return VersionCount(sum(ended.values()), completed, failed, _elements(connection, of_version))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any, Self, TypeVar
 
 import orjson
@@ -35,6 +35,8 @@ log = get_logger(__name__)
 
 BATCH = 200
 STRIKE_OFF_AFTER_S = 0.1
+TIDY_UP_EVERY_S = 3600.0
+FORGET_AT_ONCE = 100
 
 STEP_SECONDS = Histogram(
     "handover_orchestrator_step_seconds",
@@ -87,7 +89,8 @@ class Orchestrator:
         await self.floor.fill()
         untold = await self.on_disk(self.store.outbox)
         self._next_seq = max((message.seq for message in untold), default=0) + 1
-        self._chores = [asyncio.create_task(self._write_on()), asyncio.create_task(self._strike_off())]
+        chores = (self._write_on(), self._strike_off(), self._tidy_up())
+        self._chores = [asyncio.create_task(chore) for chore in chores]
         self.outbox.send(untold)
         log.info("orchestrator at work", processes=len(self.floor.processes), untold=len(untold))
         return self
@@ -358,6 +361,17 @@ class Orchestrator:
                 await self._do(lambda _: None)
             except Problem as problem:
                 log.warning("delivered messages could not be struck off yet", error=str(problem))
+
+    async def _tidy_up(self) -> None:
+        """Forget, now and then, the processes that ended longer ago than they are to be kept."""
+        while self.settings.keep_days:
+            ended_before = self.clock() - timedelta(days=self.settings.keep_days)
+            try:
+                while await self.on_disk(self.store.forget, ended_before, FORGET_AT_ONCE) == FORGET_AT_ONCE:
+                    log.info("processes of old forgotten", at_least=FORGET_AT_ONCE)
+            except SQLAlchemyError as error:
+                log.warning("processes of old could not be forgotten yet", error=str(error))
+            await asyncio.sleep(TIDY_UP_EVERY_S)
 
 
 def _answer(work: _Work, answer: Any) -> None:

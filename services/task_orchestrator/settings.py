@@ -23,6 +23,9 @@ class OrchestratorSettings(Settings):
     cancel_grace_s: float = Field(
         5.0, ge=0, description="a cancelled Task that nobody has taken up is closed after so long"
     )
+    keep_days: float = Field(
+        365.0, ge=0, description="a process that ended so long ago is deleted from the database; 0: never"
+    )
 
     @property
     def own_url(self) -> str:

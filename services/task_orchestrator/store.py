@@ -73,6 +73,20 @@ class Store:
             if step.delivered:
                 connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(step.delivered)))
 
+    def forget(self, ended_before: datetime, at_most: int) -> int:
+        """Delete processes that ended before, with all that is kept of them; return how many were deleted."""
+        processes, tasks = schema.processes, schema.tasks
+        with self._engine.begin() as connection:
+            old = select(processes.c.id).where(processes.c.ended_at < _written(ended_before))
+            unfinished = select(tasks.c.process).where(tasks.c.ended_at.is_(None))
+            ids = list(connection.scalars(old.where(processes.c.id.not_in(unfinished)).limit(at_most)))
+            theirs = select(tasks.c.id).where(tasks.c.process.in_(ids))
+            connection.execute(delete(schema.inbox).where(schema.inbox.c.task.in_(theirs)))
+            connection.execute(delete(tasks).where(tasks.c.process.in_(ids)))
+            connection.execute(delete(schema.timers).where(schema.timers.c.process.in_(ids)))
+            connection.execute(delete(processes).where(processes.c.id.in_(ids)))
+        return len(ids)
+
     def definitions(self) -> list[DefinitionRecord]:
         """Return all versions of all definitions, oldest first."""
         statement = select(schema.definitions).order_by(

@@ -117,6 +117,16 @@ export interface ProcessView {
   tasks: TaskView[];
   /** Whether somebody can retry, and which Task. */
   retry: string | null;
+  /** What people did with it, the oldest first. */
+  acts: Act[];
+}
+
+/** Somebody cancelled a process (`by` may be unknown), or had its failed `task` retried. */
+export interface Act {
+  at: string;
+  by: string | null;
+  act: "cancel" | "retry";
+  task: string | null;
 }
 
 export interface Activity {

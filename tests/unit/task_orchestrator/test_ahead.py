@@ -1,0 +1,181 @@
+"""What comes next: it is said before it happens, the way forward first, and nothing that cannot be."""
+
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.task_orchestrator.ahead import MAX_AHEAD, activities_ahead
+from services.task_orchestrator.bpmn import read_bpmn
+from services.task_orchestrator.definition import Definition
+from services.task_orchestrator.engine import Plan
+from tests.unit.task_orchestrator.drawing import (
+    NOW,
+    ONE_STEP,
+    activity,
+    boundary,
+    drawing,
+    end,
+    flow,
+    gateway,
+    path,
+    start,
+    timer,
+)
+
+BIN_PICKING = Path("services/task_orchestrator/processes/bin_picking.bpmn")
+FORK = (
+    start()
+    + activity("work")
+    + gateway("which", default="which_calm")
+    + activity("calm")
+    + activity("fast")
+    + activity("slow")
+    + end()
+    + path("start", "work", "which", "calm", "end")
+    + flow("which", "fast", "speed &gt; 5")
+    + flow("which", "slow", "work.slow")
+    + path("fast", "end")
+    + path("slow", "end")
+)
+
+
+def after(definition: Definition, *waiting: str, **variables: Any) -> list[str]:
+    return [each.id for each in activities_ahead(definition, waiting, variables)]
+
+
+@pytest.mark.parametrize(
+    ("waiting", "ahead"),
+    [
+        (["confirm_clear"], ["home_before"]),
+        (["scan"], ["confirm_pick", "stir_bin"]),
+        (["stir_bin"], ["scan"]),
+        (["pick", "pick_failed"], ["confirm_grip", "free_part"]),
+        (["pick_failed", "pick"], ["confirm_grip", "free_part"]),
+        (["pick"], ["confirm_grip", "free_part"]),
+        (["home_after"], []),
+        ([], []),
+        (["no such element"], []),
+    ],
+)
+def test_bin_picking_says_what_comes_next_the_way_forward_first(
+    waiting: list[str], ahead: list[str]
+) -> None:
+    assert after(read_bpmn(BIN_PICKING.read_bytes()), *waiting) == ahead
+
+
+def test_what_the_variables_decide_already_is_decided() -> None:
+    fork = read_bpmn(drawing(FORK))
+    assert after(fork, "work") == ["calm", "fast", "slow"]
+    assert after(fork, "work", speed=6) == ["fast"]
+    assert after(fork, "work", speed=5) == ["calm", "slow"]
+
+
+def test_what_the_waiting_activity_said_last_time_decides_nothing() -> None:
+    fork = read_bpmn(drawing(FORK))
+    assert after(fork, "work", speed=5, work={"slow": True}) == ["calm", "slow"]
+    assert after(fork, "which", speed=5, work={"slow": True}) == ["slow"]
+
+
+def test_side_by_side_only_what_nothing_sets_decides() -> None:
+    body = FORK.replace(flow("start", "work"), "") + gateway("split", "parallel") + activity("beside")
+    body += path("start", "split", "beside", "end") + flow("split", "work")
+    fork = read_bpmn(drawing(body))
+    assert after(fork, "which", "beside", speed=6) == ["fast"]
+    assert after(fork, "which", "beside", speed=5, work={"slow": True}) == ["calm", "slow"]
+
+
+def test_behind_a_script_nothing_is_decided() -> None:
+    script = '<bpmn:scriptTask id="faster"><bpmn:script>speed = speed + 1</bpmn:script></bpmn:scriptTask>'
+    body = FORK.replace(flow("work", "which"), "") + script + path("work", "faster", "which")
+    assert after(read_bpmn(drawing(body)), "work", speed=5) == ["calm", "fast", "slow"]
+
+
+def test_what_an_error_or_a_timer_leads_to_comes_last() -> None:
+    body = ONE_STEP.replace(path("start", "work", "end"), "")
+    body += boundary("late", "work", timer("PT1M")) + activity("remind") + activity("next")
+    body += path("start", "work", "next", "end") + path("late", "remind", "end")
+    assert after(read_bpmn(drawing(body)), "late", "work") == ["next", "remind"]
+
+
+def test_a_ring_of_gateways_comes_to_an_end_and_so_does_the_list() -> None:
+    names = [f"a{n}" for n in range(20)]
+    body = start() + gateway("join") + gateway("split", "parallel") + gateway("again", default="again_end")
+    body += end() + path("start", "join", "split", "again", "end") + flow("again", "join", "go")
+    body += "".join(activity(name) + path("split", name, "end") for name in names)
+    definition = read_bpmn(drawing(body))
+    assert after(definition, "start") == names[:MAX_AHEAD]
+
+
+class Block:
+    """A piece of a drawing with one way in and one way out."""
+
+    def __init__(self, body: str, first: str, last: str, told: str | None = None) -> None:
+        self.body, self.first, self.last = body, first, last
+        self.told = told
+        """The activity that has always been done last here."""
+
+
+def build(shape: Any, numbers: Iterator[int]) -> Block:
+    kind, *parts = shape
+    name = f"{kind}{next(numbers)}"
+    if kind == "do":
+        return Block(activity(name), name, name, name)
+    if kind == "script":
+        text = f'<bpmn:scriptTask id="{name}"><bpmn:script>go = not go</bpmn:script></bpmn:scriptTask>'
+        return Block(text, name, name)
+    first, *others = [build(part, numbers) for part in parts]
+    if kind == "then":
+        (second,) = others
+        return Block(
+            first.body + second.body + flow(first.last, second.first), first.first, second.last, second.told
+        )
+    if kind == "loop":
+        asked = f"{first.told}.ok" if first.told else "go"
+        body = first.body + gateway(f"{name}_in") + gateway(f"{name}_out", default=f"{name}_out_{name}_done")
+        body += gateway(f"{name}_done") + flow(f"{name}_in", first.first) + flow(first.last, f"{name}_out")
+        body += flow(f"{name}_out", f"{name}_in", asked) + flow(f"{name}_out", f"{name}_done")
+        return Block(body, f"{name}_in", f"{name}_done", first.told)
+    gate = {"either": "exclusive", "both": "parallel"}[kind]
+    (second,) = others
+    default = f"{name}_in_{second.first}" if kind == "either" else None
+    body = first.body + second.body + gateway(f"{name}_in", gate, default) + gateway(f"{name}_out", gate)
+    body += flow(f"{name}_in", first.first, "go" if kind == "either" else None)
+    body += flow(f"{name}_in", second.first) + flow(first.last, f"{name}_out")
+    body += flow(second.last, f"{name}_out")
+    return Block(body, f"{name}_in", f"{name}_out")
+
+
+SHAPES = st.recursive(
+    st.sampled_from([("do",), ("do",), ("script",)]),
+    lambda inner: (
+        st.tuples(st.just("then"), inner, inner)
+        | st.tuples(st.just("either"), inner, inner)
+        | st.tuples(st.just("both"), inner, inner)
+        | st.tuples(st.just("loop"), st.tuples(st.just("then"), inner, st.just(("do",))))
+    ),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(shape=SHAPES, go=st.booleans(), choices=st.data())
+def test_whatever_is_reached_was_said_to_be_ahead(shape: Any, go: bool, choices: st.DataObject) -> None:
+    block = build(shape, count(1))
+    body = start() + block.body + end() + flow("start", block.first) + flow(block.last, "end")
+    plan = Plan(read_bpmn(drawing(body)))
+    run = plan.start({"go": go}, NOW)
+    for _ in range(25):
+        if run.completed:
+            break
+        before = {open_.token for open_ in run.open()}
+        ahead = activities_ahead(plan.definition, run.waiting(), run.variables())
+        assert len({each.id for each in ahead}) == len(ahead) <= MAX_AHEAD
+        done = choices.draw(st.sampled_from(run.open()))
+        run.complete(done.token, {done.element: {"ok": choices.draw(st.booleans())}}, NOW)
+        reached = {open_.element for open_ in run.open() if open_.token not in before}
+        assert reached <= {each.id for each in ahead}
