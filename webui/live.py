@@ -27,15 +27,16 @@ MOST_WANTED = 64
 
 
 class Live:
-    """Tells pages about the world."""
+    """Tells pages about the world; one that has not read for `patience_s` is let go."""
 
-    def __init__(self, world: World, audience: Audience) -> None:
+    def __init__(self, world: World, audience: Audience, patience_s: float = BLOCKED_S) -> None:
         self._world = world
         self._audience = audience
+        self._patience_s = patience_s
         PAGES.set_function(lambda: audience.size)
 
     async def show(self, page: WebSocket) -> None:
-        """Tell `page` everything until it goes, or until it has not read for `BLOCKED_S`."""
+        """Tell `page` everything until it goes or is let go."""
         await page.accept()
         news = asyncio.Event()
         reader = self._world.open_reader(news.set)
@@ -60,11 +61,11 @@ class Live:
             news.clear()
             batch = reader.take(iso(datetime.now(UTC), "milliseconds")).decode()
             try:
-                async with asyncio.timeout(BLOCKED_S):
+                async with asyncio.timeout(self._patience_s):
                     await page.send_text(batch)
             except TimeoutError:
                 TOO_SLOW.inc()
-                log.warning("a page does not read and is let go", blocked_s=BLOCKED_S)
+                log.warning("a page does not read and is let go", blocked_s=self._patience_s)
                 raise
             BATCHES.inc()
             await asyncio.sleep(LEAST_PAUSE_S)

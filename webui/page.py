@@ -77,7 +77,7 @@ class Page:
         accepted = _accepted(headers.get("accept-encoding", ""))
         found = await asyncio.to_thread(self._find, address, accepted)
         if found is None:
-            if PurePosixPath(address).suffix or address.startswith("assets/"):
+            if address.startswith("assets/") or _type_of(address) is not None:
                 raise Problem(404, "Not found", f'the page has no file "{address}"; load the page again')
             found = await asyncio.to_thread(self._find, "index.html", accepted)
         if found is None:
@@ -87,7 +87,9 @@ class Page:
     def _find(self, address: str, accepted: frozenset[str]) -> Found | None:
         name = address or "index.html"
         parts = PurePosixPath(name).parts
-        if not parts or ".." in parts or "\0" in name or "\\" in name or name.startswith("/"):
+        if not parts or name.startswith("/") or any(part.startswith(".") for part in parts):
+            return None
+        if "\0" in name or "\\" in name:
             return None
         plain = self._folder.joinpath(*parts)
         for encoding, suffix in PACKED:
@@ -109,9 +111,13 @@ def _sent(found: Found, known: str) -> Response:
         return Response(status_code=304, headers=headers)
     if found.encoding:
         headers["Content-Encoding"] = found.encoding
-    suffix = PurePosixPath(found.name).suffix.lower()
-    media_type = TYPES.get(suffix) or mimetypes.guess_type(found.name)[0] or "application/octet-stream"
+    media_type = _type_of(found.name) or "application/octet-stream"
     return FileResponse(found.path, headers=headers, media_type=media_type, stat_result=found.status)
+
+
+def _type_of(name: str) -> str | None:
+    """Return the media type of a file by its name, None for a name that is no file's."""
+    return TYPES.get(PurePosixPath(name).suffix.lower()) or mimetypes.guess_type(name)[0]
 
 
 def _accepted(header: str) -> frozenset[str]:

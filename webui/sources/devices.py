@@ -23,7 +23,7 @@ def short(urn: str) -> str:
 
 
 class Devices(Kind):
-    """Tells the world about Device entities, and the log when one changes its state."""
+    """Tells the world about Device entities, and the log when one changes its state for other than work."""
 
     ngsi_type = "Device"
 
@@ -32,6 +32,7 @@ class Devices(Kind):
         self._events = events
         self._services = services
         self._performers: dict[str, str] = {}
+        self._states: dict[str, DeviceState] = {}
         self._known: set[str] = set()
 
     def take(self, entity: Mapping[str, Any]) -> None:
@@ -55,6 +56,7 @@ class Devices(Kind):
         """Forget a Device."""
         self._known.discard(entity_id)
         self._performers.pop(entity_id, None)
+        self._states.pop(entity_id, None)
         self._world.forget(f"device/{entity_id}")
 
     def performer_of(self, resource: str) -> str | None:
@@ -65,15 +67,18 @@ class Devices(Kind):
         if device.device_state is None:
             return
         state = device.device_state.value
-        known = self._events.last_mark(device.id)
-        if known is not None and known.partition("@")[0] == state.value:
+        if self._states.get(device.id) == state:
             return
+        self._states[device.id] = state
         seen = device.device_state.observed_at
         at = in_milliseconds(iso(seen) if seen else None)
         name = short(device.id)
         performer = self.performer_of(device.id)
         if performer is not None:
             self._services.heard(performer, f"{name}: {state.value}", at)
+        logged = self._events.last_mark(device.id) or ""
+        if state is DeviceState.BUSY or logged.partition("@")[0] == state.value:
+            return  # that it works and rests is what its Tasks say; the log would be full of it
         self._events.record(
             Happening(
                 subject=device.id,

@@ -1,0 +1,41 @@
+"""The settings: where gloves are, under which names the page may be opened."""
+
+import pytest
+
+from webui.settings import WebuiSettings
+
+
+@pytest.fixture(autouse=True)
+def _no_settings_of_this_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
+    monkeypatch.chdir(str(tmp_path))
+
+
+def test_names_are_listed_with_commas(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDOVER_WEBUI_HOSTS", "panel-3, panel-3.hall.example ,")
+    assert WebuiSettings.load().webui_hosts == ("panel-3", "panel-3.hall.example")
+    assert WebuiSettings.load(webui_hosts=()).webui_hosts == ()
+
+
+@pytest.mark.parametrize(
+    ("glove_host", "controller_url", "reached_at"),
+    [
+        ("127.0.0.1", None, "127.0.0.1"),
+        ("0.0.0.0", None, "127.0.0.1"),
+        ("0.0.0.0", "http://gesture-controller:54210", "gesture-controller"),
+        ("192.168.7.20", None, "192.168.7.20"),
+        ("localhost", None, "127.0.0.1"),
+        ("gloves.hall.example", None, "gloves.hall.example"),
+    ],
+)
+def test_a_glove_finds_the_controller(glove_host: str, controller_url: str | None, reached_at: str) -> None:
+    settings = WebuiSettings.load(glove_host=glove_host, controller_url=controller_url)
+    assert settings.gloves_awaited_at == reached_at
+
+
+def test_every_service_has_a_door() -> None:
+    urls = WebuiSettings.load(
+        broker_url="http://orion:1026", orchestrator_url="http://orchestrator:54200/"
+    ).service_urls
+    assert urls["context-broker"] == "http://orion:1026"
+    assert urls["task-orchestrator"] == "http://orchestrator:54200"
+    assert urls["trajectory-tool"] == "http://127.0.0.1:54220"
