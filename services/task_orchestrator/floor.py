@@ -3,7 +3,7 @@
 It is what the database says, held in memory. What could not be written is taken anew from there.
 """
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from datetime import datetime
 from typing import Any
 
@@ -12,8 +12,9 @@ from prometheus_client import Counter
 from handover.errors import HandoverError
 from handover.telemetry import get_logger
 from services.task_orchestrator.library import Library
+from services.task_orchestrator.metrics import Relay
 from services.task_orchestrator.process import Process
-from services.task_orchestrator.records import ProcessRecord, Step
+from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.store import Store
 
@@ -39,6 +40,7 @@ class Floor:
         self._owners: dict[str, str] = {}
         self._dues: dict[str, datetime] = {}
         self._stale: set[str] = set()
+        self._relay = Relay()
 
     @property
     def stale(self) -> bool:
@@ -48,6 +50,11 @@ class Floor:
     def owner(self, task_id: str) -> Process | None:
         """Return the process that a Task which has not ended belongs to."""
         return self.processes.get(self._owners.get(task_id, ""))
+
+    def open_tasks(self) -> Iterator[TaskRecord]:
+        """Yield the Tasks that have not ended."""
+        for process in self.processes.values():
+            yield from process.tasks.values()
 
     def due(self, now: datetime) -> list[Process]:
         """Return the processes for which something is due."""
@@ -103,6 +110,7 @@ class Floor:
                 log.info("process ended", process=record.id, status=record.status.value, reason=record.reason)
             self._set_due(process)
         self.clear(step.processes)
+        self._relay.follow(step)
 
     async def _load(self, record: ProcessRecord, *, even_if_over: bool = False) -> None:
         tasks = await self._on_disk(self._store.tasks, record.id)

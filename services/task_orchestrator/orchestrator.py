@@ -22,6 +22,7 @@ from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import HandoverError, Problem
 from handover.telemetry import get_logger
+from services.task_orchestrator import metrics
 from services.task_orchestrator.expressions import is_variable_name
 from services.task_orchestrator.floor import Floor
 from services.task_orchestrator.library import Deployment, Library, read_runnable
@@ -87,6 +88,7 @@ class Orchestrator:
         await self.on_disk(self.store.migrate)
         self.library.add(await self.on_disk(self.store.definitions))
         await self.floor.fill()
+        metrics.show_open(self.floor.open_tasks, self.clock)
         untold = await self.on_disk(self.store.outbox)
         self._next_seq = max((message.seq for message in untold), default=0) + 1
         chores = (self._write_on(), self._strike_off(), self._tidy_up())
