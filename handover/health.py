@@ -17,27 +17,32 @@ _USAGE = "usage: python -m handover.health URL [NAME OF WHAT MUST BE TRUE]"
 _direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
-def complaint(url: str, must_be_true: str | None = None) -> str | None:
-    """Return why what answers at `url` is not well, in one line; None if it is."""
-    if not url.startswith(("http://", "https://")):
-        return f'"{url}" is no address; it starts with http:// or https://'
+class NotWell(Exception):
+    """What was asked is not ready; the message says why, in one line."""
+
+
+def require_well(url: str, must_be_true: str | None = None) -> None:
+    """Return if what answers at `url` is well; raise `NotWell` if not."""
     try:
         with _direct.open(url, timeout=TIMEOUT_S) as answer:
             body = answer.read()
     except urllib.error.HTTPError as refusal:
         with refusal:
-            return f"{url} answers {refusal.code}: {refusal.read(500).decode(errors='replace')}"
-    except OSError as error:
-        return f"{url} does not answer: {getattr(error, 'reason', error)}"
-    if must_be_true is None:
-        return None
+            said = refusal.read(500).decode(errors="replace")
+        raise NotWell(f"{url} answers {refusal.code}: {said}") from None
+    except (OSError, ValueError) as error:
+        raise NotWell(f"{url} does not answer: {getattr(error, 'reason', error)}") from None
+    if must_be_true is not None:
+        _require_true(url, body, must_be_true)
+
+
+def _require_true(url: str, body: bytes, name: str) -> None:
     try:
         told = json.loads(body)
     except ValueError:
-        return f"{url} does not answer with JSON, which would tell {must_be_true}"
-    if isinstance(told, dict) and told.get(must_be_true) is True:
-        return None
-    return f"{url} does not say that {must_be_true} is true"
+        raise NotWell(f"{url} does not answer with JSON, which would tell {name}") from None
+    if not (isinstance(told, dict) and told.get(name) is True):
+        raise NotWell(f"{url} does not say that {name} is true")
 
 
 def main(words: Sequence[str]) -> int:
@@ -45,8 +50,9 @@ def main(words: Sequence[str]) -> int:
     if not 1 <= len(words) <= 2:
         print(_USAGE, file=sys.stderr)  # noqa: T201 - read by whoever looks why a container is not healthy
         return 2
-    why = complaint(*words)
-    if why is not None:
+    try:
+        require_well(*words)
+    except NotWell as why:
         print(why, file=sys.stderr)  # noqa: T201
         return 1
     return 0
