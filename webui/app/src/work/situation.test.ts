@@ -1,0 +1,86 @@
+import { describe, expect, it } from "vitest";
+import { completed, definition, failed, glove, process, robotTask, scene, service, task, userTask } from "./scene.fixture";
+import { latest, parametersFor, situationOf, startable, type Scene, type Situation } from "./situation";
+
+const table: [string, Partial<Scene>, Situation["kind"]][] = [
+  ["before anything was heard", { told: false, link: "connecting" }, "connecting"],
+  ["when nothing could ever be heard", { told: false, link: "lost" }, "linkLost"],
+  ["when the link breaks, whatever was asked", { link: "lost", gloves: [glove({ task })] }, "linkLost"],
+  ["without the broker", { services: [service("context-broker", "down")], gloves: [glove({ task })] }, "serviceLost"],
+  ["without the controller", { services: [service("gesture-controller", "down")] }, "serviceLost"],
+  ["without the orchestrator", { services: [service("task-orchestrator", "down")] }, "serviceLost"],
+  ["with a service that is only impaired", { services: [service("context-broker", "degraded")] }, "idle"],
+  ["without the orchestrator, but asked already", { services: [service("task-orchestrator", "down")], gloves: [glove({ task })] }, "asked"],
+  ["without any glove", { gloves: [] }, "noGlove"],
+  ["with another glove than the chosen one", { chosen: "glove-9" }, "noGlove"],
+  ["with several gloves and none chosen", { gloves: [glove(), glove({ glove: "glove-2" })] }, "chooseGlove"],
+  ["with several gloves and one chosen", { gloves: [glove(), glove({ glove: "glove-2" })], chosen: "glove-2" }, "idle"],
+  ["with a person chosen", { gloves: [glove({ person: "anna" }), glove({ glove: "glove-2" })], chosen: "anna" }, "idle"],
+  ["with a Task", { gloves: [glove({ task })], processes: [process({ tasks: [userTask] })] }, "asked"],
+  ["with a Task and no glove on", { gloves: [glove({ task, connected: false })] }, "asked"],
+  ["when the glove goes silent in a Task", { gloves: [glove({ task, connected: false, lost: true })] }, "gloveLost"],
+  ["when the work is paused", { gloves: [glove({ task, paused: true })] }, "paused"],
+  ["when the robot works", { processes: [process({ tasks: [robotTask] })] }, "robot"],
+  ["when a robot that tells nothing works", { processes: [process({ tasks: [robotTask] })], robots: [] }, "robot"],
+  ["when the robot should work and its tool is away", { processes: [process({ tasks: [robotTask] })], services: [service("trajectory-tool", "down")] }, "serviceLost"],
+  ["when the tool is away and nobody needs it", { services: [service("trajectory-tool", "down")] }, "idle"],
+  ["between two Tasks", { processes: [process({ tasks: [{ ...robotTask, endedAt: "2026-01-01T10:00:09Z" }] })] }, "between"],
+  ["when another person is asked", { processes: [process({ tasks: [{ ...userTask, involves: ["urn:ngsi-ld:Person:demo:ben"] }] })] }, "between"],
+  ["when the process has failed", { processes: [failed] }, "failed"],
+  ["when the process was cancelled", { processes: [{ ...failed, reason: "cancelled by Anna", retry: null }] }, "idle"],
+  ["when the process is done", { processes: [completed] }, "completed"],
+  ["when one has failed and the next one runs", { processes: [failed, process({ tasks: [robotTask] })] }, "robot"],
+  ["with nothing to do", {}, "idle"],
+];
+
+describe("the situation", () => {
+  it.each(table)("%s", (_, part, kind) => {
+    expect(situationOf(scene(part)).kind).toBe(kind);
+  });
+
+  it("has the process that asks, not another one that runs", () => {
+    const mine = process({ id: "p-1", tasks: [userTask] });
+    const other = process({ id: "p-2", startedAt: "2026-01-02T10:00:00Z", tasks: [robotTask] });
+    const asked = situationOf(scene({ gloves: [glove({ task })], processes: [mine, other] }));
+    expect(asked.kind === "asked" && asked.process?.id).toBe("p-1");
+  });
+
+  it("follows the process that this glove has a part in", () => {
+    const mine = process({ id: "p-1", tasks: [robotTask], parameters: { operator: "Device:glove-1" } });
+    const other = process({ id: "p-2", startedAt: "2026-01-02T10:00:00Z", tasks: [robotTask], parameters: {} });
+    const seen = situationOf(scene({ processes: [mine, other] }));
+    expect(seen.kind === "robot" && seen.process.id).toBe("p-1");
+  });
+
+  it("says that an answer waits while the orchestrator is away", () => {
+    const seen = situationOf(scene({ services: [service("task-orchestrator", "down")], gloves: [glove({ task })] }));
+    expect(seen.kind === "asked" && seen.answerWaits).toBe(true);
+  });
+});
+
+describe("what can be started", () => {
+  it("needs nothing that the page cannot say, and begins with what ran last", () => {
+    const definitions = [
+      definition({ name: "a", title: "A" }),
+      definition({ name: "b", title: "B" }),
+      definition({ name: "c", title: "C", unusable: "it names an unknown lane" }),
+      definition({ name: "d", title: "D", parameters: [{ name: "part", required: true, default: null }] }),
+    ];
+    expect(startable({ definitions, processes: [] }).map(({ name }) => name)).toEqual(["a", "b"]);
+    const processes = [process({ definition: "b" })];
+    expect(startable({ definitions, processes }).map(({ name }) => name)).toEqual(["b", "a"]);
+  });
+
+  it("works with the glove of the page, where the process has exactly one", () => {
+    const one = definition({ parameters: [{ name: "operator", required: false, default: "Device:glove-1" }] });
+    expect(parametersFor(one, "glove-1")).toEqual({});
+    expect(parametersFor(one, "glove-2")).toEqual({ operator: "Device:glove-2" });
+    const two = definition({ parameters: [...one.parameters, { name: "helper", required: false, default: "Device:glove-2" }] });
+    expect(parametersFor(two, "glove-3")).toEqual({});
+  });
+
+  it("knows which process was started last", () => {
+    expect(latest([])).toBeNull();
+    expect(latest([process({ id: "new", startedAt: "2026-01-02T00:00:00Z" }), process({ id: "old" })])?.id).toBe("new");
+  });
+});

@@ -1,0 +1,176 @@
+/**
+ * The situation: out of all that is live, the one thing that the operator at this screen has to know now.
+ *
+ * What stops the work goes first, then what the hand is asked for, then what the robot does, then what could
+ * be started. No time and no drawing here.
+ */
+import type {
+  Activity, DefinitionView, GloveTask, GloveView, ProcessView, RobotView, ServiceHealth, TaskView,
+} from "~/live/messages";
+import type { Link } from "~/live/store";
+
+export interface Scene {
+  link: Link;
+  /** Whether anything has been heard since the page was opened. */
+  told: boolean;
+  services: readonly ServiceHealth[];
+  gloves: readonly GloveView[];
+  robots: readonly RobotView[];
+  processes: readonly ProcessView[];
+  definitions: readonly DefinitionView[];
+  /** The glove that the address of the page names. */
+  chosen: string | null;
+}
+
+export type NeededService = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool";
+
+export interface Asked {
+  glove: GloveView;
+  task: GloveTask;
+  process: ProcessView | null;
+  next: Activity | null;
+}
+
+export interface Offer {
+  /** What can be started with nothing else to say; the first is the page's main act. */
+  startable: readonly DefinitionView[];
+  glove: GloveView;
+}
+
+export type Situation =
+  | { kind: "connecting" }
+  | { kind: "linkLost" }
+  | { kind: "serviceLost"; service: NeededService; detail: string | null }
+  | { kind: "noGlove"; chosen: string | null }
+  | { kind: "chooseGlove"; gloves: readonly GloveView[] }
+  | ({ kind: "gloveLost" } & Asked)
+  | ({ kind: "paused" } & Asked)
+  | ({ kind: "asked"; answerWaits: boolean } & Asked)
+  | { kind: "robot"; glove: GloveView; process: ProcessView; task: TaskView; robot: RobotView | null; next: Activity | null }
+  | { kind: "between"; glove: GloveView; process: ProcessView; task: TaskView | null; next: Activity | null }
+  | ({ kind: "failed"; process: ProcessView } & Offer)
+  | ({ kind: "completed"; process: ProcessView } & Offer)
+  | ({ kind: "idle" } & Offer);
+
+/** Return the one situation that counts. */
+export function situationOf(scene: Scene): Situation {
+  if (!scene.told) return scene.link === "lost" ? { kind: "linkLost" } : { kind: "connecting" };
+  if (scene.link === "lost") return { kind: "linkLost" };
+  const lost = (service: NeededService) => lostService(scene.services, service);
+  const away = lost("context-broker") ?? lost("gesture-controller");
+  if (away !== null) return away;
+  const glove = gloveOf(scene);
+  if (glove === null) {
+    return scene.gloves.length > 0 && (scene.chosen === null || scene.gloves.length > 1)
+      ? { kind: "chooseGlove", gloves: scene.gloves }
+      : { kind: "noGlove", chosen: scene.chosen };
+  }
+  const orchestratorLost = lost("task-orchestrator");
+  if (glove.task !== null) return askedOf(scene, glove, glove.task, orchestratorLost !== null);
+  if (orchestratorLost !== null) return orchestratorLost;
+  const process = processOf(scene, glove);
+  if (process !== null) return othersTurn(scene, glove, process) ?? { kind: "between", glove, process, task: null, next: nextOf(process) };
+  return endedOf(scene, glove);
+}
+
+/** Return the glove of this page: the one it was asked for, else the only one. */
+export function gloveOf({ gloves, chosen }: Pick<Scene, "gloves" | "chosen">): GloveView | null {
+  if (chosen !== null) return gloves.find((glove) => glove.glove === chosen || glove.person === chosen) ?? null;
+  return gloves.length === 1 ? (gloves[0] ?? null) : null;
+}
+
+/** Return what can be started with nothing else to say, the one that ran last first. */
+export function startable(scene: Pick<Scene, "definitions" | "processes">): DefinitionView[] {
+  const last = latest(scene.processes)?.definition;
+  return scene.definitions
+    .filter((one) => one.unusable === undefined && !one.parameters.some(({ required }) => required))
+    .sort((a, b) => Number(b.name === last) - Number(a.name === last) || (a.title < b.title ? -1 : 1));
+}
+
+/**
+ * Return the parameters with which this page starts a process: where the definition has exactly one glove,
+ * that is the page's own.
+ */
+export function parametersFor(definition: DefinitionView, glove: string): Record<string, string> {
+  const gloves = definition.parameters.filter(
+    (one) => typeof one.default === "string" && /^Device:glove\b/.test(one.default),
+  );
+  const [only] = gloves;
+  const own = `Device:${glove}`;
+  return gloves.length === 1 && only !== undefined && only.default !== own ? { [only.name]: own } : {};
+}
+
+/** Return the process that was started last. */
+export function latest(processes: readonly ProcessView[]): ProcessView | null {
+  return processes.reduce<ProcessView | null>(
+    (last, one) => (last === null || one.startedAt > last.startedAt ? one : last),
+    null,
+  );
+}
+
+/** Whether `id`, as a Task or Device is called in one place, is the one called `other` in another. */
+export function isSame(id: string | null, other: string | null): boolean {
+  if (id === null || other === null) return false;
+  return id === other || id.endsWith(`:${other}`) || other.endsWith(`:${id}`);
+}
+
+function askedOf(scene: Scene, glove: GloveView, task: GloveTask, answerWaits: boolean): Situation {
+  const process = scene.processes.find((one) => one.tasks.some(({ id }) => isSame(task.id, id))) ?? null;
+  const asked: Asked = { glove, task, process, next: nextOf(process) };
+  if (glove.lost) return { kind: "gloveLost", ...asked };
+  if (glove.paused) return { kind: "paused", ...asked };
+  return { kind: "asked", answerWaits, ...asked };
+}
+
+/** What somebody else does in the process just now: a robot before another person. */
+function othersTurn(scene: Scene, glove: GloveView, process: ProcessView): Situation | null {
+  const open = process.tasks.filter(({ endedAt }) => endedAt === null);
+  const robotOf = (task: TaskView) =>
+    scene.robots.find((robot) => task.involves.some((one) => isSame(one, robot.device))) ?? null;
+  const atRobot = open.find((task) => robotOf(task) !== null) ?? open.find(({ workParameters }) => "operation" in workParameters);
+  if (atRobot !== undefined) {
+    const away = lostService(scene.services, "trajectory-tool");
+    if (away !== null) return away;
+    return { kind: "robot", glove, process, task: atRobot, robot: robotOf(atRobot), next: nextOf(process) };
+  }
+  const [task = null] = open;
+  return task === null ? null : { kind: "between", glove, process, task, next: nextOf(process) };
+}
+
+/** Return the process that goes on and that this glove has a part in; else any that goes on. */
+function processOf(scene: Scene, glove: GloveView): ProcessView | null {
+  const running = scene.processes.filter(({ endedAt }) => endedAt === null);
+  const mine = running.filter((process) => involves(process, glove));
+  return latest(mine.length > 0 ? mine : running);
+}
+
+function involves(process: ProcessView, glove: GloveView): boolean {
+  const names = [glove.glove, ...(glove.person === null ? [] : [glove.person])];
+  const resources = [
+    ...process.tasks.flatMap((task) => task.involves),
+    ...process.next.flatMap((activity) => activity.involves),
+    ...Object.values(process.parameters).filter((value) => typeof value === "string"),
+  ];
+  return resources.some((resource) => names.some((name) => isSame(resource, name)));
+}
+
+function endedOf(scene: Scene, glove: GloveView): Situation {
+  const offer: Offer = { startable: startable(scene), glove };
+  const last = latest(scene.processes.filter((process) => involves(process, glove))) ?? latest(scene.processes);
+  if (last?.status === "failed" && !wasCancelled(last)) return { kind: "failed", process: last, ...offer };
+  if (last?.status === "completed") return { kind: "completed", process: last, ...offer };
+  return { kind: "idle", ...offer };
+}
+
+function wasCancelled(process: ProcessView): boolean {
+  return process.retry === null && /^cancelled\b/.test(process.reason ?? "");
+}
+
+function nextOf(process: ProcessView | null): Activity | null {
+  return process?.next[0] ?? null;
+}
+
+function lostService(services: readonly ServiceHealth[], service: NeededService): Situation | null {
+  const health = services.find(({ name }) => name === service);
+  return health?.state === "down" ? { kind: "serviceLost", service, detail: health.detail } : null;
+}
