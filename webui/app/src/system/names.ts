@@ -1,0 +1,31 @@
+/** What the lists of the page are made of: the names in a family, anew only when one comes or goes. */
+import { useMemo, useSyncExternalStore } from "react";
+import { useLive } from "~/live/hooks";
+import type { LiveStore } from "~/live/store";
+
+/** "glove-1" of `urn:ngsi-ld:Device:demo:glove-1`; what is no URN stays as it is. */
+export function shortName(urn: string): string {
+  return urn.startsWith("urn:") ? urn.slice(urn.lastIndexOf(":") + 1) : urn;
+}
+
+/** The gloves by name: a hand that moves thirty times a second does not draw the list anew. */
+export function useGloveNames(): string[] {
+  return useNames("glove", (value) => (value as { glove: string }).glove);
+}
+
+export function useRobotNames(): string[] {
+  return useNames("robot", (value) => (value as { id: string }).id);
+}
+
+function useNames(family: string, nameOf: (value: unknown) => string): string[] {
+  const live = useLive();
+  const names = useSyncExternalStore(
+    (listener) => live.watchFamily(family, listener),
+    () => joined(live, family, nameOf),
+  );
+  return useMemo(() => (names === "" ? [] : names.split("\n")), [names]);
+}
+
+function joined(live: LiveStore, family: string, nameOf: (value: unknown) => string): string {
+  return live.list(family).map(nameOf).join("\n");
+}
