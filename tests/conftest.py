@@ -89,6 +89,7 @@ class Cell:
             "HANDOVER_CONTROLLER_PORT": str(self.ports["gesture_controller"]),
             "HANDOVER_TRAJECTORY_PORT": str(self.ports["trajectory_tool"]),
             "HANDOVER_GLOVE_PORT": str(self.ports["glove"]),
+            "HANDOVER_WEBUI_PORT": str(self.ports["webui"]),
             "HANDOVER_RECONCILE_S": "1",
             "COLUMNS": "200",
             "NO_COLOR": "1",
@@ -108,7 +109,7 @@ class Cell:
         for service in services:
             with (self.data_dir / f"{service}.log").open("ab") as log:
                 self.processes[service] = subprocess.Popen(
-                    [sys.executable, "-m", f"services.{service}"],
+                    [sys.executable, "-m", service if service == "webui" else f"services.{service}"],
                     env=self.environment,
                     cwd=self.data_dir,
                     stdin=subprocess.DEVNULL,
@@ -168,7 +169,7 @@ def eventually() -> Callable[..., None]:
 @pytest.fixture
 def cell(tmp_path: Path) -> Iterator[Cell]:
     """A cell of which nothing runs yet."""
-    names = ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "glove")
+    names = ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "glove", "webui")
     made = Cell(tmp_path, {name: next_free_port() for name in names})
     yield made
     made.stop()

@@ -32,6 +32,7 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
     async with Launcher(SERVICES, settings, say) as launcher:
         await launcher.keep("simulated-operator", _operator())
         say(f"{', '.join(service.name for service in SERVICES)}: ready in {time.monotonic() - began_s:.1f} s")
+        say(f"Look at it on {service_named('webui').url()}")
         try:
             async with asyncio.timeout(timeout_s):
                 await run_process(settings, say)

@@ -54,7 +54,7 @@ async def _up(settings: Settings) -> None:
     async with Launcher(SERVICES, settings, say):
         for service in SERVICES:
             say(f"{service.name:<20} {service.url()}")
-        say("ready; Ctrl-C ends it")
+        say(f"ready; look at it on {service_named('webui').url()}; Ctrl-C ends it")
         await asyncio.Event().wait()
 
 

@@ -9,6 +9,7 @@ from services.context_broker.settings import BrokerSettings
 from services.gesture_controller.settings import ControllerSettings
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.trajectory_tool.settings import TrajectorySettings
+from webui.settings import WebuiSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,7 @@ SERVICES = (
         (("glove_host", "glove_port"),),
     ),
     Service("trajectory-tool", "services.trajectory_tool", TrajectorySettings, "trajectory_port"),
+    Service("webui", "webui", WebuiSettings, "webui_port"),
 )
 
 

@@ -1,0 +1,127 @@
+"""A browser for tests of the screen: Debian's Chromium, and pages that fail a test when they stumble."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from tests.conftest import REPOSITORY, Cell
+
+SCREENSHOTS = REPOSITORY / "build" / "screenshots"
+"""Where the pictures of a run stay, to be looked at."""
+
+FLAGS = [
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-sync",
+    "--enable-unsafe-swiftshader",  # WebGL without a graphics card
+]
+PANEL = {"width": 1280, "height": 800}
+
+OpenPage = Callable[..., Page]
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Chromium without a window; skips where none is installed."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def screen(cell: Cell) -> Cell:
+    """A cell with every service and the screen."""
+    cell.start("context_broker")
+    cell.start("task_orchestrator", "gesture_controller", "trajectory_tool", "webui")
+    return cell
+
+
+@pytest.fixture
+def open_page(browser: Browser, cell: Cell) -> Iterator[OpenPage]:
+    """Open pages of the cell's screen; a page that logs an error or throws fails the test at its end.
+
+    `forgives` are parts of messages that the test itself provokes, such as a service it has killed.
+    """
+    faults: list[str] = []
+    forgiven: list[str] = []
+
+    def note(fault: str) -> None:
+        if not any(part in fault for part in forgiven):
+            faults.append(fault)
+
+    with ExitStack() as contexts:
+
+        def open_one(
+            path: str = "/",
+            *,
+            language: str = "en",
+            theme: str = "light",
+            viewport: dict[str, int] | None = None,
+            who: str = "Anna",
+            forgives: tuple[str, ...] = (),
+            **options: Any,
+        ) -> Page:
+            forgiven.extend(forgives)
+            context = browser.new_context(
+                base_url=cell.url("webui"),
+                viewport=viewport or PANEL,
+                color_scheme=theme,
+                locale={"en": "en-GB", "de": "de-DE", "fi": "fi-FI"}[language],
+                **options,
+            )
+            contexts.callback(context.close)
+            context.set_default_timeout(15_000)
+            if who:
+                context.add_init_script(f"localStorage.setItem('handover.who', {who!r})")
+            page = context.new_page()
+            page.on("pageerror", lambda error: note(f"thrown: {error}"))
+            page.on("console", lambda line: note(f"logged: {line.text}") if line.type == "error" else None)
+            page.goto(path)
+            return page
+
+        yield open_one
+    assert not faults, "\n".join(faults)
+
+
+@pytest.fixture
+def keep() -> Callable[[Page, str], Path]:
+    """Keep a picture of a page under a name."""
+
+    def take(page: Page, name: str) -> Path:
+        path = SCREENSHOTS / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        page.screenshot(path=path)
+        return path
+
+    return take
+
+
+@pytest.fixture
+def accessible() -> Callable[[Page], None]:
+    """Check a page with axe: nothing serious or critical."""
+    axe = (REPOSITORY / "webui" / "app" / "node_modules" / "axe-core" / "axe.min.js").read_text()
+
+    def check(page: Page) -> None:
+        page.evaluate(axe)
+        found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+        serious = [
+            f"{violation['id']} ({violation['impact']}): {violation['help']}\n    "
+            + "\n    ".join(
+                node["html"][:200] + " " + " ".join(node["target"]) + " " + node["failureSummary"][:300]
+                for node in violation["nodes"]
+            )
+            for violation in found["violations"]
+            if violation["impact"] in {"serious", "critical"}
+        ]
+        assert not serious, "\n".join(serious)
+
+    return check
