@@ -1,0 +1,96 @@
+/** Processes: what can run, what runs and what has run, for those who set a cell up or look for a cause. */
+import { FileUp, Workflow } from "lucide-react";
+import { useState } from "react";
+import { DropZone } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import { useLocation } from "wouter";
+import { Button } from "~/design/Button";
+import { Empty } from "~/design/Empty";
+import type { DefinitionView } from "~/live/messages";
+import { useKeys } from "~/shell/keys";
+import { pathOf, placeOf, type Place } from "./address";
+import { DefinitionPanel } from "./definition/DefinitionPanel";
+import { ProcessList } from "./list/ProcessList";
+import { ProcessPanel } from "./process/ProcessPanel";
+import { StartDialog } from "./start/StartDialog";
+import { UploadPanel } from "./upload/UploadPanel";
+import "./ProcessesPage.css";
+
+interface Starting {
+  definition: DefinitionView;
+  version: number | null;
+}
+
+export default function ProcessesPage() {
+  const { t } = useTranslation("processes");
+  const [path, go] = useLocation();
+  const place = placeOf(path);
+  const [starting, setStarting] = useState<Starting | null>(null);
+  const [file, setFile] = useState<File | null>(null);
+  const open = (to: Place) => go(pathOf(to));
+  const look = (one: File) => {
+    setFile(one);
+    open({ kind: "upload" });
+  };
+  const upload = () => {
+    setFile(null);
+    open({ kind: "upload" });
+  };
+  useKeys([
+    { key: "/", does: t("keys.find"), act: () => document.querySelector<HTMLInputElement>(".process-list input")?.focus() },
+    { key: "u", does: t("keys.upload"), act: upload },
+  ]);
+  return (
+    <DropZone
+      className="processes"
+      aria-label={t("upload.dropHere")}
+      getDropOperation={(types) => (types.has("application/json") ? "cancel" : "copy")}
+      onDrop={(event) => {
+        const dropped = event.items.find((item) => item.kind === "file");
+        if (dropped?.kind === "file") void dropped.getFile().then(look);
+      }}
+    >
+      <ProcessList place={place} onStart={(definition) => setStarting({ definition, version: null })} onUpload={upload} />
+      <div className="processes__place">
+        {place.kind === "process" && <ProcessPanel key={place.id} id={place.id} />}
+        {place.kind === "definition" && (
+          <DefinitionPanel
+            key={place.name}
+            name={place.name}
+            onStart={(definition, version) => setStarting({ definition, version })}
+          />
+        )}
+        {place.kind === "upload" && (
+          <UploadPanel
+            file={file}
+            onFile={setFile}
+            onDeployed={(definition) => {
+              setFile(null);
+              open({ kind: "definition", name: definition.name });
+            }}
+          />
+        )}
+        {place.kind === "nothing" && (
+          <Empty
+            icon={<Workflow aria-hidden size={40} />}
+            title={t("nothing.title")}
+            act={
+              <Button icon={<FileUp aria-hidden size={18} />} onPress={upload}>
+                {t("list.upload")}
+              </Button>
+            }
+          >
+            {t("nothing.what")}
+          </Empty>
+        )}
+      </div>
+      {starting !== null && (
+        <StartDialog
+          {...starting}
+          onClose={() => setStarting(null)}
+          onStarted={(process) => open({ kind: "process", id: process.id })}
+        />
+      )}
+    </DropZone>
+  );
+}

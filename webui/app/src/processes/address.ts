@@ -1,0 +1,44 @@
+/** What the Processes page shows, as its path says it: nothing yet, a process, a definition, or a file to look at. */
+
+export type Place =
+  | { kind: "nothing" }
+  | { kind: "process"; id: string }
+  | { kind: "definition"; name: string }
+  | { kind: "upload" };
+
+const ROOT = "/processes";
+
+/** Read a path under `/processes`; what cannot be read shows nothing rather than something wrong. */
+export function placeOf(path: string): Place {
+  const [first, second, ...more] = path.slice(ROOT.length).split("/").filter((part) => part !== "").map(plain);
+  if (first === undefined || more.length > 0) return { kind: "nothing" };
+  if (first === "definition") return second === undefined ? { kind: "nothing" } : { kind: "definition", name: second };
+  if (second !== undefined) return { kind: "nothing" };
+  return first === "upload" ? { kind: "upload" } : { kind: "process", id: first };
+}
+
+/** The path of a place. */
+export function pathOf(place: Place): string {
+  switch (place.kind) {
+    case "nothing":
+      return ROOT;
+    case "process":
+      return `${ROOT}/${encodeURIComponent(place.id)}`;
+    case "definition":
+      return `${ROOT}/definition/${encodeURIComponent(place.name)}`;
+    case "upload":
+      return `${ROOT}/upload`;
+  }
+}
+
+export function samePlace(one: Place, other: Place): boolean {
+  return pathOf(one) === pathOf(other);
+}
+
+function plain(part: string): string {
+  try {
+    return decodeURIComponent(part);
+  } catch {
+    return part;
+  }
+}

@@ -1,0 +1,193 @@
+/**
+ * Drawing: a BPMN file on the page, with marks on its elements. The file is read once; what changes
+ * afterwards are the marks alone. The mark of bpmn.io stays as the library puts it.
+ */
+import NavigatedViewer from "bpmn-js/lib/NavigatedViewer";
+import type Canvas from "diagram-js/lib/core/Canvas";
+import type ElementRegistry from "diagram-js/lib/core/ElementRegistry";
+import type { ElementLike } from "diagram-js/lib/core/Types";
+import type EventBus from "diagram-js/lib/core/EventBus";
+import type Overlays from "diagram-js/lib/features/overlays/Overlays";
+import { difference, NO_MARKS, type Badge, type Marks } from "./marks";
+
+interface Services {
+  canvas: Canvas;
+  elementRegistry: ElementRegistry;
+  eventBus: EventBus;
+  overlays: Overlays;
+}
+
+interface Picked {
+  element: { businessObject?: { id?: string } };
+}
+
+const MARGIN = 24;
+const LEAST_ZOOM = 0.2;
+const MOST_ZOOM = 4;
+/** A small process is not blown up to fill the place. */
+const FIT_ZOOM = 1.25;
+
+const SIGNS: Record<Badge["kind"], string> = { token: "●", failed: "✕", count: "✓", duration: "", fault: "!" };
+
+export class Drawing {
+  readonly #viewer: NavigatedViewer<Services>;
+  readonly #overlays = new Map<string, string[]>();
+  #shown: Marks = NO_MARKS;
+  #ready = false;
+  #moved = false;
+
+  constructor(container: HTMLElement, onPick: (element: string | null) => void) {
+    this.#viewer = new NavigatedViewer<Services>({
+      container,
+      keyboard: { bind: false },
+      bpmnRenderer: {
+        defaultFillColor: "var(--diagram-fill)",
+        defaultStrokeColor: "var(--diagram-stroke)",
+        defaultLabelColor: "var(--text)",
+      },
+      textRenderer: {
+        defaultStyle: { fontFamily: "Inter Variable, sans-serif", fontSize: 12 },
+        externalStyle: { fontFamily: "Inter Variable, sans-serif", fontSize: 12 },
+      },
+    });
+    const events = this.#viewer.get("eventBus");
+    events.on("element.click", (event: Picked) => onPick(event.element.businessObject?.id ?? null));
+    events.on(["canvas.viewbox.changing"], () => {
+      this.#moved = true;
+    });
+  }
+
+  /** Draw a file; throws what the library says of a file that it cannot read. */
+  async show(xml: string): Promise<void> {
+    this.#ready = false;
+    this.#shown = NO_MARKS;
+    this.#overlays.clear();
+    await this.#viewer.importXML(xml);
+    this.#ready = true;
+    this.fit();
+  }
+
+  /** Put marks in place of those that are shown; only what differs is touched. */
+  mark(marks: Marks): void {
+    if (!this.#ready) return;
+    const change = difference(this.#shown, marks);
+    this.#shown = marks;
+    const canvas = this.#viewer.get("canvas");
+    for (const { element, look } of change.lose) this.#at(element, (at) => canvas.removeMarker(at, `diagram-${look}`));
+    for (const { element, look } of change.gain) this.#at(element, (at) => canvas.addMarker(at, `diagram-${look}`));
+    for (const { element, badges } of change.badges) this.#badge(element, badges);
+  }
+
+  /** Move an element to the middle; false if the drawing does not have it. */
+  centre(element: string): boolean {
+    const at = this.#find(element);
+    if (at === undefined) return false;
+    const canvas = this.#viewer.get("canvas");
+    canvas.scrollToElement(at, MARGIN);
+    const box = canvas.viewbox();
+    const middle = middleOf(at);
+    const zoom = Math.max(box.scale, 0.8);
+    const [width, height] = [box.outer.width / zoom, box.outer.height / zoom];
+    canvas.viewbox({ x: middle.x - width / 2, y: middle.y - height / 2, width, height });
+    return true;
+  }
+
+  /** Show the whole drawing. */
+  fit(): void {
+    if (!this.#ready) return;
+    const canvas = this.#viewer.get("canvas");
+    canvas.resized();
+    const { inner, outer } = canvas.viewbox();
+    if (outer.width === 0 || outer.height === 0) return;
+    const zoom = Math.min(
+      FIT_ZOOM,
+      outer.width / (inner.width + 2 * MARGIN),
+      outer.height / (inner.height + 2 * MARGIN),
+    );
+    const [width, height] = [outer.width / zoom, outer.height / zoom];
+    canvas.viewbox({
+      x: inner.x - (width - inner.width) / 2,
+      y: inner.y - (height - inner.height) / 2,
+      width,
+      height,
+    });
+    this.#moved = false;
+  }
+
+  /** The place of the drawing has another size: what was fitted stays fitted, what was moved stays there. */
+  resized(): void {
+    if (!this.#ready) return;
+    if (this.#moved) this.#viewer.get("canvas").resized();
+    else this.fit();
+  }
+
+  zoomBy(factor: number): void {
+    if (!this.#ready) return;
+    const canvas = this.#viewer.get("canvas");
+    canvas.zoom(Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, canvas.zoom() * factor)));
+  }
+
+  pan(dx: number, dy: number): void {
+    if (this.#ready) this.#viewer.get("canvas").scroll({ dx, dy });
+  }
+
+  destroy(): void {
+    this.#ready = false;
+    this.#viewer.destroy();
+  }
+
+  #badge(element: string, badges: readonly Badge[]): void {
+    const overlays = this.#viewer.get("overlays");
+    for (const overlay of this.#overlays.get(element) ?? []) overlays.remove(overlay);
+    this.#overlays.delete(element);
+    const at = this.#find(element);
+    if (at === undefined || badges.length === 0) return;
+    const width = "waypoints" in at ? 0 : (at as unknown as { width: number }).width;
+    const above = badges.filter((badge) => badge.kind !== "count" && badge.kind !== "duration");
+    const below = badges.filter((badge) => badge.kind === "count" || badge.kind === "duration");
+    const put = (row: readonly Badge[], position: { top?: number; bottom?: number; left: number }) =>
+      row.length === 0 ? [] : [overlays.add(at as never, { position, html: rowOf(row, width), scale: { min: 0.7, max: 1.4 } })];
+    this.#overlays.set(element, [...put(above, { top: -11, left: 0 }), ...put(below, { bottom: 9, left: 0 })]);
+  }
+
+  #at(element: string, act: (at: never) => void): void {
+    const at = this.#find(element);
+    if (at !== undefined) act(at as never);
+  }
+
+  /** The shape of an element; a process that is drawn as a pool is found by its pool. */
+  #find(element: string): ElementLike | undefined {
+    const registry = this.#viewer.get("elementRegistry");
+    const drawn = registry.get(element);
+    if (drawn !== undefined) return this.#isGround(drawn) ? undefined : drawn;
+    return registry.find(
+      (one: { businessObject?: { processRef?: { id?: string } } }) => one.businessObject?.processRef?.id === element,
+    );
+  }
+
+  #isGround(element: ElementLike): boolean {
+    return (this.#viewer.get("canvas").getRootElement() as unknown) === element;
+  }
+}
+
+function middleOf(element: ElementLike): { x: number; y: number } {
+  const { waypoints } = element as { waypoints?: { x: number; y: number }[] };
+  const middle = waypoints?.[Math.floor(waypoints.length / 2)];
+  if (middle !== undefined) return middle;
+  const { x, y, width, height } = element as unknown as { x: number; y: number; width: number; height: number };
+  return { x: x + width / 2, y: y + height / 2 };
+}
+
+function rowOf(badges: readonly Badge[], width: number): HTMLElement {
+  const row = document.createElement("div");
+  row.className = "diagram__badges";
+  if (width > 0) row.style.width = `${width}px`;
+  for (const badge of badges) {
+    const one = document.createElement("span");
+    one.className = `diagram__badge diagram__badge--${badge.kind}`;
+    one.title = badge.title;
+    one.textContent = [SIGNS[badge.kind], badge.text].filter((part) => part !== "").join(" ");
+    row.append(one);
+  }
+  return row;
+}

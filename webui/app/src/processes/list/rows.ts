@@ -1,0 +1,96 @@
+/**
+ * Rows: the list of definitions and processes. It keeps its place while somebody is in it: what is new is
+ * counted and waits, what has ended stays where it stood.
+ */
+import type { DefinitionView, ProcessView, Status } from "~/live/messages";
+
+/** A process in a line, as the live view and the orchestrator's list both have it. */
+export type ProcessRow = Pick<
+  ProcessView,
+  "id" | "definition" | "version" | "title" | "key" | "status" | "reason" | "startedAt" | "endedAt"
+>;
+
+export interface Sections {
+  running: readonly ProcessRow[];
+  ended: readonly ProcessRow[];
+}
+
+export const KEPT_ENDED = 300;
+
+/** Live processes and the history read so far, each once; the live one counts. */
+export function together(live: readonly ProcessRow[], history: readonly ProcessRow[]): Sections {
+  const byId = new Map<string, ProcessRow>();
+  for (const row of history) byId.set(row.id, row);
+  for (const row of live) byId.set(row.id, row);
+  const all = [...byId.values()];
+  return {
+    // Who came last stands last: a new one moves none of the others.
+    running: all.filter((row) => row.endedAt === null).sort((a, b) => compare(a.startedAt, b.startedAt, a.id, b.id)),
+    ended: all
+      .filter((row) => row.endedAt !== null)
+      .sort((a, b) => compare(b.endedAt ?? "", a.endedAt ?? "", a.id, b.id)),
+  };
+}
+
+/** The history, with processes that have ended meanwhile; bounded, the latest stay. */
+export function remembered(history: readonly ProcessRow[], news: readonly ProcessRow[]): readonly ProcessRow[] {
+  const known = new Map(history.map((row) => [row.id, row]));
+  const fresh = news.filter((row) => row.endedAt !== null && known.get(row.id)?.endedAt !== row.endedAt);
+  if (fresh.length === 0) return history;
+  return together(fresh, history).ended.slice(0, KEPT_ENDED);
+}
+
+/** What is shown while somebody is in the list: the same rows in the same places, and how many wait. */
+export function held(shown: Sections, now: Sections): { sections: Sections; waiting: number } {
+  const current = new Map([...now.running, ...now.ended].map((row) => [row.id, row]));
+  const keep = (rows: readonly ProcessRow[]) => rows.map((row) => current.get(row.id) ?? row);
+  const known = new Set([...shown.running, ...shown.ended].map((row) => row.id));
+  const moved = shown.running.filter((row) => current.get(row.id)?.endedAt != null).length;
+  const fresh = [...current.keys()].filter((id) => !known.has(id)).length;
+  return { sections: { running: keep(shown.running), ended: keep(shown.ended) }, waiting: fresh + moved };
+}
+
+/** Whether two lists show the same. */
+export function sameSections(one: Sections, other: Sections): boolean {
+  return sameRows(one.running, other.running) && sameRows(one.ended, other.ended);
+}
+
+/** The processes whose title, definition, key, id or status has every word of the text. */
+export function found<T extends ProcessRow>(rows: readonly T[], text: string, said: (status: Status) => string): T[] {
+  const words = wordsOf(text);
+  return rows.filter((row) => has(words, [row.title, row.definition, row.id, row.key ?? "", said(row.status)]));
+}
+
+export function foundDefinitions(rows: readonly DefinitionView[], text: string): DefinitionView[] {
+  const words = wordsOf(text);
+  return rows
+    .filter((row) => has(words, [row.title, row.name, row.label ?? ""]))
+    .sort((a, b) => a.title.localeCompare(b.title));
+}
+
+function wordsOf(text: string): string[] {
+  return text.toLowerCase().split(/\s+/).filter((word) => word !== "");
+}
+
+function has(words: readonly string[], parts: readonly string[]): boolean {
+  const text = parts.join("\n").toLowerCase();
+  return words.every((word) => text.includes(word));
+}
+
+function sameRows(one: readonly ProcessRow[], other: readonly ProcessRow[]): boolean {
+  return (
+    one.length === other.length &&
+    one.every((row, nth) => {
+      const twin = other[nth];
+      return (
+        row.id === twin?.id && row.status === twin.status && row.endedAt === twin.endedAt &&
+        row.reason === twin.reason && row.title === twin.title
+      );
+    })
+  );
+}
+
+function compare(a: string, b: string, idA: string, idB: string): number {
+  if (a === b) return idA < idB ? -1 : 1;
+  return a < b ? -1 : 1;
+}

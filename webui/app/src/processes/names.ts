@@ -1,0 +1,18 @@
+/** Names as people use them: the last part of a URN, and the performer of a Task. */
+import type { TaskView } from "~/live/messages";
+
+/** "glove-1" of `urn:ngsi-ld:Device:demo:glove-1`; what is no URN stays as it is. */
+export function shortName(urn: string): string {
+  return urn.startsWith("urn:") ? urn.slice(urn.lastIndexOf(":") + 1) : urn;
+}
+
+/** Whoever acts for the first resource that a Task involves performs it; nobody is "". */
+export function performerOf(task: Pick<TaskView, "involves">): string {
+  const [first] = task.involves;
+  return first === undefined ? "" : shortName(first);
+}
+
+/** What a Task is called: its activity's name, or the activity's id where the file has no name. */
+export function nameOf(task: Pick<TaskView, "name" | "element">): string {
+  return task.name === "" ? task.element : task.name;
+}

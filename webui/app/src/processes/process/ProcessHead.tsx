@@ -1,0 +1,141 @@
+/** The head of a process: what it is, how it stands, and what can be done about it. */
+import { Ban, RotateCcw } from "lucide-react";
+import { useState } from "react";
+import { useTranslation } from "react-i18next";
+import { Link } from "wouter";
+import { cancelProcess, retryTask } from "~/api/acts";
+import { describe } from "~/api/http";
+import { Ago } from "~/design/Ago";
+import { Ask } from "~/design/Ask";
+import { Button } from "~/design/Button";
+import { Problem } from "~/design/Problem";
+import { State } from "~/design/State";
+import { statusTone } from "~/design/states";
+import { duration } from "~/design/times";
+import { useNow } from "~/live/clock";
+import type { ProcessView, TaskView } from "~/live/messages";
+import { useWho, useWithName } from "~/shell/who";
+import { pathOf } from "../address";
+import { nameOf, shortName } from "../names";
+
+export function ProcessHead({ process }: { process: ProcessView }) {
+  const { t } = useTranslation(["processes", "common"]);
+  const last = process.acts.at(-1);
+  return (
+    <header className="process__head">
+      <div className="process__name">
+        <h1>
+          <Link href={pathOf({ kind: "definition", name: process.definition })}>{process.title}</Link>
+        </h1>
+        <State tone={statusTone[process.status]}>{t(`common:status.${process.status}`)}</State>
+        <span className="quiet">
+          {t("version", { version: process.version })} · {process.key ?? process.id}
+        </span>
+        <span className="quiet">
+          {t("process.progress", { done: process.done, all: process.activities })} · <Took process={process} />
+        </span>
+        <span className="quiet">
+          {t("process.started")} <Ago at={process.startedAt} />
+        </span>
+      </div>
+      <Acts process={process} />
+      {process.reason !== null && <p className="process__reason">{process.reason}</p>}
+      {last !== undefined && (
+        <p className="process__act quiet small">
+          {t(`process.acts.${last.act}`, { by: last.by ?? t("process.somebody") })} <Ago at={last.at} />
+        </p>
+      )}
+    </header>
+  );
+}
+
+function Took({ process }: { process: ProcessView }) {
+  const { i18n } = useTranslation();
+  const now = useNow();
+  const until = process.endedAt === null ? now : Date.parse(process.endedAt);
+  return <>{duration(Math.floor(Math.max(0, until - Date.parse(process.startedAt)) / 1000) * 1000, i18n.language)}</>;
+}
+
+function Acts({ process }: { process: ProcessView }) {
+  const { t } = useTranslation("processes");
+  const name = useWho();
+  const [asks, setAsks] = useState(false);
+  const failed = taskOf(process, process.retry);
+  return (
+    <div className="process__acts">
+      {failed !== null && <RetryButton process={process} task={failed} kind="main" />}
+      {process.endedAt === null && (
+        <Button icon={<Ban aria-hidden size={18} />} onPress={() => setAsks(true)}>
+          {t("cancel.act", { title: process.title })}
+        </Button>
+      )}
+      <Ask
+        isOpen={asks}
+        onClose={() => setAsks(false)}
+        title={t("cancel.ask", { title: process.title })}
+        act={t("cancel.act", { title: process.title })}
+        kind="stop"
+        onAct={() => cancelProcess(process.id, name)}
+      >
+        <p>{t("cancel.means")}</p>
+        <OpenTasks process={process} />
+      </Ask>
+    </div>
+  );
+}
+
+function OpenTasks({ process }: { process: ProcessView }) {
+  const { t } = useTranslation("processes");
+  const open = process.tasks.filter((task) => task.endedAt === null && !task.cancelled);
+  if (open.length === 0) return null;
+  return (
+    <ul>
+      {open.map((task) => (
+        <li key={task.id}>
+          {t("cancel.task", { task: nameOf(task), who: task.involves.map(shortName).join(", ") })}
+        </li>
+      ))}
+    </ul>
+  );
+}
+
+export interface RetryButtonProps {
+  process: ProcessView;
+  task: TaskView;
+  kind: "main" | "plain";
+}
+
+/** Hands a failed Task out anew, and notes who wanted it. */
+export function RetryButton({ process, task, kind }: RetryButtonProps) {
+  const { t } = useTranslation("processes");
+  const { withName, question } = useWithName();
+  const [busy, setBusy] = useState(false);
+  const [failure, setFailure] = useState<string | null>(null);
+  const retry = (by: string) => retryTask(process.id, task.id, by);
+  return (
+    <>
+      <Button
+        kind={kind}
+        icon={<RotateCcw aria-hidden size={18} />}
+        isDisabled={busy}
+        onPress={() => {
+          setBusy(true);
+          setFailure(null);
+          void withName(retry)
+            .catch((error: unknown) => setFailure(describe(error)))
+            .finally(() => setBusy(false));
+        }}
+      >
+        {t("retry.act", { task: nameOf(task) })}
+      </Button>
+      {failure !== null && <Problem>{t("retry.refused", { why: failure })}</Problem>}
+      {question}
+    </>
+  );
+}
+
+/** The Task that `retry` names: by its id, or by its URN. */
+export function taskOf(process: ProcessView, id: string | null): TaskView | null {
+  if (id === null) return null;
+  return process.tasks.find((task) => task.id === id || shortName(task.id) === shortName(id)) ?? null;
+}

@@ -1,0 +1,95 @@
+/** A process: where it is, on its diagram, and what became of its Tasks, below. */
+import { lazy, Suspense, useMemo } from "react";
+import { useTranslation } from "react-i18next";
+import { Choice } from "~/design/Choice";
+import { Empty } from "~/design/Empty";
+import { Problem } from "~/design/Problem";
+import type { ProcessView } from "~/live/messages";
+import { useQuery } from "~/route/query";
+import { marksOfProcess, withPicked } from "../diagram/marks";
+import { useMarkWords } from "../diagram/words";
+import { useBpmn, useProcess } from "../records";
+import { TasksView } from "../timeline/TasksView";
+import { ProcessHead } from "./ProcessHead";
+import { TaskPanel } from "./TaskPanel";
+import { Values } from "./Values";
+import "./ProcessPanel.css";
+
+const Diagram = lazy(() => import("../diagram/Diagram"));
+
+export const VIEWS = ["timeline", "table", "values"] as const;
+export type View = (typeof VIEWS)[number];
+
+export function ProcessPanel({ id }: { id: string }) {
+  const { t } = useTranslation("processes");
+  const { value: process, failure, missing } = useProcess(id);
+  if (process !== null) return <Shown process={process} />;
+  if (missing) return <Empty title={t("process.missing", { id })}>{t("process.missingHow")}</Empty>;
+  if (failure !== null) return <Problem>{t("unread", { why: failure })}</Problem>;
+  return <p className="processes__loading quiet">{t("process.loading")}</p>;
+}
+
+function Shown({ process }: { process: ProcessView }) {
+  const { t } = useTranslation("processes");
+  const [asked, setView] = useQuery("view", "timeline");
+  const view = VIEWS.find((one) => one === asked) ?? "timeline";
+  const [picked, setPicked] = useQuery("task");
+  const task = process.tasks.find((one) => one.id === picked) ?? null;
+  return (
+    <div className="process">
+      <ProcessHead process={process} />
+      <ProcessDiagram
+        process={process}
+        picked={task?.element ?? null}
+        onPick={(element) => setPicked(process.tasks.findLast((one) => one.element === element)?.id ?? "")}
+      />
+      <section className="process__tasks" aria-label={t("views.label")}>
+        <div className="process__views">
+          <Choice
+            label={t("views.label")}
+            value={view}
+            options={VIEWS.map((value) => ({ value, name: t(`views.${value}`) }))}
+            onChange={setView}
+          />
+        </div>
+        <div className="process__below">
+          {view === "values" ? (
+            <Values process={process} />
+          ) : (
+            <TasksView process={process} view={view} picked={picked} onPick={setPicked} />
+          )}
+          {task !== null && view !== "values" && (
+            <TaskPanel process={process} task={task} onClose={() => setPicked("")} />
+          )}
+        </div>
+      </section>
+    </div>
+  );
+}
+
+interface ProcessDiagramProps {
+  process: ProcessView;
+  picked: string | null;
+  onPick: (element: string | null) => void;
+}
+
+function ProcessDiagram({ process, picked, onPick }: ProcessDiagramProps) {
+  const { t } = useTranslation("processes");
+  const words = useMarkWords("process");
+  const bpmn = useBpmn(process.definition, process.version);
+  const { waiting, elements } = process;
+  const marks = useMemo(
+    () => withPicked(marksOfProcess({ waiting, elements }, words), picked),
+    [waiting, elements, words, picked],
+  );
+  if (bpmn.failure !== null) return <Problem>{t("diagram.unread", { why: bpmn.failure })}</Problem>;
+  return (
+    <div className="process__diagram">
+      {bpmn.value !== null && (
+        <Suspense fallback={<p className="processes__loading quiet">{t("diagram.loading")}</p>}>
+          <Diagram xml={bpmn.value} label={t("diagram.ofProcess", { title: process.title })} marks={marks} onPick={onPick} />
+        </Suspense>
+      )}
+    </div>
+  );
+}

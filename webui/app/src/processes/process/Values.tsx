@@ -1,0 +1,63 @@
+/** Values: what a process was started with, and what it knows by now. */
+import { useTranslation } from "react-i18next";
+import type { ProcessView } from "~/live/messages";
+import "./Values.css";
+
+export function Values({ process }: { process: ProcessView }) {
+  const { t } = useTranslation("processes");
+  return (
+    <div className="values">
+      <Listed title={t("values.parameters")} values={process.parameters} empty={t("values.noParameters")} />
+      <Listed title={t("values.variables")} values={process.variables} empty={t("values.noVariables")} />
+    </div>
+  );
+}
+
+function Listed({ title, values, empty }: { title: string; values: Record<string, unknown>; empty: string }) {
+  const { t } = useTranslation("processes");
+  const names = Object.keys(values).sort();
+  return (
+    <section>
+      <h2>{title}</h2>
+      {names.length === 0 ? (
+        <p className="quiet">{empty}</p>
+      ) : (
+        <table className="values__table">
+          <thead>
+            <tr>
+              <th scope="col">{t("values.name")}</th>
+              <th scope="col">{t("values.value")}</th>
+            </tr>
+          </thead>
+          <tbody>
+            {names.map((name) => (
+              <tr key={name}>
+                <th scope="row">{name}</th>
+                <td>
+                  <Json value={values[name]} label={name} />
+                </td>
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      )}
+    </section>
+  );
+}
+
+/** A value as JSON; a long one scrolls in its own place, which the keyboard reaches. */
+export function Json({ value, label }: { value: unknown; label: string }) {
+  const short = JSON.stringify(value ?? null);
+  if (short.length <= 60) return <code className="values__json">{short}</code>;
+  return (
+    <pre className="values__json values__json--long" tabIndex={0} role="region" aria-label={label}>
+      {written(value)}
+    </pre>
+  );
+}
+
+/** Over several lines, but lists of numbers (poses, joints) in one. */
+function written(value: unknown): string {
+  const numbers = /\[\s+([\d.e+-]+(?:,\s+[\d.e+-]+)*)\s+\]/g;
+  return JSON.stringify(value, null, 2).replace(numbers, (_all, listed: string) => `[${listed.replace(/\s+/g, " ")}]`);
+}

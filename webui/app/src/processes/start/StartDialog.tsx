@@ -1,0 +1,100 @@
+/** Start a process: what it is told, each parameter with the kind of field that its default asks for. */
+import { useState } from "react";
+import { useTranslation } from "react-i18next";
+import { startProcess } from "~/api/acts";
+import { callService, Refusal } from "~/api/http";
+import { Ask } from "~/design/Ask";
+import { Field } from "~/design/Field";
+import type { DefinitionView, ProcessView } from "~/live/messages";
+import { Pick } from "../Pick";
+import { filledIn, initialText, kindOf, parameterIn, type Parameter } from "./parameters";
+import "./StartDialog.css";
+
+export interface StartDialogProps {
+  definition: DefinitionView;
+  /** An older version than the latest. */
+  version: number | null;
+  onClose: () => void;
+  onStarted: (process: ProcessView) => void;
+}
+
+export function StartDialog({ definition, version, onClose, onStarted }: StartDialogProps) {
+  const { t } = useTranslation("processes");
+  const [typed, setTyped] = useState<Record<string, string>>({});
+  const [faults, setFaults] = useState<Record<string, string>>({});
+  // The same press twice, or an answer lost on the way, never starts two.
+  const [key] = useState(() => `${Date.now().toString(36)}-${Math.random().toString(36).slice(2, 10)}`);
+
+  const start = async () => {
+    const filled = filledIn(definition.parameters, typed);
+    setFaults(Object.fromEntries(Object.entries(filled.faults).map(([name, fault]) => [name, t(`start.fault.${fault}`)])));
+    if (Object.keys(filled.faults).length > 0) throw new Error(t("start.mend"));
+    try {
+      onStarted(await begun(definition.name, version, filled.values, key));
+    } catch (error) {
+      const name = error instanceof Refusal ? parameterIn(error.problem.detail, definition.parameters) : null;
+      if (name !== null && error instanceof Refusal) setFaults({ [name]: error.problem.detail });
+      throw error;
+    }
+  };
+
+  return (
+    <Ask isOpen onClose={onClose} title={t("start.ask", { title: definition.title })} act={t("start.act", { title: definition.title })} onAct={start}>
+      {version !== null && <p className="quiet">{t("start.older", { version })}</p>}
+      {definition.parameters.length === 0 && <p className="quiet">{t("start.noParameters")}</p>}
+      {definition.parameters.map((parameter) => (
+        <ParameterField
+          key={parameter.name}
+          parameter={parameter}
+          text={typed[parameter.name] ?? initialText(parameter)}
+          error={faults[parameter.name]}
+          onChange={(text) => setTyped((before) => ({ ...before, [parameter.name]: text }))}
+        />
+      ))}
+    </Ask>
+  );
+}
+
+interface ParameterFieldProps {
+  parameter: Parameter;
+  text: string;
+  error: string | undefined;
+  onChange: (text: string) => void;
+}
+
+function ParameterField({ parameter, text, error, onChange }: ParameterFieldProps) {
+  const { t } = useTranslation("processes");
+  const kind = kindOf(parameter);
+  const label = parameter.required ? t("start.required", { name: parameter.name }) : parameter.name;
+  if (kind === "boolean") {
+    return (
+      <Pick
+        label={label}
+        value={text}
+        options={[
+          { value: "true", name: t("start.yes") },
+          { value: "false", name: t("start.no") },
+        ]}
+        onChange={onChange}
+      />
+    );
+  }
+  return (
+    <Field
+      label={label}
+      hint={kind === "text" ? undefined : t(`start.hint.${kind}`)}
+      value={text}
+      onChange={onChange}
+      error={error}
+      isRequired={parameter.required}
+      validationBehavior="aria"
+      inputMode={kind === "number" ? "decimal" : "text"}
+    />
+  );
+}
+
+function begun(name: string, version: number | null, values: Record<string, unknown>, key: string): Promise<ProcessView> {
+  if (version === null) return startProcess(name, values, key);
+  const json = { definition: name, version, parameters: values, key };
+  return callService("task-orchestrator", "processes", { method: "POST", json });
+}

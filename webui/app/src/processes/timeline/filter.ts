@@ -1,0 +1,41 @@
+/** Filter: which Tasks of a process one looks at. It stands in the URL, so that it can be sent to a colleague. */
+import type { Status, TaskView } from "~/live/messages";
+import { nameOf, performerOf } from "../names";
+
+export interface Filter {
+  text: string;
+  statuses: readonly Status[];
+  performer: string;
+}
+
+export const statuses: readonly Status[] = ["pending", "assigned", "inProgress", "paused", "completed", "failed"];
+
+/** Read the statuses from a URL; what is no status is left out. */
+export function statusesOf(query: string): Status[] {
+  const wanted = query.split(",");
+  return statuses.filter((status) => wanted.includes(status));
+}
+
+/** The Tasks that fit all that is asked; an empty filter lets all pass. Every word of the text must occur. */
+export function filtered(tasks: readonly TaskView[], filter: Filter): TaskView[] {
+  const words = filter.text.toLowerCase().split(/\s+/).filter((word) => word !== "");
+  return tasks.filter(
+    (task) =>
+      (filter.statuses.length === 0 || filter.statuses.includes(task.status)) &&
+      (filter.performer === "" || performerOf(task) === filter.performer) &&
+      (words.length === 0 || fits(words, task)),
+  );
+}
+
+/** All performers of some Tasks, by name. */
+export function performersOf(tasks: readonly TaskView[]): string[] {
+  return [...new Set(tasks.map(performerOf))].filter((name) => name !== "").sort();
+}
+
+function fits(words: readonly string[], task: TaskView): boolean {
+  const text = [nameOf(task), task.element, task.id, performerOf(task), task.description, task.reason]
+    .filter((part) => part !== null)
+    .join("\n")
+    .toLowerCase();
+  return words.every((word) => text.includes(word));
+}

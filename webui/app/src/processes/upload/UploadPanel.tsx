@@ -1,0 +1,179 @@
+/** Upload: a BPMN file is looked at and tried before it is deployed; what is wrong stands at its element. */
+import { FileCheck2, FileUp } from "lucide-react";
+import { lazy, Suspense, useEffect, useMemo, useState } from "react";
+import { FileTrigger } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import { callService, describe, Refusal } from "~/api/http";
+import { Button } from "~/design/Button";
+import { Empty } from "~/design/Empty";
+import { Problem } from "~/design/Problem";
+import { State } from "~/design/State";
+import type { DefinitionView } from "~/live/messages";
+import { marksOfFaults, withPicked } from "../diagram/marks";
+import type { Trial } from "../records";
+import { faultsOf, type BpmnFault } from "./faults";
+import { textOf } from "./file";
+import "./UploadPanel.css";
+
+const Diagram = lazy(() => import("../diagram/Diagram"));
+
+const TYPES = [".bpmn", ".xml", "application/xml", "text/xml"];
+
+export interface UploadPanelProps {
+  file: File | null;
+  onFile: (file: File) => void;
+  onDeployed: (definition: DefinitionView) => void;
+}
+
+interface Looked {
+  file: File;
+  xml: string;
+  trial: Trial | null;
+  faults: BpmnFault[];
+  failure: string | null;
+}
+
+export function UploadPanel({ file, onFile, onDeployed }: UploadPanelProps) {
+  const { t } = useTranslation("processes");
+  const [looked, setLooked] = useState<Looked | null>(null);
+
+  useEffect(() => {
+    if (file === null) return;
+    let left = false;
+    void look(file).then((seen) => {
+      if (!left) setLooked(seen);
+    });
+    return () => {
+      left = true;
+    };
+  }, [file]);
+
+  const choose = (
+    <FileTrigger
+      acceptedFileTypes={TYPES}
+      onSelect={(files) => {
+        const [first] = files ?? [];
+        if (first !== undefined) onFile(first);
+      }}
+    >
+      <Button kind={file === null ? "main" : "plain"} icon={<FileUp aria-hidden size={18} />}>
+        {t(file === null ? "upload.choose" : "upload.other")}
+      </Button>
+    </FileTrigger>
+  );
+  if (file === null) {
+    return (
+      <Empty icon={<FileUp aria-hidden size={40} />} title={t("upload.title")} act={choose}>
+        {t("upload.drop")}
+      </Empty>
+    );
+  }
+  if (looked?.file !== file) return <p className="processes__loading quiet">{t("upload.reading", { file: file.name })}</p>;
+  return (
+    <div className="upload">
+      <header className="upload__head">
+        <h1>{file.name}</h1>
+        {choose}
+        <Verdict looked={looked} onDeployed={onDeployed} />
+      </header>
+      <Faulted key={`${file.name} ${file.lastModified}`} looked={looked} />
+    </div>
+  );
+}
+
+function Verdict({ looked, onDeployed }: { looked: Looked; onDeployed: (definition: DefinitionView) => void }) {
+  const { t } = useTranslation("processes");
+  const [busy, setBusy] = useState(false);
+  const [failure, setFailure] = useState<string | null>(null);
+  const { trial, faults } = looked;
+  if (looked.failure !== null) return <Problem>{t("upload.untried", { why: looked.failure })}</Problem>;
+  if (trial === null) return <State tone="stop">{t("upload.faulty", { count: faults.length })}</State>;
+  const deploy = () => {
+    setBusy(true);
+    setFailure(null);
+    callService<DefinitionView>("task-orchestrator", "definitions", { method: "POST", body: looked.file, type: "application/xml" })
+      .then(onDeployed, (error: unknown) => setFailure(describe(error)))
+      .finally(() => setBusy(false));
+  };
+  return (
+    <>
+      <State tone="ok">{t(trial.created ? "upload.fine" : "upload.known", { title: trial.title, version: trial.version })}</State>
+      <Button kind="main" icon={<FileCheck2 aria-hidden size={18} />} isDisabled={busy} onPress={deploy}>
+        {t(trial.created ? "upload.deploy" : "upload.see", { title: trial.title, version: trial.version })}
+      </Button>
+      {failure !== null && <Problem>{t("upload.untried", { why: failure })}</Problem>}
+    </>
+  );
+}
+
+function Faulted({ looked }: { looked: Looked }) {
+  const { t } = useTranslation("processes");
+  const first = looked.faults.find((fault) => fault.element !== null)?.element ?? null;
+  const [centred, setCentred] = useState<{ element: string; at: number } | null>(null);
+  const picked = centred?.element ?? null;
+  const marks = useMemo(() => withPicked(marksOfFaults(looked.faults), picked), [looked.faults, picked]);
+  return (
+    <div className={looked.faults.length === 0 ? "upload__body" : "upload__body upload__body--faulty"}>
+      {looked.faults.length > 0 && (
+        <section className="upload__faults" aria-label={t("upload.faults")}>
+          <h2>{t("upload.faults")}</h2>
+          <ol>
+            {looked.faults.map((fault, nth) => (
+              <li key={nth}>
+                {fault.element === null ? (
+                  <Fault fault={fault} nth={nth} />
+                ) : (
+                  <button
+                    type="button"
+                    aria-pressed={picked === fault.element}
+                    onClick={() => setCentred({ element: fault.element ?? "", at: Date.now() })}
+                  >
+                    <Fault fault={fault} nth={nth} />
+                  </button>
+                )}
+              </li>
+            ))}
+          </ol>
+          <p className="quiet small">{t(first === null ? "upload.mend" : "upload.mendAt")}</p>
+        </section>
+      )}
+      <div className="upload__diagram">
+        <Suspense fallback={<p className="processes__loading quiet">{t("diagram.loading")}</p>}>
+          <Diagram xml={looked.xml} label={t("diagram.ofFile", { file: looked.file.name })} marks={marks} centred={centred} />
+        </Suspense>
+      </div>
+    </div>
+  );
+}
+
+function Fault({ fault, nth }: { fault: BpmnFault; nth: number }) {
+  const { t } = useTranslation("processes");
+  return (
+    <span className="upload__fault">
+      <b aria-hidden>{nth + 1}</b>
+      <span>
+        <span className="upload__where">
+          {fault.element ?? t("upload.wholeFile")}
+          {fault.line !== null && ` · ${t("upload.line", { line: fault.line })}`}
+        </span>
+        {fault.message}
+      </span>
+    </span>
+  );
+}
+
+/** Read a file and have the orchestrator try it; nothing is deployed. */
+async function look(file: File): Promise<Looked> {
+  const seen = { file, xml: await textOf(file), trial: null, faults: [], failure: null };
+  try {
+    const trial = await callService<Trial>("task-orchestrator", "definitions?dry=true", {
+      method: "POST",
+      body: file,
+      type: "application/xml",
+    });
+    return { ...seen, trial };
+  } catch (error) {
+    if (error instanceof Refusal && error.problem.status === 422) return { ...seen, faults: faultsOf(error) };
+    return { ...seen, failure: describe(error) };
+  }
+}
