@@ -1,0 +1,99 @@
+"""Every page in both themes, three languages and the sizes it is made for: nothing cut off, axe content."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page
+
+from tests.e2e.conftest import OpenPage
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+
+SIZES = {"panel": {"width": 1280, "height": 800}, "desk": {"width": 1920, "height": 1080}}
+PHONE = {"width": 390, "height": 844}
+LOOKS = [("light", "en", "panel"), ("dark", "de", "panel"), ("light", "fi", "desk"), ("dark", "en", "desk")]
+PAGES = {"start": "/", "work": "/work", "processes": "/processes", "system": "/system"}
+
+
+def settled(page: Page) -> None:
+    """Wait until the page shows what it has to show."""
+    page.locator("main h1, main h2").first.wait_for()
+    page.evaluate("document.fonts.ready.then(() => true)")
+
+
+def nothing_is_cut_off(page: Page) -> None:
+    """Check that the page needs no scrolling sideways."""
+    wider_by = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+    assert wider_by <= 0, f"the page is {wider_by} px wider than the screen"
+
+
+@pytest.mark.usefixtures("screen")
+def test_every_page_looks_right_in_every_look(
+    open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+) -> None:
+    for name, path in PAGES.items():
+        for theme, language, size in LOOKS:
+            page = open_page(path, theme=theme, language=language, viewport=SIZES[size])
+            settled(page)
+            assert page.locator("html").get_attribute("lang") == language
+            nothing_is_cut_off(page)
+            accessible(page)
+            keep(page, f"{name}-{size}-{theme}-{language}")
+            page.context.close()
+
+
+@pytest.mark.usefixtures("screen")
+def test_system_fits_a_phone(
+    open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+) -> None:
+    for path in ("/", "/system"):
+        page = open_page(path, viewport=PHONE, has_touch=True, is_mobile=True)
+        settled(page)
+        nothing_is_cut_off(page)
+        accessible(page)
+        keep(page, f"phone{path.replace('/', '-')}")
+
+
+@pytest.mark.usefixtures("screen")
+def test_language_theme_and_name_are_chosen_once_and_kept(open_page: OpenPage) -> None:
+    page = open_page("/", who="")
+    page.get_by_role("button", name="Appearance, language and name").click()
+    page.get_by_role("radio", name="Suomi").click()
+    page.get_by_role("radio", name="Tumma").click()
+    page.get_by_role("textbox", name="Nimi").fill("Aino")
+    page.get_by_role("button", name="Sulje").click()
+    page.reload()
+    settled(page)
+    assert page.locator("html").get_attribute("lang") == "fi"
+    assert page.locator("html").get_attribute("data-theme") == "dark"
+    page.get_by_role("button", name="Ulkoasu, kieli ja nimi").click()
+    assert page.get_by_role("textbox", name="Nimi").input_value() == "Aino"
+
+
+@pytest.mark.usefixtures("screen")
+def test_the_keyboard_reaches_every_page_and_lists_its_keys(open_page: OpenPage) -> None:
+    page = open_page("/")
+    settled(page)
+    for key, path in (("2", "/work"), ("3", "/processes"), ("4", "/system"), ("1", "/")):
+        page.keyboard.press(key)
+        page.wait_for_url(f"**{path}*")
+    page.keyboard.press("?")
+    page.get_by_role("dialog", name="Keys").wait_for()
+    page.keyboard.press("Escape")
+    page.get_by_role("dialog").wait_for(state="detached")
+
+
+@pytest.mark.usefixtures("screen")
+def test_nothing_is_fetched_from_anywhere_else(open_page: OpenPage) -> None:
+    fetched: set[str] = set()
+    page = open_page("/")
+    page.on("request", lambda request: fetched.add(request.url))
+    for path in PAGES.values():
+        page.goto(path)
+        settled(page)
+    ours = page.url.split("/")[2]
+    elsewhere = {
+        url for url in fetched if url.split("/")[2] != ours and not url.startswith(("data:", "blob:"))
+    }
+    assert not elsewhere
