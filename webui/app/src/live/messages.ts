@@ -222,8 +222,8 @@ export interface LiveEvent {
 export interface TopicValues {
   services: ServiceHealth[];
   operator: OperatorView;
-  /** What the cell is called, and whether the page was built from the running version. */
-  cell: { factory: string; version: string };
+  /** What the cell is called, which version runs, and where the real emergency stop is, if the site has said so. */
+  cell: { factory: string; version: string; emergencyStop?: string };
   [glove: `glove/${string}`]: GloveView;
   [robot: `robot/${string}`]: RobotView;
   [process: `process/${string}`]: ProcessView;

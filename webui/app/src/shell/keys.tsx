@@ -37,9 +37,9 @@ export function usePageKeys(): readonly Key[] {
   }, () => pageKeys);
 }
 
-/** Whether a key press is meant for a field, a menu or an open dialog rather than for the page. */
+/** Whether a key press is meant for a field, a menu or an open dialog rather than for the page, or is a key held down. */
 export function isForSomethingElse(event: KeyboardEvent): boolean {
-  if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return true;
+  if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return true;
   const target = event.target as Element | null;
   return target?.closest("input, textarea, select, [contenteditable], [role=dialog], [role=listbox], [role=menu]") != null;
 }

@@ -1,0 +1,56 @@
+/** The robot's turn: what it does, how far it is and how long it still takes, so that nobody reaches in. */
+import { Bot, Hourglass, OctagonAlert } from "lucide-react";
+import { ProgressBar } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import { useNow } from "~/live/clock";
+import type { ProcessView, RobotView, TaskView } from "~/live/messages";
+import { isSame } from "./situation";
+import { secondsLeft } from "./time_left";
+import "./RobotStage.css";
+
+export function RobotStage({ process, task, robot }: { process: ProcessView; task: TaskView; robot: RobotView | null }) {
+  const { t, i18n } = useTranslation("work");
+  const now = useNow();
+  const atIt = robot !== null && isSame(robot.task, task.id) ? robot : null;
+  const named = task.workParameters["operation"];
+  const operation = typeof named === "string" ? named : (atIt?.operation ?? "");
+  const does = operation !== "" && i18n.exists(`work:robot.does.${operation}`) ? t(`robot.does.${operation}`) : (task.description ?? task.name);
+  const left = secondsLeft(atIt, task, process.elements[task.element], now);
+  const paused = task.status === "paused";
+  return (
+    <>
+      <div className="robot-turn">
+        <Bot aria-hidden strokeWidth={1.25} />
+      </div>
+      <div className="work__words">
+        <h1 className="work__what work__what--large">{does}</h1>
+        <p className="work__left" role="timer">
+          {paused ? t("paused") : left === null ? t("robot.leftUnknown") : t("robot.left", { seconds: left })}
+        </p>
+        <ProgressBar className="robot-turn__bar" aria-label={t("robot.progress")} value={100 * (atIt?.progress ?? 0)}>
+          {({ percentage = 0 }) => <div className="robot-turn__done" style={{ transform: `scaleX(${percentage / 100})` }} />}
+        </ProgressBar>
+        <p className="robot-turn__out">
+          <OctagonAlert aria-hidden /> {t("robot.keepOut")}
+        </p>
+        <p className="work__said">{paused ? t("robot.paused") : task.status === "pending" ? t("robot.waiting") : task.name}</p>
+      </div>
+    </>
+  );
+}
+
+/** Nobody at this screen is asked: a step is being prepared, or it is another person's. */
+export function BetweenStage({ task }: { task: TaskView | null }) {
+  const { t } = useTranslation("work");
+  return (
+    <>
+      <div className="robot-turn robot-turn--calm">
+        <Hourglass aria-hidden strokeWidth={1.25} />
+      </div>
+      <div className="work__words" role="status">
+        <h1 className="work__what work__what--large">{t(task === null ? "between.title" : "between.other")}</h1>
+        <p className="work__said">{task === null ? t("between.next") : (task.description ?? task.name)}</p>
+      </div>
+    </>
+  );
+}

@@ -1,0 +1,69 @@
+/** The strip over the work: how the glove, the robot and the process are, and the one button that pauses. */
+import { Hand as HandIcon, Bot, Pause, Play, Users, Workflow } from "lucide-react";
+import { useTranslation } from "react-i18next";
+import { Button } from "~/design/Button";
+import { State } from "~/design/State";
+import { deviceTone, statusTone } from "~/design/states";
+import type { GloveView, ProcessView, RobotView } from "~/live/messages";
+import type { OperatorActs } from "./useOperatorActs";
+
+export interface StatusStripProps {
+  glove: GloveView | null;
+  robot: RobotView | null;
+  process: ProcessView | null;
+  pause: OperatorActs["pause"];
+  busy: boolean;
+  /** Leads to the choice of another glove, where there are several. */
+  onChange: (() => void) | null;
+}
+
+export function StatusStrip({ glove, robot, process, pause, busy, onChange }: StatusStripProps) {
+  const { t } = useTranslation(["work", "common"]);
+  return (
+    <section className="work__strip" aria-label={t("strip.label")}>
+      <div className="work__states">
+        {glove !== null && <GloveState glove={glove} />}
+        {robot !== null && (
+          <State tone={deviceTone[robot.deviceState]} icon={<Bot aria-hidden size="1.2em" />}>
+            {t("strip.robot", { robot: robot.id, state: t(`common:deviceState.${robot.deviceState}`) })}
+          </State>
+        )}
+        {process === null ? (
+          <State tone="neutral">{t("strip.noProcess")}</State>
+        ) : (
+          <State tone={statusTone[process.status]} icon={<Workflow aria-hidden size="1.2em" />}>
+            <span aria-hidden>{t("strip.process", { ...process })}</span>
+            <span className="visually-hidden">{t("strip.processLabel", { ...process })}</span>
+          </State>
+        )}
+      </div>
+      {onChange !== null && (
+        <Button size="large" label={t("strip.change")} icon={<Users aria-hidden size={28} />} onPress={onChange} />
+      )}
+      <Button
+        size="large"
+        kind={pause?.goesOn === true ? "main" : "plain"}
+        icon={pause?.goesOn === true ? <Play aria-hidden size={28} /> : <Pause aria-hidden size={28} />}
+        isDisabled={pause === null || busy}
+        onPress={() => pause?.do()}
+      >
+        {t(pause?.goesOn === true ? "strip.goOn" : "strip.pause")}
+      </Button>
+    </section>
+  );
+}
+
+function GloveState({ glove }: { glove: GloveView }) {
+  const { t } = useTranslation(["work", "common"]);
+  const tone = glove.lost ? "stop" : glove.connected ? deviceTone[glove.deviceState] : "attention";
+  const state = glove.lost
+    ? t("strip.lost")
+    : glove.connected
+      ? t(`common:deviceState.${glove.deviceState}`)
+      : t("strip.away");
+  return (
+    <State tone={tone} icon={<HandIcon aria-hidden size="1.2em" />}>
+      {t("strip.glove", { glove: glove.glove, state })}
+    </State>
+  );
+}

@@ -1,0 +1,25 @@
+/** The operator's acts: pause, go on, complete by hand. Starting and retrying are everybody's (`~/api/acts`). */
+import { callService } from "~/api/http";
+
+export function pauseGlove(glove: string): Promise<unknown> {
+  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/pause`, { method: "POST" });
+}
+
+export function resumeGlove(glove: string): Promise<unknown> {
+  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/resume`, { method: "POST" });
+}
+
+export function completeByHand(glove: string, by: string): Promise<unknown> {
+  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/complete`, { method: "POST", json: { by } });
+}
+
+/**
+ * Wish that whoever performs `task` pauses or goes on. The wish carries no time: the clock of a screen is
+ * not to be trusted, and the newest wish counts.
+ */
+export function wish(task: string, status: "paused" | "inProgress"): Promise<unknown> {
+  return callService("context-broker", `ngsi-ld/v1/entities/${encodeURIComponent(task)}/attrs`, {
+    method: "POST",
+    json: { requestedStatus: { type: "Property", value: status } },
+  });
+}

@@ -1,0 +1,71 @@
+/** The scene as it is live now, and the situation that it makes, without what passes in a moment. */
+import { useEffect, useMemo, useRef, useState } from "react";
+import { useFamily, useLink, useLive, useTopic } from "~/live/hooks";
+import type { GloveTask, ServiceHealth } from "~/live/messages";
+import { situationOf, type Scene, type Situation } from "./situation";
+
+/** Between two steps nobody is asked for a moment, and a link that comes back at once was never lost. */
+const PASSING_MS = 800;
+/** How long the check is shown before the next step slides in. */
+const CHECK_MS = 1200;
+
+const noServices: readonly ServiceHealth[] = [];
+
+export function useScene(chosen: string | null): Scene {
+  const link = useLink();
+  const told = useLive().told;
+  const services = useTopic("services") ?? noServices;
+  const gloves = useFamily("glove");
+  const robots = useFamily("robot");
+  const processes = useFamily("process");
+  const definitions = useFamily("definition");
+  return useMemo(
+    () => ({ link, told, services, gloves, robots, processes, definitions, chosen }),
+    [link, told, services, gloves, robots, processes, definitions, chosen],
+  );
+}
+
+/** Return the situation to show: what passes in a moment is waited out, what stops the work is not. */
+export function useSituation(scene: Scene): Situation {
+  const situation = useMemo(() => situationOf(scene), [scene]);
+  const [shown, setShown] = useState(situation);
+  const newest = useRef(situation);
+  const passing = mayPass(situation) && shown.kind !== situation.kind;
+  if (!passing && shown !== situation) setShown(situation);
+  useEffect(() => {
+    newest.current = situation;
+  });
+  useEffect(() => {
+    if (!passing) return;
+    const timer = setTimeout(() => setShown(newest.current), PASSING_MS);
+    return () => clearTimeout(timer);
+  }, [passing]);
+  return passing ? shown : situation;
+}
+
+function mayPass(situation: Situation): boolean {
+  return situation.kind === "linkLost" || (situation.kind === "between" && situation.task === null);
+}
+
+export interface Answered {
+  task: GloveTask;
+  operator: string | null;
+}
+
+/** Return the Task that this screen has just seen answered, for as long as its check is shown. */
+export function useAnswered(situation: Situation, scene: Scene): Answered | null {
+  const [last, setLast] = useState<GloveTask | null>(null);
+  const [over, setOver] = useState<string | null>(null);
+  const glove = "glove" in situation ? (scene.gloves.find((one) => one.glove === situation.glove.glove) ?? null) : null;
+  const answered = glove?.answered ?? null;
+  const isFresh = last !== null && answered?.task === last.id && over !== last.id;
+  const task = situation.kind === "asked" || situation.kind === "gloveLost" || situation.kind === "paused" ? situation.task : null;
+  if (!isFresh && task !== null && task.id !== last?.id) setLast(task);
+  const fresh = isFresh ? last.id : null;
+  useEffect(() => {
+    if (fresh === null) return;
+    const timer = setTimeout(() => setOver(fresh), CHECK_MS);
+    return () => clearTimeout(timer);
+  }, [fresh]);
+  return isFresh ? { task: last, operator: answered.operator } : null;
+}

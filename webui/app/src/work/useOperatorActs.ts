@@ -1,0 +1,105 @@
+/** What the operator can do in a situation: the main act, completing by hand, pausing and going on. */
+import { useTranslation } from "react-i18next";
+import { retryTask, startOperator, startProcess } from "~/api/acts";
+import type { DefinitionView } from "~/live/messages";
+import { completeByHand, pauseGlove, resumeGlove, wish } from "./acts";
+import { startKey } from "./confirmation";
+import { latest, parametersFor, type Scene, type Situation } from "./situation";
+import type { Acting } from "./useAct";
+
+export interface Act {
+  name: string;
+  do: () => void;
+}
+
+export interface OperatorActs {
+  main: Act | null;
+  complete: Act | null;
+  pause: (Act & { goesOn: boolean }) | null;
+  start: ((definition: DefinitionView) => void) | null;
+}
+
+type WithName = (act: (name: string) => Promise<unknown>) => Promise<void>;
+
+export function useOperatorActs(scene: Scene, situation: Situation, acting: Acting, withName: WithName): OperatorActs {
+  const { t } = useTranslation("work");
+  const { perform } = acting;
+  const complete = completeAct();
+  const pause = pauseAct();
+  const start = "startable" in situation ? startWith(situation.glove.glove) : null;
+  return { main: mainAct(), complete, pause, start };
+
+  function startWith(glove: string) {
+    return (definition: DefinitionView) => {
+      const key = startKey(glove, definition.name, latest(scene.processes)?.id ?? null);
+      perform(() => startProcess(definition.name, parametersFor(definition, glove), key));
+    };
+  }
+
+  function completeAct(): Act | null {
+    if (situation.kind !== "asked" && situation.kind !== "gloveLost") return null;
+    if (situation.glove.testing) return null;
+    const { glove } = situation.glove;
+    return { name: t("by.hand"), do: () => perform(() => withName((name) => completeByHand(glove, name))) };
+  }
+
+  function pauseAct(): OperatorActs["pause"] {
+    const act = (goesOn: boolean, does: () => Promise<unknown>) => ({
+      name: t(goesOn ? "strip.goOn" : "strip.pause"),
+      goesOn,
+      do: () => perform(does),
+    });
+    switch (situation.kind) {
+      case "paused":
+        return situation.glove.message.key === "pausedByProcess"
+          ? act(true, () => wish(situation.task.id, "inProgress"))
+          : act(true, () => resumeGlove(situation.glove.glove));
+      case "asked":
+      case "gloveLost":
+        return act(false, () => pauseGlove(situation.glove.glove));
+      case "robot":
+        return situation.task.status === "paused"
+          ? act(true, () => wish(situation.task.id, "inProgress"))
+          : act(false, () => wish(situation.task.id, "paused"));
+      case "idle":
+      case "completed":
+      case "failed":
+      case "between":
+        return situation.glove.paused ? act(true, () => resumeGlove(situation.glove.glove)) : null;
+      default:
+        return null;
+    }
+  }
+
+  function mainAct(): Act | null {
+    switch (situation.kind) {
+      case "asked":
+      case "gloveLost":
+        return complete;
+      case "paused":
+        return pause;
+      case "failed": {
+        const { process } = situation;
+        const { retry } = process;
+        if (retry !== null) {
+          return { name: t("by.retry"), do: () => perform(() => withName((name) => retryTask(process.id, retry, name))) };
+        }
+        return startAct("by.startAgain");
+      }
+      case "completed":
+        return startAct("by.startAgain");
+      case "idle":
+        return startAct("by.start");
+      case "noGlove":
+        return { name: t("by.simulate"), do: () => perform(() => startOperator(situation.chosen ?? "glove-1")) };
+      default:
+        return null;
+    }
+  }
+
+  function startAct(words: "by.start" | "by.startAgain"): Act | null {
+    const definition = "startable" in situation ? situation.startable[0] : undefined;
+    if (definition === undefined || start === null) return null;
+    return { name: t(words, { title: definition.title }), do: () => start(definition) };
+  }
+}

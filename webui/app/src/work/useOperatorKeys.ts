@@ -1,0 +1,31 @@
+/** The keys of the operator's page. */
+import { useEffect, useState } from "react";
+import { useTranslation } from "react-i18next";
+import { useKeys, type Key } from "~/shell/keys";
+import type { OperatorActs } from "./useOperatorActs";
+
+/** A key that was meant for the step before is not an answer to the next one. */
+const CALM_MS = 600;
+
+export function useOperatorKeys({ main, complete, pause, start }: OperatorActs, step: string): void {
+  const { t } = useTranslation("work");
+  const isCalm = useCalm(step);
+  const keys: Key[] = [];
+  if (isCalm && main !== null) {
+    keys.push({ key: "Enter", does: main.name, act: main.do }, { key: " ", does: main.name, act: main.do });
+    if (start !== null) keys.push({ key: "s", does: main.name, act: main.do });
+  }
+  if (isCalm && complete !== null) keys.push({ key: "c", does: complete.name, act: complete.do });
+  if (pause !== null) keys.push({ key: "p", does: t(pause.goesOn ? "by.goOn" : "by.pause"), act: pause.do });
+  useKeys(keys);
+}
+
+/** Whether the step has been there for a moment. */
+function useCalm(step: string): boolean {
+  const [calm, setCalm] = useState<string | null>(null);
+  useEffect(() => {
+    const timer = setTimeout(() => setCalm(step), CALM_MS);
+    return () => clearTimeout(timer);
+  }, [step]);
+  return calm === step;
+}
