@@ -29,7 +29,6 @@ export interface Palette {
   fixture: string;
   bin: string;
   part: string;
-  isDark: boolean;
 }
 
 export class Stage {
@@ -48,6 +47,7 @@ export class Stage {
   #grid: GridHelper | null = null;
   #cell: CellScene | null = null;
   #names: readonly string[] = [];
+  #gripper = "";
   #frame = 0;
   #inView = true;
 
@@ -100,6 +100,9 @@ export class Stage {
   }
 
   gripper(closed: boolean, holds: boolean): void {
+    const told = `${closed} ${holds}`;
+    if (told === this.#gripper) return;
+    this.#gripper = told;
     grip(this.#robot, closed, holds);
     this.#held.visible = holds;
     this.draw();

@@ -1,1 +1,113 @@
-export default function SystemPage() { return null; }
+/** The System page: whether every part of the cell is well, and what has happened to it. */
+import { useTranslation } from "react-i18next";
+import type { ReactNode } from "react";
+import { Tab, TabList, TabPanel, Tabs } from "react-aria-components";
+import { Activity, Bot, Cpu, Hand, ScrollText, TriangleAlert } from "lucide-react";
+import { useFamily, useTopic } from "~/live/hooks";
+import { useQuery } from "~/route/query";
+import { useKeys } from "~/shell/keys";
+import { AlertsPanel } from "./alerts/AlertsPanel";
+import { DevicesPanel } from "./devices/DevicesPanel";
+import { EventsPanel } from "./events/EventsPanel";
+import { GlovesPanel } from "./gloves/GlovesPanel";
+import { useGloveNames, useRobotNames } from "./names";
+import { RobotsPanel } from "./robots/RobotsPanel";
+import { ServicesPanel } from "./services/ServicesPanel";
+import "./SystemPage.css";
+
+const tabs = [
+  { id: "services", icon: Activity, key: "s", panel: <ServicesPanel /> },
+  { id: "gloves", icon: Hand, key: "g", panel: <GlovesPanel /> },
+  { id: "robots", icon: Bot, key: "r", panel: <RobotsPanel /> },
+  { id: "devices", icon: Cpu, key: "d", panel: <DevicesPanel /> },
+  { id: "alerts", icon: TriangleAlert, key: "a", panel: <AlertsPanel /> },
+  { id: "events", icon: ScrollText, key: "e", panel: <EventsPanel /> },
+] as const;
+
+type TabId = (typeof tabs)[number]["id"];
+
+export default function SystemPage() {
+  const { t } = useTranslation("system");
+  const [asked, setTab] = useQuery("tab", "services");
+  const tab = tabs.find((one) => one.id === asked)?.id ?? "services";
+  useKeys(tabs.map(({ id, key }) => ({ key, does: t("keys.show", { tab: t(`tab.${id}`) }), act: () => setTab(id) })));
+  return (
+    <div className="system">
+      <h1 className="visually-hidden">{t("title")}</h1>
+      <Tabs selectedKey={tab} onSelectionChange={(key) => setTab(String(key))} className="system__tabs">
+        <TabList aria-label={t("title")} className="system__tab-list">
+          {tabs.map(({ id, icon: Icon }) => (
+            <Tab key={id} id={id} className="system__tab">
+              <Icon aria-hidden size={18} />
+              <span>{t(`tab.${id}`)}</span>
+              <Count tab={id} />
+            </Tab>
+          ))}
+        </TabList>
+        {tabs.map(({ id, panel }) => (
+          <TabPanel key={id} id={id} className="system__panel">
+            {panel}
+          </TabPanel>
+        ))}
+      </Tabs>
+    </div>
+  );
+}
+
+/** What a tab has to say while another is open: how many there are, or how many need somebody. */
+function Count({ tab }: { tab: TabId }): ReactNode {
+  switch (tab) {
+    case "services":
+      return <UnwellServices />;
+    case "gloves":
+      return <Gloves />;
+    case "robots":
+      return <Robots />;
+    case "devices":
+      return <Devices />;
+    case "alerts":
+      return <OpenAlerts />;
+    case "events":
+      return null;
+  }
+}
+
+function Gloves() {
+  return <Number of={useGloveNames().length} />;
+}
+
+function Robots() {
+  return <Number of={useRobotNames().length} />;
+}
+
+function Devices() {
+  return <Number of={useFamily("device").length} />;
+}
+
+function UnwellServices() {
+  const { t } = useTranslation("system");
+  const unwell = (useTopic("services") ?? []).filter((service) => service.state !== "up");
+  if (unwell.length === 0) return null;
+  const down = unwell.some((service) => service.state === "down");
+  return <Warning tone={down ? "stop" : "attention"} words={t("count.unwell", { count: unwell.length })} of={unwell.length} />;
+}
+
+function OpenAlerts() {
+  const { t } = useTranslation("system");
+  const open = useFamily("alert").filter((alert) => alert.validTo === null && alert.acknowledged === null).length;
+  return open === 0 ? null : <Warning tone="attention" words={t("count.open", { count: open })} of={open} />;
+}
+
+function Number({ of }: { of: number }) {
+  return of === 0 ? null : <span className="system__count">{of}</span>;
+}
+
+function Warning({ tone, words, of }: { tone: "attention" | "stop"; words: string; of: number }) {
+  return (
+    <span className={`system__count system__count--${tone}`}>
+      <TriangleAlert aria-hidden size={13} />
+      <span aria-hidden>{of}</span>
+      <span className="visually-hidden">{words}</span>
+    </span>
+  );
+}

@@ -1,0 +1,148 @@
+/** The robot as it moves now, in its cell. Everything of three comes with this part, when it is first shown. */
+import { RotateCcw, ZoomIn, ZoomOut } from "lucide-react";
+import { useEffect, useRef, useState } from "react";
+import { useTranslation } from "react-i18next";
+import { callService } from "~/api/http";
+import { Button } from "~/design/Button";
+import { Empty } from "~/design/Empty";
+import { useLive } from "~/live/hooks";
+import type { JointState, RobotView } from "~/live/messages";
+import type { LiveStore } from "~/live/store";
+import { useShownTheme } from "~/shell/theme";
+import { describedRobot, kindOf, NoDescription, release } from "./description";
+import type { CellScene } from "./furniture";
+import { type Palette, Stage } from "./stage";
+import "./Robot3d.css";
+
+type Showing = "loading" | "shown" | "noDescription" | "noWebgl" | "failed";
+
+export default function Robot3d({ robot }: { robot: string }) {
+  const { t } = useTranslation("system");
+  const live = useLive();
+  const theme = useShownTheme();
+  const host = useRef<HTMLDivElement>(null);
+  const stage = useRef<Stage | null>(null);
+  const [showing, setShowing] = useState<Showing>("loading");
+
+  useEffect(() => {
+    const place = host.current;
+    if (place === null) return;
+    const ended = new AbortController();
+    let stop: (() => void) | undefined;
+    void describedRobot(kindOf(robot), ended.signal)
+      .then((described) => {
+        if (ended.signal.aborted) {
+          release(described);
+          return;
+        }
+        try {
+          stage.current = new Stage(place, described, palette(place));
+        } catch {
+          release(described);
+          setShowing("noWebgl");
+          return;
+        }
+        stop = follow(live, robot, stage.current);
+        setShowing("shown");
+      })
+      .catch((error: unknown) => {
+        if (!ended.signal.aborted) setShowing(error instanceof NoDescription ? "noDescription" : "failed");
+      });
+    return () => {
+      ended.abort();
+      stop?.();
+      stage.current?.dispose();
+      stage.current = null;
+    };
+  }, [live, robot]);
+
+  useEffect(() => {
+    if (host.current !== null) stage.current?.restyle(palette(host.current));
+  }, [theme]);
+
+  return (
+    <div className="robot3d">
+      <div
+        ref={host}
+        className="robot3d__stage"
+        {...(showing === "shown" ? { tabIndex: 0, role: "application", "aria-label": t("robot.view3d", { robot }) } : {})}
+        onKeyDown={(event) => {
+          if (event.ctrlKey || event.metaKey || event.altKey) return;
+          if (stage.current?.key(event.key) === true) event.preventDefault();
+        }}
+      />
+      {showing === "shown" && (
+        <div className="robot3d__acts">
+          <Button kind="quiet" label={t("robot.nearer")} icon={<ZoomIn aria-hidden size={18} />} onPress={() => stage.current?.key("+")} />
+          <Button kind="quiet" label={t("robot.farther")} icon={<ZoomOut aria-hidden size={18} />} onPress={() => stage.current?.key("-")} />
+          <Button kind="quiet" label={t("robot.resetView")} icon={<RotateCcw aria-hidden size={18} />} onPress={() => stage.current?.key("0")} />
+        </div>
+      )}
+      {showing !== "shown" && (
+        <div className="robot3d__note">
+          {showing === "loading" ? (
+            <p className="quiet">{t("robot.loading3d")}</p>
+          ) : (
+            <Empty title={t(`robot.${showing}.title`)}>{t(`robot.${showing}.means`, { kind: kindOf(robot) })}</Empty>
+          )}
+        </div>
+      )}
+    </div>
+  );
+}
+
+/** Keep the stage as the robot is, past React: thirty joints a second draw nothing of the page anew. */
+function follow(live: LiveStore, robot: string, stage: Stage): () => void {
+  const [state, stream] = [`robot/${robot}` as const, `robot/${robot}/joints`];
+  let scene = new AbortController();
+  let arranged: string | null = null;
+  const bend = (joints: JointState | undefined) => {
+    if (joints !== undefined) stage.joints(joints.name, joints.position);
+  };
+  const onStream = () => bend(live.value(stream) as JointState | undefined);
+  const onState = () => {
+    const view = live.value(state);
+    if (view === undefined) return;
+    if (live.value(stream) === undefined) bend(view.joints);
+    stage.gripper(view.gripper.closed, view.gripper.holds !== null);
+    const arrangement = arrangementOf(view);
+    if (arrangement === arranged) return;
+    arranged = arrangement;
+    scene.abort();
+    scene = new AbortController();
+    void arrange(robot, stage, scene.signal);
+  };
+  const ends = [live.want(stream), live.watch(stream, onStream), live.watch(state, onState), () => scene.abort()];
+  onState();
+  return () => {
+    for (const end of ends) end();
+  };
+}
+
+/** Parts come to lie elsewhere only when one is gripped or let go, or a Task begins or ends. */
+function arrangementOf(view: RobotView): string {
+  return `${view.gripper.holds ?? ""} ${view.task ?? ""}`;
+}
+
+async function arrange(robot: string, stage: Stage, signal: AbortSignal): Promise<void> {
+  let scene: CellScene | null = null;
+  try {
+    scene = await callService<CellScene>("trajectory-tool", `robots/${encodeURIComponent(robot)}/scene`, { signal });
+  } catch {
+    // A robot that does not say what stands round it is shown on a bare table.
+  }
+  if (!signal.aborted) stage.furnish(scene);
+}
+
+function palette(place: Element): Palette {
+  const style = getComputedStyle(place);
+  const colour = (name: keyof Palette) => style.getPropertyValue(`--robot3d-${name}`).trim();
+  return {
+    ground: colour("ground"),
+    table: colour("table"),
+    line: colour("line"),
+    fixture: colour("fixture"),
+    bin: colour("bin"),
+    part: colour("part"),
+  };
+}

@@ -1,0 +1,20 @@
+/** A battery: how full, and whether somebody should think of charging it. */
+import { BatteryFull, BatteryLow, BatteryMedium, BatteryWarning } from "lucide-react";
+import { useTranslation } from "react-i18next";
+import { State } from "~/design/State";
+
+const LOW = 0.2;
+const EMPTY = 0.08;
+
+/** `level` from 0 to 1. */
+export function Battery({ level }: { level: number }) {
+  const { t, i18n } = useTranslation("system");
+  const Icon = level < EMPTY ? BatteryWarning : level < LOW ? BatteryLow : level < 0.6 ? BatteryMedium : BatteryFull;
+  const percent = level.toLocaleString(i18n.language, { style: "percent", maximumFractionDigits: 0 });
+  const tone = level < EMPTY ? "stop" : level < LOW ? "attention" : "neutral";
+  return (
+    <State tone={tone} icon={<Icon aria-hidden size="1.2em" />}>
+      {tone === "neutral" ? percent : t("battery.low", { percent })}
+    </State>
+  );
+}

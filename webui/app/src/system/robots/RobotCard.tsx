@@ -1,0 +1,67 @@
+/** A robot: how it stands and moves now, what it does, and its gripper. */
+import { lazy, Suspense } from "react";
+import { useTranslation } from "react-i18next";
+import { Card } from "~/design/Card";
+import { State } from "~/design/State";
+import { deviceTone } from "~/design/states";
+import { duration } from "~/design/times";
+import { usePick, useTopic } from "~/live/hooks";
+import { Gripper } from "./Gripper";
+import { JointTable } from "./JointTable";
+
+const Robot3d = lazy(() => import("~/robot3d/Robot3d"));
+
+export function RobotCard({ robot }: { robot: string }) {
+  const { t } = useTranslation(["system", "common"]);
+  const state = usePick(`robot/${robot}`, (view) => view?.deviceState);
+  return (
+    <Card
+      className="robot"
+      title={robot}
+      aside={state !== undefined && <State tone={deviceTone[state]}>{t(`common:deviceState.${state}`)}</State>}
+    >
+      <div className="robot__body">
+        <div className="robot__view">
+          <Suspense fallback={<p className="robot__loading quiet">{t("robot.loading3d")}</p>}>
+            <Robot3d robot={robot} />
+          </Suspense>
+        </div>
+        <div className="robot__facts">
+          <Doing robot={robot} />
+          <Gripper robot={robot} />
+          <JointTable robot={robot} />
+        </div>
+      </div>
+    </Card>
+  );
+}
+
+function Doing({ robot }: { robot: string }) {
+  const { t, i18n } = useTranslation("system");
+  const view = useTopic(`robot/${robot}`);
+  const progress = view?.progress ?? null;
+  const percent = (progress ?? 0).toLocaleString(i18n.language, { style: "percent", maximumFractionDigits: 0 });
+  const remainingS = view?.remainingS ?? null;
+  const operation = view?.operation ?? null;
+  return (
+    <section className="robot__doing">
+      <h3>{operation === null ? t("robot.idle") : t(`robot.operation.${operation}`, { defaultValue: operation })}</h3>
+      <div
+        className="robot__progress"
+        data-idle={progress === null || undefined}
+        {...(progress === null
+          ? { "aria-hidden": true }
+          : { role: "progressbar", "aria-label": t("robot.progress"), "aria-valuenow": Math.round(progress * 100), "aria-valuetext": percent })}
+      >
+        <div style={{ width: `${(progress ?? 0) * 100}%` }} />
+      </div>
+      <p className="quiet">
+        {progress === null
+          ? t("robot.noTask")
+          : remainingS === null
+            ? percent
+            : t("robot.remaining", { percent, remaining: duration(Math.round(remainingS) * 1000, i18n.language) })}
+      </p>
+    </section>
+  );
+}

@@ -1,0 +1,70 @@
+/** Services: one row a component, whether it is well, how much it does, what was last heard of it. */
+import { Activity } from "lucide-react";
+import { useTranslation } from "react-i18next";
+import { Ago } from "~/design/Ago";
+import { Empty } from "~/design/Empty";
+import { State } from "~/design/State";
+import { healthTone } from "~/design/states";
+import { rate } from "~/design/times";
+import { useTopic } from "~/live/hooks";
+import type { ServiceHealth } from "~/live/messages";
+import { Cell, Row, Rows } from "../Rows";
+import "./ServicesPanel.css";
+
+export function ServicesPanel() {
+  const { t } = useTranslation("system");
+  const services = useTopic("services") ?? [];
+  if (services.length === 0) {
+    return <Empty icon={<Activity aria-hidden size={32} />} title={t("service.none.title")}>{t("service.none.means")}</Empty>;
+  }
+  const heads = ["service", "state", "since", "rates", "last"].map((head) => t(`service.${head}`));
+  return (
+    <Rows label={t("tab.services")} heads={heads}>
+      {services.map((service) => (
+        <Service key={service.name} service={service} heads={heads} />
+      ))}
+    </Rows>
+  );
+}
+
+function Service({ service, heads }: { service: ServiceHealth; heads: readonly string[] }) {
+  const { t, i18n } = useTranslation(["system", "common"]);
+  const [name = "", state = "", since = "", rates = "", last = ""] = heads;
+  const counted = Object.entries(service.rates);
+  return (
+    <Row>
+      <Cell head={name}>
+        <span className="rows__name">{t(`common:services.${service.name}`, { defaultValue: service.name })}</span>
+      </Cell>
+      <Cell head={state}>
+        <State tone={healthTone[service.state]}>{t(`common:health.${service.state}`)}</State>
+        {service.detail !== null && <p className="rows__why">{service.detail}</p>}
+      </Cell>
+      <Cell head={since}>
+        <Ago at={service.since} />
+      </Cell>
+      <Cell head={rates}>
+        {counted.length > 0 && (
+          <ul className="services__rates">
+            {counted.map(([word, perSecond]) => (
+              <li key={word}>
+                <span className="services__rate">{rate(perSecond, i18n.language)}</span>{" "}
+                {t(`service.rate.${word}`, { defaultValue: word })}
+              </li>
+            ))}
+          </ul>
+        )}
+      </Cell>
+      <Cell head={last}>
+        {service.lastMessage !== null && (
+          <>
+            <span className="services__message">{service.lastMessage.text}</span>{" "}
+            <span className="quiet small">
+              <Ago at={service.lastMessage.at} />
+            </span>
+          </>
+        )}
+      </Cell>
+    </Row>
+  );
+}
