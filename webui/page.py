@@ -5,7 +5,6 @@ in its place to a browser that takes it. Any other address is a place within the
 """
 
 import asyncio
-import mimetypes
 import os
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -26,7 +25,14 @@ TYPES: Final = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
     ".json": "application/json",
+    ".txt": "text/plain; charset=utf-8",
+    ".map": "application/json",
     ".svg": "image/svg+xml",
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".webp": "image/webp",
+    ".ico": "image/vnd.microsoft.icon",
+    ".woff": "font/woff",
     ".woff2": "font/woff2",
     ".wasm": "application/wasm",
     ".stl": "model/stl",
@@ -117,7 +123,7 @@ def _sent(found: Found, known: str) -> Response:
 
 def _type_of(name: str) -> str | None:
     """Return the media type of a file by its name, None for a name that is no file's."""
-    return TYPES.get(PurePosixPath(name).suffix.lower()) or mimetypes.guess_type(name)[0]
+    return TYPES.get(PurePosixPath(name).suffix.lower())
 
 
 def _accepted(header: str) -> frozenset[str]:

@@ -32,7 +32,6 @@ class Alerts(Kind):
     """Tells the world about Alerts, and writes down who acknowledges one."""
 
     ngsi_type = "Alert"
-    open_q = "!validTo"
 
     def __init__(self, world: World, events: EventLog, broker: BrokerClient) -> None:
         self._world = world
@@ -42,26 +41,23 @@ class Alerts(Kind):
         self._past: OrderedDict[str, str] = OrderedDict()
         self._acknowledging = asyncio.Lock()
 
-    def asks_for_all_at_start(self) -> bool:
-        """Ask for those that are over as well."""
-        return True
-
     def take(self, entity: Mapping[str, Any]) -> None:
         """Take an Alert as it is now."""
-        alert = Alert.from_ngsild(entity)
-        view = view_of(alert)
-        self._world.tell(f"alert/{alert.id}", view)
-        if alert.valid_to is None:
-            self._past.pop(alert.id, None)
-            self._standing.add(alert.id)
+        view = view_of(Alert.from_ngsild(entity))
+        alert_id, over_at = view["id"], view["validTo"]
+        if over_at is None:
+            self._past.pop(alert_id, None)
+            self._standing.add(alert_id)
         else:
-            self._standing.discard(alert.id)
-            self._keep_past(alert.id, in_milliseconds(view["validTo"]))
+            self._standing.discard(alert_id)
+            self._keep_past(alert_id, in_milliseconds(over_at))
+        if alert_id in self._standing or alert_id in self._past:
+            self._world.tell(f"alert/{alert_id}", view)
         self._log(view)
 
     def still_open(self) -> Collection[str]:
-        """Return the Alerts that stand, as far as is known."""
-        return self._standing
+        """Return all that are known: one that is over may yet stand anew."""
+        return self._standing | self._past.keys()
 
     def gone(self, entity_id: str) -> None:
         """Forget an Alert."""

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from fastapi import FastAPI, Request, Response
 
-from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import Problem
 from handover.job import FIRST_RETRY_S, LAST_RETRY_S
 from handover.notifications import notified_entities
@@ -28,7 +28,7 @@ ASKED_AT_ONCE: Final = 40
 
 
 class Kind(ABC):
-    """What is made of the entities of one type; `open_q` selects those that may still change."""
+    """What is made of the entities of one type; `open_q` selects those that may yet change."""
 
     ngsi_type: str
     open_q: str | None = None
@@ -45,10 +45,6 @@ class Kind(ABC):
     def gone(self, entity_id: str) -> None:
         """Take note that there is no such entity any more."""
 
-    def asks_for_all_at_start(self) -> bool:
-        """Say whether those that no longer change are asked for as well, once."""
-        return False
-
 
 class Entities(Source):
     """Keeps each kind informed of its entities."""
@@ -61,8 +57,7 @@ class Entities(Source):
         self._kinds = {kind.ngsi_type: kind for kind in kinds}
         self._services = services
         self._path = f"/notifications/{secrets.token_urlsafe(16)}"  # known to the broker alone
-        self._subscribed = False
-        self._complete: set[str] = set()
+        self._subscribed = self._away = False
         self._overtaken: set[str] = set()
         self._ask_again = asyncio.Event()
 
@@ -95,10 +90,9 @@ class Entities(Source):
                 wait_s = self._settings.reconcile_s * random.uniform(0.8, 1.2)  # noqa: S311 - jitter
                 retry_s = FIRST_RETRY_S
             except BrokerError as error:
-                if self._subscribed or not isinstance(error, BrokerUnavailable):
+                if self._subscribed or not self._away:
                     log.warning("cannot ask the broker for entities", error=str(error))
-                self._subscribed = False
-                self._complete.clear()
+                self._subscribed, self._away = False, True
                 self._services.look_now()
                 wait_s, retry_s = retry_s, min(2 * retry_s, LAST_RETRY_S)
             try:
@@ -110,39 +104,29 @@ class Entities(Source):
     async def _reconcile(self) -> None:
         if not self._subscribed:
             await self._broker.ensure_subscription(self._subscription())
-            self._subscribed = True
+            self._subscribed, self._away = True, False
             self._services.look_now()
         for kind in self._kinds.values():
-            await self._ask_for(kind)
+            try:
+                await self._ask_for(kind)
+            except BrokerUnavailable:
+                raise
+            except BrokerError as error:  # one question that this broker refuses must not hide the rest
+                log.warning("the broker refuses a question", about=kind.ngsi_type, error=str(error))
 
     async def _ask_for(self, kind: Kind) -> None:
         self._overtaken.clear()
         before = set(kind.still_open())
-        everything = kind.open_q is None or (
-            kind.asks_for_all_at_start() and kind.ngsi_type not in self._complete
-        )
-        found = await self._broker.query(type=kind.ngsi_type, q=None if everything else kind.open_q)
+        found = await self._broker.query(type=kind.ngsi_type, q=kind.open_q)
         self._take_fresh(found)
         missing = sorted(before.difference(str(entity["id"]) for entity in found))
-        if kind.open_q is not None and not everything:
-            for start in range(0, len(missing), ASKED_AT_ONCE):
-                asked = missing[start : start + ASKED_AT_ONCE]
-                ended = await self._broker.query(type=kind.ngsi_type, id=asked)
-                self._take_fresh(ended)
-                for lost in set(asked).difference(str(entity["id"]) for entity in ended):
-                    await self._make_sure(kind, lost)
-        else:
-            for lost in missing:
-                await self._make_sure(kind, lost)
-        self._complete.add(kind.ngsi_type)
-
-    async def _make_sure(self, kind: Kind, entity_id: str) -> None:
-        if entity_id in self._overtaken:
-            return
-        try:
-            self._take(await self._broker.retrieve(entity_id))
-        except NotFound:
-            kind.gone(entity_id)
+        for start in range(0, len(missing), ASKED_AT_ONCE):
+            asked = missing[start : start + ASKED_AT_ONCE]
+            changed = await self._broker.query(type=kind.ngsi_type, id=asked)
+            self._take_fresh(changed)
+            for lost in set(asked).difference(str(entity["id"]) for entity in changed):
+                if lost not in self._overtaken:
+                    kind.gone(lost)
 
     def _take_fresh(self, entities: Sequence[Mapping[str, Any]]) -> None:
         """Take what was asked for, but not what a notification has overtaken meanwhile."""

@@ -1,0 +1,95 @@
+"""The doors: REST of the services through the one address, and what is said when one is away."""
+
+import json
+from typing import Any
+
+import httpx
+import pytest
+
+pytestmark = pytest.mark.slow
+
+
+def test_what_the_services_answer_comes_through_as_it_is(cell: Any, browser: httpx.Client) -> None:
+    cell.start("context_broker", "task_orchestrator", "webui")
+    deployed = browser.get("/api/task-orchestrator/definitions/bin-picking/bpmn")
+    assert deployed.headers["content-type"] == "application/xml"
+    again = browser.post("/api/task-orchestrator/definitions", content=deployed.content)
+    assert again.status_code == 200
+
+    changed = deployed.content.replace(b"</", b"<!-- another --></", 1)
+    uploaded = browser.post(
+        "/api/task-orchestrator/definitions",
+        content=(changed[start : start + 1000] for start in range(0, len(changed), 1000)),
+        headers={"Content-Type": "application/xml"},
+    )
+    assert uploaded.status_code == 201, uploaded.text
+    assert uploaded.json()["version"] == 2
+
+    bad = browser.post("/api/task-orchestrator/definitions", content=b"<no-bpmn/>")
+    assert bad.status_code >= 400
+    assert bad.headers["content-type"] == "application/problem+json"
+    assert bad.headers["x-content-type-options"] == "nosniff"
+    too_large = browser.post("/api/task-orchestrator/definitions", content=b" " * 12_000_000)
+    assert 400 <= too_large.status_code < 500
+
+    started = browser.post("/api/task-orchestrator/processes", json={"definition": "bin-picking", "key": "k"})
+    assert started.status_code == 201
+    assert started.headers["location"].startswith("/api/task-orchestrator/processes/")
+    found = browser.get(started.headers["location"]).json()
+    assert found["key"] == "k"
+    by_urn = browser.get(f"/api/task-orchestrator/processes/{found['entity']}")
+    assert by_urn.json()["id"] == found["id"]
+    listed = browser.get("/api/task-orchestrator/processes", params={"status": "inProgress", "limit": 1})
+    assert [row["id"] for row in listed.json()] == [found["id"]]
+
+    lamp = {"id": "urn:ngsi-ld:Device:demo:lamp/1", "type": "Device"}
+    assert browser.post("/api/context-broker/ngsi-ld/v1/entities", json=lamp).status_code == 201
+    kept = browser.get("/api/context-broker/ngsi-ld/v1/entities/urn:ngsi-ld:Device:demo:lamp%2F1")
+    assert kept.json()["id"] == lamp["id"]
+
+
+def test_a_service_that_is_away_is_named(cell: Any, browser: httpx.Client) -> None:
+    cell.start("webui")
+    for path in ("task-orchestrator/definitions", "gesture-controller/gloves", "trajectory-tool/robots"):
+        away = browser.get(f"/api/{path}")
+        assert away.status_code == 502
+        assert away.headers["content-type"] == "application/problem+json"
+        assert path.split("/")[0] in away.json()["detail"]
+    for path in ("/api/no-such-service/x", "/api/task-orchestrator", "/api/", "/api/live"):
+        missing = browser.get(path)
+        assert missing.status_code == 404, path
+        assert missing.headers["content-type"] == "application/problem+json"
+    assert "gesture-controller" in browser.get("/api/no-such-service/x").json()["detail"]
+
+
+def test_nobody_rings_the_brokers_bell_from_here(cell: Any, browser: httpx.Client) -> None:
+    cell.start("context_broker", "gesture_controller", "webui")
+    for path in ("notifications", "%6eotifications"):
+        rung = browser.post(f"/api/gesture-controller/{path}", json={"data": []})
+        assert rung.status_code == 404
+    assert browser.post("/notifications/guessed", json={"data": []}).status_code == 404
+
+
+def test_a_page_of_another_site_changes_nothing(cell: Any, browser: httpx.Client) -> None:
+    cell.start("context_broker", "task_orchestrator", "webui")
+    body = json.dumps({"definition": "bin-picking"})
+    refused = browser.post(
+        "/api/task-orchestrator/processes",
+        content=body,
+        headers={"Origin": "http://evil.example", "Content-Type": "text/plain"},
+    )
+    assert refused.status_code == 403
+    assert browser.get("/api/task-orchestrator/processes").json() == []
+    rebound = browser.get("/api/task-orchestrator/processes", headers={"Host": "evil.example"})
+    assert rebound.status_code == 403
+
+
+def test_the_page_is_there_at_every_place_within_it(cell: Any, browser: httpx.Client) -> None:
+    cell.start("webui")
+    for place in ("/", "/work", "/processes/bin-picking-1"):
+        page = browser.get(place)
+        assert page.status_code == 200
+        assert "<!doctype html>" in page.text
+        assert page.headers["cache-control"] == "no-cache"
+    assert browser.get("/assets/none-0000.js").status_code == 404
+    assert browser.post("/work").status_code == 405

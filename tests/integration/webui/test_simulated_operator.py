@@ -1,0 +1,91 @@
+"""The simulated operator, started from the page: works a process through, and never outlives the server."""
+
+import socket
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
+
+
+def operators(cell: Any) -> list[psutil.Process]:
+    """The operators that the server has started."""
+    server = psutil.Process(cell.processes["webui"].pid)
+    return [child for child in server.children() if "glove_sdk_bridge" in child.cmdline()]
+
+
+def test_it_works_the_process_through_while_the_page_looks(
+    cell: Any, look: Callable[[], Any], browser: httpx.Client
+) -> None:
+    cell.start("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "webui")
+    viewer = look()
+    started = browser.post("/api/operator", json={"glove": "glove-1"})
+    assert started.status_code == 201
+    assert started.json()["running"] is True
+    viewer.read_until(lambda: viewer.topics["operator"]["running"])
+    viewer.read_until(lambda: viewer.topics["glove/glove-1"]["connected"])
+    twice = browser.post("/api/operator", json={"glove": "glove-1"})
+    assert twice.status_code == 409
+    assert "glove-1" in twice.json()["detail"]
+
+    process = browser.post("/api/task-orchestrator/processes", json={"definition": "bin-picking"}).json()
+    seen_holds, seen_progress = set(), set()
+
+    def completed() -> bool:
+        seen_holds.add(viewer.topics["glove/glove-1"]["hold"]["heldMs"])
+        seen_progress.add(viewer.topics["robot/ur10-1"]["progress"])
+        return bool(viewer.topics.get(f"process/{process['id']}", {}).get("status") == "completed")
+
+    viewer.read_until(completed, 150)
+    assert max(seen_holds) > 1000
+    assert len(seen_progress) > 5
+    viewer.read_until(lambda: "process.completed" in viewer.happened())
+    tasks = viewer.topics[f"process/{process['id']}"]["tasks"]
+    for task in tasks:
+        moves = [event["key"] for event in viewer.events if event["values"].get("task") == task["id"]]
+        assert moves[0] == "task.pending"
+        assert moves[-1] == "task.completed"
+        assert len(moves) == len(set(moves))
+    assert viewer.happened().count("process.started") == 1
+
+    stopped = browser.delete("/api/operator")
+    assert stopped.json()["running"] is False
+    assert operators(cell) == []
+    assert browser.delete("/api/operator").status_code == 200
+    viewer.read_until(lambda: not viewer.topics["glove/glove-1"]["connected"])
+    assert [key for key in viewer.happened() if key.startswith("operator.")] == [
+        "operator.started",
+        "operator.stopped",
+    ]
+
+
+def test_it_is_started_again_when_it_dies_and_dies_with_the_server(
+    cell: Any, browser: httpx.Client, eventually: Callable[..., None]
+) -> None:
+    cell.start("context_broker", "gesture_controller", "webui")
+    assert browser.post("/api/operator", json={"glove": "glove-2"}).status_code == 201
+    eventually(lambda: operators(cell), 30)
+    (first,) = operators(cell)
+    first.kill()
+    eventually(lambda: operators(cell) and operators(cell)[0].pid != first.pid, 30)
+    (second,) = operators(cell)
+    cell.kill("webui")
+    eventually(lambda: not second.is_running() or second.status() == psutil.STATUS_ZOMBIE, 30)
+
+
+def test_it_takes_no_glove_that_somebody_wears(
+    cell: Any, look: Callable[[], Any], browser: httpx.Client
+) -> None:
+    cell.start("context_broker", "gesture_controller", "webui")
+    viewer = look()
+    with socket.create_connection(("127.0.0.1", cell.ports["glove"])) as glove:
+        glove.sendall(b'{"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"}\n')
+        viewer.read_until(lambda: viewer.topics.get("glove/glove-1", {}).get("connected"))
+        worn = browser.post("/api/operator", json={"glove": "glove-1"})
+    assert worn.status_code == 409
+    assert "glove-1 is connected" in worn.json()["detail"]
+    assert browser.post("/api/operator", json={"glove": "no glove"}).status_code == 400
+    assert operators(cell) == []
