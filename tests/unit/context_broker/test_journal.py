@@ -1,0 +1,59 @@
+"""The journal between releases: what this one wrote is read again, what a newer one wrote is left alone."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from handover.errors import UsageError
+from services.context_broker.journal import SCHEMA_VERSION, Entries, SqliteJournal
+
+
+def version_of(file: Path) -> int:
+    with closing(sqlite3.connect(file)) as database:
+        (version,) = database.execute("PRAGMA user_version").fetchone()
+    return int(version)
+
+
+def written(file: Path) -> None:
+    journal = SqliteJournal(file)
+    journal.open()
+    journal.commit(Entries(entities={1: b"one"}, contexts={"http://context": b"{}"}))
+    journal.close()
+
+
+def test_a_new_journal_has_the_version_of_this_release(tmp_path: Path) -> None:
+    written(tmp_path / "broker.db")
+    assert version_of(tmp_path / "broker.db") == SCHEMA_VERSION
+
+
+def test_a_journal_is_read_again(tmp_path: Path) -> None:
+    written(tmp_path / "broker.db")
+    journal = SqliteJournal(tmp_path / "broker.db")
+    journal.open()
+    assert list(journal.entities()) == [b"one"]
+    assert list(journal.contexts()) == [("http://context", b"{}")]
+    journal.close()
+
+
+def test_a_journal_of_a_newer_release_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    file = tmp_path / "broker.db"
+    written(file)
+    with closing(sqlite3.connect(file)) as database:
+        database.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
+    before = file.read_bytes()
+    journal = SqliteJournal(file)
+    with pytest.raises(UsageError, match=r"broker\.db was written by a newer version of Handover"):
+        journal.open()
+    journal.close()
+    assert version_of(file) == SCHEMA_VERSION + 1
+    assert file.read_bytes() == before
+
+
+def test_a_file_that_is_no_journal_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "broker.db").write_bytes(b"not a database at all, but long enough to look at" * 100)
+    journal = SqliteJournal(tmp_path / "broker.db")
+    with pytest.raises(UsageError, match="the broker cannot use"):
+        journal.open()
+    journal.close()
