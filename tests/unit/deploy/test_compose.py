@@ -1,0 +1,184 @@
+"""The compose file: what it starts is what there is, containers have their walls, little is published."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from dotenv import dotenv_values
+
+from glove_sdk_bridge.command_line import parse
+from handover.cli.glove import bridge_words
+from handover.cli.services import SERVICES
+from handover.settings import origins
+
+REPOSITORY = Path(__file__).parents[3]
+COMPOSE: dict[str, Any] = yaml.safe_load((REPOSITORY / "docker-compose.yml").read_text())
+ENV = {name: value or "" for name, value in dotenv_values(REPOSITORY / ".env", interpolate=False).items()}
+CONTAINERS: dict[str, dict[str, Any]] = COMPOSE["services"]
+OURS = {name: each for name, each in CONTAINERS.items() if each["image"].startswith("handover:")}
+THIRD_PARTY = {name: each for name, each in CONTAINERS.items() if name not in OURS}
+CHOSEN = {name for name in ENV["COMPOSE_PROFILES"].split(",") if name}
+VARIABLE = re.compile(r"\$\{([A-Z_]+)(?::-([^}]*))?\}")
+
+every_container = pytest.mark.parametrize("name", CONTAINERS)
+every_one_of_ours = pytest.mark.parametrize("name", OURS)
+
+
+def texts(of: Any) -> list[str]:
+    if isinstance(of, dict):
+        return [text for value in of.values() for text in texts(value)]
+    if isinstance(of, list):
+        return [text for value in of for text in texts(value)]
+    return [str(of)]
+
+
+def test_every_service_of_the_command_line_has_a_container_of_its_name() -> None:
+    run = {name: each["command"] for name, each in OURS.items() if each["command"][:2] == ["handover", "run"]}
+    assert run == {service.name: ["handover", "run", service.name] for service in SERVICES}
+
+
+def test_the_only_other_container_of_ours_is_an_operator_whom_the_bridge_understands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (other,) = set(OURS) - {service.name for service in SERVICES}
+    for name, value in OURS[other]["environment"].items():
+        monkeypatch.setenv(name, VARIABLE.sub(lambda met: ENV.get(met[1], met[2] or ""), value))
+    words = OURS[other]["command"]
+    assert words[:2] == ["handover", "glove"]
+    asked = parse(bridge_words(words[2:]), "handover glove")
+    assert (asked.command, asked.host, asked.port) == ("simulate", "gesture-controller", 54000)
+    assert asked.controller == "http://gesture-controller:54210"
+
+
+@every_one_of_ours
+def test_the_health_check_asks_where_the_service_listens(name: str) -> None:
+    test = OURS[name]["healthcheck"]["test"]
+    assert test[:4] == ["CMD", "python", "-m", "handover.health"]
+    ports = {service.name: service.settings.model_fields[service.port_field].default for service in SERVICES}
+    expected = (
+        f"http://127.0.0.1:{ports[name]}/readyz"
+        if name in ports
+        else (f"http://gesture-controller:{ports['gesture-controller']}/gloves/{OURS[name]['command'][-1]}")
+    )
+    assert test[4] == expected
+
+
+def test_the_addresses_by_which_services_find_each_other_lead_to_containers() -> None:
+    for service in SERVICES:
+        if service.name == "context-broker":
+            continue
+        url = OURS[service.name]["environment"][service.port_setting.replace("_PORT", "_URL")]
+        assert url == f"http://{service.name}:{service.settings.model_fields[service.port_field].default}"
+    assert ENV["CELL_BROKER_URL"] == "http://context-broker:1026"
+
+
+@every_one_of_ours
+def test_what_a_container_is_told_are_settings_that_there_are(name: str) -> None:
+    known = {origin.name for origin in origins([service.settings for service in SERVICES])}
+    assert set(OURS[name]["environment"]) <= known
+
+
+def test_two_ports_are_published_and_on_this_machine_alone() -> None:
+    published = {name: each["ports"] for name, each in CONTAINERS.items() if "ports" in each}
+    assert published.pop("grafana") == ["127.0.0.1:${CELL_GRAFANA_PORT:-54490}:3000"]
+    assert published == {
+        "gesture-controller": ["${CELL_ADDRESS:-127.0.0.1}:${CELL_GLOVE_PORT:-54000}:54000"],
+        "webui": ["${CELL_ADDRESS:-127.0.0.1}:${CELL_UI_PORT:-54400}:54400"],
+    }
+    assert ENV["CELL_ADDRESS"] == "127.0.0.1"
+    assert not CHOSEN & set(CONTAINERS["grafana"]["profiles"])
+
+
+@every_container
+def test_a_container_is_watched_limited_and_comes_back(name: str) -> None:
+    each = CONTAINERS[name]
+    assert each["restart"] == "unless-stopped"
+    assert each["init"] is True
+    assert each["security_opt"] == ["no-new-privileges:true"]
+    assert each["healthcheck"]["test"][0] == "CMD"
+    assert {"interval", "timeout", "retries", "start_period"} < set(each["healthcheck"])
+    assert set(each["deploy"]["resources"]["limits"]) == {"cpus", "memory", "pids"}
+    assert each["logging"]["options"] == {"max-size": "10m", "max-file": "3"}
+    assert each["networks"] == ["cell"]
+
+
+@every_one_of_ours
+def test_a_container_of_ours_has_nothing_it_does_not_need(name: str) -> None:
+    each = OURS[name]
+    assert each["read_only"] is True
+    assert each["cap_drop"] == ["ALL"]
+    assert [mount.split(":")[0] for mount in each["tmpfs"]] == ["/tmp"]
+    assert "user" not in each, "the image has one"
+    assert "privileged" not in each
+
+
+def test_the_image_runs_as_nobody_of_importance() -> None:
+    dockerfile = (REPOSITORY / "Dockerfile").read_text()
+    last_stage = dockerfile.rsplit("\nFROM ", 1)[1]
+    assert re.search(r"^USER (\d+):(\d+)$", last_stage, re.MULTILINE)
+    assert set(re.findall(r"^FROM (\S+)", dockerfile, re.MULTILINE)) == {"${BASE}", "workshop"}
+    assert "ARG BASE=python:3.12-slim\n" in dockerfile
+
+
+@every_container
+def test_nobody_waits_for_what_may_not_be_there(name: str) -> None:
+    """podman-compose cannot wait for a service whose profile is not chosen."""
+    for other, how in CONTAINERS[name].get("depends_on", {}).items():
+        assert how == {"condition": "service_healthy"}
+        assert set(CONTAINERS[other].get("profiles", [])) <= set(CONTAINERS[name].get("profiles", []))
+
+
+def test_nothing_of_others_starts_unless_it_is_chosen() -> None:
+    assert sorted(CHOSEN) == ["embedded-broker", "simulated-operator"]
+    for name, each in THIRD_PARTY.items():
+        assert each["profiles"], name
+        assert not CHOSEN & set(each["profiles"])
+
+
+def test_the_two_brokers_are_never_chosen_together_by_a_default() -> None:
+    assert CONTAINERS["context-broker"]["profiles"] == ["embedded-broker"]
+    assert CONTAINERS["orion"]["profiles"] == CONTAINERS["mongo"]["profiles"] == ["orion"]
+
+
+def test_every_variable_has_a_value_with_nothing_edited() -> None:
+    for text in texts(CONTAINERS):
+        for name, default in VARIABLE.findall(text):
+            assert name.startswith("CELL_"), name
+            assert default or name in ENV, f"{name} has no value"
+            assert default == ENV.get(name, default), f"{name} has two defaults"
+
+
+def test_what_can_be_set_is_used_and_explained() -> None:
+    used = {name for text in texts(CONTAINERS) for name, _ in VARIABLE.findall(text)}
+    explained = (REPOSITORY / "deploy" / "README.md").read_text()
+    for name in ENV:
+        assert name in used | {"COMPOSE_PROFILES"}, f"{name} sets nothing"
+    for name in used | set(ENV):
+        assert f"`{name}`" in explained, f"deploy/README.md says nothing of {name}"
+
+
+def test_a_service_that_runs_here_without_a_container_is_not_changed_by_the_containers_settings() -> None:
+    """`handover` reads `.env` of the folder it is started in as well."""
+    assert not [name for name in ENV if name.startswith("HANDOVER_")]
+
+
+def test_every_volume_is_declared_and_used() -> None:
+    mounted = {
+        mount.split(":")[0]
+        for each in CONTAINERS.values()
+        for mount in each.get("volumes", [])
+        if not mount.startswith("./")
+    }
+    assert mounted == set(COMPOSE["volumes"])
+    keeping = {name for name, each in OURS.items() if each.get("volumes")}
+    assert keeping == {service.name for service in SERVICES}
+
+
+def test_every_file_that_is_mounted_is_there() -> None:
+    for each in CONTAINERS.values():
+        for mount in each.get("volumes", []):
+            if mount.startswith("./"):
+                assert (REPOSITORY / mount.split(":")[0]).exists(), mount
+                assert mount.endswith(":ro")
