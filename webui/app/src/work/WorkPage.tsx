@@ -29,13 +29,14 @@ export default function WorkPage() {
   const step = answered === null ? stepOf(situation) : `done ${answered.task.id}`;
   useOperatorKeys(answered === null ? acts : { ...acts, main: null, complete: null }, step);
   return (
-    <div className="work">
+    <div className="work" data-situation={answered === null ? situation.kind : "answered"}>
       <StatusStrip
         glove={"glove" in situation ? situation.glove : null}
         robot={robotOf(situation, scene)}
         process={shownProcess(situation, scene)}
         pause={acts.pause}
         busy={acting.busy}
+        unknown={situation.kind === "linkLost" || situation.kind === "connecting"}
         onChange={scene.gloves.length > 1 && chosen !== "" ? () => choose("") : null}
       />
       <section className="work__stage" key={step}>
