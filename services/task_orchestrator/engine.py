@@ -1,4 +1,4 @@
-"""Engine: a process as it runs, token by token. Only this and `spiff.py` know SpiffWorkflow.
+"""Engine: a process as it runs, token by token. Only this, `spiff.py` and `joins.py` know SpiffWorkflow.
 
 A `Plan` is made of a definition once; each `Run` of it is told what came of its activities and what time it
 is, and answers which activities are open. No Python of a BPMN file is ever evaluated: SpiffWorkflow's script
@@ -29,6 +29,7 @@ from handover.errors import HandoverError
 from services.task_orchestrator.bpmn import bare_process
 from services.task_orchestrator.definition import Definition, Kind, Trigger
 from services.task_orchestrator.expressions import ExpressionError
+from services.task_orchestrator.joins import InclusiveJoin, path_to, tell_taken, together
 from services.task_orchestrator.spiff import Parser, Scripts, Timer
 
 for _chatty in ("spiff.task", "spiff.workflow"):
@@ -39,7 +40,7 @@ MAX_STEPS = 300
 MAX_BYTES = 4 * 1024 * 1024
 """Size of a run as it is kept; the variables are most of it."""
 PRUNE_ABOVE = 60
-SNAPSHOT_VERSION = 1
+SNAPSHOT_VERSION = 2
 
 
 class RunFailed(HandoverError):
@@ -92,7 +93,7 @@ class Plan:
     def resume(self, snapshot: bytes) -> "Run":
         """Return the run that `snapshot` was taken of."""
         kept = orjson.loads(snapshot)
-        if kept["version"] != SNAPSHOT_VERSION:
+        if kept["version"] not in {1, SNAPSHOT_VERSION}:
             raise RunFailed(f"a run kept in version {kept['version']} cannot be read by this release")
         scripts = Scripts(datetime.now(UTC))
         workflow = BpmnWorkflow(self.spec, deserializing=True, script_engine=scripts)
@@ -100,6 +101,8 @@ class Plan:
             _restore(workflow, row)
         workflow.task_tree = workflow.tasks[UUID(kept["tokens"][0]["id"])]
         workflow.last_task = workflow.tasks.get(UUID(kept["last"])) if kept["last"] else None
+        if kept["version"] == 1:
+            tell_taken(workflow)
         workflow.completed, workflow.data = kept["completed"], kept["data"]
         return Run(
             self, workflow, kept["visits"], {token: tuple(open_) for token, open_ in kept["open"].items()}
@@ -126,10 +129,7 @@ class Run:
         """Return the process variables as the furthest token sees them; at the end, all of them."""
         if self.completed:
             return dict(self._workflow.data)
-        merged: dict[str, Any] = {}
-        for token in self._live():
-            DeepMerge.merge(merged, token.data)
-        return merged
+        return together(self._live())
 
     def open(self) -> tuple[Open, ...]:
         """Return the activities that wait for whoever does them, in the order they were reached."""
@@ -210,6 +210,7 @@ class Run:
                 if token.state == TaskState.READY:
                     self._step(token)
             self._refresh_timers()
+            self._look_at_joins()
         self._take_note()
 
     def snapshot(self) -> bytes:
@@ -247,6 +248,13 @@ class Run:
         with _failures("a timer"):
             self._workflow.refresh_timers()
 
+    def _look_at_joins(self) -> None:
+        """Have inclusive gateways look again whether anybody is still to come."""
+        for token in self._workflow.get_tasks(state=TaskState.WAITING):
+            if isinstance(token.task_spec, InclusiveJoin):
+                with _failures(_element(token)):
+                    token.task_spec._update(token)
+
     def _live(self) -> list[Token]:
         return [
             token
@@ -273,7 +281,7 @@ class Run:
             return
         if any(isinstance(token.task_spec, UnstructuredJoin | _EndJoin) for token in live):
             return
-        paths = [_path(token) for token in live]
+        paths = [path_to(token) for token in live]
         common = [same[0] for same in zip(*paths, strict=False) if all(token is same[0] for token in same)]
         while common and (common[-1] in live or isinstance(common[-1].task_spec, BoundaryEventSplit)):
             common.pop()
@@ -308,13 +316,6 @@ def _catcher(activity: Token, code: Any) -> Token | None:
         and sibling.state == TaskState.WAITING
     }
     return catchers.get(code) or catchers.get(None)
-
-
-def _path(token: Token) -> list[Token]:
-    path = [token]
-    while path[-1].parent is not None:
-        path.append(path[-1].parent)
-    return path[::-1]
 
 
 def _under(tasks: Mapping[UUID, Token], first: Token) -> Iterator[Token]:

@@ -4,6 +4,7 @@ from datetime import datetime
 from typing import Any
 
 from SpiffWorkflow.bpmn.parser.BpmnParser import BpmnParser
+from SpiffWorkflow.bpmn.parser.task_parsers import ConditionalGatewayParser, GatewayParser
 from SpiffWorkflow.bpmn.parser.TaskParser import TaskParser
 from SpiffWorkflow.bpmn.script_engine import PythonScriptEngine
 from SpiffWorkflow.bpmn.script_engine.python_environment import BasePythonScriptEngineEnvironment
@@ -11,10 +12,11 @@ from SpiffWorkflow.bpmn.specs.defaults import UserTask
 from SpiffWorkflow.bpmn.specs.event_definitions.timer import TimerEventDefinition
 from SpiffWorkflow.task import Task as Token
 
-from services.task_orchestrator.definition import HANDED_OVER
+from services.task_orchestrator.definition import HANDED_OVER, Kind
 from services.task_orchestrator.durations import due, looks_like_time
 from services.task_orchestrator.expressions import ExpressionError, read, read_script
 from services.task_orchestrator.grammar import within_limits
+from services.task_orchestrator.joins import InclusiveJoin, ParallelJoin
 from services.task_orchestrator.xml_names import qualified
 
 
@@ -76,4 +78,8 @@ class Timer(TimerEventDefinition):  # type: ignore[misc]
 class Parser(BpmnParser):  # type: ignore[misc]
     """Every activity waits for whoever does it; that SpiffWorkflow tells them apart does not matter here."""
 
-    OVERRIDE_PARSER_CLASSES = {qualified(kind.value): (TaskParser, UserTask) for kind in HANDED_OVER}  # noqa: RUF012
+    OVERRIDE_PARSER_CLASSES = {  # noqa: RUF012
+        **{qualified(kind.value): (TaskParser, UserTask) for kind in HANDED_OVER},
+        qualified(Kind.PARALLEL.value): (GatewayParser, ParallelJoin),
+        qualified(Kind.INCLUSIVE.value): (ConditionalGatewayParser, InclusiveJoin),
+    }

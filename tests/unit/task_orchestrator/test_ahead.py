@@ -1,7 +1,5 @@
 """What comes next: it is said before it happens, the way forward first, and nothing that cannot be."""
 
-from collections.abc import Iterator
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +24,7 @@ from tests.unit.task_orchestrator.drawing import (
     start,
     timer,
 )
+from tests.unit.task_orchestrator.shapes import SHAPES, whole
 
 BIN_PICKING = Path("services/task_orchestrator/processes/bin_picking.bpmn")
 FORK = (
@@ -62,9 +61,7 @@ def after(definition: Definition, *waiting: str, **variables: Any) -> list[str]:
         (["no such element"], []),
     ],
 )
-def test_bin_picking_says_what_comes_next_the_way_forward_first(
-    waiting: list[str], ahead: list[str]
-) -> None:
+def test_bin_picking_says_what_comes_next_the_way_forward_first(waiting: list[str], ahead: list[str]) -> None:
     assert after(read_bpmn(BIN_PICKING.read_bytes()), *waiting) == ahead
 
 
@@ -111,63 +108,10 @@ def test_a_ring_of_gateways_comes_to_an_end_and_so_does_the_list() -> None:
     assert after(definition, "start") == names[:MAX_AHEAD]
 
 
-class Block:
-    """A piece of a drawing with one way in and one way out."""
-
-    def __init__(self, body: str, first: str, last: str, told: str | None = None) -> None:
-        self.body, self.first, self.last = body, first, last
-        self.told = told
-        """The activity that has always been done last here."""
-
-
-def build(shape: Any, numbers: Iterator[int]) -> Block:
-    kind, *parts = shape
-    name = f"{kind}{next(numbers)}"
-    if kind == "do":
-        return Block(activity(name), name, name, name)
-    if kind == "script":
-        text = f'<bpmn:scriptTask id="{name}"><bpmn:script>go = not go</bpmn:script></bpmn:scriptTask>'
-        return Block(text, name, name)
-    first, *others = [build(part, numbers) for part in parts]
-    if kind == "then":
-        (second,) = others
-        return Block(
-            first.body + second.body + flow(first.last, second.first), first.first, second.last, second.told
-        )
-    if kind == "loop":
-        asked = f"{first.told}.ok" if first.told else "go"
-        body = first.body + gateway(f"{name}_in") + gateway(f"{name}_out", default=f"{name}_out_{name}_done")
-        body += gateway(f"{name}_done") + flow(f"{name}_in", first.first) + flow(first.last, f"{name}_out")
-        body += flow(f"{name}_out", f"{name}_in", asked) + flow(f"{name}_out", f"{name}_done")
-        return Block(body, f"{name}_in", f"{name}_done", first.told)
-    gate = {"either": "exclusive", "both": "parallel"}[kind]
-    (second,) = others
-    default = f"{name}_in_{second.first}" if kind == "either" else None
-    body = first.body + second.body + gateway(f"{name}_in", gate, default) + gateway(f"{name}_out", gate)
-    body += flow(f"{name}_in", first.first, "go" if kind == "either" else None)
-    body += flow(f"{name}_in", second.first) + flow(first.last, f"{name}_out")
-    body += flow(second.last, f"{name}_out")
-    return Block(body, f"{name}_in", f"{name}_out")
-
-
-SHAPES = st.recursive(
-    st.sampled_from([("do",), ("do",), ("script",)]),
-    lambda inner: (
-        st.tuples(st.just("then"), inner, inner)
-        | st.tuples(st.just("either"), inner, inner)
-        | st.tuples(st.just("both"), inner, inner)
-        | st.tuples(st.just("loop"), st.tuples(st.just("then"), inner, st.just(("do",))))
-    ),
-    max_leaves=8,
-)
-
-
 @settings(max_examples=200, deadline=None)
 @given(shape=SHAPES, go=st.booleans(), choices=st.data())
 def test_whatever_is_reached_was_said_to_be_ahead(shape: Any, go: bool, choices: st.DataObject) -> None:
-    block = build(shape, count(1))
-    body = start() + block.body + end() + flow("start", block.first) + flow(block.last, "end")
-    plan = Plan(read_bpmn(drawing(body)))
+    plan = Plan(read_bpmn(drawing(whole(shape))))
     run = plan.start({"go": go}, NOW)
     for _ in range(25):
         if run.completed:
