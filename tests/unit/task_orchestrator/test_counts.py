@@ -53,7 +53,9 @@ def store(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         store.close()
 
 
-def task(n: int, element: str, status: str, took_ms: int = 0, *, process: str = "p-0", **more: Any) -> TaskRecord:
+def task(
+    n: int, element: str, status: str, took_ms: int = 0, *, process: str = "p-0", **more: Any
+) -> TaskRecord:
     state = TaskStatus(status)
     over = state in {TaskStatus.COMPLETED, TaskStatus.FAILED}
     return TaskRecord(

@@ -1,24 +1,17 @@
 """A process: which Tasks it hands out, what it believes, and how it ends. Steps are looked at, not sent."""
 
-from datetime import datetime, timedelta
-from typing import Any
+from datetime import timedelta
 
 import pytest
 
 from datamodels.entities import Task, TaskStatus
-from datamodels.times import iso
 from handover.errors import Problem
-from services.task_orchestrator.engine import Plan
-from services.task_orchestrator.library import read_runnable
-from services.task_orchestrator.process import Process
-from services.task_orchestrator.records import ProcessRecord, Saying, Step, TimerKind
-from services.task_orchestrator.settings import OrchestratorSettings
+from services.task_orchestrator.records import Saying, TimerKind
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,
     activity,
     boundary,
-    drawing,
     end,
     flow,
     gateway,
@@ -26,84 +19,9 @@ from tests.unit.task_orchestrator.drawing import (
     start,
     timer,
 )
+from tests.unit.task_orchestrator.shop_floor import DEFINED_BY, Floor, alerts, created, processes, task_id
 
 TWO_STEPS = start() + activity("first") + activity("second") + end() + path("start", "first", "second", "end")
-DEFINED_BY = {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"}
-
-
-class Floor:
-    """A process and the last step it made."""
-
-    def __init__(self, body: str, **parameters: Any) -> None:
-        self.now = NOW
-        self.step = Step(1)
-        plan = Plan(read_runnable(drawing(body)))
-        record = ProcessRecord(
-            id="p-1",
-            definition="p",
-            version=1,
-            key=None,
-            status=TaskStatus.IN_PROGRESS,
-            parameters=parameters,
-            variables=parameters,
-            waiting=(),
-            reason=None,
-            started_at=NOW,
-            ended_at=None,
-            revision=1,
-            state=None,
-        )
-        settings = OrchestratorSettings(_env_file=None)
-        self.process = Process.begin(settings, plan, record, self.step, NOW)
-
-    def next_step(self) -> Step:
-        self.step = Step(self.step.next_seq)
-        return self.step
-
-    def after(self, **time: float) -> datetime:
-        self.now += timedelta(**time)
-        return self.now
-
-    def hear(self, name: str, status: str, *, at: datetime | None = None, **outputs: Any) -> bool:
-        return self.process.hear(self.seen(name, status, at=at, **outputs), self.next_step(), self.now)
-
-    def seen(self, name: str, status: str, *, at: datetime | None = None, **outputs: Any) -> Task:
-        return Task.from_ngsild(
-            {
-                "id": task_id(name),
-                "type": "Task",
-                "isDefinedBy": DEFINED_BY,
-                "status": {"type": "Property", "value": status, "observedAt": iso(at or self.now)},
-                "outputParameters": {"type": "Property", "value": outputs},
-            }
-        )
-
-    def tick(self) -> None:
-        self.process.tick(self.next_step(), self.now)
-
-    @property
-    def open(self) -> list[str]:
-        return sorted(task.removeprefix("urn:ngsi-ld:Task:demo:p-1-") for task in self.process.tasks)
-
-
-def task_id(name: str) -> str:
-    return f"urn:ngsi-ld:Task:demo:p-1-{name}"
-
-
-def created(step: Step) -> list[str]:
-    return [message.subject for message in step.messages if message.saying is Saying.CREATE]
-
-
-def alerts(step: Step) -> list[Any]:
-    return [message.body for message in step.messages if message.saying is Saying.RAISE]
-
-
-def processes(step: Step) -> list[Any]:
-    return [
-        message.body[0]
-        for message in step.messages
-        if message.saying is Saying.UPSERT and message.body[0]["type"] == "Process"
-    ]
 
 
 def test_a_task_is_posted_pending_with_all_that_is_asked() -> None:

@@ -1,6 +1,6 @@
 """The store: a step is written whole or not at all, on SQLite and on PostgreSQL."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -11,8 +11,10 @@ from sqlalchemy import text
 
 from datamodels.entities import TaskStatus
 from handover.database import connect
-from handover.errors import UsageError
+from handover.errors import Problem
 from services.task_orchestrator.records import (
+    Act,
+    ActKind,
     DefinitionRecord,
     Move,
     ProcessRecord,
@@ -158,12 +160,63 @@ def test_migrating_again_changes_nothing(store: Store) -> None:
     assert store.unfinished() == [PROCESS]
 
 
-def test_a_database_of_a_later_release_is_refused_in_one_line(tmp_path: Path) -> None:
-    engine = connect(f"sqlite:///{tmp_path / 'later.db'}")
-    store = Store(engine)
-    store.migrate()
-    with engine.begin() as connection:
-        connection.execute(text("UPDATE orchestrator_schema SET version = 99"))
-    with pytest.raises(UsageError, match="99"):
-        store.migrate()
-    store.close()
+def started(name: str, minutes: int, **changes: Any) -> ProcessRecord:
+    return replace(PROCESS, id=name, key=None, started_at=NOW + timedelta(minutes=minutes), **changes)
+
+
+def kept(store: Store, *records: ProcessRecord, tasks: Sequence[TaskRecord] = ()) -> None:
+    step = Step(1, processes={record.id: record for record in records}, tasks={t.id: t for t in tasks})
+    step.new = {*step.processes, *step.tasks}
+    store.write(step)
+
+
+def test_pages_follow_on_each_other_though_processes_are_started_meanwhile(store: Store) -> None:
+    kept(store, *(started(f"p-{n}", n // 3, definition="qp"[n % 2]) for n in range(9)))
+    first = [record.id for record in store.page(limit=4)]
+    kept(store, started("p-new", 60))
+    second = [record.id for record in store.page(limit=4, before=first[-1])]
+    third = [record.id for record in store.page(limit=4, before=second[-1])]
+    assert first + second + third == [f"p-{n}" for n in reversed(range(9))]
+    assert store.page(before=third[-1]) == []
+    assert [r.id for r in store.page(definition="q", before="p-5")] == ["p-4", "p-2", "p-0"]
+    assert [r.id for r in store.page(status="failed")] == []
+    assert {record.state for record in store.page()} == {None}
+    with pytest.raises(Problem, match="nobody"):
+        store.page(before="nobody")
+
+
+def test_who_failed_a_process_and_what_people_did_are_kept(store: Store) -> None:
+    acts = (Act(NOW, ActKind.RETRY, "Ann \u00e4", TASK.id), Act(NOW, ActKind.CANCEL))
+    failed = started("p-1", 0, status=TaskStatus.FAILED, ended_at=NOW, failed_by=TASK.id, acts=acts)
+    kept(store, failed)
+    assert store.processes(["p-1"]) == [failed]
+    assert store.unfinished() == []
+
+
+def test_what_ended_long_ago_is_forgotten_with_all_that_belongs_to_it(store: Store) -> None:
+    then = NOW - timedelta(days=9)
+    old = started("p-old", 0, ended_at=then)
+    busy = started("p-busy", 0, ended_at=then)
+    young = started("p-young", 0, ended_at=NOW)
+    kept(
+        store,
+        old,
+        busy,
+        young,
+        started("p-runs", 0),
+        tasks=[
+            replace(TASK, id="t-old", process="p-old", ended_at=then),
+            replace(TASK, id="t-busy", process="p-busy"),
+            replace(TASK, id="t-young", process="p-young", ended_at=NOW),
+        ],
+    )
+    moves = [Move(f"t-{name}", 1, TaskStatus.FAILED, None, then) for name in ("old", "young")]
+    store.write(Step(9, delivered=[0], moves=moves))
+    assert store.forget(NOW - timedelta(days=10), 5) == 0
+    assert store.forget(NOW - timedelta(days=8), 5) == 1
+    assert {record.id for record in store.page()} == {"p-busy", "p-young", "p-runs"}
+    assert (store.tasks("p-old"), store.moves("p-old")) == ([], [])
+    assert (len(store.tasks("p-young")), len(store.moves("p-young"))) == (1, 1)
+    assert store.forget(NOW + timedelta(days=1), 1) == 1
+    with store._engine.connect() as connection:
+        assert connection.execute(text("SELECT count(*) FROM orchestrator_inbox")).scalar() == 0
