@@ -52,9 +52,9 @@ class Viewer:
         """Say what is wanted beyond the usual."""
         self._link.send(orjson.dumps({"type": "want", "topics": topics}).decode())
 
-    def happened(self) -> list[str]:
-        """What has happened."""
-        return [event["key"] for event in self.events]
+    def happened(self, family: str = "") -> list[str]:
+        """What has happened, in order."""
+        return [event["key"] for event in self.events if event["key"].startswith(family)]
 
     def service(self, name: str) -> dict[str, Any]:
         """The row of a service."""

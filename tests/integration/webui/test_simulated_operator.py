@@ -56,10 +56,7 @@ def test_it_works_the_process_through_while_the_page_looks(
     assert operators(cell) == []
     assert browser.delete("/api/operator").status_code == 200
     viewer.read_until(lambda: not viewer.topics["glove/glove-1"]["connected"])
-    assert [key for key in viewer.happened() if key.startswith("operator.")] == [
-        "operator.started",
-        "operator.stopped",
-    ]
+    viewer.read_until(lambda: viewer.happened("operator.") == ["operator.started", "operator.stopped"])
 
 
 def test_it_is_started_again_when_it_dies_and_dies_with_the_server(
