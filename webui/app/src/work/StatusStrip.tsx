@@ -13,27 +13,37 @@ export interface StatusStripProps {
   process: ProcessView | null;
   pause: OperatorActs["pause"];
   busy: boolean;
+  /** Nothing is known of the cell just now: old states are not shown as if they were so. */
+  unknown: boolean;
   /** Leads to the choice of another glove, where there are several. */
   onChange: (() => void) | null;
 }
 
-export function StatusStrip({ glove, robot, process, pause, busy, onChange }: StatusStripProps) {
+export function StatusStrip({ glove, robot, process, pause, busy, unknown, onChange }: StatusStripProps) {
   const { t } = useTranslation(["work", "common"]);
   return (
     <section className="work__strip" aria-label={t("strip.label")}>
       <div className="work__states">
         {glove !== null && <GloveState glove={glove} />}
-        {robot !== null && (
+        {!unknown && robot !== null && (
           <State tone={deviceTone[robot.deviceState]} icon={<Bot aria-hidden size="1.2em" />}>
             {t("strip.robot", { robot: robot.id, state: t(`common:deviceState.${robot.deviceState}`) })}
           </State>
         )}
-        {process === null ? (
+        {unknown ? (
+          <State tone="stop">{t("strip.unknown")}</State>
+        ) : process === null ? (
           <State tone="neutral">{t("strip.noProcess")}</State>
         ) : (
           <State tone={statusTone[process.status]} icon={<Workflow aria-hidden size="1.2em" />}>
-            <span aria-hidden>{t("strip.process", { ...process })}</span>
-            <span className="visually-hidden">{t("strip.processLabel", { ...process })}</span>
+            {process.status === "completed" ? (
+              process.title
+            ) : (
+              <>
+                <span aria-hidden>{t("strip.process", { ...process })}</span>
+                <span className="visually-hidden">{t("strip.processLabel", { ...process })}</span>
+              </>
+            )}
           </State>
         )}
       </div>
@@ -42,7 +52,6 @@ export function StatusStrip({ glove, robot, process, pause, busy, onChange }: St
       )}
       <Button
         size="large"
-        kind={pause?.goesOn === true ? "main" : "plain"}
         icon={pause?.goesOn === true ? <Play aria-hidden size={28} /> : <Pause aria-hidden size={28} />}
         isDisabled={pause === null || busy}
         onPress={() => pause?.do()}

@@ -1,5 +1,5 @@
 /** The states in which the work stands still, each with what to do. */
-import { HandHelping, HandMetal, Hourglass, OctagonX, ServerCrash, Unplug, Users } from "lucide-react";
+import { CloudOff, HandHelping, Hourglass, OctagonX, ServerCrash, Users, WifiOff } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { useLocation } from "wouter";
 import { declareGlove } from "~/api/acts";
@@ -29,7 +29,7 @@ export function Trouble({ situation, acts, acting, choose }: TroubleProps) {
       return <Standstill tone="neutral" icon={<Hourglass aria-hidden />} title={t("connecting.title")} />;
     case "linkLost":
       return (
-        <Standstill tone="stop" icon={<Unplug aria-hidden />} title={t("linkLost.title")} means={t("linkLost.means")} todo={t("linkLost.do")} />
+        <Standstill tone="stop" icon={<CloudOff aria-hidden />} title={t("linkLost.title")} means={t("linkLost.means")} todo={t("linkLost.do")} />
       );
     case "serviceLost":
       return (
@@ -50,7 +50,7 @@ export function Trouble({ situation, acts, acting, choose }: TroubleProps) {
       return (
         <Standstill
           tone="stop"
-          icon={<HandMetal aria-hidden />}
+          icon={<WifiOff aria-hidden />}
           title={t("gloveLost.title", { glove: situation.glove.glove })}
           means={t("gloveLost.means", { task: situation.task.description })}
           todo={t("gloveLost.do")}

@@ -1,4 +1,5 @@
 /** The operator's page: the one thing that counts now, large, and one act that answers it. */
+import { useEffect } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { Problem } from "~/design/Problem";
@@ -23,6 +24,11 @@ export default function WorkPage() {
   const scene = useScene(chosen === "" ? null : chosen);
   const situation = useSituation(scene);
   const answered = useAnswered(situation, scene);
+  const only = chosen === "" && "glove" in situation ? situation.glove.glove : "";
+  useEffect(() => {
+    // Who works here goes on working when another glove joins.
+    if (only !== "") choose(only);
+  }, [only, choose]);
   const acting = useAct();
   const { withName, question } = useWithName("large");
   const acts = useOperatorActs(scene, situation, acting, withName);

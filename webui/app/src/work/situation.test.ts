@@ -52,6 +52,11 @@ describe("the situation", () => {
     expect(seen.kind === "robot" && seen.process.id).toBe("p-1");
   });
 
+  it("is no other person's turn while the Task of this glove is on its way", () => {
+    const seen = situationOf(scene({ processes: [process({ tasks: [userTask] })] }));
+    expect(seen.kind === "between" && seen.task).toBeNull();
+  });
+
   it("says that an answer waits while the orchestrator is away", () => {
     const seen = situationOf(scene({ services: [service("task-orchestrator", "down")], gloves: [glove({ task })] }));
     expect(seen.kind === "asked" && seen.answerWaits).toBe(true);

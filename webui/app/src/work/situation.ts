@@ -133,7 +133,8 @@ function othersTurn(scene: Scene, glove: GloveView, process: ProcessView): Situa
     if (away !== null) return away;
     return { kind: "robot", glove, process, task: atRobot, robot: robotOf(atRobot), next: nextOf(process) };
   }
-  const [task = null] = open;
+  // A Task of this very glove is about to be asked: that is no other person's turn.
+  const task = open.find(({ involves }) => !involves.some((one) => namesOf(glove).some((name) => isSame(one, name)))) ?? null;
   return task === null ? null : { kind: "between", glove, process, task, next: nextOf(process) };
 }
 
@@ -145,13 +146,16 @@ function processOf(scene: Scene, glove: GloveView): ProcessView | null {
 }
 
 function involves(process: ProcessView, glove: GloveView): boolean {
-  const names = [glove.glove, ...(glove.person === null ? [] : [glove.person])];
   const resources = [
     ...process.tasks.flatMap((task) => task.involves),
     ...process.next.flatMap((activity) => activity.involves),
     ...Object.values(process.parameters).filter((value) => typeof value === "string"),
   ];
-  return resources.some((resource) => names.some((name) => isSame(resource, name)));
+  return resources.some((resource) => namesOf(glove).some((name) => isSame(resource, name)));
+}
+
+function namesOf({ glove, person }: GloveView): string[] {
+  return person === null ? [glove] : [glove, person];
 }
 
 function endedOf(scene: Scene, glove: GloveView): Situation {
