@@ -1,5 +1,5 @@
 /** Names as people use them: the last part of a URN, and the performer of a Task. */
-import type { TaskView } from "~/live/messages";
+import type { ProcessView, TaskView } from "~/live/messages";
 
 /** "glove-1" of `urn:ngsi-ld:Device:demo:glove-1`; what is no URN stays as it is. */
 export function shortName(urn: string): string {
@@ -15,4 +15,15 @@ export function performerOf(task: Pick<TaskView, "involves">): string {
 /** What a Task is called: its activity's name, or the activity's id where the file has no name. */
 export function nameOf(task: Pick<TaskView, "name" | "element">): string {
   return task.name === "" ? task.element : task.name;
+}
+
+/** What tells a process from the others of its definition: its own part of its id. */
+export function markOf(process: Pick<ProcessView, "id" | "definition">): string {
+  const prefix = `${process.definition}-`;
+  return process.id.startsWith(prefix) ? process.id.slice(prefix.length) : process.id;
+}
+
+/** A Task within its process, short enough for a URL: "pick-2" is the second visit to `pick`. */
+export function taskMark(task: Pick<TaskView, "element" | "visit">): string {
+  return `${task.element}-${task.visit}`;
 }

@@ -21,7 +21,9 @@ interface Picked {
   element: { businessObject?: { id?: string } };
 }
 
-const MARGIN = 24;
+const MARGIN = 16;
+/** Below lie the zoom buttons and the mark of bpmn.io, which nothing may cover. */
+const FOOT = 52;
 const LEAST_ZOOM = 0.2;
 const MOST_ZOOM = 4;
 /** A small process is not blown up to fill the place. */
@@ -47,7 +49,7 @@ export class Drawing {
       },
       textRenderer: {
         defaultStyle: { fontFamily: "Inter Variable, sans-serif", fontSize: 12 },
-        externalStyle: { fontFamily: "Inter Variable, sans-serif", fontSize: 12 },
+        externalStyle: { fontFamily: "Inter Variable, sans-serif", fontSize: 11 },
       },
     });
     const events = this.#viewer.get("eventBus");
@@ -74,7 +76,10 @@ export class Drawing {
     this.#shown = marks;
     const canvas = this.#viewer.get("canvas");
     for (const { element, look } of change.lose) this.#at(element, (at) => canvas.removeMarker(at, `diagram-${look}`));
-    for (const { element, look } of change.gain) this.#at(element, (at) => canvas.addMarker(at, `diagram-${look}`));
+    for (const { element, look } of change.gain) {
+      if (look === "token" && this.#isAttached(element)) continue;
+      this.#at(element, (at) => canvas.addMarker(at, `diagram-${look}`));
+    }
     for (const { element, badges } of change.badges) this.#badge(element, badges);
   }
 
@@ -99,17 +104,13 @@ export class Drawing {
     canvas.resized();
     const { inner, outer } = canvas.viewbox();
     if (outer.width === 0 || outer.height === 0) return;
-    const zoom = Math.min(
-      FIT_ZOOM,
-      outer.width / (inner.width + 2 * MARGIN),
-      outer.height / (inner.height + 2 * MARGIN),
-    );
-    const [width, height] = [outer.width / zoom, outer.height / zoom];
+    const [across, down] = [outer.width - 2 * MARGIN, outer.height - MARGIN - FOOT];
+    const zoom = Math.max(LEAST_ZOOM, Math.min(FIT_ZOOM, across / inner.width, down / inner.height));
     canvas.viewbox({
-      x: inner.x - (width - inner.width) / 2,
-      y: inner.y - (height - inner.height) / 2,
-      width,
-      height,
+      x: inner.x - (across / zoom - inner.width) / 2 - MARGIN / zoom,
+      y: inner.y - (down / zoom - inner.height) / 2 - MARGIN / zoom,
+      width: outer.width / zoom,
+      height: outer.height / zoom,
     });
     this.#moved = false;
   }
@@ -143,7 +144,10 @@ export class Drawing {
     const at = this.#find(element);
     if (at === undefined || badges.length === 0) return;
     const width = "waypoints" in at ? 0 : (at as unknown as { width: number }).width;
-    const above = badges.filter((badge) => badge.kind !== "count" && badge.kind !== "duration");
+    const attached = this.#isAttached(element);
+    const above = badges.filter(
+      (badge) => badge.kind !== "count" && badge.kind !== "duration" && !(attached && badge.kind === "token"),
+    );
     const below = badges.filter((badge) => badge.kind === "count" || badge.kind === "duration");
     const put = (row: readonly Badge[], position: { top?: number; bottom?: number; left: number }) =>
       row.length === 0 ? [] : [overlays.add(at as never, { position, html: rowOf(row, width), scale: { min: 0.7, max: 1.4 } })];
@@ -163,6 +167,12 @@ export class Drawing {
     return registry.find(
       (one: { businessObject?: { processRef?: { id?: string } } }) => one.businessObject?.processRef?.id === element,
     );
+  }
+
+  /** An event on the edge of an activity waits with it, but the token is the activity's. */
+  #isAttached(element: string): boolean {
+    const at = this.#find(element) as { businessObject?: { $type?: string } } | undefined;
+    return at?.businessObject?.$type === "bpmn:BoundaryEvent";
   }
 
   #isGround(element: ElementLike): boolean {

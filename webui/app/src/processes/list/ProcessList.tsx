@@ -13,6 +13,7 @@ import { useFamily } from "~/live/hooks";
 import type { DefinitionView } from "~/live/messages";
 import { useQuery } from "~/route/query";
 import { pathOf, samePlace, type Place } from "../address";
+import { markOf } from "../names";
 import { useHistory } from "./history";
 import { found, foundDefinitions, held, sameSections, type ProcessRow, type Sections } from "./rows";
 import "./ProcessList.css";
@@ -28,7 +29,7 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
   const [find, setFind] = useQuery("find");
   const definitions = foundDefinitions(useFamily("definition"), find);
   const history = useHistory();
-  const { sections, waiting, hold, release } = useHeld(history.sections);
+  const { sections, waiting, hold, release } = useHeld(history.sections, place.kind === "process" ? place.id : null);
   const said = (status: ProcessRow["status"]) => t(`common:status.${status}`);
   const running = found(sections.running, find, said);
   const ended = found(sections.ended, find, said);
@@ -117,7 +118,7 @@ function ProcessItem({ row, here, find }: { row: ProcessRow; here: Place; find: 
         <span className="process-list__title">{row.title}</span>
         <span className="process-list__more">
           <State tone={statusTone[row.status]}>{t(`common:status.${row.status}`)}</State>
-          <span className="quiet">{row.key ?? row.id.slice(0, 8)}</span>
+          <span className="quiet">{markOf(row)}</span>
         </span>
       </Row>
       <span className="process-list__time small quiet">
@@ -138,13 +139,16 @@ function Row({ to, here, find, children }: { to: Place; here: Place; find: strin
 
 type Reason = "pointer" | "focus";
 
-/** The list as it is shown: held in place from the moment somebody is in it until they have left. */
-function useHeld(now: Sections) {
+/**
+ * The list as it is shown: held in place from the moment somebody is in it until they have left. A process
+ * that is opened shows up at once: whoever has started it looks for it.
+ */
+function useHeld(now: Sections, opened: string | null) {
   const [reasons, setReasons] = useState<readonly Reason[]>([]);
   const [kept, setKept] = useState(now);
   const isHeld = reasons.length > 0;
   // What was read into an empty list is no news that could move anything.
-  const first = kept.running.length + kept.ended.length === 0;
+  const first = (kept.running.length + kept.ended.length === 0) || (has(now, opened) && !has(kept, opened));
   if ((!isHeld || first) && !sameSections(kept, now)) setKept(now);
   const { sections, waiting } = isHeld && !first ? held(kept, now) : { sections: now, waiting: 0 };
   const hold = (reason: Reason) => setReasons((all) => (all.includes(reason) ? all : [...all, reason]));
@@ -153,4 +157,8 @@ function useHeld(now: Sections) {
     else setReasons((all) => all.filter((one) => one !== reason));
   };
   return { sections, waiting, hold, release };
+}
+
+function has(sections: Sections, id: string | null): boolean {
+  return [...sections.running, ...sections.ended].some((row) => row.id === id);
 }

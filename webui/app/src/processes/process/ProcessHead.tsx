@@ -16,7 +16,7 @@ import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { useWho, useWithName } from "~/shell/who";
 import { pathOf } from "../address";
-import { nameOf, shortName } from "../names";
+import { markOf, nameOf, shortName } from "../names";
 
 export function ProcessHead({ process }: { process: ProcessView }) {
   const { t } = useTranslation(["processes", "common"]);
@@ -29,7 +29,7 @@ export function ProcessHead({ process }: { process: ProcessView }) {
         </h1>
         <State tone={statusTone[process.status]}>{t(`common:status.${process.status}`)}</State>
         <span className="quiet">
-          {t("version", { version: process.version })} · {process.key ?? process.id}
+          {t("version", { version: process.version })} · {markOf(process)}
         </span>
         <span className="quiet">
           {t("process.progress", { done: process.done, all: process.activities })} · <Took process={process} />
@@ -39,7 +39,7 @@ export function ProcessHead({ process }: { process: ProcessView }) {
         </span>
       </div>
       <Acts process={process} />
-      {process.reason !== null && <p className="process__reason">{process.reason}</p>}
+      {process.reason !== null && last?.act !== "cancel" && <p className="process__reason">{process.reason}</p>}
       {last !== undefined && (
         <p className="process__act quiet small">
           {t(`process.acts.${last.act}`, { by: last.by ?? t("process.somebody") })} <Ago at={last.at} />

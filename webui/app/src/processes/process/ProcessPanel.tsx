@@ -8,7 +8,9 @@ import type { ProcessView } from "~/live/messages";
 import { useQuery } from "~/route/query";
 import { marksOfProcess, withPicked } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
+import { taskMark } from "../names";
 import { useBpmn, useProcess } from "../records";
+import { TasksBar } from "../timeline/TasksBar";
 import { TasksView } from "../timeline/TasksView";
 import { ProcessHead } from "./ProcessHead";
 import { TaskPanel } from "./TaskPanel";
@@ -34,14 +36,17 @@ function Shown({ process }: { process: ProcessView }) {
   const [asked, setView] = useQuery("view", "timeline");
   const view = VIEWS.find((one) => one === asked) ?? "timeline";
   const [picked, setPicked] = useQuery("task");
-  const task = process.tasks.find((one) => one.id === picked) ?? null;
+  const task = process.tasks.find((one) => taskMark(one) === picked) ?? null;
   return (
     <div className="process">
       <ProcessHead process={process} />
       <ProcessDiagram
         process={process}
         picked={task?.element ?? null}
-        onPick={(element) => setPicked(process.tasks.findLast((one) => one.element === element)?.id ?? "")}
+        onPick={(element) => {
+          const last = process.tasks.findLast((one) => one.element === element);
+          setPicked(last === undefined ? "" : taskMark(last));
+        }}
       />
       <section className="process__tasks" aria-label={t("views.label")}>
         <div className="process__views">
@@ -51,6 +56,7 @@ function Shown({ process }: { process: ProcessView }) {
             options={VIEWS.map((value) => ({ value, name: t(`views.${value}`) }))}
             onChange={setView}
           />
+          {view !== "values" && <TasksBar process={process} />}
         </div>
         <div className="process__below">
           {view === "values" ? (

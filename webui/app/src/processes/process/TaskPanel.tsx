@@ -8,6 +8,7 @@ import { duration } from "~/design/times";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { nameOf, shortName } from "../names";
+import { CLOCK } from "../timeline/axis";
 import { courseOf } from "../timeline/course";
 import { Json } from "./Values";
 import { RetryButton, taskOf } from "./ProcessHead";
@@ -23,15 +24,15 @@ export function TaskPanel({ process, task, onClose }: TaskPanelProps) {
   const { t, i18n } = useTranslation(["processes", "common"]);
   const now = useNow();
   const course = courseOf(task, now);
-  const clock = (at: string) => new Date(at).toLocaleTimeString(i18n.language, { timeStyle: "medium" });
+  const clock = (at: string) => new Date(at).toLocaleTimeString(i18n.language, CLOCK);
   const said = (ms: number) => duration(task.endedAt === null ? Math.floor(ms / 1000) * 1000 : ms, i18n.language);
   return (
     <aside className="task" aria-label={t("task.label", { task: nameOf(task) })}>
       <header className="task__head">
         <h2>{nameOf(task)}</h2>
+        <State tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</State>
         <Button kind="quiet" label={t("task.close")} icon={<X aria-hidden size={18} />} onPress={onClose} />
       </header>
-      <State tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</State>
       {task.reason !== null && <p className="task__reason">{task.reason}</p>}
       {taskOf(process, process.retry)?.id === task.id && <RetryButton process={process} task={task} kind="plain" />}
       {task.description !== null && <p>{task.description}</p>}

@@ -7,7 +7,8 @@ import { statusTone } from "~/design/states";
 import { duration } from "~/design/times";
 import { useNow } from "~/live/clock";
 import type { TaskView } from "~/live/messages";
-import { nameOf, performerOf } from "../names";
+import { nameOf, performerOf, taskMark } from "../names";
+import { CLOCK } from "./axis";
 import { courseOf } from "./course";
 
 /** More rows than this make a page slow; the export has all. */
@@ -38,7 +39,7 @@ export function TaskTable({ tasks, picked, onPick }: TaskTableProps) {
         </thead>
         <tbody>
           {shown.map((task) => (
-            <Row key={task.id} task={task} now={task.endedAt === null ? now : 0} picked={task.id === picked} onPick={onPick} />
+            <Row key={task.id} task={task} now={task.endedAt === null ? now : 0} picked={taskMark(task) === picked} onPick={onPick} />
           ))}
         </tbody>
       </table>
@@ -62,7 +63,7 @@ const Row = memo(
     return (
       <tr className={picked ? "tasks__row tasks__row--picked" : "tasks__row"}>
         <th scope="row">
-          <Button kind="quiet" aria-expanded={picked} onPress={() => onPick(picked ? "" : task.id)}>
+          <Button kind="quiet" aria-expanded={picked} onPress={() => onPick(picked ? "" : taskMark(task))}>
             {nameOf(task)}
           </Button>
         </th>
@@ -71,8 +72,8 @@ const Row = memo(
           <State tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</State>
         </td>
         <td>
-          <time dateTime={task.createdAt} title={at.toLocaleString(i18n.language)}>
-            {at.toLocaleTimeString(i18n.language)}
+          <time dateTime={task.createdAt} title={at.toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "medium", hourCycle: "h23" })}>
+            {at.toLocaleTimeString(i18n.language, CLOCK)}
           </time>
         </td>
         <td className="tasks__number">{said(course.waitedMs)}</td>

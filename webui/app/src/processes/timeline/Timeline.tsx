@@ -6,7 +6,7 @@ import { Button } from "~/design/Button";
 import { duration } from "~/design/times";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
-import { nameOf } from "../names";
+import { nameOf, taskMark } from "../names";
 import { markFormat, marksOf, percentAt, spanOf, stepFor, type Span } from "./axis";
 import { lanesOf, type Bar } from "./lanes";
 import "./Timeline.css";
@@ -15,6 +15,8 @@ import "./Timeline.css";
 const MOST_BARS = 400;
 const MOST_ZOOM = 64;
 const MARK_PX = 110;
+/** What the performers' names take at the left; the same stands in the style. */
+const NAMES_PX = 112;
 
 export interface TimelineProps {
   process: ProcessView;
@@ -25,9 +27,19 @@ export interface TimelineProps {
 
 export function Timeline({ process, tasks, picked, onPick }: TimelineProps) {
   const { t } = useTranslation("processes");
-  const now = useNow();
+  const clock = useNow();
+  // The clock ticks once a second, and a Task may have come since; another machine's clock may be ahead, too.
+  const now = tasks.reduce((latest, task) => Math.max(latest, Date.parse(task.createdAt)), clock);
   const [zoom, setZoom] = useState(1);
   const { ref, width } = useWidth();
+  const zoomTo = (next: number) => {
+    const place = ref.current;
+    setZoom(next);
+    if (place === null) return;
+    // What was in the middle stays there.
+    const middle = (place.scrollLeft + place.clientWidth / 2) / zoom;
+    requestAnimationFrame(() => place.scrollTo({ left: middle * next - place.clientWidth / 2 }));
+  };
   const shown = tasks.slice(-MOST_BARS);
   const lanes = lanesOf(shown, now);
   const begin = shown.length < tasks.length ? (lanes[0]?.bars[0]?.course.fromMs ?? 0) : Date.parse(process.startedAt);
@@ -38,30 +50,35 @@ export function Timeline({ process, tasks, picked, onPick }: TimelineProps) {
     <div className="timeline">
       <div className="timeline__scroll" ref={ref} tabIndex={0} role="region" aria-label={t("timeline.label")}>
         <div className="timeline__content" style={{ width: `${zoom * 100}%` }}>
-          <Axis span={span} most={Math.max(2, Math.floor((width * zoom) / MARK_PX))} />
+          <Axis span={span} most={Math.max(2, Math.floor(((width - NAMES_PX) * zoom) / MARK_PX))} />
           {lanes.map((lane) => (
             <div className="timeline__lane" key={lane.performer} role="group" aria-label={lane.performer}>
               <div className="timeline__performer">{lane.performer === "" ? t("task.nobody") : lane.performer}</div>
               <div className="timeline__bars" style={{ height: `${lane.rows * 30 + 6}px` }}>
                 {lane.bars.map((bar) => (
-                  <BarButton key={bar.task.id} bar={bar} span={span} picked={bar.task.id === picked} onPick={onPick} />
+                  <BarButton key={bar.task.id} bar={bar} span={span} picked={taskMark(bar.task) === picked} onPick={onPick} />
                 ))}
               </div>
             </div>
           ))}
-          {running && <div className="timeline__now" style={{ left: `${percentAt(span, now)}%` }} aria-hidden />}
+          {running && (
+            <div className="timeline__over" aria-hidden>
+              <div className="timeline__now" style={{ left: `${percentAt(span, now)}%` }} />
+            </div>
+          )}
         </div>
       </div>
       <div className="timeline__foot small quiet">
         <span className="timeline__key">
           <i className="timeline__sample timeline__stretch--pending" aria-hidden /> {t("timeline.waits")}
           <i className="timeline__sample timeline__stretch--inProgress" aria-hidden /> {t("timeline.works")}
+          <i className="timeline__sample timeline__sample--completed" aria-hidden /> {t("timeline.done")}
           <i className="timeline__sample timeline__sample--failed" aria-hidden /> {t("timeline.failed")}
         </span>
         {shown.length < tasks.length && <span>{t("timeline.onlyLast", { count: shown.length })}</span>}
         <span role="group" aria-label={t("timeline.zoom")} className="timeline__zoom">
-          <Button kind="quiet" label={t("timeline.further")} isDisabled={zoom === 1} icon={<ZoomOut aria-hidden size={18} />} onPress={() => setZoom(Math.max(1, zoom / 2))} />
-          <Button kind="quiet" label={t("timeline.closer")} isDisabled={zoom === MOST_ZOOM} icon={<ZoomIn aria-hidden size={18} />} onPress={() => setZoom(Math.min(MOST_ZOOM, zoom * 2))} />
+          <Button kind="quiet" label={t("timeline.further")} isDisabled={zoom === 1} icon={<ZoomOut aria-hidden size={18} />} onPress={() => zoomTo(Math.max(1, zoom / 2))} />
+          <Button kind="quiet" label={t("timeline.closer")} isDisabled={zoom === MOST_ZOOM} icon={<ZoomIn aria-hidden size={18} />} onPress={() => zoomTo(Math.min(MOST_ZOOM, zoom * 2))} />
         </span>
       </div>
     </div>
@@ -107,7 +124,7 @@ const BarButton = memo(
         aria-pressed={picked}
         aria-label={label}
         title={label}
-        onClick={() => onPick(picked ? "" : task.id)}
+        onClick={() => onPick(picked ? "" : taskMark(task))}
       >
         {course.stretches.map((stretch) => (
           <i

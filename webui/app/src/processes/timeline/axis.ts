@@ -45,11 +45,14 @@ export function marksOf(span: Span, most: number, offsetMinutes: number): number
   return marks;
 }
 
+/** A moment of a day, as shop floors write it. */
+export const CLOCK = { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" } as const;
+
 /** How a mark is written: as precise as the step between marks needs it, no more. */
 export function markFormat(stepMs: number): Intl.DateTimeFormatOptions {
   if (stepMs >= DAY) return { day: "numeric", month: "short" };
-  if (stepMs >= MINUTE) return { hour: "2-digit", minute: "2-digit" };
-  const whole: Intl.DateTimeFormatOptions = { hour: "2-digit", minute: "2-digit", second: "2-digit" };
+  if (stepMs >= MINUTE) return { hour: "2-digit", minute: "2-digit", hourCycle: "h23" };
+  const whole: Intl.DateTimeFormatOptions = { ...CLOCK };
   return stepMs >= SECOND ? whole : { ...whole, fractionalSecondDigits: 1 };
 }
 

@@ -1,6 +1,6 @@
 /** Filter: which Tasks of a process one looks at. It stands in the URL, so that it can be sent to a colleague. */
 import type { Status, TaskView } from "~/live/messages";
-import { nameOf, performerOf } from "../names";
+import { nameOf, performerOf, taskMark } from "../names";
 
 export interface Filter {
   text: string;
@@ -33,7 +33,8 @@ export function performersOf(tasks: readonly TaskView[]): string[] {
 }
 
 function fits(words: readonly string[], task: TaskView): boolean {
-  const text = [nameOf(task), task.element, task.id, performerOf(task), task.description, task.reason]
+  // Its full id names the process as well, and would fit "pick" for every Task of bin picking.
+  const text = [nameOf(task), taskMark(task), performerOf(task), task.description, task.reason]
     .filter((part) => part !== null)
     .join("\n")
     .toLowerCase();

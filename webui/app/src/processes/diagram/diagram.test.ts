@@ -1,0 +1,110 @@
+import { readFileSync } from "node:fs";
+import { describe, expect, it } from "vitest";
+import type { ElementCount } from "~/live/messages";
+import { drawn, hasDrawing } from "./layout";
+import { difference, marksOfFaults, marksOfProcess, marksOfStatistics, NO_MARKS, withPicked, type MarkWords } from "./marks";
+
+const words: MarkWords = {
+  token: (count) => `${count} here`,
+  failed: (count) => `${count} failed`,
+  count: (count) => ({ text: String(count), title: `${count} done` }),
+  duration: (last, median) => ({ text: `${last ?? 0} ms`, title: `median ${median ?? 0}` }),
+};
+
+const count = (over: Partial<ElementCount>): ElementCount => ({ running: 0, completed: 0, failed: 0, lastMs: null, medianMs: null, ...over });
+
+describe("the marks of a process", () => {
+  const marks = marksOfProcess(
+    {
+      waiting: ["pick", "wait", "wait"],
+      elements: {
+        pick: count({ running: 1, completed: 2, lastMs: 1500, medianMs: 1200 }),
+        scan: count({ failed: 1 }),
+        home: count({ completed: 1, failed: 1, lastMs: 10 }),
+        free: count({}),
+      },
+    },
+    words,
+  );
+
+  it("show where its tokens are, also where no Task is", () => {
+    expect(marks.get("pick")?.looks).toEqual(["token"]);
+    expect(marks.get("wait")?.badges).toEqual([{ kind: "token", text: "2", title: "2 here" }]);
+  });
+
+  it("count and time what was done", () => {
+    expect(marks.get("pick")?.badges.map((badge) => badge.kind)).toEqual(["token", "count", "duration"]);
+  });
+
+  it("say of an activity that it failed only while it has not been done since", () => {
+    expect(marks.get("scan")?.looks).toEqual(["failed"]);
+    expect(marks.get("home")?.looks).toEqual(["done"]);
+    expect(marks.get("home")?.badges[0]?.kind).toBe("failed");
+  });
+
+  it("leave alone what has not been reached", () => {
+    expect(marks.has("free")).toBe(false);
+  });
+});
+
+it("statistics count, but have no one state", () => {
+  const marks = marksOfStatistics({ pick: count({ running: 3, completed: 40, medianMs: 900 }) }, words);
+  expect(marks.get("pick")).toMatchObject({ looks: [], badges: [{ kind: "token", text: "3" }, { kind: "count" }, { kind: "duration" }] });
+});
+
+it("every fault of an element stands there with its number in the list", () => {
+  const marks = marksOfFaults([
+    { element: null, message: "no start" },
+    { element: "scan", message: "a" },
+    { element: "scan", message: "b" },
+  ]);
+  expect([...marks.keys()]).toEqual(["scan"]);
+  expect(marks.get("scan")?.badges.map((badge) => badge.text)).toEqual(["2", "3"]);
+});
+
+describe("the difference between marks", () => {
+  const first = marksOfProcess({ waiting: ["pick"], elements: { pick: count({ running: 1 }) } }, words);
+
+  it("is nothing when a process tells the same again", () => {
+    const again = marksOfProcess({ waiting: ["pick"], elements: { pick: count({ running: 1 }) } }, words);
+    expect(difference(first, again)).toEqual({ lose: [], gain: [], badges: [] });
+  });
+
+  it("touches only what has changed", () => {
+    const next = marksOfProcess(
+      { waiting: ["place"], elements: { pick: count({ completed: 1, lastMs: 5 }), place: count({ running: 1 }) } },
+      words,
+    );
+    const change = difference(first, next);
+    expect(change.lose).toEqual([{ element: "pick", look: "token" }]);
+    expect(change.gain).toEqual([{ element: "pick", look: "done" }, { element: "place", look: "token" }]);
+    expect(change.badges.map((one) => one.element)).toEqual(["pick", "place"]);
+  });
+
+  it("takes all away in the end", () => {
+    expect(difference(first, NO_MARKS)).toMatchObject({ lose: [{ element: "pick", look: "token" }], badges: [{ element: "pick", badges: [] }] });
+  });
+
+  it("picks an element without touching its badges", () => {
+    expect(difference(first, withPicked(first, "pick"))).toEqual({ lose: [], gain: [{ element: "pick", look: "picked" }], badges: [] });
+  });
+});
+
+describe("a file without a drawing", () => {
+  const shipped = readFileSync("../../services/task_orchestrator/processes/bin_picking.bpmn", "utf-8");
+  const bare = shipped.replace(/<bpmndi:BPMNDiagram[\s\S]*<\/bpmndi:BPMNDiagram>/, "");
+
+  it("is told from one that has its own, which stays as it is", async () => {
+    expect(hasDrawing(shipped)).toBe(true);
+    expect(hasDrawing(bare)).toBe(false);
+    expect(await drawn(shipped)).toEqual({ xml: shipped, laidOut: false });
+  });
+
+  it("gets one with every activity in it", async () => {
+    const { xml, laidOut } = await drawn(bare);
+    expect(laidOut).toBe(true);
+    const places = new DOMParser().parseFromString(xml, "application/xml").getElementsByTagName("bpmndi:BPMNShape");
+    const shown = [...places].map((shape) => shape.getAttribute("bpmnElement"));
+    expect(shown).toEqual(expect.arrayContaining(["confirm_clear", "scan", "pick", "place", "pick_failed"]));
+  });
+});

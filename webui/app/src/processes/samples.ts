@@ -1,0 +1,59 @@
+/** Tasks and processes for tests, as the orchestrator answers them. */
+import type { ProcessView, TaskView } from "~/live/messages";
+
+const START = Date.parse("2026-03-02T08:00:00Z");
+
+export function at(seconds: number): string {
+  return new Date(START + seconds * 1000).toISOString();
+}
+
+export function atMs(seconds: number): number {
+  return START + seconds * 1000;
+}
+
+export function task(over: Partial<TaskView> = {}): TaskView {
+  return {
+    id: "urn:ngsi-ld:Task:demo:bin-picking-1-pick-1",
+    element: "pick",
+    name: "Pick the part",
+    visit: 1,
+    description: null,
+    status: "pending",
+    involves: ["urn:ngsi-ld:Device:demo:ur10-1"],
+    workParameters: {},
+    outputParameters: null,
+    createdAt: at(0),
+    deadline: null,
+    endedAt: null,
+    cancelled: false,
+    reason: null,
+    history: [{ status: "pending", at: at(0) }],
+    ...over,
+  };
+}
+
+export function process(over: Partial<ProcessView> = {}): ProcessView {
+  return {
+    id: "bin-picking-1",
+    entity: "urn:ngsi-ld:Process:demo:bin-picking-1",
+    definition: "bin-picking",
+    version: 1,
+    title: "Bin picking",
+    key: null,
+    status: "inProgress",
+    reason: null,
+    startedAt: at(0),
+    endedAt: null,
+    parameters: {},
+    variables: {},
+    waiting: [],
+    next: [],
+    done: 0,
+    activities: 11,
+    elements: {},
+    tasks: [],
+    retry: null,
+    acts: [],
+    ...over,
+  };
+}

@@ -1,0 +1,66 @@
+/** Which Tasks one looks at, and a file of just those. */
+import { Download } from "lucide-react";
+import { ToggleButton, ToggleButtonGroup } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import { Button } from "~/design/Button";
+import { Field } from "~/design/Field";
+import type { ProcessView } from "~/live/messages";
+import { download } from "../download";
+import { Pick } from "../Pick";
+import { useChosen } from "./chosen";
+import { performersOf, statuses } from "./filter";
+import { csvOf, fileName, jsonOf } from "./sheet";
+import "./TasksBar.css";
+
+export function TasksBar({ process }: { process: ProcessView }) {
+  const { t } = useTranslation(["processes", "common"]);
+  const { filter, tasks, setText, setStatuses, setPerformer } = useChosen(process);
+  const there = statuses.filter(
+    (status) => filter.statuses.includes(status) || process.tasks.some((task) => task.status === status),
+  );
+  return (
+    <div className="tasks-bar">
+      <Field label={t("filter.text")} placeholder={t("filter.text")} type="search" value={filter.text} onChange={setText} />
+      <Pick
+        label={t("filter.who")}
+        value={filter.performer}
+        options={[{ value: "", name: t("filter.everybody") }, ...withWanted(performersOf(process.tasks), filter.performer)]}
+        onChange={setPerformer}
+      />
+      <ToggleButtonGroup
+        className="choice"
+        aria-label={t("filter.status")}
+        selectionMode="multiple"
+        selectedKeys={filter.statuses}
+        onSelectionChange={(keys) => setStatuses(statuses.filter((status) => keys.has(status)))}
+      >
+        {there.map((status) => (
+          <ToggleButton key={status} id={status} className="choice__option">
+            {t(`common:status.${status}`)}
+          </ToggleButton>
+        ))}
+      </ToggleButtonGroup>
+      <div className="tasks-bar__exports">
+        <Button
+          icon={<Download aria-hidden size={16} />}
+          label={t("export.csv", { count: tasks.length })}
+          onPress={() => download(fileName(process, "csv"), "text/csv;charset=utf-8", csvOf(process, tasks, Date.now()))}
+        >
+          {"CSV"}
+        </Button>
+        <Button
+          icon={<Download aria-hidden size={16} />}
+          label={t("export.json", { count: tasks.length })}
+          onPress={() => download(fileName(process, "json"), "application/json", jsonOf(process, tasks))}
+        >
+          {"JSON"}
+        </Button>
+      </div>
+    </div>
+  );
+}
+
+function withWanted(names: readonly string[], wanted: string): { value: string; name: string }[] {
+  const all = wanted === "" || names.includes(wanted) ? names : [...names, wanted];
+  return all.map((name) => ({ value: name, name }));
+}

@@ -1,0 +1,26 @@
+/** What the URL says about which Tasks are looked at, and the Tasks that fit it. */
+import type { ProcessView, Status, TaskView } from "~/live/messages";
+import { useQuery } from "~/route/query";
+import { filtered, statusesOf, type Filter } from "./filter";
+
+export interface Chosen {
+  filter: Filter;
+  tasks: TaskView[];
+  setText: (text: string) => void;
+  setStatuses: (statuses: readonly Status[]) => void;
+  setPerformer: (performer: string) => void;
+}
+
+export function useChosen(process: Pick<ProcessView, "tasks">): Chosen {
+  const [text, setText] = useQuery("filter");
+  const [wanted, setWanted] = useQuery("status");
+  const [performer, setPerformer] = useQuery("who");
+  const filter = { text, statuses: statusesOf(wanted), performer };
+  return {
+    filter,
+    tasks: filtered(process.tasks, filter),
+    setText,
+    setStatuses: (statuses) => setWanted(statuses.join(",")),
+    setPerformer,
+  };
+}
