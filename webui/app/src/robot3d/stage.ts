@@ -14,8 +14,8 @@ import { type CellScene, furnitureOf, PART_SIZE, type Piece, type PieceKind } fr
 import { JointTrack } from "./joint_track";
 import { FARTHEST_M, NEAREST_M, stepOf, stepped } from "./orbit";
 
-const CAMERA: [number, number, number] = [-1.85, -1.35, 1.15];
-const LOOKS_AT: [number, number, number] = [-0.3, 0, 0.35];
+const CAMERA: [number, number, number] = [-2.05, -1.5, 1.25];
+const LOOKS_AT: [number, number, number] = [-0.3, -0.05, 0.27];
 /** Wider than high, the arm fits at any height; on a narrow screen the camera steps back. */
 const FITS_AT_ASPECT = 1.3;
 const MOST_PIXELS = 2;

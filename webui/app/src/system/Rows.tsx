@@ -25,7 +25,7 @@ export function Row({ children }: { children: ReactNode }) {
 export function Cell({ head, children }: { head: string; children?: ReactNode }) {
   return (
     <td role="cell" data-label={head}>
-      {children != null && <div>{children}</div>}
+      {children != null && children !== false && <div>{children}</div>}
     </td>
   );
 }

@@ -1,6 +1,6 @@
 /** The System page: whether every part of the cell is well, and what has happened to it. */
 import { useTranslation } from "react-i18next";
-import type { ReactNode } from "react";
+import { useEffect, useRef, type ReactNode } from "react";
 import { Tab, TabList, TabPanel, Tabs } from "react-aria-components";
 import { Activity, Bot, Cpu, Hand, ScrollText, TriangleAlert } from "lucide-react";
 import { useFamily, useTopic } from "~/live/hooks";
@@ -31,11 +31,15 @@ export default function SystemPage() {
   const [asked, setTab] = useQuery("tab", "services");
   const tab = tabs.find((one) => one.id === asked)?.id ?? "services";
   useKeys(tabs.map(({ id, key }) => ({ key, does: t("keys.show", { tab: t(`tab.${id}`) }), act: () => setTab(id) })));
+  const list = useRef<HTMLDivElement>(null);
+  useEffect(() => {
+    list.current?.querySelector(`[data-key="${tab}"]`)?.scrollIntoView({ block: "nearest", inline: "nearest" });
+  }, [tab]);
   return (
     <div className="system">
       <h1 className="visually-hidden">{t("title")}</h1>
       <Tabs selectedKey={tab} onSelectionChange={(key) => setTab(String(key))} className="system__tabs">
-        <TabList aria-label={t("title")} className="system__tab-list">
+        <TabList ref={list} aria-label={t("title")} className="system__tab-list">
           {tabs.map(({ id, icon: Icon }) => (
             <Tab key={id} id={id} className="system__tab">
               <Icon aria-hidden size={18} />

@@ -33,7 +33,7 @@ export function AlertCard({ alert }: { alert: AlertView }) {
         <State tone={alert.validTo === null ? severityTone[alert.severity] : "neutral"} icon={<Icon aria-hidden size="1.15em" />}>
           {t(`common:severity.${alert.severity}`)}
         </State>
-        <h3>{title}</h3>
+        <h2>{title}</h2>
         <span className="quiet">
           {shortName(alert.source)} · <Ago at={alert.dateIssued} />
         </span>

@@ -35,7 +35,7 @@ function Device({ device, heads }: { device: DeviceView; heads: readonly string[
     <Row>
       <Cell head={name}>
         <span className="rows__name">{shortName(device.id)}</span>
-        <p className="rows__why">{device.id}</p>
+        <p className="rows__why rows__urn">{device.id}</p>
       </Cell>
       <Cell head={category}>
         {device.category.map((one) => t(`device.kind.${one}`, { defaultValue: one })).join(", ")}

@@ -13,9 +13,9 @@ export const EventRow = memo(function EventRow({ event, said }: { event: LiveEve
   const isToday = at.toDateString() === new Date().toDateString();
   return (
     <li className={`event event--${event.level}`}>
-      <time dateTime={event.at} title={at.toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "medium" })}>
+      <time dateTime={event.at} title={at.toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "medium", hourCycle: "h23" })}>
         {!isToday && <span className="event__day">{at.toLocaleDateString(i18n.language, { day: "numeric", month: "short" })}</span>}{" "}
-        {at.toLocaleTimeString(i18n.language, { timeStyle: "medium" })}
+        {at.toLocaleTimeString(i18n.language, { timeStyle: "medium", hourCycle: "h23" })}
       </time>
       <span className="event__level">
         <Icon aria-hidden size={16} />

@@ -89,7 +89,7 @@ function Legend({ glove, finger, number }: { glove: string; finger: Finger; numb
 }
 
 function columnsOf(history: BendHistory): uPlot.AlignedData {
-  return history.columns() as uPlot.AlignedData;
+  return history.columns();
 }
 
 function options(host: HTMLElement, seconds: number, language: string): uPlot.Options {

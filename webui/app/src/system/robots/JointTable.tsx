@@ -1,14 +1,13 @@
 /** The joints in degrees, and where the tip of the tool is: the robot in numbers, with or without a picture. */
 import { useTranslation } from "react-i18next";
 import { useTopic } from "~/live/hooks";
-import { degrees } from "./angles";
+import { degrees, metres } from "./angles";
 
 export function JointTable({ robot }: { robot: string }) {
   const { t, i18n } = useTranslation("system");
   const view = useTopic(`robot/${robot}`);
   if (view === undefined) return null;
   const { name, position, velocity } = view.joints;
-  const metres = (value: number) => value.toLocaleString(i18n.language, { minimumFractionDigits: 3, maximumFractionDigits: 3 });
   return (
     <section className="joints">
       <table>
@@ -31,10 +30,10 @@ export function JointTable({ robot }: { robot: string }) {
         </tbody>
       </table>
       <p className="joints__tool">
-        <span className="quiet">{t("joint.tool")}</span>{" "}
+        <span className="joints__tip quiet">{t("joint.tool")}</span>
         {(["x", "y", "z"] as const).map((axis, number) => (
           <span key={axis} className="joints__axis">
-            {axis} {metres(view.toolPose.position[number] ?? NaN)} m
+            {axis} {metres(view.toolPose.position[number] ?? NaN, i18n.language)} m
           </span>
         ))}
       </p>
