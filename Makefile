@@ -14,7 +14,7 @@ PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
 # What needs the Node that built the page: lint and tests of its TypeScript.
 PAGE := $(BIN)/python -m webui.build
 
-.PHONY: help setup demo up test check lint lock bench bench-broker bench-gestures bench-handover clean
+.PHONY: help setup demo up test check lint lock bench bench-broker bench-gestures bench-handover bench-screen clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -71,6 +71,9 @@ bench-gestures: setup  ## the gesture controller: frames a second, cost of 50 gl
 
 bench-handover: setup  ## from the held gesture to the robot; cold start; memory
 	@$(BIN)/python -m benchmarks.handover
+
+bench-screen: setup  ## the screen in Chromium: how fast it answers, whether its memory grows
+	@$(BIN)/python -m benchmarks.screen $(ARGS)
 
 clean:  ## remove what setup made (not your data in .handover)
 	rm -rf $(VENV) webui/page webui/app/node_modules .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
