@@ -90,3 +90,11 @@ def browser(cell: Any) -> Iterator[httpx.Client]:
     url = cell.url("webui")
     with httpx.Client(base_url=url, headers={"Origin": url}, timeout=20, trust_env=False) as client:
         yield client
+
+
+@pytest.fixture
+def whole_cell(cell: Any) -> Any:
+    """A cell in which everything runs; started one after the other, since five at once are slow to come."""
+    for service in ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "webui"):
+        cell.start(service)
+    return cell

@@ -71,9 +71,8 @@ def task_moves(viewer: Any, task: str = TASK) -> list[str]:
 
 
 def test_a_page_begins_with_everything_and_is_told_of_every_move(
-    cell: Any, look: Callable[[], Any], broker: Broker
+    whole_cell: Any, look: Callable[[], Any], broker: Broker
 ) -> None:
-    cell.start("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "webui")
     viewer = look()
     assert viewer.kinds == ["snapshot"]
     assert viewer.topics["cell"]["factory"] == "demo"

@@ -18,9 +18,8 @@ def operators(cell: Any) -> list[psutil.Process]:
 
 
 def test_it_works_the_process_through_while_the_page_looks(
-    cell: Any, look: Callable[[], Any], browser: httpx.Client
+    whole_cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
-    cell.start("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "webui")
     viewer = look()
     started = browser.post("/api/operator", json={"glove": "glove-1"})
     assert started.status_code == 201
@@ -53,7 +52,7 @@ def test_it_works_the_process_through_while_the_page_looks(
 
     stopped = browser.delete("/api/operator")
     assert stopped.json()["running"] is False
-    assert operators(cell) == []
+    assert operators(whole_cell) == []
     assert browser.delete("/api/operator").status_code == 200
     viewer.read_until(lambda: not viewer.topics["glove/glove-1"]["connected"])
     viewer.read_until(lambda: viewer.happened("operator.") == ["operator.started", "operator.stopped"])
