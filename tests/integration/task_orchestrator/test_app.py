@@ -12,7 +12,7 @@ from datamodels.times import iso
 from services.task_orchestrator.app import make_app
 from services.task_orchestrator.orchestrator import utc_now
 from services.task_orchestrator.settings import OrchestratorSettings
-from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing, parameters
+from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, parameters, path, start
 
 NOBODY = "http://127.0.0.1:9"
 """The discard port: no broker answers there."""
@@ -87,7 +87,22 @@ async def test_a_wrong_file_is_answered_with_every_fault(api: httpx.AsyncClient)
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
     assert {error["element"] for error in answer.json()["faults"]} == {"p", "c"}
+    for fault in answer.json()["faults"]:
+        assert set(fault) == {"element", "line", "message"}
     assert (await api.post("/definitions", content=b"x" * 1_048_577)).status_code == 422
+
+
+async def test_a_file_can_be_tried_out_without_deploying_it(api: httpx.AsyncClient) -> None:
+    dry = {"dry": "true"}
+    tried = await api.post("/definitions", content=drawing(ONE_STEP), params=dry)
+    assert tried.status_code == 200
+    assert tried.json() == {"name": "p", "version": 1, "title": "p", "created": True}
+    assert (await api.get("/definitions/p")).status_code == 404
+    await deployed(api)
+    again = await api.post("/definitions", content=drawing(ONE_STEP), params=dry)
+    assert (again.json()["version"], again.json()["created"]) == (1, False)
+    wrong = await api.post("/definitions", content=drawing(""), params=dry)
+    assert (wrong.status_code, wrong.json()["faults"][0]["element"]) == (422, "p")
 
 
 async def test_a_process_is_shown_with_its_tasks_and_their_times(api: httpx.AsyncClient) -> None:
@@ -110,6 +125,106 @@ async def test_a_process_is_shown_with_its_tasks_and_their_times(api: httpx.Asyn
         process["id"]
     ]
     assert (await api.get("/processes", params={"status": "failed"})).json() == []
+
+
+async def test_a_process_says_how_far_it_is_and_what_comes_next(api: httpx.AsyncClient) -> None:
+    inner = '<handover:involves expression="helper"/><handover:parameter name="description" value="Do it"/>'
+    body = start() + activity("work", inner) + activity("rest", inner) + end()
+    body += path("start", "work", "rest", "end")
+    await deployed(api, parameters(helper="Person:ann") + body)
+    process = (await api.post("/processes", json={"definition": "p"})).json()
+    people = ["urn:ngsi-ld:Device:demo:glove-1", "urn:ngsi-ld:Person:demo:ann"]
+    rest = {"element": "rest", "name": "rest", "description": None, "lane": None, "involves": people}
+    assert process["next"] == [rest]
+    assert (process["title"], process["done"], process["activities"], process["acts"]) == ("p", 0, 2, [])
+    running = {"running": 1, "completed": 0, "failed": 0, "lastMs": None, "medianMs": None}
+    assert process["elements"] == {"work": running}
+    (task,) = process["tasks"]
+    assert (task["name"], task["description"], task["involves"]) == ("work", "Do it", people)
+    assert task["workParameters"] == {"description": "Do it"}
+    await notify(api, task["id"], "completed")
+    seen = (await api.get(f"/processes/{process['id']}")).json()
+    assert (seen["done"], seen["next"], seen["elements"]["work"]["completed"]) == (1, [], 1)
+    assert seen["elements"]["work"]["lastMs"] == seen["elements"]["work"]["medianMs"] >= 0
+    counts = (await api.get("/definitions/p/statistics")).json()
+    assert counts == {
+        "name": "p",
+        "version": 1,
+        "processes": {"running": 1, "completed": 0, "failed": 0},
+        "elements": seen["elements"],
+    }
+    assert (await api.get("/definitions/p/statistics", params={"version": 2})).status_code == 404
+
+
+async def test_processes_are_listed_page_by_page(api: httpx.AsyncClient) -> None:
+    await deployed(api)
+    ids = [(await api.post("/processes", json={"definition": "p"})).json()["id"] for _ in range(5)]
+    first = (await api.get("/processes", params={"limit": 3})).json()
+    assert [each["title"] for each in first] == ["p"] * 3
+    second = (await api.get("/processes", params={"limit": 3, "before": first[-1]["entity"]})).json()
+    assert [each["id"] for each in first + second] == ids[::-1]
+    assert (await api.get("/processes", params={"definition": "bin-picking"})).json() == []
+    assert (await api.get("/processes", params={"before": "nobody"})).status_code == 404
+
+
+async def failed(api: httpx.AsyncClient) -> dict[str, Any]:
+    process = (await api.post("/processes", json={"definition": "p"})).json()
+    await notify(api, process["tasks"][0]["id"], "failed", reason="the part slipped")
+    seen: dict[str, Any] = (await api.get(f"/processes/{process['id']}")).json()
+    return seen
+
+
+async def test_a_failed_task_is_retried_and_it_is_kept_who_wanted_it(api: httpx.AsyncClient) -> None:
+    await deployed(api)
+    process = await failed(api)
+    task = process["tasks"][0]
+    assert (process["status"], process["retry"], task["reason"]) == (
+        "failed",
+        task["id"],
+        "the part slipped",
+    )
+    answer = await api.post(f"/processes/{process['id']}/tasks/{task['id']}/retry", json={"by": " Anna "})
+    seen = answer.json()
+    assert (answer.status_code, seen["status"], seen["reason"], seen["retry"]) == (
+        200,
+        "inProgress",
+        None,
+        None,
+    )
+    assert [(each["visit"], each["status"]) for each in seen["tasks"]] == [(1, "failed"), (2, "pending")]
+    (act,) = seen["acts"]
+    assert (act["by"], act["act"], act["task"]) == ("Anna", "retry", task["id"])
+    assert seen["elements"]["work"]["failed"] == 1
+    await notify(api, seen["tasks"][1]["id"], "completed")
+    assert (await api.get(f"/processes/{process['id']}")).json()["status"] == "completed"
+
+
+async def test_a_process_that_failed_before_a_restart_can_be_retried_after_it(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    async with service(settings) as api:
+        await deployed(api)
+        process = await failed(api)
+    async with service(settings) as api:
+        short = process["retry"].removeprefix("urn:ngsi-ld:Task:demo:")
+        answer = await api.post(f"/processes/{process['id']}/tasks/{short}/retry", json={"by": "Anna"})
+        assert answer.json()["waiting"] == ["work"]
+
+
+async def test_a_retry_that_cannot_be_says_why(api: httpx.AsyncClient) -> None:
+    await deployed(api)
+    process = (await api.post("/processes", json={"definition": "p"})).json()
+    url = f"/processes/{process['id']}/tasks/{process['tasks'][0]['id']}/retry"
+    anna = {"by": "Anna"}
+    running = await api.post(url, json=anna)
+    assert (running.status_code, "is inProgress" in running.json()["detail"]) == (409, True)
+    await api.post(f"/processes/{process['id']}/cancel", json=anna)
+    cancelled = await api.post(url, json=anna)
+    assert (cancelled.status_code, "cancelled by Anna" in cancelled.json()["detail"]) == (409, True)
+    unknown = await api.post(f"/processes/{process['id']}/tasks/nothing/retry", json=anna)
+    nowhere = await api.post("/processes/nothing/tasks/nothing/retry", json=anna)
+    assert (unknown.status_code, nowhere.status_code) == (404, 404)
+    for nobody in ({}, {"by": ""}, {"by": "  "}, {"by": "a\u0000"}, {"by": "a" * 201}, {"by": 7}, []):
+        assert (await api.post(url, json=nobody)).status_code == 422
 
 
 async def test_the_same_key_never_starts_a_second_process(api: httpx.AsyncClient) -> None:
@@ -147,8 +262,12 @@ async def test_a_process_that_cannot_start_says_why(
 async def test_a_cancelled_process_is_failed_and_cannot_be_cancelled_again(api: httpx.AsyncClient) -> None:
     await deployed(api)
     process = (await api.post("/processes", json={"definition": "p"})).json()["id"]
-    cancelled = await api.post(f"/processes/{process}/cancel")
-    assert (cancelled.json()["status"], cancelled.json()["reason"]) == ("failed", "cancelled")
+    cancelled = (await api.post(f"/processes/{process}/cancel")).json()
+    assert (cancelled["status"], cancelled["reason"]) == ("failed", "cancelled")
+    assert [(act["by"], act["act"]) for act in cancelled["acts"]] == [(None, "cancel")]
+    other = (await api.post("/processes", json={"definition": "p"})).json()["id"]
+    named = (await api.post(f"/processes/{other}/cancel", json={"by": "Anna"})).json()
+    assert (named["reason"], named["acts"][0]["by"], named["retry"]) == ("cancelled by Anna", "Anna", None)
     assert (await api.post(f"/processes/{process}/cancel")).status_code == 409
     assert (await api.post("/processes/nothing/cancel")).status_code == 404
     assert (await api.get("/processes/nothing")).status_code == 404

@@ -1,6 +1,7 @@
 """The orchestrator over its database: what could not be written did not happen, in memory either."""
 
 import asyncio
+import sqlite3
 from collections.abc import AsyncIterator
 from datetime import timedelta
 from pathlib import Path
@@ -17,6 +18,7 @@ from services.task_orchestrator.orchestrator import Orchestrator, utc_now
 from services.task_orchestrator.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path, start, timer
 
+FIRST_RELEASE = Path(__file__).parents[2] / "unit/task_orchestrator/schema_v1.sql"
 NOBODY = "http://127.0.0.1:9"
 
 
@@ -95,6 +97,84 @@ async def test_a_process_whose_start_could_not_be_written_does_not_exist(
     await orchestrator.begin("p", {})
     assert len(orchestrator.floor.processes) == 1
     assert len(await orchestrator.on_disk(orchestrator.store.page)) == 1
+
+
+def failed(task: str) -> dict[str, Any]:
+    return completed(task, reason="no") | {
+        "status": {"type": "Property", "value": "failed", "observedAt": iso(utc_now())}
+    }
+
+
+async def test_of_many_who_retry_at_once_one_does(orchestrator: Orchestrator) -> None:
+    process, _ = await orchestrator.begin("p", {})
+    await orchestrator.hear([failed(task_of(process))])
+    assert orchestrator.floor.processes == {}
+    people = [f"person {n}" for n in range(5)]
+    answers = await asyncio.gather(
+        *(orchestrator.retry(process, task_of(process), by) for by in people), return_exceptions=True
+    )
+    refused = [answer for answer in answers if isinstance(answer, Problem)]
+    assert {problem.status for problem in refused} == {409}
+    assert len(refused) == 4
+    assert len(orchestrator.floor.processes[process].tasks) == 1
+    assert len(orchestrator.floor.processes[process].record.acts) == 1
+
+
+async def test_a_retry_that_could_not_be_written_did_not_happen(
+    orchestrator: Orchestrator, settings: OrchestratorSettings
+) -> None:
+    process, _ = await orchestrator.begin("p", {})
+    await orchestrator.hear([failed(task_of(process))])
+    run_sql(settings, "ALTER TABLE orchestrator_outbox RENAME TO mislaid")
+    with pytest.raises(Problem, match="nothing was changed"):
+        await orchestrator.retry(process, task_of(process), "Anna")
+    run_sql(settings, "ALTER TABLE mislaid RENAME TO orchestrator_outbox")
+    assert orchestrator.floor.processes == {}
+    await orchestrator.retry(process, task_of(process), "Anna")
+    assert [act.by for act in orchestrator.floor.processes[process].record.acts] == ["Anna"]
+
+
+async def test_a_retry_that_is_refused_leaves_nothing_on_the_floor(orchestrator: Orchestrator) -> None:
+    process, _ = await orchestrator.begin("p", {})
+    await orchestrator.hear([completed(task_of(process))])
+    with pytest.raises(Problem, match="completed"):
+        await orchestrator.retry(process, task_of(process), "Anna")
+    assert orchestrator.floor.processes == {}
+
+
+async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
+    settings: OrchestratorSettings,
+) -> None:
+    async with BrokerClient(settings) as broker:
+        async with Orchestrator(settings, broker) as before:
+            await before.deploy(drawing(ONE_STEP))
+            ended, _ = await before.begin("p", {})
+            await before.hear([completed(task_of(ended))])
+            running, _ = await before.begin("p", {})
+
+        async def kept(days: float) -> set[str]:
+            at_work = settings.model_copy(update={"keep_days": days})
+            later = utc_now() + timedelta(days=100)
+            async with Orchestrator(at_work, broker, clock=lambda: later) as orchestrator:
+                await orchestrator.on_disk(orchestrator.store.probe)
+                await asyncio.sleep(0)
+                return {record.id for record in await orchestrator.on_disk(orchestrator.store.page)}
+
+        assert await kept(0) == {ended, running}
+        assert await kept(101) == {ended, running}
+        assert await kept(99) == {running}
+
+
+async def test_a_database_of_the_first_release_goes_on(settings: OrchestratorSettings) -> None:
+    connection = sqlite3.connect(settings.data_dir / "orchestrator.db")
+    connection.executescript(FIRST_RELEASE.read_text())
+    connection.close()
+    async with BrokerClient(settings) as broker, Orchestrator(settings, broker) as orchestrator:
+        assert await orchestrator.hear([completed("urn:ngsi-ld:Task:demo:p-running-second-1")]) == 1
+        (record,) = await orchestrator.on_disk(lambda: orchestrator.store.processes(["p-running"]))
+        assert record.status.value == "completed"
+        with pytest.raises(Problem, match="start a new process"):
+            await orchestrator.retry("p-failed", "urn:ngsi-ld:Task:demo:p-failed-second-1", "Anna")
 
 
 async def test_a_hundred_at_once_are_all_moved_and_written(orchestrator: Orchestrator) -> None:

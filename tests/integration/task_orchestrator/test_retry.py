@@ -1,0 +1,129 @@
+"""Retry with broker, orchestrator and performer as they run, and killed between a retry and its effect."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pytest
+from sqlalchemy import text
+
+from handover.database import connect
+from tests.integration.task_orchestrator.cell import Cell, FreePort, cell, eventually
+from tests.postgres import postgres_server
+from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, gateway, path, start
+
+pytestmark = pytest.mark.slow
+
+BRANCHES = (
+    start()
+    + gateway("fork", "parallel")
+    + activity("a")
+    + activity("b").replace("Device:glove-1", "Device:ur10-1")
+    + gateway("join", "parallel")
+    + activity("last")
+    + end()
+    + path("start", "fork", "a", "join", "last", "end")
+    + path("fork", "b", "join")
+)
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str | None]:
+    if request.param == "sqlite":
+        yield None
+        return
+    with postgres_server(tmp_path / "postgres") as url:
+        engine = connect(url)
+        with engine.begin() as connection:
+            connection.execute(text("DROP SCHEMA public CASCADE"))
+            connection.execute(text("CREATE SCHEMA public"))
+        engine.dispose()
+        yield url
+
+
+def play(running: Cell, **script: Any) -> None:
+    running.script_file.write_bytes(
+        orjson.dumps({name.replace("_", "-"): said for name, said in script.items()})
+    )
+
+
+def deploy(running: Cell, body: str) -> None:
+    assert running.api.post("/definitions", content=drawing(body)).status_code == 201
+
+
+def steps(running: Cell, process: str) -> list[str]:
+    prefix = f"urn:ngsi-ld:Task:demo:{process}-"
+    return sorted(task.removeprefix(prefix) for task in running.done())
+
+
+def retry(running: Cell, seen: dict[str, Any]) -> dict[str, Any]:
+    url = f"/processes/{seen['id']}/tasks/{seen['retry']}/retry"
+    answer = running.api.post(url, json={"by": "Anna"})
+    assert answer.status_code == 200, answer.text
+    goes_on: dict[str, Any] = answer.json()
+    return goes_on
+
+
+def test_a_retried_process_goes_on_in_the_broker_too_and_its_alert_is_over(
+    tmp_path: Path, free_port: FreePort
+) -> None:
+    with cell(tmp_path, free_port) as running:
+        play(running, work_1={"fails": "the part slipped"}, work_2={"grip": 3})
+        deploy(running, ONE_STEP)
+        seen = running.ended(running.begin("p"))
+        assert seen["tasks"][0]["reason"] == "the part slipped"
+        eventually(lambda: running.of_type("Alert"), "the Alert")
+        retry(running, seen)
+        seen = running.ended(seen["id"])
+        assert (seen["status"], seen["variables"]["work"]["grip"]) == ("completed", 3)
+        assert [(each["visit"], each["status"]) for each in seen["tasks"]] == [
+            (1, "failed"),
+            (2, "completed"),
+        ]
+        eventually(lambda: "validTo" in running.of_type("Alert")[0], "the Alert being over")
+
+        def told() -> dict[str, Any] | None:
+            entity = running.entity(seen["entity"])
+            return entity if entity and entity["status"]["value"] == "completed" else None
+
+        entity = eventually(told, "the Process entity being completed")
+        assert "reason" not in entity["outputParameters"]["value"]
+        assert len(entity["isComposedOf"]["value"]) == 2
+
+
+def test_killed_between_a_retry_and_its_effect_nothing_is_lost_and_nothing_done_twice(
+    tmp_path: Path, free_port: FreePort, database_url: str | None
+) -> None:
+    with cell(tmp_path, free_port, database_url) as running:
+        play(running, a_1={"fails": "no"}, b_1={"after_s": 30})
+        deploy(running, BRANCHES)
+        seen = running.ended(running.begin("p"))
+        eventually(
+            lambda: all(task["endedAt"] for task in running.look(seen["id"])["tasks"]), "b being called back"
+        )
+        assert [task["status"] for task in running.look(seen["id"])["tasks"]] == ["failed", "failed"]
+        running.broker.kill()
+        goes_on = retry(running, seen)
+        running.orchestrator.kill()
+        running.orchestrator.start()
+        assert running.look(seen["id"]) == goes_on
+        assert steps(running, seen["id"]) == ["a-1"]
+        running.broker.start()
+        seen = running.ended(seen["id"])
+        assert (seen["status"], seen["reason"]) == ("completed", None)
+        assert steps(running, seen["id"]) == ["a-1", "a-2", "b-2", "last-1"]
+        assert len(running.of_type("Task")) == 5
+
+
+def test_a_branch_that_is_still_being_called_back_is_waited_for(tmp_path: Path, free_port: FreePort) -> None:
+    with cell(tmp_path, free_port) as running:
+        play(running, a_1={"fails": "no", "after_s": 1}, b_1={"after_s": 60})
+        deploy(running, BRANCHES)
+        process = running.begin("p")
+        eventually(lambda: running.look(process)["tasks"][1]["status"] == "inProgress", "b being done")
+        seen = running.ended(process)
+        retry(running, seen)
+        seen = running.ended(process)
+        assert seen["status"] == "completed"
+        assert steps(running, process) == ["a-1", "a-2", "b-2", "last-1"]
