@@ -176,8 +176,12 @@ def serve(
             server_header=False,
         )
     )
-    with suppress(KeyboardInterrupt):  # Ctrl-C has stopped it in good order by now
-        server.run()
+    try:
+        with suppress(KeyboardInterrupt):  # Ctrl-C has stopped it in good order by now
+            server.run()
+    except SystemExit:  # so it ends when the start has failed, and would take the reason along
+        if application.why is None:
+            raise
     if application.why is not None:
         raise SystemExit(_in_one_line(service, application.why))
     if not server.started:
