@@ -1,13 +1,21 @@
 /** Rows: a table on a wide screen, cards on a phone; the roles are said, because CSS would take them away. */
 import type { ReactNode } from "react";
 
-export function Rows({ label, heads, children }: { label: string; heads: readonly string[]; children: ReactNode }) {
+export interface RowsProps {
+  label: string;
+  heads: readonly string[];
+  /** Of the columns, so that none moves because of what comes to stand in it. */
+  widths: readonly string[];
+  children: ReactNode;
+}
+
+export function Rows({ label, heads, widths, children }: RowsProps) {
   return (
     <table className="rows" role="table" aria-label={label}>
       <thead role="rowgroup">
         <tr role="row">
-          {heads.map((head) => (
-            <th key={head} role="columnheader" scope="col">
+          {heads.map((head, column) => (
+            <th key={head} role="columnheader" scope="col" style={{ width: widths[column] }}>
               {head}
             </th>
           ))}

@@ -31,20 +31,20 @@ export default function SystemPage() {
   const [asked, setTab] = useQuery("tab", "services");
   const tab = tabs.find((one) => one.id === asked)?.id ?? "services";
   useKeys(tabs.map(({ id, key }) => ({ key, does: t("keys.show", { tab: t(`tab.${id}`) }), act: () => setTab(id) })));
-  const list = useRef<HTMLDivElement>(null);
-  useEffect(() => {
-    list.current?.querySelector(`[data-key="${tab}"]`)?.scrollIntoView({ block: "nearest", inline: "nearest" });
-  }, [tab]);
   return (
     <div className="system">
       <h1 className="visually-hidden">{t("title")}</h1>
       <Tabs selectedKey={tab} onSelectionChange={(key) => setTab(String(key))} className="system__tabs">
-        <TabList ref={list} aria-label={t("title")} className="system__tab-list">
+        <TabList aria-label={t("title")} className="system__tab-list">
           {tabs.map(({ id, icon: Icon }) => (
             <Tab key={id} id={id} className="system__tab">
-              <Icon aria-hidden size={18} />
-              <span>{t(`tab.${id}`)}</span>
-              <Count tab={id} />
+              {({ isSelected }) => (
+                <InSight isWanted={isSelected}>
+                  <Icon aria-hidden size={18} />
+                  <span>{t(`tab.${id}`)}</span>
+                  <Count tab={id} />
+                </InSight>
+              )}
             </Tab>
           ))}
         </TabList>
@@ -55,6 +55,19 @@ export default function SystemPage() {
         ))}
       </Tabs>
     </div>
+  );
+}
+
+/** On a phone the row of tabs is longer than the screen: the open one is always in sight. */
+function InSight({ isWanted, children }: { isWanted: boolean; children: ReactNode }) {
+  const face = useRef<HTMLSpanElement>(null);
+  useEffect(() => {
+    if (isWanted) face.current?.scrollIntoView({ block: "nearest", inline: "center" });
+  }, [isWanted]);
+  return (
+    <span ref={face} className="system__tab-face">
+      {children}
+    </span>
   );
 }
 

@@ -25,6 +25,8 @@ const icons: Record<Severity, typeof TriangleAlert> = {
 export function AlertCard({ alert }: { alert: AlertView }) {
   const { t } = useTranslation(["system", "common"]);
   const Icon = icons[alert.severity];
+  // Those that are over stand below a heading of their own.
+  const Title = alert.validTo === null ? "h2" : "h3";
   const kind = kindOf(alert);
   const title = kind === "other" ? (alert.subCategory ?? alert.category) : t(`alert.kind.${kind}.name`);
   return (
@@ -33,7 +35,7 @@ export function AlertCard({ alert }: { alert: AlertView }) {
         <State tone={alert.validTo === null ? severityTone[alert.severity] : "neutral"} icon={<Icon aria-hidden size="1.15em" />}>
           {t(`common:severity.${alert.severity}`)}
         </State>
-        <h2>{title}</h2>
+        <Title>{title}</Title>
         <span className="quiet">
           {shortName(alert.source)} · <Ago at={alert.dateIssued} />
         </span>

@@ -26,7 +26,7 @@ export function AlertsPanel() {
       )}
       {past.length > 0 && (
         <Disclosure className="alerts__past">
-          <Heading className="alerts__past-head">
+          <Heading level={2} className="alerts__past-head">
             <PlainButton slot="trigger" className="alerts__fold">
               <ChevronRight aria-hidden size={18} />
               {t("alert.past", { count: past.length })}

@@ -20,7 +20,7 @@ export function DevicesPanel() {
   }
   const heads = ["device", "category", "state", "battery", "value", "seen"].map((head) => t(`device.${head}`));
   return (
-    <Rows label={t("tab.devices")} heads={heads}>
+    <Rows label={t("tab.devices")} heads={heads} widths={["23%", "10%", "14%", "10%", "29%", "14%"]}>
       {devices.map((device) => (
         <Device key={device.id} device={device} heads={heads} />
       ))}

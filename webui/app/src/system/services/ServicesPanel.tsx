@@ -19,7 +19,7 @@ export function ServicesPanel() {
   }
   const heads = ["service", "state", "since", "rates", "last"].map((head) => t(`service.${head}`));
   return (
-    <Rows label={t("tab.services")} heads={heads}>
+    <Rows label={t("tab.services")} heads={heads} widths={["18%", "24%", "11%", "22%", "25%"]}>
       {services.map((service) => (
         <Service key={service.name} service={service} heads={heads} />
       ))}
@@ -48,8 +48,8 @@ function Service({ service, heads }: { service: ServiceHealth; heads: readonly s
           <ul className="services__rates">
             {counted.map(([word, perSecond]) => (
               <li key={word}>
-                <span className="services__rate">{rate(perSecond, i18n.language)}</span>{" "}
-                {t(`service.rate.${word}`, { defaultValue: word })}
+                <span className="services__rate">{rate(perSecond, i18n.language)}</span>
+                <span>{t(`service.rate.${word}`, { defaultValue: word })}</span>
               </li>
             ))}
           </ul>
