@@ -20,7 +20,7 @@ FLAGS = [
     "--disable-sync",
     "--enable-unsafe-swiftshader",  # WebGL without a graphics card
 ]
-STILL = "Promise.all(document.getAnimations().map((motion) => motion.finished.catch(() => null))).then(() => 1)"
+STILL = "Promise.allSettled(document.getAnimations().map((motion) => motion.finished)).then(() => true)"
 PANEL = {"width": 1280, "height": 800}
 
 OpenPage = Callable[..., Page]

@@ -1,7 +1,9 @@
 /** Every page speaks all languages, with the same words and the same values in them. */
 import { describe, expect, it } from "vitest";
 
-type Words = { [key: string]: string | Words };
+interface Words {
+  [key: string]: string | Words;
+}
 
 const files = import.meta.glob<{ default: Words }>("./*/*.json", { eager: true });
 
