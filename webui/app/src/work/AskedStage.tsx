@@ -50,7 +50,7 @@ export function DoneStage({ glove, task, operator }: { glove: GloveView; task: G
     <>
       <Figure glove={glove} gesture={task.gesture} code={task.code} open={false} done />
       <div className="work__words" role="status">
-        <p className="work__what quiet">{task.description}</p>
+        <h1 className="work__what quiet">{task.description}</h1>
         <p className="work__gesture work__gesture--done">
           {operator === null ? t("confirmed") : t("confirmedBy", { operator })}
         </p>

@@ -1,0 +1,151 @@
+import { act, render, screen } from "@testing-library/react";
+import i18next from "i18next";
+import { afterEach, beforeAll, beforeEach, describe, expect, it, vi } from "vitest";
+import { speak, startWords } from "~/i18n";
+import { Live } from "~/live/hooks";
+import type { GloveView } from "~/live/messages";
+import { LiveStore } from "~/live/store";
+import { completed, definition, glove, process, robot, robotTask, service, task, userTask } from "./scene.fixture";
+import WorkPage from "./WorkPage";
+
+const hold = { announceMs: 500, confirmMs: 1500, spent: false };
+
+function topics(...parts: [string, unknown][]): Record<string, unknown> {
+  return { "robot/ur10-1": robot, "definition/bin-picking": definition(), services: [], ...Object.fromEntries(parts) };
+}
+
+function tell(live: LiveStore, told: Record<string, unknown>, type: "snapshot" | "batch" = "batch"): void {
+  live.take({ type, at: "", topics: told, events: [] });
+  live.setLink("open");
+}
+
+async function open(...parts: [string, unknown][]): Promise<LiveStore> {
+  const live = new LiveStore();
+  tell(live, topics(...parts), "snapshot");
+  await act(async () => {
+    render(
+      <Live value={live}>
+        <WorkPage />
+      </Live>,
+    );
+    await Promise.resolve();
+  });
+  return live;
+}
+
+const asks = (part: Partial<GloveView> = {}): [string, unknown] => [
+  "glove/glove-1",
+  glove({ task, message: { key: "show", values: { gesture: "Thumbs up" }, text: "Show: Thumbs up." }, ...part }),
+];
+
+beforeAll(async () => {
+  await startWords();
+  await i18next.loadNamespaces(["work", "hand"]);
+  await speak("en");
+});
+
+beforeEach(() => history.replaceState(null, "", "/work"));
+afterEach(() => vi.unstubAllGlobals());
+
+describe("the operator's page", () => {
+  it("says what to do, the gesture, and what comes next", async () => {
+    const next = [{ element: "scan", name: "Scan the bin", description: null, lane: "Robot", involves: [] }];
+    await open(asks(), ["process/1", process({ tasks: [userTask], next })]);
+    expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
+    expect(screen.getByRole("img", { name: /^Thumbs up: thumb straight, index finger bent/ })).toBeTruthy();
+    expect(screen.getByText("Next (Robot): Scan the bin")).toBeTruthy();
+    expect(screen.getByText(/no emergency stop/)).toBeTruthy();
+    expect(screen.getByRole("button", { name: "Complete by hand" })).toBeTruthy();
+  });
+
+  it("names the finger that differs, in the language of the page", async () => {
+    const values = { shown: "Thumb and little straight", stretch: [], bend: ["little"] };
+    const message = { key: "wrong", values, text: "Thumb and little straight is not it: bend your little finger." };
+    await open(asks({ states: "02220", differs: ["little"], message }));
+    expect(screen.getByText("That is Thumb and little straight: bend your little finger.")).toBeTruthy();
+    await act(() => speak("de"));
+    expect(await screen.findByText("Das ist „Daumen und kleiner Finger gestreckt“: kleinen Finger beugen.")).toBeTruthy();
+    await act(() => speak("fi"));
+    expect(await screen.findByText("Tämä on ”Peukalo ja pikkusormi suorana”: koukista pikkusormi.")).toBeTruthy();
+    await act(() => speak("en"));
+  });
+
+  it("leaves in English what a newer controller says and this page does not know", async () => {
+    await open(asks({ message: { key: "newer", values: {}, text: "Something new." } }));
+    expect(screen.getByText("Something new.")).toBeTruthy();
+  });
+
+  it("answers a hold that counted with a check, even when the next Task is there at once", async () => {
+    const live = await open(asks(), ["process/1", process({ tasks: [userTask] })]);
+    const answered = { task: task.id, gesture: "Thumbs up", by: "gesture", operator: null } as const;
+    const following = { ...task, id: `${task.id}-2`, description: "And now the next thing" };
+    act(() => tell(live, Object.fromEntries([asks({ task: following, answered })])));
+    expect(screen.getByText("Confirmed")).toBeTruthy();
+    expect(await screen.findByText("And now the next thing", {}, { timeout: 3000 })).toBeTruthy();
+  });
+
+  it("shows no check for an answer that this screen has not asked for", async () => {
+    const answered = { task: "urn:ngsi-ld:Task:demo:earlier", gesture: "Horns", by: "gesture", operator: null } as const;
+    const live = await open(asks());
+    act(() => tell(live, Object.fromEntries([asks({ answered })])));
+    expect(screen.queryByText("Confirmed")).toBeNull();
+  });
+
+  it("says what the robot does, how long it takes, and to keep out", async () => {
+    const busy = { ...robot, task: robotTask.id, operation: "scan", progress: 0.4, remainingS: 2.3 };
+    await open(["glove/glove-1", glove()], ["process/1", process({ tasks: [robotTask] })], ["robot/ur10-1", busy]);
+    expect(screen.getByRole("heading", { name: "The robot looks into the bin" })).toBeTruthy();
+    expect(screen.getByText("about 3 s left")).toBeTruthy();
+    expect(screen.getByRole("progressbar").getAttribute("aria-valuenow")).toBe("40");
+    expect(screen.getByText("Keep out of the cell")).toBeTruthy();
+  });
+
+  it("says that the glove is lost and still lets the step be completed by hand", async () => {
+    await open(asks({ connected: false, lost: true }));
+    expect(screen.getByRole("alert").textContent).toContain("glove-1 is lost");
+    expect(screen.getByRole("button", { name: "Complete by hand" })).toBeTruthy();
+  });
+
+  it("says that the broker is gone, in its place on the whole page", async () => {
+    await open(asks(), ["services", [service("context-broker", "down")]]);
+    expect(screen.getByRole("alert").textContent).toContain("The context broker does not answer");
+    expect(screen.queryByRole("button", { name: "Complete by hand" })).toBeNull();
+  });
+
+  it("waits a moment before it calls the link lost", async () => {
+    const live = await open(asks());
+    act(() => live.setLink("lost"));
+    expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
+    expect(await screen.findByText("This screen has lost the cell", {}, { timeout: 3000 })).toBeTruthy();
+    act(() => live.setLink("open"));
+    expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
+  });
+
+  it("starts a process once when the hand is held to the end, with a key that all screens share", async () => {
+    const sent: unknown[] = [];
+    vi.stubGlobal("fetch", (url: string, { body }: { body: string }) => {
+      sent.push([url, JSON.parse(body)]);
+      return Promise.resolve(Response.json({}, { status: 201 }));
+    });
+    const live = await open(["glove/glove-1", glove()], ["process/1", completed]);
+    const up = (heldMs: number) => ({ "glove/glove-1": glove({ states: "02222", hold: { ...hold, gesture: "Thumbs up", heldMs } }) });
+    for (const heldMs of [30, 700, 1490]) act(() => tell(live, up(heldMs)));
+    expect(sent).toEqual([]);
+    for (const heldMs of [1510, 1700, 2500]) {
+      await act(async () => {
+        tell(live, up(heldMs));
+        await Promise.resolve();
+      });
+    }
+    expect(sent).toEqual([
+      ["/api/task-orchestrator/processes", { definition: "bin-picking", parameters: {}, key: "bin-picking by glove-1 after bin-picking-1" }],
+    ]);
+  });
+
+  it("stays with its glove when another one joins", async () => {
+    const live = await open(asks());
+    expect(location.search).toBe("?glove=glove-1");
+    act(() => tell(live, { "glove/glove-2": glove({ glove: "glove-2" }) }));
+    expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
+  });
+});
