@@ -73,7 +73,7 @@ class Screen:
         gloves = Gloves(settings, self.world, self.audience, services)
         robots = Robots(settings, self.world, self.audience, services)
         self._sources = (services, self.entities, processes, gloves, robots)
-        self.world.tell("cell", {"factory": settings.factory, "version": _version()})
+        self.world.tell("cell", cell_of(settings))
 
     @asynccontextmanager
     async def at_work(self, _: FastAPI) -> AsyncIterator[None]:
@@ -160,3 +160,9 @@ def _version() -> str:
         return version("handover")
     except PackageNotFoundError:
         return "0"
+
+
+def cell_of(settings: WebuiSettings) -> dict[str, str]:
+    """Return what never changes while it runs: the cell's name, the version, the place of the real stop."""
+    cell = {"factory": settings.factory, "version": _version()}
+    return {**cell, "emergencyStop": settings.emergency_stop} if settings.emergency_stop else cell

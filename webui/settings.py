@@ -28,6 +28,12 @@ class WebuiSettings(Settings):
         description="further names under which browsers may open the screen, with commas; numeric addresses, "
         "localhost and the name of webui_url always may",
     )
+    emergency_stop: str | None = Field(
+        None,
+        max_length=120,
+        description="where the real emergency stop is, as the operator's page says it; the red button on the "
+        "cell if absent",
+    )
     orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
     orchestrator_url: str | None = Field(
         None, description="where the broker reaches the orchestrator; host and port if absent"

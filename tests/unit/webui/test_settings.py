@@ -2,6 +2,7 @@
 
 import pytest
 
+from webui.server import cell_of
 from webui.settings import WebuiSettings
 
 
@@ -39,3 +40,10 @@ def test_every_service_has_a_door() -> None:
     assert urls["context-broker"] == "http://orion:1026"
     assert urls["task-orchestrator"] == "http://orchestrator:54200"
     assert urls["trajectory-tool"] == "http://127.0.0.1:54220"
+
+
+def test_a_site_says_where_its_real_emergency_stop_is() -> None:
+    assert "emergencyStop" not in cell_of(WebuiSettings.load())
+    assert "emergencyStop" not in cell_of(WebuiSettings.load(emergency_stop=""))
+    told = cell_of(WebuiSettings.load(emergency_stop="the grey cord over the bench"))
+    assert told["emergencyStop"] == "the grey cord over the bench"
