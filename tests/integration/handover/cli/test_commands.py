@@ -4,10 +4,14 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
+
+from tests.integration.task_orchestrator.cell import CONTEXT
 
 BAD = """<definitions xmlns="http://www.omg.org/spec/BPMN/20100524/MODEL" targetNamespace="urn:t">
 <process id="headless" isExecutable="true">
@@ -72,11 +76,44 @@ def test_a_process_is_deployed_started_listed_shown_and_cancelled(
     assert shown["status"] == "inProgress"
     assert shown["variables"]["colour"] == "green"
 
-    assert handover("process", "cancel", process).returncode == 0
+    early = handover("process", "retry", process, shown["tasks"][0]["id"], "--by", "Anna")
+    assert early.returncode == 2
+    assert "only a failed process can be retried" in early.stderr
+
+    assert handover("process", "cancel", process, "--by", "Anna").returncode == 0
     eventually(lambda: json.loads(handover("process", "show", process).stdout)["status"] == "failed")
     again = handover("process", "cancel", process)
     assert again.returncode == 2
     assert "failed already" in again.stderr
+
+
+@pytest.mark.slow
+def test_a_failed_task_is_retried(
+    handover: Handover, cell: Any, tmp_path: Path, eventually: Callable[..., None]
+) -> None:
+    cell.start("context_broker", "task_orchestrator")
+    (tmp_path / "ask.bpmn").write_text(WAITS)
+    handover("process", "deploy", str(tmp_path / "ask.bpmn"))
+    process = handover("process", "start", "ask-somebody").stdout.split()[0]
+
+    def shown() -> dict[str, Any]:
+        seen: dict[str, Any] = json.loads(handover("process", "show", process).stdout)
+        return seen
+
+    task = shown()["tasks"][0]["id"]
+    entity = f"{cell.url('context_broker')}/ngsi-ld/v1/entities/{task}"
+    failed = {
+        "status": {"type": "Property", "value": "failed", "observedAt": datetime.now(UTC).isoformat()},
+        "outputParameters": {"type": "Property", "value": {"reason": "nobody is there"}},
+    }
+    link = {"Link": CONTEXT}
+    eventually(lambda: httpx.get(entity, headers=link, trust_env=False).status_code == 200)
+    assert httpx.post(f"{entity}/attrs", json=failed, headers=link, trust_env=False).is_success
+    eventually(lambda: shown()["status"] == "failed")
+
+    retried = handover("process", "retry", process, task, "--by", "Anna")
+    assert retried.stdout == f"{process} goes on: {shown()['waiting'][0]}\n", retried.stderr
+    assert shown()["acts"][0]["by"] == "Anna"
 
 
 def test_what_cannot_be_done_is_one_line_with_the_way_out(handover: Handover, tmp_path: Path) -> None:
