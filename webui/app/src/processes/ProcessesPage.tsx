@@ -22,7 +22,7 @@ interface Starting {
 }
 
 export default function ProcessesPage() {
-  const { t } = useTranslation("processes");
+  const { t } = useTranslation(["processes", "common"]);
   const [path, go] = useLocation();
   const place = placeOf(path);
   const [starting, setStarting] = useState<Starting | null>(null);
@@ -69,6 +69,9 @@ export default function ProcessesPage() {
               open({ kind: "definition", name: definition.name });
             }}
           />
+        )}
+        {(place.kind === "nothing" || (place.kind === "upload" && file === null)) && (
+          <h1 className="visually-hidden">{t("common:pages.processes")}</h1>
         )}
         {place.kind === "nothing" && (
           <Empty

@@ -54,7 +54,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
           <span className="quiet">
             {t("definition.deployed")} <Ago at={definition.deployedAt} />
           </span>
-          {definition.label !== null && <span className="quiet">{t("definition.label", { label: definition.label })}</span>}
+          {definition.label !== null && definition.label !== String(definition.version) && <span className="quiet">{t("definition.label", { label: definition.label })}</span>}
         </div>
         <div className="definition__acts">
           <Pick
