@@ -26,7 +26,7 @@ PANEL = {"width": 1280, "height": 800}
 OpenPage = Callable[..., Page]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # while Playwright is there, its loop runs and no other test may run one
 def browser() -> Iterator[Browser]:
     """Chromium without a window; skips where none is installed."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")

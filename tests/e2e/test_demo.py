@@ -14,6 +14,7 @@ import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
+SERVICES = {"context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "webui"}
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -74,8 +75,9 @@ def test_the_demo_completes_and_can_be_run_again_on_the_same_data(handover: Star
 def test_ctrl_c_stops_everything(handover: Start) -> None:
     process = handover("up")
     read_until_ready(process)
-    children = list(services_of(process).values())
-    assert len(children) == 4
+    services = services_of(process)
+    assert services.keys() == SERVICES
+    children = list(services.values())
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=20) == 0
     assert not any(child.is_running() for child in children)
@@ -90,9 +92,7 @@ def test_no_service_outlives_a_killed_launcher(handover: Start, eventually: Call
     eventually(lambda: not any(child.is_running() for child in children), 15)
 
 
-@pytest.mark.parametrize(
-    "service", ["context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool"]
-)
+@pytest.mark.parametrize("service", sorted(SERVICES))
 def test_a_service_killed_in_the_middle_is_started_again_and_the_process_completes(
     handover: Start, service: str
 ) -> None:
