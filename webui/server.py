@@ -6,6 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, Any
 from urllib.parse import urlsplit
 
+import httpx
 from fastapi import FastAPI, Query, Request, Response, WebSocket
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.types import ASGIApp
@@ -61,24 +62,32 @@ class Screen:
         self.broker = BrokerClient(settings)
         urls = settings.service_urls
         self.doors = Doors(urls)
-        self.operator = SimulatedOperator(settings, self.world, self.events)
+        self.http = http = httpx.AsyncClient(trust_env=False)
+        self.operator = SimulatedOperator(settings, http, self.world, self.events)
         self.live = Live(self.world, self.audience)
-        services = Services(urls, self.broker, self.world, self.events)
+        services = Services(urls, http, self.broker, self.world, self.events)
         devices = Devices(self.world, self.events, services)
-        processes = Processes(settings, self.world, self.events, services)
+        processes = Processes(settings, http, self.world, self.events, services)
         tasks = Tasks(self.events, devices, services, processes.look_at)
         self.alerts = Alerts(self.world, self.events, self.broker)
         kinds = (devices, tasks, ProcessEntities(processes), self.alerts)
         self.entities = Entities(settings, self.broker, kinds, services)
-        gloves = Gloves(settings, self.world, self.audience, services)
-        robots = Robots(settings, self.world, self.audience, services)
+        gloves = Gloves(settings, http, self.world, self.audience, services)
+        robots = Robots(settings, http, self.world, self.audience, services)
         self._sources = (services, self.entities, processes, gloves, robots)
         self.world.tell("cell", cell_of(settings))
 
     @asynccontextmanager
     async def at_work(self, _: FastAPI) -> AsyncIterator[None]:
         """Follow everything until the server ends."""
-        async with self.broker, self.doors, self.events, self.operator, followed(self._sources):
+        async with (
+            self.broker,
+            self.http,
+            self.doors,
+            self.events,
+            self.operator,
+            followed(self._sources),
+        ):
             yield
 
     async def check_page(self) -> None:

@@ -33,8 +33,11 @@ FIRST_RESTART_S, LAST_RESTART_S = 0.2, 5.0
 class SimulatedOperator:
     """At most one, for one glove; an asynchronous context manager while it may run."""
 
-    def __init__(self, settings: WebuiSettings, world: World, events: EventLog) -> None:
+    def __init__(
+        self, settings: WebuiSettings, http: httpx.AsyncClient, world: World, events: EventLog
+    ) -> None:
         self._settings = settings
+        self._http = http
         self._world = world
         self._events = events
         self._glove = FIRST_GLOVE
@@ -99,9 +102,8 @@ class SimulatedOperator:
     async def _is_worn(self, glove: str) -> bool:
         url = self._settings.service_urls[CONTROLLER]
         with suppress(httpx.HTTPError, ValueError):
-            async with httpx.AsyncClient(timeout=2.0, trust_env=False) as http:
-                answer = await http.get(f"{url}/gloves/{glove}")
-                return answer.is_success and bool(answer.json().get("connected"))
+            answer = await self._http.get(f"{url}/gloves/{glove}", timeout=2.0)
+            return answer.is_success and bool(answer.json().get("connected"))
         return False  # the operator waits for a controller that is away
 
     async def _keep_running(self) -> None:

@@ -27,7 +27,15 @@ PATIENCE_S: Final = 3.0
 class Gloves(Source):
     """Follows every glove that the controller knows."""
 
-    def __init__(self, settings: WebuiSettings, world: World, audience: Audience, services: Services) -> None:
+    def __init__(
+        self,
+        settings: WebuiSettings,
+        http: httpx.AsyncClient,
+        world: World,
+        audience: Audience,
+        services: Services,
+    ) -> None:
+        self._http = http
         self._url = settings.service_urls[CONTROLLER]
         self._world = world
         self._audience = audience
@@ -51,8 +59,8 @@ class Gloves(Source):
     async def look(self) -> None:
         """Ask which gloves there are, and how they are."""
         try:
-            async with httpx.AsyncClient(timeout=PATIENCE_S, trust_env=False) as http:
-                views = (await http.get(f"{self._url}/gloves")).raise_for_status().json()
+            answer = await self._http.get(f"{self._url}/gloves", timeout=PATIENCE_S)
+            views: list[dict[str, Any]] = answer.raise_for_status().json()
         except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
             log.debug("cannot ask for the gloves", error=str(error))
             self._services.look_now()

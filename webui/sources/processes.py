@@ -39,7 +39,15 @@ ProcessView = dict[str, Any]
 class Processes(Source):
     """Keeps the world informed of definitions, of processes that go on, and of the last that have ended."""
 
-    def __init__(self, settings: WebuiSettings, world: World, events: EventLog, services: Services) -> None:
+    def __init__(
+        self,
+        settings: WebuiSettings,
+        http: httpx.AsyncClient,
+        world: World,
+        events: EventLog,
+        services: Services,
+    ) -> None:
+        self._http = http
         self._settings = settings
         self._url = settings.service_urls[ORCHESTRATOR]
         self._world = world
@@ -68,50 +76,49 @@ class Processes(Source):
 
     async def follow(self) -> None:
         """Look at once at what moves, and at everything every `reconcile_s`."""
-        async with httpx.AsyncClient(base_url=self._url, timeout=PATIENCE_S, trust_env=False) as http:
-            due_s = 0.0
-            clock = asyncio.get_running_loop().time
-            while True:
+        due_s = 0.0
+        clock = asyncio.get_running_loop().time
+        while True:
+            self._hint.clear()
+            try:
+                if self._list_again or clock() >= due_s:
+                    self._list_again = False
+                    await self._read_all()
+                    due_s = clock() + self._settings.reconcile_s * random.uniform(0.8, 1.2)  # noqa: S311
+                hinted, self._hinted = self._hinted, set()
+                for process in hinted:
+                    await self._read(process)
+                wait_s = max(due_s - clock(), 0.0)
+            except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
+                log.debug("cannot ask the orchestrator", error=str(error))
+                self._services.look_now()
+                self._list_again, wait_s = True, AWAY_RETRY_S
                 self._hint.clear()
-                try:
-                    if self._list_again or clock() >= due_s:
-                        self._list_again = False
-                        await self._read_all(http)
-                        due_s = clock() + self._settings.reconcile_s * random.uniform(0.8, 1.2)  # noqa: S311
-                    hinted, self._hinted = self._hinted, set()
-                    for process in hinted:
-                        await self._read(http, process)
-                    wait_s = max(due_s - clock(), 0.0)
-                except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
-                    log.debug("cannot ask the orchestrator", error=str(error))
-                    self._services.look_now()
-                    self._list_again, wait_s = True, AWAY_RETRY_S
-                    self._hint.clear()
-                await asyncio.sleep(LEAST_PAUSE_S)
-                try:
-                    async with asyncio.timeout(wait_s):
-                        await self._hint.wait()
-                except TimeoutError:
-                    continue
+            await asyncio.sleep(LEAST_PAUSE_S)
+            try:
+                async with asyncio.timeout(wait_s):
+                    await self._hint.wait()
+            except TimeoutError:
+                continue
 
     def _hint_at(self, processes: set[str]) -> None:
         self._hinted |= processes
         self._hint.set()
 
-    async def _read_all(self, http: httpx.AsyncClient) -> None:
-        await self._read_definitions(http)
+    async def _read_all(self) -> None:
+        await self._read_definitions()
         running: set[str] = set()
         for status in TaskStatus:
             if status not in FINISHED:
-                running |= {row["id"] for row in await _rows(http, status, 1000)}
+                running |= {row["id"] for row in await self._rows(status, 1000)}
         ended: dict[str, str] = {}
         for status in sorted(FINISHED):
-            rows = await _rows(http, status, KEPT_ENDED)
+            rows = await self._rows(status, KEPT_ENDED)
             ended |= {row["id"]: str(row.get("endedAt") or row["startedAt"]) for row in rows}
         kept = dict(sorted(ended.items(), key=lambda item: item[1])[-KEPT_ENDED:])
         just_ended = self._running - running
         for process in running | just_ended | (kept.keys() - self._ended.keys()):
-            await self._read(http, process)
+            await self._read(process)
         self._running = running
         self._ended = kept
         shown = {f"process/{process}" for process in running | kept.keys()}
@@ -120,8 +127,8 @@ class Processes(Source):
                 self._world.forget(topic)
                 self._told.pop(topic.partition("/")[2], None)
 
-    async def _read_definitions(self, http: httpx.AsyncClient) -> None:
-        answer = (await http.get("/definitions")).raise_for_status()
+    async def _read_definitions(self) -> None:
+        answer = (await self._ask("/definitions")).raise_for_status()
         definitions = {f"definition/{one['name']}": one for one in answer.json()}
         for topic, definition in definitions.items():
             self._world.tell(topic, {"parameters": [], **definition})
@@ -129,8 +136,8 @@ class Processes(Source):
             if topic not in definitions:
                 self._world.forget(topic)
 
-    async def _read(self, http: httpx.AsyncClient, process: str) -> None:
-        answer = await http.get(f"/processes/{quote(process, safe='')}")
+    async def _read(self, process: str) -> None:
+        answer = await self._ask(f"/processes/{quote(process, safe='')}")
         if answer.status_code == httpx.codes.NOT_FOUND:
             self._world.forget(f"process/{process}")
             self._told.pop(process, None)
@@ -143,6 +150,14 @@ class Processes(Source):
         else:
             self._running.add(process)
         self._log(view)
+
+    async def _rows(self, status: str, limit: int) -> list[dict[str, Any]]:
+        answer = await self._ask("/processes", status=str(status), limit=limit)
+        rows: list[dict[str, Any]] = answer.raise_for_status().json()
+        return rows
+
+    async def _ask(self, path: str, **params: str | int) -> httpx.Response:
+        return await self._http.get(f"{self._url}{path}", params=params or None, timeout=PATIENCE_S)
 
     def _log(self, view: ProcessView) -> None:
         status, ended = str(view["status"]), view.get("endedAt")
@@ -213,9 +228,3 @@ class ProcessEntities(Kind):
 
 def _title(view: ProcessView) -> str:
     return str(view.get("title") or view["definition"])
-
-
-async def _rows(http: httpx.AsyncClient, status: str, limit: int) -> list[dict[str, Any]]:
-    answer = await http.get("/processes", params={"status": str(status), "limit": limit})
-    rows: list[dict[str, Any]] = answer.raise_for_status().json()
-    return rows

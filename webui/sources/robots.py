@@ -29,7 +29,15 @@ PATIENCE_S: Final = 3.0
 class Robots(Source):
     """Looks at the robots while somebody looks: five times a second while one works, else less often."""
 
-    def __init__(self, settings: WebuiSettings, world: World, audience: Audience, services: Services) -> None:
+    def __init__(
+        self,
+        settings: WebuiSettings,
+        http: httpx.AsyncClient,
+        world: World,
+        audience: Audience,
+        services: Services,
+    ) -> None:
+        self._http = http
         self._url = settings.service_urls[TRAJECTORY]
         self._world = world
         self._audience = audience
@@ -40,26 +48,25 @@ class Robots(Source):
     async def follow(self) -> None:
         """Follow the robots while somebody looks."""
         try:
-            async with httpx.AsyncClient(timeout=PATIENCE_S, trust_env=False) as http:
-                while True:
-                    await self._audience.until(lambda: self._audience.looks)
-                    while self._audience.looks:
-                        pause_s = AT_WORK_S if await self._look(http) else AT_REST_S
-                        await self._audience.until(self._streams_are_wrong, pause_s)
-                        await self._stream_what_is_wanted()
+            while True:
+                await self._audience.until(lambda: self._audience.looks)
+                while self._audience.looks:
+                    pause_s = AT_WORK_S if await self._look() else AT_REST_S
+                    await self._audience.until(self._streams_are_wrong, pause_s)
                     await self._stream_what_is_wanted()
+                await self._stream_what_is_wanted()
         finally:
             await self._stream_only(set())
 
     async def look(self) -> None:
         """Ask how the robots are."""
-        async with httpx.AsyncClient(timeout=PATIENCE_S, trust_env=False) as http:
-            await self._look(http)
+        await self._look()
 
-    async def _look(self, http: httpx.AsyncClient) -> bool:
+    async def _look(self) -> bool:
         """Ask how the robots are; return whether one works."""
         try:
-            views: list[dict[str, Any]] = (await http.get(f"{self._url}/robots")).raise_for_status().json()
+            answer = await self._http.get(f"{self._url}/robots", timeout=PATIENCE_S)
+            views: list[dict[str, Any]] = answer.raise_for_status().json()
         except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
             log.debug("cannot ask for the robots", error=str(error))
             self._services.look_now()

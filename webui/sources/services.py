@@ -87,8 +87,16 @@ class Row:
 class Services(Source):
     """Asks every service how it is, again and again."""
 
-    def __init__(self, urls: Mapping[str, str], broker: BrokerClient, world: World, events: EventLog) -> None:
+    def __init__(
+        self,
+        urls: Mapping[str, str],
+        http: httpx.AsyncClient,
+        broker: BrokerClient,
+        world: World,
+        events: EventLog,
+    ) -> None:
         self._urls = urls
+        self._http = http
         self._broker = broker
         self._world = world
         self._events = events
@@ -97,16 +105,15 @@ class Services(Source):
 
     async def follow(self) -> None:
         """Ask all of them every `LOOK_EVERY_S`."""
-        async with httpx.AsyncClient(timeout=PATIENCE_S, trust_env=False) as http:
-            while True:
-                self._look_now.clear()
-                await asyncio.gather(*(self._look(http, row) for row in self._rows.values()))
-                self._tell()
-                try:
-                    async with asyncio.timeout(LOOK_EVERY_S):
-                        await self._look_now.wait()
-                except TimeoutError:
-                    continue
+        while True:
+            self._look_now.clear()
+            await asyncio.gather(*(self._look(row) for row in self._rows.values()))
+            self._tell()
+            try:
+                async with asyncio.timeout(LOOK_EVERY_S):
+                    await self._look_now.wait()
+            except TimeoutError:
+                continue
 
     def heard(self, name: str, text: str, at: str | None = None) -> None:
         """Take `text` for the last that was heard of a service."""
@@ -121,15 +128,15 @@ class Services(Source):
     def _tell(self) -> None:
         self._world.tell("services", [row.view() for row in self._rows.values() if row.state is not None])
 
-    async def _look(self, http: httpx.AsyncClient, row: Row) -> None:
+    async def _look(self, row: Row) -> None:
         url = self._urls[row.name]
         try:
-            answer = await http.get(f"{url}/readyz")
+            answer = await self._http.get(f"{url}/readyz", timeout=PATIENCE_S)
             state, detail = _state_of(answer)
             if answer.status_code == httpx.codes.NOT_FOUND and row.name == BROKER:
                 await self._broker.probe()  # a broker of another make has no such page, but answers NGSI-LD
                 state, detail = "up", None
-            counts = await self._counts(http, url, row.name)
+            counts = await self._counts(url, row.name)
         except (httpx.HTTPError, asyncio.IncompleteReadError, BrokerError) as error:
             row.counts.clear()
             state, detail = "down", f"{url} does not answer: {str(error) or type(error).__name__}"
@@ -138,8 +145,8 @@ class Services(Source):
                 row.counted(asyncio.get_running_loop().time(), counts)
         self._now_is(row, state, detail)
 
-    async def _counts(self, http: httpx.AsyncClient, url: str, name: str) -> dict[str, float]:
-        answer = await http.get(f"{url}/metrics")
+    async def _counts(self, url: str, name: str) -> dict[str, float]:
+        answer = await self._http.get(f"{url}/metrics", timeout=PATIENCE_S)
         if not answer.is_success:
             return {}
         return summed(answer.text, COUNTED.get(name, {}))

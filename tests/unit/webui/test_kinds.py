@@ -4,6 +4,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
 from handover.broker import BrokerClient
@@ -34,7 +35,8 @@ class Floor:
             connect(settings.database("webui")), lambda _, event: self.told.append(dict(event))
         )
         self.broker = BrokerClient(settings)
-        services = Services(settings.service_urls, self.broker, self.world, self.log)
+        self.http = httpx.AsyncClient()
+        services = Services(settings.service_urls, self.http, self.broker, self.world, self.log)
         self.devices = Devices(self.world, self.log, services)
         self.tasks = Tasks(self.log, self.devices, services, self.hints.append)
         self.alerts = Alerts(self.world, self.log, self.broker)
@@ -48,7 +50,7 @@ class Floor:
 @pytest.fixture
 async def floor(tmp_path: Path) -> AsyncIterator[Floor]:
     made = Floor(tmp_path)
-    async with made.broker, made.log:
+    async with made.broker, made.http, made.log:
         yield made
 
 

@@ -1,23 +1,20 @@
 /** Which Tasks one looks at, and a file of just those. */
 import { Download } from "lucide-react";
-import { ToggleButton, ToggleButtonGroup } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
-import type { ProcessView } from "~/live/messages";
+import type { ProcessView, Status } from "~/live/messages";
 import { download } from "../download";
 import { Pick } from "../Pick";
 import { useChosen } from "./chosen";
-import { performersOf, statuses } from "./filter";
+import { performersOf, statuses, statusesOf } from "./filter";
 import { csvOf, fileName, jsonOf } from "./sheet";
 import "./TasksBar.css";
 
 export function TasksBar({ process }: { process: ProcessView }) {
   const { t } = useTranslation(["processes", "common"]);
   const { filter, tasks, setText, setStatuses, setPerformer } = useChosen(process);
-  const there = statuses.filter(
-    (status) => filter.statuses.includes(status) || process.tasks.some((task) => task.status === status),
-  );
+  const said = (status: Status) => t(`common:status.${status}`);
   return (
     <div className="tasks-bar">
       <Field label={t("filter.text")} placeholder={t("filter.text")} type="search" value={filter.text} onChange={setText} />
@@ -27,19 +24,17 @@ export function TasksBar({ process }: { process: ProcessView }) {
         options={[{ value: "", name: t("filter.everybody") }, ...withWanted(performersOf(process.tasks), filter.performer)]}
         onChange={setPerformer}
       />
-      <ToggleButtonGroup
-        className="choice"
-        aria-label={t("filter.status")}
-        selectionMode="multiple"
-        selectedKeys={filter.statuses}
-        onSelectionChange={(keys) => setStatuses(statuses.filter((status) => keys.has(status)))}
-      >
-        {there.map((status) => (
-          <ToggleButton key={status} id={status} className="choice__option">
-            {t(`common:status.${status}`)}
-          </ToggleButton>
-        ))}
-      </ToggleButtonGroup>
+      <Pick
+        label={t("filter.status")}
+        value={filter.statuses.join(",")}
+        options={[
+          { value: "", name: t("filter.everyState") },
+          ...statuses.map((status) => ({ value: status as string, name: said(status) })),
+          // A URL may ask for several.
+          ...(filter.statuses.length > 1 ? [{ value: filter.statuses.join(","), name: filter.statuses.map(said).join(", ") }] : []),
+        ]}
+        onChange={(wanted) => setStatuses(statusesOf(wanted))}
+      />
       <div className="tasks-bar__exports">
         <Button
           icon={<Download aria-hidden size={16} />}
