@@ -29,7 +29,7 @@ export function TasksBar({ process }: { process: ProcessView }) {
         value={filter.statuses.join(",")}
         options={[
           { value: "", name: t("filter.everyState") },
-          ...statuses.map((status) => ({ value: status as string, name: said(status) })),
+          ...statuses.map((status) => ({ value: status, name: said(status) })),
           // A URL may ask for several.
           ...(filter.statuses.length > 1 ? [{ value: filter.statuses.join(","), name: filter.statuses.map(said).join(", ") }] : []),
         ]}
