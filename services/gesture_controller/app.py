@@ -54,9 +54,10 @@ class Modes(_Body):
 
 
 class Completion(_Body):
-    """Who completes the Task on the screen."""
+    """Who completes the Task on the screen, and which one they saw; without `task` the present one."""
 
     by: Annotated[str, Field(min_length=1, max_length=100)]
+    task: Annotated[str, Field(max_length=500)] | None = None
 
 
 def make_app(settings: ControllerSettings) -> FastAPI:
@@ -160,7 +161,7 @@ def _add_acts(app: FastAPI, controller: Controller) -> None:
     async def complete(glove: str, completion: Completion) -> GloveView:
         """Complete the Task by hand, where the glove cannot serve."""
         try:
-            gloves.named(glove).complete_on_screen(completion.by, _now_s())
+            gloves.named(glove).complete_on_screen(completion.by, _now_s(), completion.task)
         except CannotComplete as error:
             raise Problem(409, "Cannot complete", str(error)) from None
         return _view(gloves.named(glove))

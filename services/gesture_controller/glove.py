@@ -203,11 +203,20 @@ class Glove:
         self.free.set()
         self._changed()
 
-    def complete_on_screen(self, operator: str, now_s: float) -> None:
-        """Answer the errand for `operator`, who pressed the button; raises `CannotComplete`."""
+    def complete_on_screen(self, operator: str, now_s: float, task: str | None = None) -> None:
+        """Answer the errand for `operator`, who pressed the button; raises `CannotComplete`.
+
+        `task` is the id of the Task that the button belonged to: a press that comes when another is asked
+        for, because somebody else or the hand was quicker, must not answer that one.
+        """
         errand = self.errand
         if errand is None or errand.answer.done():
             raise CannotComplete(f"{self.name} has no Task at the moment; there is nothing to complete")
+        if task is not None and task != errand.asked.task_id:
+            raise CannotComplete(
+                f"{self.name} is asked for {errand.asked.task_id} now, no longer for {task}; "
+                "look at what is asked, and complete that"
+            )
         if self.testing:
             raise CannotComplete(
                 f"{self.name} is in testing mode; switch testing off, then complete the Task"

@@ -32,7 +32,7 @@ class Devices(Kind):
         self._events = events
         self._services = services
         self._performers: dict[str, str] = {}
-        self._states: dict[str, DeviceState] = {}
+        self._states: dict[str, tuple[DeviceState, str]] = {}
         self._known: set[str] = set()
 
     def take(self, entity: Mapping[str, Any]) -> None:
@@ -40,7 +40,7 @@ class Devices(Kind):
         if "performer" in entity:
             performer = entity["performer"]
             if isinstance(performer, Mapping):
-                self._performers[str(entity["id"])] = str(performer.get("value"))
+                self._is_acted_for(str(entity["id"]), str(performer.get("value")))
         if "controlledProperty" not in entity and "deviceState" not in entity:
             return
         device = Device.from_ngsild({"controlledProperty": {"type": "Property", "value": []}, **entity})
@@ -63,19 +63,29 @@ class Devices(Kind):
         """Return the component that acts for a resource."""
         return self._performers.get(resource)
 
+    def _is_acted_for(self, device: str, performer: str) -> None:
+        if self._performers.get(device) != performer:
+            self._performers[device] = performer
+            self._credit(device)
+
+    def _credit(self, device: str) -> None:
+        """Let the performer be heard with the Device's state; either may come first."""
+        performer = self.performer_of(device)
+        if performer is not None and device in self._states:
+            state, at = self._states[device]
+            self._services.heard(performer, f"{short(device)}: {state.value}", at)
+
     def _log_state(self, device: Device) -> None:
         if device.device_state is None:
             return
         state = device.device_state.value
-        if self._states.get(device.id) == state:
+        if device.id in self._states and self._states[device.id][0] == state:
             return
-        self._states[device.id] = state
         seen = device.device_state.observed_at
         at = in_milliseconds(iso(seen) if seen else None)
+        self._states[device.id] = state, at
+        self._credit(device.id)
         name = short(device.id)
-        performer = self.performer_of(device.id)
-        if performer is not None:
-            self._services.heard(performer, f"{name}: {state.value}", at)
         logged = self._events.last_mark(device.id) or ""
         if state is DeviceState.BUSY or logged.partition("@")[0] == state.value:
             return  # that it works and rests is what its Tasks say; the log would be full of it

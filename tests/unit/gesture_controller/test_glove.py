@@ -230,6 +230,17 @@ async def test_a_task_is_completed_on_the_screen_only_once(glove: Glove, hand: A
         glove.complete_on_screen("Ben", hand.now_s)
 
 
+async def test_a_press_that_was_meant_for_another_task_answers_none(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    errand = ask("Thumbs up", "t2")
+    with pytest.raises(CannotComplete, match="no longer for urn:ngsi-ld:Task:demo:t1"):
+        glove.complete_on_screen("Anna", hand.now_s, "urn:ngsi-ld:Task:demo:t1")
+    assert not errand.answer.done()
+    glove.complete_on_screen("Anna", hand.now_s, errand.asked.task_id)
+    assert errand.answer.result().by == "screen"
+
+
 async def test_the_newest_connection_of_a_glove_wins(glove: Glove, hand: Any) -> None:
     newer = type(hand.wire)()
     glove.connect(newer, Hello("glove-1", "left"), hand.now_s)

@@ -9,8 +9,9 @@ export function resumeGlove(glove: string): Promise<unknown> {
   return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/resume`, { method: "POST" });
 }
 
-export function completeByHand(glove: string, by: string): Promise<unknown> {
-  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/complete`, { method: "POST", json: { by } });
+/** Complete `task`, the one that was in sight when the button was pressed, and no other that may have come since. */
+export function completeByHand(glove: string, task: string | undefined, by: string): Promise<unknown> {
+  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/complete`, { method: "POST", json: { by, task } });
 }
 
 /**

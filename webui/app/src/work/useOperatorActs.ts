@@ -39,8 +39,8 @@ export function useOperatorActs(scene: Scene, situation: Situation, acting: Acti
   function completeAct(): Act | null {
     if (situation.kind !== "asked" && situation.kind !== "gloveLost") return null;
     if (situation.glove.testing) return null;
-    const { glove } = situation.glove;
-    return { name: t("by.hand"), do: () => perform(() => withName((name) => completeByHand(glove, name))) };
+    const { glove, task } = situation.glove;
+    return { name: t("by.hand"), do: () => perform(() => withName((name) => completeByHand(glove, task?.id, name))) };
   }
 
   function pauseAct(): OperatorActs["pause"] {
