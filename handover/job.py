@@ -15,13 +15,13 @@ from datamodels.entities import RequestedStatus, Task, TaskStatus
 from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.errors import HandoverError
+from handover.rounds import FIRST_RETRY_S, LAST_RETRY_S
 from handover.task_life import FINISHED, is_legal, is_news
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
 
 PROGRESS_EVERY_S = 0.5
-FIRST_RETRY_S, LAST_RETRY_S = 0.1, 2.0
 
 
 class Wants(Enum):

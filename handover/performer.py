@@ -11,7 +11,6 @@ begun is performed again.
 """
 
 import asyncio
-import random
 from abc import ABC, abstractmethod
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Mapping
@@ -24,16 +23,9 @@ from prometheus_client import Counter, Histogram
 
 from datamodels.entities import Task, TaskStatus
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
-from handover.job import (
-    FIRST_RETRY_S,
-    LAST_RETRY_S,
-    Job,
-    TaskCancelled,
-    TaskFailed,
-    TaskGone,
-    Wants,
-)
+from handover.job import Job, TaskCancelled, TaskFailed, TaskGone, Wants
 from handover.notifications import notified_entities
+from handover.rounds import FIRST_RETRY_S, LAST_RETRY_S, Rounds
 from handover.settings import Settings
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger, working_on
@@ -81,7 +73,7 @@ class Performer(ABC):
         self._ended: OrderedDict[str, None] = OrderedDict()
         self._announced: set[str] = set()
         self._subscribed = False
-        self._ask_again = asyncio.Event()
+        self._rounds = Rounds(self._ask, settings.reconcile_s)
         self._on_duty = False
         self._chores: set[asyncio.Task[None]] = set()
 
@@ -98,7 +90,7 @@ class Performer(ABC):
             self._desks[resource] = _Desk()
             if self._on_duty:
                 self._seat_clerk(resource)
-        self._ask_again.set()
+        self._rounds.wish()
 
     def resources(self) -> Iterable[str]:
         """Return the resources this performer acts for."""
@@ -122,7 +114,7 @@ class Performer(ABC):
         self._on_duty = True
         for resource in self._desks:
             self._seat_clerk(resource)
-        self._do(self._keep_asking())
+        self._do(self._rounds.keep())
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -138,24 +130,15 @@ class Performer(ABC):
 
     # How Tasks are learnt of
 
-    async def _keep_asking(self) -> None:
-        retry_s = FIRST_RETRY_S
-        while True:
-            self._ask_again.clear()
-            try:
-                await self._reconcile()
-                wait_s = self.settings.reconcile_s * random.uniform(0.8, 1.2)  # noqa: S311 - jitter
-                retry_s = FIRST_RETRY_S
-            except BrokerError as error:
-                log.warning("cannot ask the broker for tasks", performer=self.name, error=str(error))
-                self._subscribed = False
-                self._announced.clear()
-                wait_s, retry_s = retry_s, min(2 * retry_s, LAST_RETRY_S)
-            try:
-                async with asyncio.timeout(wait_s):
-                    await self._ask_again.wait()
-            except TimeoutError:
-                continue
+    async def _ask(self) -> bool:
+        try:
+            await self._reconcile()
+        except BrokerError as error:
+            log.warning("cannot ask the broker for tasks", performer=self.name, error=str(error))
+            self._subscribed = False
+            self._announced.clear()
+            return False
+        return True
 
     async def _reconcile(self) -> None:
         if not self._subscribed:
@@ -225,7 +208,7 @@ class Performer(ABC):
             except NotFound:
                 continue
             except BrokerError:
-                self._ask_again.set()
+                self._rounds.wish()
                 return None
             if "performer" in entity:
                 return None
@@ -325,7 +308,7 @@ class Performer(ABC):
         self._chores.discard(chore)
         if not chore.cancelled() and (error := chore.exception()) is not None:
             log.error("a chore of the performer failed", performer=self.name, exc_info=error)
-            self._ask_again.set()
+            self._rounds.wish()
 
     def _subscription(self) -> dict[str, Any]:
         return {

@@ -5,11 +5,11 @@ happen is kept here too.
 """
 
 import asyncio
-import random
 from typing import Any
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError, Problem
+from handover.rounds import LAST_RETRY_S, Rounds
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
 
@@ -18,7 +18,6 @@ log = get_logger(__name__)
 ASKED_AT_ONCE = 40
 LOOK_AGAIN_S = 60.0
 """The clock of the machine may be set: never trust a longer wait."""
-FIRST_RETRY_S, LAST_RETRY_S = 0.1, 2.0
 
 
 class Reconciler:
@@ -28,11 +27,12 @@ class Reconciler:
         self._orchestrator = orchestrator
         self._broker = broker
         self._settings = orchestrator.settings
-        self._introduced = False
+        self._introduced = self._away = False
         self._chores: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> "Reconciler":
-        self._chores = [asyncio.create_task(self._keep_asking()), asyncio.create_task(self._keep_time())]
+        rounds = Rounds(self._ask_well, self._settings.reconcile_s)
+        self._chores = [asyncio.create_task(rounds.keep()), asyncio.create_task(self._keep_time())]
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -74,24 +74,20 @@ class Reconciler:
                 log.warning("a definition cannot be told", definition=record.name, error=str(error))
         self._introduced = True
 
-    async def _keep_asking(self) -> None:
-        retry_s = FIRST_RETRY_S
-        away = False
-        while True:
-            try:
-                await self.ask()
-                if away:
-                    self._orchestrator.outbox.broker_is_back()
-                away, retry_s = False, FIRST_RETRY_S
-                wait_s = self._settings.reconcile_s
-            except BrokerError as error:
-                log.warning("cannot ask the broker", error=str(error))
-                away, self._introduced = True, False
-                wait_s, retry_s = retry_s, min(2 * retry_s, LAST_RETRY_S)
-            except Problem as problem:
-                log.warning("what the broker said could not be taken in", error=str(problem))
-                wait_s, retry_s = retry_s, min(2 * retry_s, LAST_RETRY_S)
-            await asyncio.sleep(wait_s * random.uniform(0.8, 1.2))  # noqa: S311 - jitter
+    async def _ask_well(self) -> bool:
+        try:
+            await self.ask()
+        except BrokerError as error:
+            log.warning("cannot ask the broker", error=str(error))
+            self._away, self._introduced = True, False
+            return False
+        except Problem as problem:
+            log.warning("what the broker said could not be taken in", error=str(problem))
+            return False
+        if self._away:
+            self._orchestrator.outbox.broker_is_back()
+            self._away = False
+        return True
 
     async def _keep_time(self) -> None:
         orchestrator = self._orchestrator

@@ -4,8 +4,6 @@ Learnt by a subscription of the screen's own, and by asking: at start, after a b
 seconds, since notifications may be late, doubled or lost. Nothing here needs more than NGSI-LD.
 """
 
-import asyncio
-import random
 import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
@@ -15,8 +13,8 @@ from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import Problem
-from handover.job import FIRST_RETRY_S, LAST_RETRY_S
 from handover.notifications import notified_entities
+from handover.rounds import Rounds
 from handover.telemetry import get_logger
 from webui.settings import BROKER, WebuiSettings
 from webui.sources.services import Services
@@ -59,7 +57,7 @@ class Entities(Source):
         self._path = f"/notifications/{secrets.token_urlsafe(16)}"  # known to the broker alone
         self._subscribed = self._away = False
         self._overtaken: set[str] = set()
-        self._ask_again = asyncio.Event()
+        self._rounds = Rounds(self._ask, settings.reconcile_s)
 
     def mount(self, app: FastAPI) -> None:
         """Add the route that the broker notifies."""
@@ -78,28 +76,22 @@ class Entities(Source):
 
     def ask_again(self) -> None:
         """Ask the broker now."""
-        self._ask_again.set()
+        self._rounds.wish()
 
     async def follow(self) -> None:
         """Subscribe, and ask again and again."""
-        retry_s = FIRST_RETRY_S
-        while True:
-            self._ask_again.clear()
-            try:
-                await self._reconcile()
-                wait_s = self._settings.reconcile_s * random.uniform(0.8, 1.2)  # noqa: S311 - jitter
-                retry_s = FIRST_RETRY_S
-            except BrokerError as error:
-                if self._subscribed or not self._away:
-                    log.warning("cannot ask the broker for entities", error=str(error))
-                self._subscribed, self._away = False, True
-                self._services.look_now()
-                wait_s, retry_s = retry_s, min(2 * retry_s, LAST_RETRY_S)
-            try:
-                async with asyncio.timeout(wait_s):
-                    await self._ask_again.wait()
-            except TimeoutError:
-                continue
+        await self._rounds.keep()
+
+    async def _ask(self) -> bool:
+        try:
+            await self._reconcile()
+        except BrokerError as error:
+            if self._subscribed or not self._away:
+                log.warning("cannot ask the broker for entities", error=str(error))
+            self._subscribed, self._away = False, True
+            self._services.look_now()
+            return False
+        return True
 
     async def _reconcile(self) -> None:
         if not self._subscribed:

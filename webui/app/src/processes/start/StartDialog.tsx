@@ -6,7 +6,7 @@ import { callService, Refusal } from "~/api/http";
 import { Ask } from "~/design/Ask";
 import { Field } from "~/design/Field";
 import type { DefinitionView, ProcessView } from "~/live/messages";
-import { Pick } from "../Pick";
+import { Pick } from "~/design/Pick";
 import { filledIn, initialText, kindOf, parameterIn, type Parameter } from "./parameters";
 import "./StartDialog.css";
 

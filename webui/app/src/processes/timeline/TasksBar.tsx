@@ -1,11 +1,11 @@
 /** Which Tasks one looks at, and a file of just those. */
 import { Download } from "lucide-react";
 import { useTranslation } from "react-i18next";
+import { download } from "~/api/download";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
+import { Pick } from "~/design/Pick";
 import type { ProcessView, Status } from "~/live/messages";
-import { download } from "../download";
-import { Pick } from "../Pick";
 import { useChosen } from "./chosen";
 import { performersOf, statuses, statusesOf } from "./filter";
 import { csvOf, fileName, jsonOf } from "./sheet";

@@ -3,15 +3,16 @@ import { ArrowUp, Download, ScrollText } from "lucide-react";
 import { useMemo, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { eventsBefore } from "~/api/acts";
+import { download } from "~/api/download";
 import { describe } from "~/api/http";
 import { Button } from "~/design/Button";
 import { Choice } from "~/design/Choice";
 import { Empty } from "~/design/Empty";
 import { Field } from "~/design/Field";
+import { Pick } from "~/design/Pick";
 import { Problem } from "~/design/Problem";
 import { useEvents } from "~/live/hooks";
 import { useQuery } from "~/route/query";
-import { download } from "../download";
 import { allEvents, csv, type EventFilter, gathered, held, MOST_SHOWN, passes, sourcesOf } from "./event_log";
 import { EventRow } from "./EventRow";
 import { useSaid } from "./said";
@@ -121,7 +122,7 @@ function useLog() {
 
 /** The filter, which the URL holds, and the bar that sets it. */
 function useFilter() {
-  const { t } = useTranslation("system");
+  const { t } = useTranslation(["system", "common"]);
   const [level, setLevel] = useQuery("level");
   const [source, setSource] = useQuery("source");
   const [text, setText] = useQuery("text");
@@ -130,21 +131,22 @@ function useFilter() {
     [level, source, text],
   );
   const levels = (["", "attention", "stop"] as const).map((value) => ({ value, name: t(`events.level.${value || "all"}`) }));
-  const bar = (sources: readonly string[]) => (
-    <div className="events__filter">
-      <Choice label={t("events.levels")} value={filter.level} options={levels} onChange={setLevel} />
-      <label className="events__source">
-        <span>{t("events.source")}</span>
-        <select value={source} onChange={(event) => setSource(event.target.value)}>
-          <option value="">{t("events.allSources")}</option>
-          {[...new Set([...sources, ...(source === "" ? [] : [source])])].map((one) => (
-            <option key={one}>{one}</option>
-          ))}
-        </select>
-      </label>
-      <Field label={t("events.text")} value={text} onChange={setText} type="search" />
-    </div>
-  );
+  const bar = (sources: readonly string[]) => {
+    const options = [
+      { value: "", name: t("events.allSources") },
+      ...[...new Set([...sources, ...(source === "" ? [] : [source])])].map((one) => ({
+        value: one,
+        name: t(`common:services.${one}`, { defaultValue: one }),
+      })),
+    ];
+    return (
+      <div className="events__filter">
+        <Choice label={t("events.levels")} value={filter.level} options={levels} onChange={setLevel} />
+        <Pick label={t("events.source")} value={source} options={options} onChange={setSource} />
+        <Field label={t("events.text")} value={text} onChange={setText} type="search" />
+      </div>
+    );
+  };
   return { filter, bar };
 }
 

@@ -1,6 +1,6 @@
 /** One of many, from a list that opens: the browser's own, which every keyboard and screen reader knows. */
 import { useId } from "react";
-import "./Pick.css";
+import "./Field.css";
 
 export interface PickProps {
   label: string;

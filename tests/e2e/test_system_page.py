@@ -1,0 +1,135 @@
+"""The System page with real services: what is unwell, who knows of it, how the robot moves, what happened."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.conftest import Cell, wait_until
+from tests.e2e.conftest import OpenPage
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+
+FORGIVEN = ("WebSocket connection", "Failed to load resource")
+"""What a browser logs of a service that the test has killed."""
+
+Keep = Callable[[Page, str], Path]
+Accessible = Callable[[Page], None]
+
+
+def start_process(cell: Cell) -> str:
+    """Start the bin-picking process; return its id."""
+    answer = httpx.post(f"{cell.url('task_orchestrator')}/processes", json={"definition": "bin-picking"})
+    return str(answer.raise_for_status().json()["id"])
+
+
+def complete(cell: Cell) -> None:
+    """Complete by hand what glove-1 is asked for, once it is asked for something."""
+    glove = f"{cell.url('gesture_controller')}/gloves/glove-1"
+    wait_until(lambda: httpx.get(glove).json()["task"])
+    httpx.post(f"{glove}/complete", json={"by": "Anna"}).raise_for_status()
+
+
+@pytest.mark.usefixtures("screen")
+def test_a_service_that_dies_is_named_with_why_and_is_well_again(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    page = open_page("/system", forgives=FORGIVEN)
+    services = page.get_by_role("table", name="Services")
+    expect(services.get_by_role("row", name=re.compile("^Trajectory tool"))).to_contain_text("ur10-1: ")
+    cell.kill("trajectory_tool")
+    row = services.get_by_role("row", name=re.compile("^Trajectory tool"))
+    expect(row).to_contain_text("does not answer")
+    expect(row).to_contain_text(cell.url("trajectory_tool"))
+    expect(page.get_by_role("tab", name="1 service is not well")).to_be_visible()
+    accessible(page)
+    keep(page, "system-service-down")
+    cell.start("trajectory_tool")
+    expect(row).not_to_contain_text("does not answer")
+    page.get_by_role("tab", name="Events").click()
+    expect(page.get_by_role("list", name="Events")).to_contain_text("Trajectory tool works")
+
+
+@pytest.mark.usefixtures("screen")
+def test_an_alert_is_taken_care_of_by_name_and_that_survives_a_restart(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    process = start_process(cell)
+    broker = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
+    views = f"{cell.url('task_orchestrator')}/processes/{process}"
+    task = httpx.get(views).json()["tasks"][0]["id"]
+    httpx.patch(
+        f"{broker}/{task}/attrs", json={"requestedStatus": {"type": "Property", "value": "cancelled"}}
+    ).raise_for_status()
+
+    page = open_page("/system?tab=alerts", who="", forgives=FORGIVEN)
+    alert = page.get_by_role("listitem").filter(has_text="A process has failed")
+    expect(alert).to_contain_text("Confirm that the cell is clear")
+    accessible(page)
+    alert.get_by_role("button", name="I take care of it").click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_role("textbox").fill("Aino")
+    page.keyboard.press("Enter")
+    expect(alert).to_contain_text("Aino takes care of it")
+    accessible(page)
+    keep(page, "system-alert")
+
+    cell.kill("webui")
+    cell.start("webui")
+    page.goto("/system?tab=alerts")
+    expect(page.get_by_role("listitem").filter(has_text="A process has failed")).to_contain_text(
+        "Aino takes care of it"
+    )
+    [stored] = httpx.get(broker, params={"type": "Alert"}).json()
+    assert stored["humanVerified"]["by"]["value"] == "Aino", stored
+
+
+@pytest.mark.usefixtures("screen")
+def test_the_robot_is_seen_moving_and_its_gripper_is_freed_only_when_it_rests(
+    cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    start_process(cell)
+    page = open_page("/system?tab=robots")
+    drawing = page.get_by_role("application", name=re.compile("^ur10-1 in its cell"))
+    expect(drawing.locator("canvas")).to_be_visible()
+    before = drawing.screenshot()
+    complete(cell)
+    expect(page.get_by_role("heading", name="Moves to its home position")).to_be_visible()
+    expect(page.get_by_role("progressbar", name="How far the Task is")).to_be_visible()
+    expect(page.get_by_role("button", name="Free the gripper")).to_be_disabled()
+    accessible(page)
+    keep(page, "system-robot")
+    expect(page.get_by_role("heading", name="Looks into the bin")).to_be_visible()
+    expect(page.get_by_role("heading", name="No Task at the moment")).to_be_visible()
+    assert drawing.screenshot() != before
+    page.get_by_role("button", name="Free the gripper").click()
+    dialog = page.get_by_role("alertdialog")
+    expect(dialog).to_contain_text("It holds nothing now")
+    accessible(page)
+
+
+@pytest.mark.usefixtures("screen")
+def test_a_newcomer_lets_somebody_simulated_wear_the_glove_and_the_event_log_is_saved(
+    open_page: OpenPage, keep: Keep, accessible: Accessible
+) -> None:
+    page = open_page("/")
+    page.get_by_role("button", name="Start the simulated operator").click()
+    page.goto("/system?tab=gloves")
+    expect(page.get_by_role("main")).to_contain_text("frames so far")
+    expect(page.get_by_text("connected", exact=True)).to_be_visible()
+    accessible(page)
+    keep(page, "system-glove")
+    page.keyboard.press("e")
+    page.wait_for_url("**tab=events*")
+    events = page.get_by_role("list", name="Events")
+    expect(events).to_contain_text("The simulated operator puts on glove-1")
+    accessible(page)
+    keep(page, "system-events")
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save as JSON").click()
+    happened = json.loads(saved.value.path().read_text())
+    assert "operator.started" in {event["key"] for event in happened}
