@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -166,10 +167,17 @@ def eventually() -> Callable[..., None]:
     return wait_until
 
 
-@pytest.fixture
-def cell(tmp_path: Path) -> Iterator[Cell]:
-    """A cell of which nothing runs yet."""
+@contextmanager
+def new_cell(data_dir: Path) -> Iterator[Cell]:
+    """A cell of which nothing runs yet; what runs at the end is ended."""
     names = ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "glove", "webui")
-    made = Cell(tmp_path, {name: next_free_port() for name in names})
+    made = Cell(data_dir, {name: next_free_port() for name in names})
     yield made
     made.stop()
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[Cell]:
+    """A cell of which nothing runs yet, for one test."""
+    with new_cell(tmp_path) as made:
+        yield made

@@ -3,12 +3,15 @@
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from datamodels.times import iso
 from tests.conftest import REPOSITORY, Cell
 
 SCREENSHOTS = REPOSITORY / "build" / "screenshots"
@@ -26,6 +29,17 @@ PANEL = {"width": 1280, "height": 800}
 OpenPage = Callable[..., Page]
 
 
+def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
+    """Answer a Task as its performer would, in the broker."""
+    broker = f"{cell.url('context_broker')}/ngsi-ld/v1/entities/{task}/attrs"
+    stamp = iso(datetime.now(UTC))
+    body = {
+        "status": {"type": "Property", "value": status, "observedAt": stamp},
+        "outputParameters": {"type": "Property", "value": outputs, "observedAt": stamp},
+    }
+    httpx.post(broker, json=body).raise_for_status()
+
+
 @pytest.fixture(scope="module")  # while Playwright is there, its loop runs and no other test may run one
 def browser() -> Iterator[Browser]:
     """Chromium without a window; skips where none is installed."""
@@ -40,9 +54,12 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def screen(cell: Cell) -> Cell:
-    """A cell with every service and the screen."""
-    cell.start("context_broker")
-    cell.start("task_orchestrator", "gesture_controller", "trajectory_tool", "webui")
+    """A cell with every service and the screen; a module whose tests share a cell shares what runs in it."""
+    for services in (
+        ["context_broker"],
+        ["task_orchestrator", "gesture_controller", "trajectory_tool", "webui"],
+    ):
+        cell.start(*(service for service in services if service not in cell.processes))
     return cell
 
 

@@ -1,11 +1,12 @@
 """Every page in both themes, three languages and the sizes it is made for: nothing cut off, axe content."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page
 
+from tests.conftest import Cell, new_cell
 from tests.e2e.conftest import OpenPage
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
@@ -14,6 +15,13 @@ SIZES = {"panel": {"width": 1280, "height": 800}, "desk": {"width": 1920, "heigh
 PHONE = {"width": 390, "height": 844}
 LOOKS = [("light", "en", "panel"), ("dark", "de", "panel"), ("light", "fi", "desk"), ("dark", "en", "desk")]
 PAGES = {"start": "/", "work": "/work", "processes": "/processes", "system": "/system"}
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """One cell for all of these tests: they only look."""
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
+        yield made
 
 
 def settled(page: Page) -> None:

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +9,8 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from datamodels.times import iso
 from tests.conftest import REPOSITORY, Cell
-from tests.e2e.conftest import OpenPage
+from tests.e2e.conftest import OpenPage, answer
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
 
@@ -39,17 +37,6 @@ def element(page: Page, name: str) -> Any:
 def has_look(page: Page, name: str, look: str) -> None:
     """Wait until an element of the drawing looks so."""
     expect(element(page, name)).to_have_class(re.compile(rf"\bdiagram-{look}\b"))
-
-
-def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
-    """Answer a Task as its performer would, in the broker."""
-    broker = f"{cell.url('context_broker')}/ngsi-ld/v1/entities/{task}/attrs"
-    stamp = iso(datetime.now(UTC))
-    body = {
-        "status": {"type": "Property", "value": status, "observedAt": stamp},
-        "outputParameters": {"type": "Property", "value": outputs, "observedAt": stamp},
-    }
-    httpx.post(broker, json=body).raise_for_status()
 
 
 def upload(page: Page, file: Path) -> None:

@@ -2,15 +2,15 @@
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, wait_until
-from tests.e2e.conftest import OpenPage
+from tests.conftest import Cell, new_cell, wait_until
+from tests.e2e.conftest import OpenPage, answer
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
 
@@ -27,11 +27,18 @@ def start_process(cell: Cell) -> str:
     return str(answer.raise_for_status().json()["id"])
 
 
-def complete(cell: Cell) -> None:
-    """Complete by hand what glove-1 is asked for, once it is asked for something."""
+def complete(cell: Cell, words: str) -> None:
+    """Complete by hand what glove-1 is asked for, once it is asked for what has these words."""
     glove = f"{cell.url('gesture_controller')}/gloves/glove-1"
-    wait_until(lambda: httpx.get(glove).json()["task"])
+    wait_until(lambda: words in (httpx.get(glove).json()["task"] or {}).get("description", ""))
     httpx.post(f"{glove}/complete", json={"by": "Anna"}).raise_for_status()
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """One cell for all of this page's tests: none needs it as new."""
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
+        yield made
 
 
 @pytest.mark.usefixtures("screen")
@@ -59,12 +66,8 @@ def test_an_alert_is_taken_care_of_by_name_and_that_survives_a_restart(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     process = start_process(cell)
-    broker = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
     views = f"{cell.url('task_orchestrator')}/processes/{process}"
-    task = httpx.get(views).json()["tasks"][0]["id"]
-    httpx.patch(
-        f"{broker}/{task}/attrs", json={"requestedStatus": {"type": "Property", "value": "cancelled"}}
-    ).raise_for_status()
+    answer(cell, httpx.get(views).json()["tasks"][0]["id"], "failed", reason="nobody was there")
 
     page = open_page("/system?tab=alerts", who="", forgives=FORGIVEN)
     alert = page.get_by_role("listitem").filter(has_text="A process has failed")
@@ -84,7 +87,12 @@ def test_an_alert_is_taken_care_of_by_name_and_that_survives_a_restart(
     expect(page.get_by_role("listitem").filter(has_text="A process has failed")).to_contain_text(
         "Aino takes care of it"
     )
-    [stored] = httpx.get(broker, params={"type": "Alert"}).json()
+    context = f"{cell.url('task_orchestrator')}/context.jsonld"
+    [stored] = httpx.get(
+        f"{cell.url('context_broker')}/ngsi-ld/v1/entities",
+        params={"type": "Alert"},
+        headers={"Link": f'<{context}>; rel="http://www.w3.org/ns/json-ld#context"'},
+    ).json()
     assert stored["humanVerified"]["by"]["value"] == "Aino", stored
 
 
@@ -97,19 +105,26 @@ def test_the_robot_is_seen_moving_and_its_gripper_is_freed_only_when_it_rests(
     drawing = page.get_by_role("application", name=re.compile("^ur10-1 in its cell"))
     expect(drawing.locator("canvas")).to_be_visible()
     before = drawing.screenshot()
-    complete(cell)
-    expect(page.get_by_role("heading", name="Moves to its home position")).to_be_visible()
+    complete(cell, "nobody and nothing stands")
+    expect(page.get_by_role("heading", name="Looks into the bin")).to_be_visible()
     expect(page.get_by_role("progressbar", name="How far the Task is")).to_be_visible()
     expect(page.get_by_role("button", name="Free the gripper")).to_be_disabled()
     accessible(page)
     keep(page, "system-robot")
-    expect(page.get_by_role("heading", name="Looks into the bin")).to_be_visible()
     expect(page.get_by_role("heading", name="No Task at the moment")).to_be_visible()
     assert drawing.screenshot() != before
+
+    complete(cell, "Stir the bin")
+    complete(cell, "pick")
+    expect(page.get_by_role("heading", name="Picks a part")).to_be_visible()
+    page.get_by_text(re.compile("^holds ")).wait_for()
+    page.get_by_role("heading", name="No Task at the moment").wait_for()
     page.get_by_role("button", name="Free the gripper").click()
-    dialog = page.get_by_role("alertdialog")
-    expect(dialog).to_contain_text("It holds nothing now")
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("falls unless somebody holds it")
     accessible(page)
+    dialog.get_by_role("button", name="Free the gripper").click()
+    page.get_by_text("open", exact=True).wait_for()
 
 
 @pytest.mark.usefixtures("screen")

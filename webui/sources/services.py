@@ -116,10 +116,13 @@ class Services(Source):
                 continue
 
     def heard(self, name: str, text: str, at: str | None = None) -> None:
-        """Take `text` for the last that was heard of a service."""
-        row = self._rows.get(name)
-        if row is not None:
-            row.last_message = {"at": at or now(), "text": text}
+        """Take `text` for the last that was heard of a service, or of a performer that works in one.
+
+        A service with several performers names each after itself: `trajectory-tool-ur10-1`.
+        """
+        for row in self._rows.values():
+            if name == row.name or name.startswith(f"{row.name}-"):
+                row.last_message = {"at": at or now(), "text": text}
 
     def look_now(self) -> None:
         """Ask without waiting: somebody has met a service that does not answer, or does again."""
