@@ -29,19 +29,24 @@ FLAGS = ["--disable-gpu", "--disable-quic", "--disable-sync", "--enable-unsafe-s
 MOST_ANSWER_MS = 100.0
 SAMPLE_S = 20.0
 
-# Notes when the page was first painted after a change within <main> that came after `since`.
+# When the page has painted what `selector` names, which is not there yet.
 WATCH = """
-window.answered = (since) => new Promise((resolve) => {
+window.painted = (selector) => new Promise((resolve, reject) => {
+  const isThere = () => document.querySelector(selector) !== null;
+  if (isThere()) reject(new Error(`${selector} is there already`));
   const seen = new MutationObserver(() => {
+    if (!isThere()) return;
     seen.disconnect();
     requestAnimationFrame(() => setTimeout(() => resolve(performance.timeOrigin + performance.now()), 0));
   });
-  seen.observe(document.querySelector("main"), { subtree: true, childList: true, attributes: true,
-    attributeFilter: ["data-situation", "aria-current"] });
+  seen.observe(document.body, { subtree: true, childList: true, attributeFilter: ["data-situation"] });
 });
-const press = (event) => { window.pressedAt = performance.timeOrigin + event.timeStamp; };
-document.addEventListener("pointerdown", press, true);
+document.addEventListener("pointerdown", (event) => {
+  window.pressedAt = performance.timeOrigin + event.timeStamp;
+}, true);
 """
+ANSWERED = "[data-situation='answered']"
+SINCE_PRESSED = ".then((at) => at - window.pressedAt)"
 
 
 async def measure_answers(env: dict[str, str], browser: Browser, count: int) -> dict[str, list[float]]:
@@ -70,15 +75,13 @@ async def measure_answers(env: dict[str, str], browser: Browser, count: int) -> 
             await keeping
             if by_hand:
                 keeping = asyncio.create_task(hand.show(OPEN_HAND, 0.5))
-                answered = asyncio.create_task(
-                    page.evaluate("answered().then((at) => at - window.pressedAt)")
-                )
+                answered = asyncio.create_task(page.evaluate(f'painted("{ANSWERED}"){SINCE_PRESSED}'))
                 await asyncio.sleep(0.05)
                 await page.get_by_role("button", name="Complete by hand").click()
                 took["complete by hand"].append(float(await answered))
                 await keeping
             else:
-                answered = asyncio.create_task(page.evaluate("answered()"))
+                answered = asyncio.create_task(page.evaluate(f'painted("{ANSWERED}")'))
                 await asyncio.sleep(0)
                 bend = [1000 if finger == "0" else 100 for finger in code]
                 offset_s = time.time() - time.perf_counter()
@@ -87,13 +90,10 @@ async def measure_answers(env: dict[str, str], browser: Browser, count: int) -> 
             by_hand = not by_hand
         hand.link.close()
         for nth in range(count):
-            answered = asyncio.create_task(page.evaluate("answered().then((at) => at - window.pressedAt)"))
+            name = ["Processes", "Work"][nth % 2]
+            answered = asyncio.create_task(page.evaluate(f'painted(".{name.lower()}"){SINCE_PRESSED}'))
             await asyncio.sleep(0.05)
-            await (
-                page.get_by_role("navigation")
-                .get_by_role("link", name=["Processes", "Work"][nth % 2])
-                .click()
-            )
+            await page.get_by_role("navigation").get_by_role("link", name=name).click()
             took["open another page"].append(float(await answered))
             await asyncio.sleep(0.2)
     await context.close()
@@ -190,7 +190,7 @@ async def measure(env: dict[str, str], answers: int, minutes: float) -> None:
         raise SystemExit("Chromium is not installed; on Debian and Ubuntu: sudo apt install chromium")
     async with async_playwright() as playwright:
         browser = await playwright.chromium.launch(executable_path=chromium, args=FLAGS)
-        for what, times in (await measure_answers(env, browser, answers)).items():
+        for what, times in (await measure_answers(env, browser, answers)).items() if answers else ():
             ordered = sorted(times)
             p99 = ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]
             compare(f"{what}, median", statistics.median(ordered), MOST_ANSWER_MS, "ms")
@@ -213,6 +213,8 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as data_dir:
         for confirm_ms, answers, minutes in (("300", options.answers, 0.0), ("1500", 0, options.minutes)):
+            if not answers and not minutes:
+                continue
             env = {**environment(data_dir), "HANDOVER_ANNOUNCE_MS": "100", "HANDOVER_CONFIRM_MS": confirm_ms}
             process: subprocess.Popen[str]
             process, _ = up(env)

@@ -87,8 +87,11 @@ class Glove:
         self.frames = 0
         self.dropped: Counter[str] = Counter()
         self.rate_hz = 0.0
-        self.watchers: set[Callable[[], None]] = set()
-        """Called when something to be seen has changed, with every frame too; must be quick."""
+        self.watchers: set[Callable[[bool], None]] = set()
+        """Called when something to be seen has changed, with every frame too; must be quick.
+
+        True when it is more than a movement of the hand, and should be seen at once.
+        """
         self.recorders: set[Callable[[bytes], None]] = set()
         """Called with the raw line of every frame."""
         self._listener = listener
@@ -137,7 +140,7 @@ class Glove:
         if hold.last is not HoldEvent.NONE:
             self._act_on(judge(hold, self._rules()), now_s)
         for watcher in self.watchers:
-            watcher()
+            watcher(False)
         for record in self.recorders:
             record(line)
 
@@ -286,7 +289,9 @@ class Glove:
         errand.answer.set_result(answer)
         metrics.CONFIRMATIONS.labels(answer.by).inc()
         self.last_answer = (answer, now_s)
-        if answer.asked.command_id is not None:
+        if answer.asked.command_id is None:
+            self._changed()
+        else:
             self._give(answer.asked.command_id)
 
     def _give(self, command_id: int) -> None:
@@ -309,4 +314,4 @@ class Glove:
     def _changed(self) -> None:
         self._listener.state_changed(self)
         for watcher in self.watchers:
-            watcher()
+            watcher(True)

@@ -19,16 +19,25 @@ RECORDER_LAG = 2000
 
 
 async def follow(glove: Glove, screen: WebSocket) -> None:
-    """Send the view of `glove` to `screen` whenever it has changed, at most 30 times a second."""
+    """Send the view of `glove` to `screen` whenever it has changed.
+
+    A hand that moves is sent at most 30 times a second; what is asked, answered or lost at once.
+    """
     await screen.accept()
-    changed = asyncio.Event()
-    glove.watchers.add(changed.set)
-    sending = asyncio.create_task(_send(glove, screen, changed))
+    moved, matters = asyncio.Event(), asyncio.Event()
+
+    def watch(more_than_a_movement: bool) -> None:
+        moved.set()
+        if more_than_a_movement:
+            matters.set()
+
+    glove.watchers.add(watch)
+    sending = asyncio.create_task(_send(glove, screen, moved, matters))
     listening = asyncio.create_task(_until_closed(screen))
     try:
         await asyncio.wait({sending, listening}, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        glove.watchers.discard(changed.set)
+        glove.watchers.discard(watch)
         for half in (sending, listening):
             half.cancel()
         await asyncio.wait({sending, listening})
@@ -61,15 +70,18 @@ async def frames_of(glove: Glove) -> AsyncIterator[bytes]:
         glove.recorders.discard(record)
 
 
-async def _send(glove: Glove, screen: WebSocket, changed: asyncio.Event) -> None:
+async def _send(glove: Glove, screen: WebSocket, moved: asyncio.Event, matters: asyncio.Event) -> None:
     loop = asyncio.get_running_loop()
     while True:
-        changed.clear()
+        moved.clear()
+        matters.clear()
         await screen.send_text(orjson.dumps(view_of(glove, loop.time())).decode())
-        await asyncio.sleep(LEAST_PAUSE_S)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(LEAST_PAUSE_S):
+                await matters.wait()
         with suppress(TimeoutError):
             async with asyncio.timeout(STILL_S):
-                await changed.wait()
+                await moved.wait()
 
 
 async def _until_closed(screen: WebSocket) -> None:

@@ -187,7 +187,7 @@ def test_with_the_glove_only(
             accessible(page)
             keep(page, "work-wrong-gesture")
         wearer.show(gestures[wanted])
-        page.get_by_text("Hold it").wait_for()
+        page.get_by_text("Right. Hold it").wait_for()
         keep(page, "work-hold")
         page.get_by_text("Confirmed", exact=True).wait_for()
         wearer.show("22222")

@@ -88,6 +88,8 @@ def test_an_alert_is_taken_care_of_by_name_and_that_survives_a_restart(
         "Aino takes care of it"
     )
     context = f"{cell.url('task_orchestrator')}/context.jsonld"
+    page.get_by_role("link", name="Open the process").click()
+    expect(page.locator(".process__reason")).to_contain_text("nobody was there")
     [stored] = httpx.get(
         f"{cell.url('context_broker')}/ngsi-ld/v1/entities",
         params={"type": "Alert"},

@@ -2,6 +2,7 @@
 import { BadgeInfo, CircleAlert, OctagonAlert, TriangleAlert, UserCheck } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
+import { Link } from "wouter";
 import { acknowledge } from "~/api/acts";
 import { describe } from "~/api/http";
 import { Ago } from "~/design/Ago";
@@ -10,6 +11,7 @@ import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
 import { severityTone } from "~/design/states";
 import type { AlertView, Severity } from "~/live/messages";
+import { pathOf } from "~/processes/address";
 import { useWithName } from "~/shell/who";
 import { shortName } from "../names";
 import { kindOf } from "./alerts";
@@ -55,6 +57,9 @@ export function AlertCard({ alert }: { alert: AlertView }) {
           </span>
         ) : (
           alert.validTo === null && <Acknowledge alert={alert.id} />
+        )}
+        {kind === "processFailed" && (
+          <Link href={pathOf({ kind: "process", id: shortName(alert.source) })}>{t("alert.openProcess")}</Link>
         )}
       </div>
     </li>
