@@ -27,6 +27,7 @@ from webui.sources.alerts import Alerts
 from webui.sources.devices import Devices
 from webui.sources.entities import Entities
 from webui.sources.gloves import Gloves
+from webui.sources.looked_at import Lookout
 from webui.sources.processes import ProcessEntities, Processes
 from webui.sources.robots import Robots
 from webui.sources.services import Services
@@ -72,9 +73,8 @@ class Screen:
         self.alerts = Alerts(self.world, self.events, self.broker)
         kinds = (devices, tasks, ProcessEntities(processes), self.alerts)
         self.entities = Entities(settings, self.broker, kinds, services)
-        gloves = Gloves(settings, http, self.world, self.audience, services)
-        robots = Robots(settings, http, self.world, self.audience, services)
-        self._sources = (services, self.entities, processes, gloves, robots)
+        lookout = Lookout(settings, http, self.world, self.audience, services)
+        self._sources = (services, self.entities, processes, Gloves(lookout), Robots(lookout))
         self.world.tell("cell", cell_of(settings))
 
     @asynccontextmanager

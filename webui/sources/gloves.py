@@ -5,44 +5,26 @@ from contextlib import suppress
 from typing import Any, Final
 from urllib.parse import quote
 
-import httpx
 import orjson
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from handover.telemetry import get_logger
-from webui.audience import Audience
-from webui.settings import CONTROLLER, WebuiSettings
-from webui.sources.services import Services
-from webui.sources.source import Source
-from webui.world import World
-
-log = get_logger(__name__)
+from webui.settings import CONTROLLER
+from webui.sources.looked_at import PATIENCE_S, LookedAt, Lookout
 
 LOOK_EVERY_S: Final = 1.0
 FIRST_RETRY_S, LAST_RETRY_S = 0.2, 2.0
-PATIENCE_S: Final = 3.0
 
 
-class Gloves(Source):
+class Gloves(LookedAt):
     """Follows every glove that the controller knows."""
 
-    def __init__(
-        self,
-        settings: WebuiSettings,
-        http: httpx.AsyncClient,
-        world: World,
-        audience: Audience,
-        services: Services,
-    ) -> None:
-        self._http = http
-        self._url = settings.service_urls[CONTROLLER]
-        self._world = world
-        self._audience = audience
-        self._services = services
+    service, family = CONTROLLER, "gloves"
+
+    def __init__(self, lookout: Lookout) -> None:
+        super().__init__(lookout)
         self._following: dict[str, asyncio.Task[None]] = {}
         self._live: set[str] = set()
-        audience.before_first_look(self.look)
 
     async def follow(self) -> None:
         """Follow the gloves while somebody looks."""
@@ -58,12 +40,8 @@ class Gloves(Source):
 
     async def look(self) -> None:
         """Ask which gloves there are, and how they are."""
-        try:
-            answer = await self._http.get(f"{self._url}/gloves", timeout=PATIENCE_S)
-            views: list[dict[str, Any]] = answer.raise_for_status().json()
-        except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
-            log.debug("cannot ask for the gloves", error=str(error))
-            self._services.look_now()
+        views = await self._ask()
+        if views is None:
             return
         for view in views:
             if view["glove"] not in self._live:

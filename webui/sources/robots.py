@@ -2,48 +2,30 @@
 
 import asyncio
 from contextlib import suppress
-from typing import Any, Final
+from typing import Final
 from urllib.parse import quote
 
-import httpx
 import orjson
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from handover.telemetry import get_logger
-from webui.audience import Audience
-from webui.settings import TRAJECTORY, WebuiSettings
-from webui.sources.services import Services
-from webui.sources.source import Source
-from webui.world import World
-
-log = get_logger(__name__)
+from webui.settings import TRAJECTORY
+from webui.sources.looked_at import PATIENCE_S, LookedAt, Lookout
 
 AT_WORK_S: Final = 0.2
 AT_REST_S: Final = 0.5
 JOINTS_HZ: Final = 30
 RETRY_S: Final = 0.5
-PATIENCE_S: Final = 3.0
 
 
-class Robots(Source):
+class Robots(LookedAt):
     """Looks at the robots while somebody looks: five times a second while one works, else less often."""
 
-    def __init__(
-        self,
-        settings: WebuiSettings,
-        http: httpx.AsyncClient,
-        world: World,
-        audience: Audience,
-        services: Services,
-    ) -> None:
-        self._http = http
-        self._url = settings.service_urls[TRAJECTORY]
-        self._world = world
-        self._audience = audience
-        self._services = services
+    service, family = TRAJECTORY, "robots"
+
+    def __init__(self, lookout: Lookout) -> None:
+        super().__init__(lookout)
         self._streams: dict[str, asyncio.Task[None]] = {}
-        audience.before_first_look(self.look)
 
     async def follow(self) -> None:
         """Follow the robots while somebody looks."""
@@ -64,12 +46,8 @@ class Robots(Source):
 
     async def _look(self) -> bool:
         """Ask how the robots are; return whether one works."""
-        try:
-            answer = await self._http.get(f"{self._url}/robots", timeout=PATIENCE_S)
-            views: list[dict[str, Any]] = answer.raise_for_status().json()
-        except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
-            log.debug("cannot ask for the robots", error=str(error))
-            self._services.look_now()
+        views = await self._ask()
+        if views is None:
             return False
         for view in views:
             self._world.tell(f"robot/{view['id']}", view)
