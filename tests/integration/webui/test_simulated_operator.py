@@ -71,7 +71,7 @@ def test_it_is_started_again_when_it_dies_and_dies_with_the_server(
     eventually(lambda: operators(cell), 30)
     (first,) = operators(cell)
     first.kill()
-    eventually(lambda: operators(cell) and operators(cell)[0].pid != first.pid, 30)
+    eventually(lambda: any(operator.pid != first.pid for operator in operators(cell)), 30)
     (second,) = operators(cell)
     cell.kill("webui")
     eventually(lambda: not second.is_running() or second.status() == psutil.STATUS_ZOMBIE, 30)
