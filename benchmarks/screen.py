@@ -29,9 +29,9 @@ FLAGS = ["--disable-gpu", "--disable-quic", "--disable-sync", "--enable-unsafe-s
 MOST_ANSWER_MS = 100.0
 SAMPLE_S = 20.0
 
-# When the page has painted what `selector` names, which is not there yet.
+# `painted` is when the page has painted what `watchFor` was given, which is not there yet.
 WATCH = """
-window.painted = (selector) => new Promise((resolve, reject) => {
+window.watchFor = (selector) => { window.painted = new Promise((resolve, reject) => {
   const isThere = () => document.querySelector(selector) !== null;
   if (isThere()) reject(new Error(`${selector} is there already`));
   const seen = new MutationObserver(() => {
@@ -40,13 +40,13 @@ window.painted = (selector) => new Promise((resolve, reject) => {
     requestAnimationFrame(() => setTimeout(() => resolve(performance.timeOrigin + performance.now()), 0));
   });
   seen.observe(document.body, { subtree: true, childList: true, attributeFilter: ["data-situation"] });
-});
+}); };
 document.addEventListener("pointerdown", (event) => {
   window.pressedAt = performance.timeOrigin + event.timeStamp;
 }, true);
 """
 ANSWERED = "[data-situation='answered']"
-SINCE_PRESSED = ".then((at) => at - window.pressedAt)"
+SINCE_PRESSED = "painted.then((at) => at - window.pressedAt)"
 
 
 async def measure_answers(env: dict[str, str], browser: Browser, count: int) -> dict[str, list[float]]:
@@ -75,26 +75,25 @@ async def measure_answers(env: dict[str, str], browser: Browser, count: int) -> 
             await keeping
             if by_hand:
                 keeping = asyncio.create_task(hand.show(OPEN_HAND, 0.5))
-                answered = asyncio.create_task(page.evaluate(f'painted("{ANSWERED}"){SINCE_PRESSED}'))
-                await asyncio.sleep(0.05)
+                await page.evaluate(f'watchFor("{ANSWERED}")')
                 await page.get_by_role("button", name="Complete by hand").click()
-                took["complete by hand"].append(float(await answered))
+                took["complete by hand"].append(float(await page.evaluate(SINCE_PRESSED)))
                 await keeping
             else:
-                answered = asyncio.create_task(page.evaluate(f'painted("{ANSWERED}")'))
-                await asyncio.sleep(0)
+                await page.evaluate(f'watchFor("{ANSWERED}")')
                 bend = [1000 if finger == "0" else 100 for finger in code]
                 offset_s = time.time() - time.perf_counter()
                 sent_s = await hand.show(bend, HOLD_S)
-                took["gesture held"].append(float(await answered) - 1000 * (sent_s + offset_s))
+                took["gesture held"].append(
+                    float(await page.evaluate("painted")) - 1000 * (sent_s + offset_s)
+                )
             by_hand = not by_hand
         hand.link.close()
         for nth in range(count):
             name = ["Processes", "Work"][nth % 2]
-            answered = asyncio.create_task(page.evaluate(f'painted(".{name.lower()}"){SINCE_PRESSED}'))
-            await asyncio.sleep(0.05)
+            await page.evaluate(f'watchFor(".{name.lower()}")')
             await page.get_by_role("navigation").get_by_role("link", name=name).click()
-            took["open another page"].append(float(await answered))
+            took["open another page"].append(float(await page.evaluate(SINCE_PRESSED)))
             await asyncio.sleep(0.2)
     await context.close()
     return {name: times[2:] for name, times in took.items()}  # the first ones load what they show

@@ -1,16 +1,12 @@
 """Retry with broker, orchestrator and performer as they run, and killed between a retry and its effect."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import orjson
 import pytest
-from sqlalchemy import text
 
-from handover.database import connect
 from tests.integration.task_orchestrator.cell import Cell, FreePort, cell, eventually
-from tests.postgres import postgres_server
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, gateway, path, start
 
 pytestmark = pytest.mark.slow
@@ -26,20 +22,6 @@ BRANCHES = (
     + path("start", "fork", "a", "join", "last", "end")
     + path("fork", "b", "join")
 )
-
-
-@pytest.fixture(params=["sqlite", "postgresql"])
-def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str | None]:
-    if request.param == "sqlite":
-        yield None
-        return
-    with postgres_server(tmp_path / "postgres") as url:
-        engine = connect(url)
-        with engine.begin() as connection:
-            connection.execute(text("DROP SCHEMA public CASCADE"))
-            connection.execute(text("CREATE SCHEMA public"))
-        engine.dispose()
-        yield url
 
 
 def play(running: Cell, **script: Any) -> None:

@@ -3,17 +3,13 @@
 import os
 import random
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import orjson
 import pytest
-from sqlalchemy import text
 
-from handover.database import connect
 from tests.integration.task_orchestrator.cell import Cell, FreePort, cell, eventually
-from tests.postgres import postgres_server
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
     activity,
@@ -48,25 +44,6 @@ STORY = [
     ),
     *("scan-3", "confirm_pick-2", "pick-2", "confirm_grip-1", "place-1", "confirm_placed-1", "home_after-1"),
 ]
-
-
-@pytest.fixture(scope="module")
-def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
-        yield url
-
-
-@pytest.fixture(params=["sqlite", "postgresql"])
-def database_url(request: pytest.FixtureRequest) -> str | None:
-    if request.param == "sqlite":
-        return None
-    url = str(request.getfixturevalue("postgres"))
-    engine = connect(url)
-    with engine.begin() as connection:
-        connection.execute(text("DROP SCHEMA public CASCADE"))
-        connection.execute(text("CREATE SCHEMA public"))
-    engine.dispose()
-    return url
 
 
 def play(running: Cell, script: dict[str, Any]) -> None:

@@ -1,10 +1,6 @@
-/** Names as people use them: the last part of a URN, and the performer of a Task. */
+/** Names as people use them: of a Task, of whoever performs it, and of a process among its like. */
 import type { ProcessView, TaskView } from "~/live/messages";
-
-/** "glove-1" of `urn:ngsi-ld:Device:demo:glove-1`; what is no URN stays as it is. */
-export function shortName(urn: string): string {
-  return urn.startsWith("urn:") ? urn.slice(urn.lastIndexOf(":") + 1) : urn;
-}
+import { shortName } from "~/live/urn";
 
 /** Whoever acts for the first resource that a Task involves performs it; nobody is "". */
 export function performerOf(task: Pick<TaskView, "involves">): string {

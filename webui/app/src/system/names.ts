@@ -3,11 +3,6 @@ import { useMemo, useSyncExternalStore } from "react";
 import { useLive } from "~/live/hooks";
 import type { LiveStore } from "~/live/store";
 
-/** "glove-1" of `urn:ngsi-ld:Device:demo:glove-1`; what is no URN stays as it is. */
-export function shortName(urn: string): string {
-  return urn.startsWith("urn:") ? urn.slice(urn.lastIndexOf(":") + 1) : urn;
-}
-
 /** The gloves by name: a hand that moves thirty times a second does not draw the list anew. */
 export function useGloveNames(): string[] {
   return useNames("glove", (value) => (value as { glove: string }).glove);

@@ -2,6 +2,7 @@
 import type {
   DefinitionView, GloveTask, GloveView, ProcessView, RobotView, ServiceHealth, TaskView,
 } from "~/live/messages";
+import * as views from "~/testing/views";
 import type { Scene } from "./situation";
 
 const at = "2026-01-01T10:00:00Z";
@@ -63,23 +64,17 @@ export const robot: RobotView = {
   remainingS: null,
 };
 
-export const userTask: TaskView = {
+export const userTask: TaskView = views.task({
   id: task.id,
   element: "confirm",
   name: "Confirm",
-  visit: 1,
   description: task.description,
   status: "inProgress",
   involves: ["urn:ngsi-ld:Device:demo:glove-1"],
   workParameters: { gesture: "Thumbs up" },
-  outputParameters: null,
   createdAt: at,
-  deadline: null,
-  endedAt: null,
-  cancelled: false,
-  reason: null,
   history: [],
-};
+});
 
 export const robotTask: TaskView = {
   ...userTask,
@@ -91,29 +86,7 @@ export const robotTask: TaskView = {
 };
 
 export function process(part: Partial<ProcessView> = {}): ProcessView {
-  return {
-    id: "bin-picking-1",
-    entity: "urn:ngsi-ld:Process:demo:bin-picking-1",
-    definition: "bin-picking",
-    version: 1,
-    title: "Bin picking",
-    key: null,
-    status: "inProgress",
-    reason: null,
-    startedAt: at,
-    endedAt: null,
-    parameters: { operator: "Device:glove-1" },
-    variables: {},
-    waiting: [],
-    next: [],
-    done: 3,
-    activities: 9,
-    elements: {},
-    acts: [],
-    tasks: [],
-    retry: null,
-    ...part,
-  };
+  return views.process({ startedAt: at, parameters: { operator: "Device:glove-1" }, done: 3, activities: 9, ...part });
 }
 
 export const completed = process({ status: "completed", endedAt: "2026-01-01T10:01:00Z" });

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { at, process } from "../samples";
+import { at, process } from "~/testing/views";
 import { found, held, KEPT_ENDED, remembered, sameSections, together, type ProcessRow } from "./rows";
 
 const running = (id: string, second: number): ProcessRow => process({ id, startedAt: at(second) });

@@ -14,9 +14,10 @@ import { statusTone } from "~/design/states";
 import { duration } from "~/design/times";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
+import { shortName } from "~/live/urn";
 import { useWho, useWithName } from "~/shell/who";
 import { pathOf } from "../address";
-import { markOf, nameOf, shortName } from "../names";
+import { markOf, nameOf } from "../names";
 
 export function ProcessHead({ process }: { process: ProcessView }) {
   const { t } = useTranslation(["processes", "common"]);

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { at, atMs, process, task } from "../samples";
+import { at, atMs, process, task } from "~/testing/views";
 import { marksOf, percentAt, spanOf, stepFor } from "./axis";
 import { courseOf } from "./course";
 import { filtered, performersOf, statusesOf } from "./filter";

@@ -11,9 +11,9 @@ import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
 import { severityTone } from "~/design/states";
 import type { AlertView, Severity } from "~/live/messages";
+import { shortName } from "~/live/urn";
 import { pathOf } from "~/processes/address";
 import { useWithName } from "~/shell/who";
-import { shortName } from "../names";
 import { kindOf } from "./alerts";
 
 const icons: Record<Severity, typeof TriangleAlert> = {

@@ -7,7 +7,7 @@ import { State } from "~/design/State";
 import { deviceTone } from "~/design/states";
 import { useFamily } from "~/live/hooks";
 import type { DeviceView } from "~/live/messages";
-import { shortName } from "../names";
+import { shortName } from "~/live/urn";
 import { Cell, Row, Rows } from "../Rows";
 import { Battery } from "../Battery";
 import { valueInWords } from "./value";

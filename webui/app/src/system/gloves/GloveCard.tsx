@@ -11,8 +11,8 @@ import { rate } from "~/design/times";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { useNow } from "~/live/clock";
 import { useLive, usePick } from "~/live/hooks";
+import { shortName } from "~/live/urn";
 import { Battery } from "../Battery";
-import { shortName } from "../names";
 
 const BendStrip = lazy(() => import("./BendStrip"));
 
