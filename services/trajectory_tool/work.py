@@ -72,12 +72,19 @@ class Work:
     async def _move(self, target: Joints) -> bool:
         self._moving = True
         try:
-            arrived = await self.cell.robot.move(target, self._speed, self._steering.may_go)
+            arrived = await self.cell.robot.move(target, self._speed, self._may_go)
             if not arrived:
                 self._in_hand_s = self.cell.robot.estimate_s(self.cell.joints, target, self._speed)
             return arrived
         finally:
             self._moving = False
+
+    def _may_go(self) -> bool:
+        """Ask whether the motion may go on; from where it may not, its way to the target is still ahead."""
+        may_go = self._steering.may_go()
+        if not may_go and self._in_hand_s == 0.0:
+            self._in_hand_s = self.cell.robot.remaining_s()
+        return may_go
 
     async def grip(self) -> str | None:
         """Close the gripper; return the part it holds then, None (and open) if there is none."""

@@ -256,6 +256,25 @@ async def test_a_pause_in_the_middle_rests_and_then_reaches_the_target(worker: A
     assert worker.cell.joints == tuple(target)
 
 
+async def test_a_stop_on_the_way_is_no_progress(worker: Any) -> None:
+    target = [2.0, -1.2, 1.1, -1.4, -1.5, 0.3]
+    pause = PausedAt(worker.time, worker.time.time_s + 1.0)
+    pause.cell = worker.cell
+    seen: list[float] = []
+    remaining_s: list[float] = []
+
+    def look(now_s: float) -> None:
+        if worker.work and not pause.rests:
+            seen.append(worker.work.progress())
+            remaining_s.append(worker.work.remaining_s())
+
+    worker.time.on_wait = look
+    await worker.do("moveTo", joints=target, steering=pause)
+    assert pause.rests[0].positions[0] < 1.9
+    assert 0.2 < seen[-1] < 0.8
+    assert min(remaining_s) > 0.2
+
+
 async def test_progress_never_goes_back_and_ends_at_one(worker: Any) -> None:
     seen: list[float] = []
     pause = PausedAt(worker.time, worker.time.time_s + 2.5)
