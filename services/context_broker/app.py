@@ -2,9 +2,8 @@
 
 import gc
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Final
 
 from fastapi import FastAPI
 from prometheus_client import Counter, Gauge, Histogram
@@ -15,6 +14,7 @@ from handover.service import create_app
 from handover.telemetry import get_logger
 from services.context_broker.batch_operations import BatchOperations
 from services.context_broker.contexts import ContextBook
+from services.context_broker.database import SqliteDatabase
 from services.context_broker.discovery_operations import DiscoveryOperations
 from services.context_broker.entity_operations import EntityOperations
 from services.context_broker.exchange import (
@@ -22,27 +22,20 @@ from services.context_broker.exchange import (
     Answer,
     Disconnected,
     Exchange,
+    Request,
     path_parts,
     problem_answer,
     received,
     send_answer,
 )
-from services.context_broker.journal import Entries, Journal, NotStored, SqliteJournal
-from services.context_broker.notifier import Notifier
-from services.context_broker.problems import (
-    ERRORS,
-    method_not_allowed,
-    no_such_tenant,
-    not_found,
-    not_stored,
-)
+from services.context_broker.journal import Entries, Journal, Kind, NotStored
+from services.context_broker.operation import Directory, Operation
+from services.context_broker.problems import ERRORS, not_stored
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.store import Store
 from services.context_broker.subscription_operations import SubscriptionOperations
+from services.context_broker.tenants import DEFAULT, Tenants
 
 log = get_logger(__name__)
-
-Operation = Callable[[Exchange], Awaitable[Answer]]
 
 ENTITIES = Gauge("handover_broker_entities", "Entities in the broker")
 REQUESTS = Counter("handover_broker_requests_total", "Requests answered", ["operation", "status"])
@@ -52,11 +45,6 @@ SECONDS = Histogram(
     ["operation"],
     buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.1, 0.5, 1, 5),
 )
-_ROOMS: Final = {
-    "entities": ("entities", "entities/*", "entities/*/attrs", "entities/*/attrs/*"),
-    "subscriptions": ("subscriptions", "subscriptions/*"),
-    "types": ("types", "types/*"),
-}
 
 
 class Broker:
@@ -65,113 +53,94 @@ class Broker:
     def __init__(self, settings: BrokerSettings, journal: Journal) -> None:
         self.settings = settings
         self.journal = journal
+        self.tenants = Tenants(journal, settings)
         self.contexts = ContextBook(self._keep_context, settings.broker_context_timeout_s)
-        self.notifier = Notifier(
-            timeout_s=settings.broker_notification_timeout_s,
-            keep_s=settings.broker_notification_keep_h * 3600,
+        self.subscriptions = SubscriptionOperations(self.contexts)
+        self.directory = Directory(
+            operation
+            for room in (
+                EntityOperations(),
+                BatchOperations(),
+                DiscoveryOperations(f"handover-{settings.factory}"),
+                self.subscriptions,
+            )
+            for operation in room.operations()
         )
-        self.store = Store(journal, self.notifier.announce, self.notifier.deliver)
-        self.notifier.store = self.store
-        self.subscriptions = SubscriptionOperations(self.store, self.notifier, self.contexts)
-        self.routes = self._routes()
-        self._seen: dict[tuple[str, int], tuple[Counter, Histogram]] = {}
+        self._seen: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
 
     async def start(self) -> None:
         """Take up what the journal holds, and begin to notify."""
-        for url, stored in self.journal.contexts():
+        for _, url, stored in self.journal.documents(Kind.CONTEXT):
             self.contexts.remember(url, stored)
-        self.store.load()
-        self.store.commits.start()
-        self.notifier.start(await self.subscriptions.restore())
-        ENTITIES.set_function(lambda: len(self.store))
+        self.tenants.load()
+        self.tenants.commits.start()
+        await self._take_up_subscriptions()
+        ENTITIES.set_function(self.tenants.entities)
         gc.freeze()  # what was loaded stays: collections need not walk through it again and again
-        log.info("broker ready", entities=len(self.store), file=str(self.settings.data_dir / "broker.db"))
+        log.info("broker ready", entities=self.tenants.entities(), database=self.journal.name)
 
     async def stop(self) -> None:
         """Commit what is on its way, and close."""
-        self.notifier.stop()
-        await self.store.commits.stop()
+        for tenant in self.tenants:
+            tenant.notifier.stop()
+        self.tenants.outbound.sender.close()
+        await self.tenants.commits.stop()
         self.journal.close()
 
     async def answer(self, scope: Scope, receive: Receive) -> Answer:
         """Answer one request."""
         method: str = scope["method"]
-        parts = path_parts(scope)
-        shape, names = _shape(parts)
-        methods = self.routes.get(shape)
-        if methods is None:
-            raise not_found(
-                f"there is nothing at {scope['path']}; see {PREFIX}entities and {PREFIX}subscriptions"
-            )
-        operation = methods.get(method)
-        if operation is None:
-            raise method_not_allowed(f"{scope['path']} takes {', '.join(methods)}, not {method}")
-        exchange = await received(scope, receive, names, self.contexts, self.settings.broker_max_body_bytes)
-        if exchange.headers.get(b"ngsild-tenant"):
-            raise no_such_tenant("this broker keeps one tenant only; leave the NGSILD-Tenant header out")
+        operation, names = self.directory.find(method, path_parts(scope), scope["path"])
+        request = await received(scope, receive, self.settings.broker_max_body_bytes)
         started_s = time.perf_counter()
         try:
-            answer = await operation(exchange)
+            answer = await self._performed(operation, request, names)
         except Problem as problem:
             answer = problem_answer(problem)
-        self._observe(f"{method} {shape}", answer.status, time.perf_counter() - started_s)
+        self._observe(operation, answer.status, time.perf_counter() - started_s)
         return answer
 
-    def _observe(self, operation: str, status: int, seconds: float) -> None:
-        key = (operation, status)
+    async def _performed(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
+        header = request.headers.get(b"ngsild-tenant", b"")
+        tenant = self.tenants.of(header, makes=operation.makes_tenant)
+        try:
+            exchange = Exchange(request, names, self.contexts, tenant)
+            exchange.require_known(operation.parameters)
+            answer = await operation.answer(exchange)
+        finally:
+            self.tenants.leave(tenant)
+        if not header:
+            return answer
+        return Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", header)])
+
+    async def _take_up_subscriptions(self) -> None:
+        told = {(tenant, one): body for tenant, one, body in self.journal.documents(Kind.COUNTS)}
+        kept: dict[str, list[tuple[bytes, bytes | None]]] = {}
+        for name, one, body in self.journal.documents(Kind.SUBSCRIPTION):
+            kept.setdefault(name, []).append((body, told.get((name, one))))
+        for tenant in self.tenants:
+            await self.subscriptions.restore(tenant, kept.get(tenant.name, ()))
+
+    def _observe(self, operation: Operation, status: int, seconds: float) -> None:
+        key = (operation.method, operation.path, status)
         seen = self._seen.get(key)
         if seen is None:
-            seen = REQUESTS.labels(operation, str(status)), SECONDS.labels(operation)
+            name = f"{operation.method} {operation.path}"
+            seen = REQUESTS.labels(name, str(status)), SECONDS.labels(name)
             self._seen[key] = seen
         seen[0].inc()
         seen[1].observe(seconds)
 
     async def _keep_context(self, url: str, text: bytes) -> None:
         try:
-            await self.store.commits.store(Entries(contexts={url: text}))
+            await self.tenants.commits.store(Entries(documents={(Kind.CONTEXT, DEFAULT, url): text}))
         except NotStored as error:
             raise not_stored(str(error)) from error
-
-    def _routes(self) -> Mapping[str, Mapping[str, Operation]]:
-        entities = EntityOperations(self.store)
-        batch = BatchOperations(entities)
-        discovery = DiscoveryOperations(self.store, f"handover-{self.settings.factory}")
-        subscriptions = self.subscriptions
-        return {
-            "entities": {"GET": entities.query, "POST": entities.create},
-            "entities/*": {
-                "GET": entities.retrieve,
-                "DELETE": entities.delete,
-                "PUT": entities.replace,
-                "PATCH": entities.merge,
-            },
-            "entities/*/attrs": {"POST": entities.append, "PATCH": entities.update},
-            "entities/*/attrs/*": {
-                "PATCH": entities.update_attribute,
-                "PUT": entities.replace_attribute,
-                "DELETE": entities.delete_attribute,
-            },
-            "entityOperations/create": {"POST": batch.create},
-            "entityOperations/upsert": {"POST": batch.upsert},
-            "entityOperations/update": {"POST": batch.update},
-            "entityOperations/merge": {"POST": batch.merge},
-            "entityOperations/delete": {"POST": batch.delete},
-            "entityOperations/query": {"POST": batch.query},
-            "types": {"GET": discovery.types},
-            "types/*": {"GET": discovery.type_details},
-            "subscriptions": {"GET": subscriptions.list, "POST": subscriptions.create},
-            "subscriptions/*": {
-                "GET": subscriptions.retrieve,
-                "PATCH": subscriptions.update,
-                "DELETE": subscriptions.delete,
-            },
-            "info/sourceIdentity": {"GET": discovery.source_identity},
-        }
 
 
 def create_broker(settings: BrokerSettings) -> ASGIApp:
     """Return the broker as an ASGI application; raise `UsageError` when its file cannot be used."""
-    journal = SqliteJournal(settings.data_dir / "broker.db")
+    journal = Journal(SqliteDatabase(settings.data_dir / "broker.db"))
     journal.open()
     broker = Broker(settings, journal)
 
@@ -204,13 +173,3 @@ def create_broker(settings: BrokerSettings) -> ASGIApp:
         await send_answer(send, answer)
 
     return application
-
-
-def _shape(parts: list[str]) -> tuple[str, tuple[str, ...]]:
-    """Return the path with its names as stars, and the names."""
-    rooms = _ROOMS.get(parts[0])
-    if rooms is None:
-        return "/".join(parts), ()
-    if len(parts) > len(rooms) or (len(parts) > 2 and parts[2] != "attrs"):
-        return "", ()
-    return rooms[len(parts) - 1], tuple(parts[1::2])

@@ -12,9 +12,10 @@ from services.context_broker import changes
 from services.context_broker.changes import Outcome
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity
-from services.context_broker.entity_operations import DONE, EntityOperations, absent
+from services.context_broker.entity_operations import DONE, absent, creation
 from services.context_broker.exchange import Answer, Exchange
 from services.context_broker.intake import Change, read_change, read_entity
+from services.context_broker.operation import Operation
 from services.context_broker.problems import bad_request_data, not_supported
 from services.context_broker.reading import (
     PAGE_PARAMETERS,
@@ -26,6 +27,7 @@ from services.context_broker.reading import (
     window_of,
 )
 from services.context_broker.selection import search
+from services.context_broker.store import Store
 from services.context_broker.words import require_uri, shown, timestamp_now
 
 MOST_ENTITIES: Final = 10_000
@@ -81,52 +83,63 @@ class _Fates:
 class BatchOperations:
     """What can be done to many entities at once."""
 
-    def __init__(self, entities: EntityOperations) -> None:
-        self._entities = entities
-        self._store = entities.store
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        at = "entityOperations"
+        asking = VIEW_PARAMETERS | PAGE_PARAMETERS
+        return (
+            Operation(
+                "POST", f"{at}/create", "createBatch", "6.14.3.1", self.create, _LOCAL, makes_tenant=True
+            ),
+            Operation(
+                "POST", f"{at}/upsert", "upsertBatch", "6.15.3.1", self.upsert, _LOCAL, makes_tenant=True
+            ),
+            Operation("POST", f"{at}/update", "updateBatch", "6.16.3.1", self.update, _LOCAL),
+            Operation("POST", f"{at}/delete", "deleteBatch", "6.17.3.1", self.delete, _LOCAL),
+            Operation("POST", f"{at}/query", "queryBatch", "6.23.3.1", self.query, asking),
+            Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _LOCAL),
+        )
 
     async def create(self, exchange: Exchange) -> Answer:
         """POST entityOperations/create."""
-        exchange.require_known(_LOCAL)
         fates = await self._each(exchange, self._create)
         return fates.answer(_created(fates.created))
 
     async def upsert(self, exchange: Exchange) -> Answer:
         """POST entityOperations/upsert; options=update keeps attributes that are not named."""
-        exchange.require_known(_LOCAL)
         options = options_of(exchange, frozenset({"update", "replace"}))
         if len(options) > 1:
             raise bad_request_data("options is update or replace, not both")
         keeps = options == {"update"}
-        fates = await self._each(exchange, lambda given, context: self._upsert(given, context, keeps=keeps))
+        fates = await self._each(
+            exchange, lambda store, given, context: self._upsert(store, given, context, keeps=keeps)
+        )
         return fates.answer(_created(fates.created) if fates.created else DONE)
 
     async def update(self, exchange: Exchange) -> Answer:
         """POST entityOperations/update; options=noOverwrite leaves attributes that are there alone."""
-        exchange.require_known(_LOCAL)
         overwrite = "noOverwrite" not in options_of(exchange, frozenset({"noOverwrite"}))
         fates = await self._each(
-            exchange, lambda given, context: self._append(given, context, overwrite=overwrite)
+            exchange,
+            lambda store, given, context: self._append(store, given, context, overwrite=overwrite),
         )
         return fates.answer(DONE)
 
     async def merge(self, exchange: Exchange) -> Answer:
         """POST entityOperations/merge."""
-        exchange.require_known(_LOCAL)
         return (await self._each(exchange, self._merge)).answer(DONE)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """POST entityOperations/delete with a list of ids."""
-        exchange.require_known(_LOCAL)
         exchange.content_type()
-        fates = _Fates()
+        fates, store = _Fates(), exchange.tenant.store
         for given in _as_list(exchange.document(), "entity ids"):
             try:
                 entity_id = require_uri(given, "an entity id")
-                before = self._store.latest(entity_id)
+                before = store.latest(entity_id)
                 if before is None:
                     raise absent(entity_id)
-                fates.on_their_way.append(_Change(entity_id, self._store.stage(before, None, frozenset())))
+                fates.on_their_way.append(_Change(entity_id, store.stage(before, None, frozenset())))
             except Problem as problem:
                 fates.refuse(given, problem)
         await fates.settle()
@@ -134,7 +147,6 @@ class BatchOperations:
 
     async def query(self, exchange: Exchange) -> Answer:
         """POST entityOperations/query with a Query document (clause 5.2.23)."""
-        exchange.require_known(VIEW_PARAMETERS | PAGE_PARAMETERS)
         exchange.accept()
         document, context = await exchange.body()
         parameters = _query_parameters(document)
@@ -143,63 +155,66 @@ class BatchOperations:
         }  # fmt: skip
         view, window = view_of(exchange, context), window_of(exchange)
         selection = selection_of(parameters, context)
-        page = await search(self._store, selection, window.offset, window.limit, count=window.count)
+        page = await search(exchange.tenant.store, selection, window.offset, window.limit, count=window.count)
         return entities_answer(exchange, page, window, context, view)
 
-    async def _each(self, exchange: Exchange, act: Callable[[Any, Context], _Change]) -> _Fates:
+    async def _each(self, exchange: Exchange, act: Callable[[Store, Any, Context], _Change]) -> _Fates:
         media_type = exchange.content_type()
         documents = _as_list(exchange.document(), "entities")
         fates = _Fates()
         for given in documents:
             try:
                 context = await exchange.context_of(given, media_type)
-                fates.on_their_way.append(act(given, context))
+                fates.on_their_way.append(act(exchange.tenant.store, given, context))
             except Problem as problem:
                 fates.refuse(given.get("id") if isinstance(given, dict) else None, problem)
         await fates.settle()
         return fates
 
-    def _create(self, given: Any, context: Context) -> _Change:
-        entity, touched = self._entities.creation(read_entity(given, context.terms))
-        return _Change(entity.id, self._store.stage(None, entity, touched), is_new=True)
+    @staticmethod
+    def _create(store: Store, given: Any, context: Context) -> _Change:
+        entity, touched = creation(store, read_entity(given, context.terms))
+        return _Change(entity.id, store.stage(None, entity, touched), is_new=True)
 
-    def _upsert(self, given: Any, context: Context, *, keeps: bool) -> _Change:
-        change, before = self._known(given, context)
+    def _upsert(self, store: Store, given: Any, context: Context, *, keeps: bool) -> _Change:
+        change, before = self._known(store, given, context)
         if before is None:
-            return self._create(given, context)
+            return self._create(store, given, context)
         if keeps:
-            return self._carry_out(before, changes.appended(before, change, timestamp_now()))
+            return self._carry_out(store, before, changes.appended(before, change, timestamp_now()))
         return self._carry_out(
-            before, changes.replaced(before, read_entity(given, context.terms), timestamp_now())
+            store, before, changes.replaced(before, read_entity(given, context.terms), timestamp_now())
         )
 
-    def _append(self, given: Any, context: Context, *, overwrite: bool) -> _Change:
-        change, before = self._known(given, context)
+    def _append(self, store: Store, given: Any, context: Context, *, overwrite: bool) -> _Change:
+        change, before = self._known(store, given, context)
         if before is None:
             raise absent(change.id or "")
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         if outcome.refused:
             names = ", ".join(shown(context.terms.compact(name)) for name in outcome.refused)
             refusal = bad_request_data(f"attributes {names} were left as they are: {changes.PRESENT}")
-            return replace(self._carry_out(before, outcome), refusal=refusal)
-        return self._carry_out(before, outcome)
+            return replace(self._carry_out(store, before, outcome), refusal=refusal)
+        return self._carry_out(store, before, outcome)
 
-    def _merge(self, given: Any, context: Context) -> _Change:
-        change, before = self._known(given, context)
+    def _merge(self, store: Store, given: Any, context: Context) -> _Change:
+        change, before = self._known(store, given, context)
         if before is None:
             raise absent(change.id or "")
-        return self._carry_out(before, changes.merged(before, change, timestamp_now()))
+        return self._carry_out(store, before, changes.merged(before, change, timestamp_now()))
 
-    def _known(self, given: Any, context: Context) -> tuple[Change, Entity | None]:
+    @staticmethod
+    def _known(store: Store, given: Any, context: Context) -> tuple[Change, Entity | None]:
         change = read_change(given, context.terms)
         if change.id is None:
             raise bad_request_data('an entity in a batch has an "id"; add it')
-        return change, self._store.latest(change.id)
+        return change, store.latest(change.id)
 
-    def _carry_out(self, before: Entity, outcome: Outcome) -> _Change:
+    @staticmethod
+    def _carry_out(store: Store, before: Entity, outcome: Outcome) -> _Change:
         if outcome.entity is before:
             return _Change(before.id, None)
-        return _Change(before.id, self._store.stage(before, outcome.entity, outcome.touched))
+        return _Change(before.id, store.stage(before, outcome.entity, outcome.touched))
 
 
 def _created(ids: list[str]) -> Answer:

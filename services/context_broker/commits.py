@@ -9,6 +9,7 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from prometheus_client import Counter, Histogram
 
@@ -36,6 +37,19 @@ class Write:
     era: int
     done: Callable[[], None]
     failed: Failed
+
+
+class Commits(Protocol):
+    """Where writes go."""
+
+    def submit(self, entries: Entries, done: Callable[[], None], failed: Failed) -> None:
+        """Queue a write; `done` or `failed` is called on the loop when its fate is known."""
+
+    async def store(self, entries: Entries) -> None:
+        """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
+
+    def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
+        """Write `entries` with the next commit, or after `within_s`; for bookkeeping only, nobody is told."""
 
 
 class CommitQueue:
@@ -81,18 +95,7 @@ class CommitQueue:
 
     async def store(self, entries: Entries) -> None:
         """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
-        fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-
-        def done() -> None:
-            if not fate.done():
-                fate.set_result(None)
-
-        def failed(error: NotStored) -> None:
-            if not fate.done():
-                fate.set_exception(error)
-
-        self.submit(entries, done, failed)
-        await fate
+        await stored(self, entries)
 
     def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
         """Write `entries` with the next commit, or after `within_s`; for bookkeeping only, nobody is told."""
@@ -175,3 +178,19 @@ class CommitQueue:
             self._on_refusal()
         for write in writes:
             write.failed(error)
+
+
+async def stored(commits: Commits, entries: Entries) -> None:
+    """Submit a write and return when it is safe; raise `NotStored` if the disk refuses."""
+    fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def done() -> None:
+        if not fate.done():
+            fate.set_result(None)
+
+    def failed(error: NotStored) -> None:
+        if not fate.done():
+            fate.set_exception(error)
+
+    commits.submit(entries, done, failed)
+    await fate

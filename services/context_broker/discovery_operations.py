@@ -7,9 +7,9 @@ import orjson
 
 from services.context_broker.exchange import JSON_LD, Answer, Exchange
 from services.context_broker.intake import expand
+from services.context_broker.operation import Operation
 from services.context_broker.problems import not_found
 from services.context_broker.reading import json_headers
-from services.context_broker.store import Store
 from services.context_broker.words import require_name, shown, timestamp_now
 
 _KNOWN: Final = frozenset({"details", "limit", "offset", "local"})
@@ -18,16 +18,24 @@ _KNOWN: Final = frozenset({"details", "limit", "offset", "local"})
 class DiscoveryOperations:
     """What readers can learn about the broker's content as a whole."""
 
-    def __init__(self, store: Store, name: str) -> None:
-        self._store = store
+    def __init__(self, name: str) -> None:
         self._name = name
         self._since = timestamp_now()
 
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        identity = "info/sourceIdentity"
+        return (
+            Operation("GET", "types", "retrieveEntityTypes", "6.25.3.1", self.types, _KNOWN),
+            Operation("GET", "types/{type}", "retrieveEntityTypeInfo", "6.26.3.1", self.type_details, _KNOWN),
+            Operation("GET", identity, "retrieveContextSourceIdentity", "6.33.3.1", self.source_identity),
+        )
+
     async def types(self, exchange: Exchange) -> Answer:
         """GET types; with details=true the attributes of each."""
-        exchange.require_known(_KNOWN)
         compact = (await exchange.reader_context()).terms.compact
-        kinds = sorted(self._store.types())
+        store = exchange.tenant.store
+        kinds = sorted(store.types())
         body: Any
         if exchange.flag("details"):
             body = [
@@ -35,7 +43,7 @@ class DiscoveryOperations:
                     "id": kind,
                     "type": "EntityType",
                     "typeName": compact(kind),
-                    "attributeNames": [compact(name) for name in self._store.attributes_of(kind)[1]],
+                    "attributeNames": [compact(name) for name in store.attributes_of(kind)[1]],
                 }
                 for kind in kinds
             ]
@@ -50,10 +58,9 @@ class DiscoveryOperations:
 
     async def type_details(self, exchange: Exchange) -> Answer:
         """GET types/{type}."""
-        exchange.require_known(_KNOWN)
         context = await exchange.reader_context()
         kind = expand(require_name(exchange.names[0], "the type in the path"), context.terms)
-        count, attributes = self._store.attributes_of(kind)
+        count, attributes = exchange.tenant.store.attributes_of(kind)
         if not count:
             raise not_found(f"there is no entity of the type {shown(exchange.names[0])} ({kind})")
         compact = context.terms.compact
@@ -76,7 +83,6 @@ class DiscoveryOperations:
 
     async def source_identity(self, exchange: Exchange) -> Answer:
         """GET info/sourceIdentity (clause 5.15)."""
-        exchange.require_known(frozenset())
         body = {
             "id": f"urn:ngsi-ld:ContextSourceIdentity:{self._name}",
             "type": "ContextSourceIdentity",

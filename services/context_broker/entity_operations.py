@@ -19,6 +19,7 @@ from services.context_broker.intake import (
     read_entity,
     refuse_deletions,
 )
+from services.context_broker.operation import Operation
 from services.context_broker.problems import already_exists, bad_request_data, not_found
 from services.context_broker.reading import (
     QUERY_PARAMETERS,
@@ -36,49 +37,55 @@ from services.context_broker.words import require_name, require_uri, shown, time
 
 DONE: Final = Answer(204)
 _LOCAL: Final = frozenset({"local"})
+_DELETE_ATTR: Final = frozenset({"datasetId", "deleteAll", "local"})
 _WRITE_OPTIONS: Final = frozenset({"options", "local"})
 
 
 class EntityOperations:
     """What can be done to entities one at a time."""
 
-    def __init__(self, store: Store) -> None:
-        self.store = store
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        one, attributes, attribute = "entities/{id}", "entities/{id}/attrs", "entities/{id}/attrs/{name}"
+        return (
+            Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _LOCAL, True),
+            Operation("GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS),
+            Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, VIEW_PARAMETERS),
+            Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _LOCAL),
+            Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _LOCAL),
+            Operation("PATCH", one, "mergeEntity", "6.5.3.4", self.merge, _WRITE_OPTIONS),
+            Operation("POST", attributes, "appendAttrs", "6.6.3.1", self.append, _WRITE_OPTIONS),
+            Operation("PATCH", attributes, "updateEntity", "6.6.3.2", self.update, _LOCAL),
+            Operation("PATCH", attribute, "updateAttrs", "6.7.3.1", self.update_attribute, _LOCAL),
+            Operation("DELETE", attribute, "deleteAttrs", "6.7.3.2", self.delete_attribute, _DELETE_ATTR),
+            Operation("PUT", attribute, "replaceAttrs", "6.7.3.3", self.replace_attribute, _LOCAL),
+        )
 
     async def create(self, exchange: Exchange) -> Answer:
         """POST entities."""
-        exchange.require_known(_LOCAL)
         document, context = await exchange.body()
         change = read_entity(document, context.terms)
-        await self.store.stage(None, *self.creation(change))
+        store = exchange.tenant.store
+        await store.stage(None, *creation(store, change))
         location = f"{PREFIX}entities/{quote(change.id or '', safe=':')}".encode()
         return Answer(201, b"", [(b"location", location)])
 
-    def creation(self, change: Change) -> tuple[Entity, frozenset[str]]:
-        """Return the entity to create and its attributes; raise a problem (409) if its id is taken."""
-        if self.store.latest(change.id or "") is not None:
-            raise already_exists(f"there is an entity {change.id} already; update it, or choose another id")
-        entity = changes.created(change, timestamp_now(), self.store.next_seq())
-        return entity, frozenset(entity.attributes)
-
     async def query(self, exchange: Exchange) -> Answer:
         """GET entities."""
-        exchange.require_known(QUERY_PARAMETERS)
         exchange.accept()
         context = await exchange.reader_context()
         view, window = view_of(exchange, context), window_of(exchange)
         selection = selection_of(exchange.parameters, context)
-        page = await search(self.store, selection, window.offset, window.limit, count=window.count)
+        page = await search(exchange.tenant.store, selection, window.offset, window.limit, count=window.count)
         return entities_answer(exchange, page, window, context, view)
 
     async def retrieve(self, exchange: Exchange) -> Answer:
         """GET entities/{id}."""
-        exchange.require_known(VIEW_PARAMETERS)
         exchange.accept()
         context = await exchange.reader_context()
         view = view_of(exchange, context)
         entity_id = require_uri(exchange.names[0], "the entity id in the path")
-        entity = self.store.get(entity_id)
+        entity = exchange.tenant.store.get(entity_id)
         if entity is None:
             raise absent(entity_id)
         if view.attributes is not None and view.attributes.isdisjoint(entity.attributes):
@@ -87,13 +94,11 @@ class EntityOperations:
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}."""
-        exchange.require_known(_LOCAL)
-        await self.store.stage(self.existing(exchange), None, frozenset())
+        await exchange.tenant.store.stage(self.existing(exchange), None, frozenset())
         return DONE
 
     async def replace(self, exchange: Exchange) -> Answer:
         """PUT entities/{id}."""
-        exchange.require_known(_LOCAL)
         change, context = await self._change(exchange)
         refuse_deletions(change, context.terms)
         outcome = changes.replaced(self.existing(exchange), change, timestamp_now())
@@ -102,7 +107,6 @@ class EntityOperations:
 
     async def merge(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}."""
-        exchange.require_known(_WRITE_OPTIONS)
         options_of(exchange, frozenset({"keyValues", "concise", "simplified"}))
         change, _ = await self._change(exchange)
         await self._carry_out(exchange, changes.merged(self.existing(exchange), change, timestamp_now()))
@@ -110,7 +114,6 @@ class EntityOperations:
 
     async def append(self, exchange: Exchange) -> Answer:
         """POST entities/{id}/attrs."""
-        exchange.require_known(_WRITE_OPTIONS)
         overwrite = "noOverwrite" not in options_of(exchange, frozenset({"noOverwrite"}))
         change, context = await self._change(exchange)
         before = self.existing(exchange)
@@ -120,7 +123,6 @@ class EntityOperations:
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs."""
-        exchange.require_known(_LOCAL)
         change, context = await self._change(exchange)
         outcome = changes.updated(self.existing(exchange), change, timestamp_now())
         await self._carry_out(exchange, outcome)
@@ -128,7 +130,6 @@ class EntityOperations:
 
     async def update_attribute(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs/{name}: overwrites members of the attribute."""
-        exchange.require_known(_LOCAL)
         document, context = await exchange.body()
         name = self._attribute_name(exchange, context)
         before = self.existing(exchange)
@@ -145,7 +146,6 @@ class EntityOperations:
 
     async def replace_attribute(self, exchange: Exchange) -> Answer:
         """PUT entities/{id}/attrs/{name}."""
-        exchange.require_known(_LOCAL)
         document, context = await exchange.body()
         name = self._attribute_name(exchange, context)
         before = self.existing(exchange)
@@ -157,7 +157,6 @@ class EntityOperations:
 
     async def delete_attribute(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}/attrs/{name}; one instance by datasetId, or every one with deleteAll."""
-        exchange.require_known(frozenset({"datasetId", "deleteAll", "local"}))
         context = await exchange.reader_context()
         name = self._attribute_name(exchange, context)
         before = self.existing(exchange)
@@ -175,7 +174,7 @@ class EntityOperations:
     def existing(self, exchange: Exchange) -> Entity:
         """Return the entity that the path names, as the last write left it; raise a problem (404) if none."""
         entity_id = require_uri(exchange.names[0], "the entity id in the path")
-        entity = self.store.latest(entity_id)
+        entity = exchange.tenant.store.latest(entity_id)
         if entity is None:
             raise absent(entity_id)
         return entity
@@ -191,9 +190,9 @@ class EntityOperations:
 
     async def _carry_out(self, exchange: Exchange, outcome: Outcome) -> None:
         """Make an outcome durable. No await may stand between reading the entity and this."""
-        before = self.store.latest(exchange.names[0])
+        before = exchange.tenant.store.latest(exchange.names[0])
         if before is not None and outcome.entity is not before:
-            await self.store.stage(before, outcome.entity, outcome.touched)
+            await exchange.tenant.store.stage(before, outcome.entity, outcome.touched)
 
     @staticmethod
     def _attribute_name(exchange: Exchange, context: Context) -> str:
@@ -207,6 +206,14 @@ class EntityOperations:
                 f"entity {entity.id} has no attribute {shown(exchange.names[1])}; append it first"
             )
         return {instance.get("datasetId"): instance for instance in instances}
+
+
+def creation(store: Store, change: Change) -> tuple[Entity, frozenset[str]]:
+    """Return the entity to create and its attributes; raise a problem (409) if its id is taken."""
+    if store.latest(change.id or "") is not None:
+        raise already_exists(f"there is an entity {change.id} already; update it, or choose another id")
+    entity = changes.created(change, timestamp_now(), store.next_seq())
+    return entity, frozenset(entity.attributes)
 
 
 def absent(entity_id: str) -> Problem:

@@ -22,6 +22,7 @@ from services.context_broker.problems import (
     too_large,
     unsupported_media_type,
 )
+from services.context_broker.tenants import Tenant
 from services.context_broker.words import shown
 
 PREFIX: Final = "/ngsi-ld/v1/"
@@ -53,16 +54,32 @@ class Answer:
 
 
 @dataclass(slots=True)
-class Exchange:
-    """One request on its way through the broker; `names` are the parts of the path that name things."""
+class Request:
+    """A request as it came, its body read."""
 
     method: str
-    names: tuple[str, ...]
+    path: str
     parameters: Mapping[str, str]
     headers: dict[bytes, bytes]
-    raw: bytes
-    contexts: ContextBook
-    path: str
+    body: bytes
+
+
+class Exchange:
+    """A request on its way through the broker; `names` are the parts of the path that name things."""
+
+    __slots__ = ("contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
+
+    def __init__(
+        self, request: Request, names: tuple[str, ...], contexts: ContextBook, tenant: Tenant
+    ) -> None:
+        self.method = request.method
+        self.path = request.path
+        self.parameters = request.parameters
+        self.headers = request.headers
+        self.raw = request.body
+        self.names = names
+        self.contexts = contexts
+        self.tenant = tenant
 
     def parameter(self, name: str) -> str | None:
         """Return a query parameter; None if it is absent."""
@@ -213,9 +230,7 @@ def path_parts(scope: Scope) -> list[str]:
         raise invalid_request("the path is not percent-encoded UTF-8") from None
 
 
-async def received(
-    scope: Scope, receive: Receive, names: tuple[str, ...], contexts: ContextBook, max_bytes: int
-) -> Exchange:
+async def received(scope: Scope, receive: Receive, max_bytes: int) -> Request:
     """Return the request, its body read; raise a problem (413) when the body is larger than `max_bytes`."""
     headers: dict[bytes, bytes] = {}
     for name, value in scope["headers"]:
@@ -224,8 +239,7 @@ async def received(
     if len(query) > LONGEST_QUERY:
         raise invalid_request(f"the query of the URL has more than {LONGEST_QUERY} characters; use POST")
     body = await _body(receive, headers, max_bytes)
-    parameters = _parameters(query) if query else {}
-    return Exchange(scope["method"], names, parameters, headers, body, contexts, scope["path"])
+    return Request(scope["method"], scope["path"], _parameters(query) if query else {}, headers, body)
 
 
 async def _body(receive: Receive, headers: Mapping[bytes, bytes], max_bytes: int) -> bytes:

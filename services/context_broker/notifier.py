@@ -10,7 +10,8 @@ import asyncio
 import random
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import KW_ONLY, dataclass
 from datetime import UTC, datetime
 from typing import Final
 from uuid import uuid4
@@ -19,9 +20,10 @@ import orjson
 from prometheus_client import Counter, Gauge
 
 from handover.telemetry import get_logger
+from services.context_broker.commits import Commits
 from services.context_broker.entity import Entity
 from services.context_broker.http_sender import HttpSender, SendError
-from services.context_broker.journal import Entries, Notice, NotStored
+from services.context_broker.journal import Entries, Journal, Kind, Notice, NotStored
 from services.context_broker.rendering import rendered, with_context
 from services.context_broker.store import Store
 from services.context_broker.subscriptions import JSON_LD, Subscription
@@ -119,10 +121,11 @@ class Courier:
                 return
 
     async def _load(self) -> None:
+        outbound = self._notifier.outbound
         self._loading, self._more_on_disk = True, False
         try:
             found = await asyncio.to_thread(
-                self._notifier.store.journal.owed, self.subscription.id, self._last_seq, WINDOW
+                outbound.journal.owed, self._notifier.tenant, self.subscription.id, self._last_seq, WINDOW
             )
         except NotStored as error:
             log.warning("what is owed cannot be read", subscription=self.subscription.id, error=str(error))
@@ -161,7 +164,7 @@ class Courier:
             if why is None:
                 self._last_sent_s = time.monotonic()
                 return
-            if not again or time.time() - at > self._notifier.keep_s:
+            if not again or time.time() - at > self._notifier.outbound.keep_s:
                 GIVEN_UP.labels("too old" if again else "refused").inc()
                 log.warning("notification given up", subscription=self.subscription.id, why=why)
                 return
@@ -171,10 +174,13 @@ class Courier:
     async def _attempt(self, body: bytes) -> tuple[str | None, bool]:
         """Send once; return why it failed (None if it did not) and whether trying again may help."""
         subscription, endpoint = self.subscription, self.subscription.endpoint
-        counts = subscription.counts
+        counts, outbound = subscription.counts, self._notifier.outbound
         try:
-            status = await self._notifier.sender.post(
-                endpoint.uri, headers(subscription), body, endpoint.timeout_s or self._notifier.timeout_s
+            status = await outbound.sender.post(
+                endpoint.uri,
+                headers(subscription, self._notifier.tenant),
+                body,
+                endpoint.timeout_s or outbound.timeout_s,
             )
             why = None if 200 <= status < 300 else f"{endpoint.uri} answers {status}"
             again = status >= 500 or status in _TRY_AGAIN
@@ -208,21 +214,31 @@ class Courier:
                 return
 
 
-class Notifier:
-    """Knows all subscriptions, tells what a change owes them, and has it delivered."""
+@dataclass(frozen=True, slots=True)
+class Outbound:
+    """What the notifiers of all tenants share: the outbox, the way out, and the numbers of notices."""
 
-    def __init__(self, *, timeout_s: float, keep_s: float) -> None:
+    journal: Journal
+    sender: HttpSender
+    numbers: Iterator[int]
+    _: KW_ONLY
+    timeout_s: float
+    keep_s: float
+
+
+class Notifier:
+    """Knows all subscriptions of a tenant, tells what a change owes them, and has it delivered."""
+
+    def __init__(self, tenant: str, commits: Commits, outbound: Outbound) -> None:
+        self.tenant = tenant
+        self.outbound = outbound
         self.store: Store
-        self.sender = HttpSender()
-        self.timeout_s = timeout_s
-        self.keep_s = keep_s
+        self._commits = commits
         self._couriers: dict[str, Courier] = {}
         self._by_type: dict[str | None, list[Subscription]] = {}
-        self._last_seq = 0
 
     def start(self, subscriptions: Iterable[Subscription]) -> None:
         """Begin with the subscriptions of before; what is owed to them is sent now."""
-        self._last_seq = self.store.journal.last_notice()
         for subscription in subscriptions:
             self.put(subscription, from_disk=True)
 
@@ -230,7 +246,6 @@ class Notifier:
         """End; what is owed stays in the outbox."""
         for courier in self._couriers.values():
             courier.stop()
-        self.sender.close()
 
     def put(self, subscription: Subscription, *, from_disk: bool = False) -> None:
         """Heed a new or a changed subscription from now on."""
@@ -286,12 +301,12 @@ class Notifier:
             counts.last_success,
             counts.last_failure,
         ]
-        self.store.commits.store_later(Entries(settled=seqs, counts={subscription.id: orjson.dumps(told)}))
+        key = (Kind.COUNTS, self.tenant, subscription.id)
+        self._commits.store_later(Entries(settled=seqs, documents={key: orjson.dumps(told)}))
 
     def _notice(self, subscription: Subscription, entity: Entity, now_s: float) -> Notice:
-        self._last_seq += 1
         body = None if subscription.throttling_s else notification(subscription, [entity])
-        return Notice(self._last_seq, subscription.id, entity.id, now_s, body)
+        return Notice(next(self.outbound.numbers), self.tenant, subscription.id, entity.id, now_s, body)
 
     def _sort(self) -> None:
         """Sort the subscriptions by the types they want, so that a change looks at few."""
@@ -318,10 +333,12 @@ def notification(subscription: Subscription, entities: Iterable[Entity]) -> byte
     return with_context(body, subscription.context) if subscription.endpoint.accept == JSON_LD else body
 
 
-def headers(subscription: Subscription) -> list[tuple[str, str]]:
+def headers(subscription: Subscription, tenant: str) -> list[tuple[str, str]]:
     """Return the headers of a notification."""
     endpoint = subscription.endpoint
     result = [("Content-Type", endpoint.accept)]
+    if tenant:
+        result.append(("NGSILD-Tenant", tenant))
     if endpoint.accept != JSON_LD and subscription.context.link:
         result.append(("Link", link(subscription.context.link)))
     return [*result, *endpoint.headers]

@@ -5,15 +5,15 @@ disk refuses, everything staged is forgotten, so that memory never says more tha
 """
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import orjson
 
-from services.context_broker.commits import CommitQueue
+from services.context_broker.commits import Commits
 from services.context_broker.entity import Entity
-from services.context_broker.journal import Entries, Journal, Notice, NotStored
+from services.context_broker.journal import Entries, Notice, NotStored
 from services.context_broker.problems import bad_request_data, not_stored
 from services.context_broker.q_match import Equality, Scalar, scalars
 
@@ -34,25 +34,32 @@ Announce = Callable[[Entity | None, frozenset[str]], list[Notice]]
 
 
 class Store:
-    """All entities of the broker. `announce` and `deliver` are the notifier's two ends."""
+    """All entities of one tenant. `announce` and `deliver` are the notifier's two ends.
 
-    def __init__(self, journal: Journal, announce: Announce, deliver: Callable[[list[Notice]], None]) -> None:
-        self.journal = journal
-        self.commits = CommitQueue(journal, self._forget_staged)
+    `places` gives each new entity its place in the order of creation.
+    """
+
+    def __init__(
+        self,
+        tenant: str,
+        commits: Commits,
+        places: Iterator[int],
+        announce: Announce,
+        deliver: Callable[[list[Notice]], None],
+    ) -> None:
+        self.tenant = tenant
+        self._commits = commits
+        self._places = places
         self._announce = announce
         self._deliver = deliver
         self._committed: dict[str, Entity] = {}
         self._by_type: dict[str, dict[str, None]] = {}
         self._indexes: dict[str, dict[Scalar, dict[str, None]]] = {}
         self._staged: dict[str, Staged] = {}
-        self._last_seq = 0
 
-    def load(self) -> None:
-        """Take everything from the journal."""
-        for stored in self.journal.entities():
-            entity = Entity.restored(stored)
-            self._put(None, entity)
-            self._last_seq = entity.seq
+    def take(self, entity: Entity) -> None:
+        """Take an entity that the journal has kept."""
+        self._put(None, entity)
 
     # What readers see
 
@@ -107,8 +114,7 @@ class Store:
 
     def next_seq(self) -> int:
         """Return the place of a new entity in the order of creation."""
-        self._last_seq += 1
-        return self._last_seq
+        return next(self._places)
 
     def stage(
         self, before: Entity | None, after: Entity | None, touched: frozenset[str]
@@ -118,7 +124,7 @@ class Store:
         one = after or before
         assert one is not None  # noqa: S101 - a change has at least one end
         try:
-            entries.entities[one.seq] = None if after is None else after.stored()
+            entries.entities[one.seq] = None if after is None else (self.tenant, after.stored())
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
         staged = Staged(before, after, self._announce(after, touched))
@@ -135,7 +141,7 @@ class Store:
             if not fate.done():
                 fate.set_exception(not_stored(str(error)))
 
-        self.commits.submit(entries, done, failed)
+        self._commits.submit(entries, done, failed)
         return fate
 
     def _take(self, entity_id: str, staged: Staged) -> None:
@@ -145,7 +151,8 @@ class Store:
         if staged.notices:
             self._deliver(staged.notices)
 
-    def _forget_staged(self) -> None:
+    def forget_staged(self) -> None:
+        """Forget what is on its way: the disk has refused it."""
         self._staged.clear()
 
     # Keeping order

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Iterable
 from typing import Any, Final
 from urllib.parse import quote
 from uuid import uuid4
@@ -11,8 +12,8 @@ import orjson
 from handover.errors import Problem
 from services.context_broker.contexts import Context, ContextBook
 from services.context_broker.exchange import JSON_LD, PREFIX, Answer, Exchange
-from services.context_broker.journal import Entries, NotStored
-from services.context_broker.notifier import Notifier
+from services.context_broker.journal import Entries, Kind, NotStored
+from services.context_broker.operation import Operation
 from services.context_broker.problems import already_exists, not_found, not_stored
 from services.context_broker.reading import (
     PAGE_PARAMETERS,
@@ -21,7 +22,6 @@ from services.context_broker.reading import (
     page_links,
     window_of,
 )
-from services.context_broker.store import Store
 from services.context_broker.subscriptions import (
     Counts,
     Subscription,
@@ -30,9 +30,11 @@ from services.context_broker.subscriptions import (
     subscription,
     updated_document,
 )
+from services.context_broker.tenants import Tenant
 from services.context_broker.words import require_uri, timestamp_now
 
 DONE: Final = Answer(204)
+_LOCAL: Final = frozenset({"local"})
 _VIEW: Final = frozenset({"options"})
 _SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
 
@@ -40,26 +42,35 @@ _SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
 class SubscriptionOperations:
     """What can be done to subscriptions. Changes are rare and made one after the other."""
 
-    def __init__(self, store: Store, notifier: Notifier, contexts: ContextBook) -> None:
-        self._store = store
-        self._notifier = notifier
+    def __init__(self, contexts: ContextBook) -> None:
         self._contexts = contexts
         self._one_at_a_time = asyncio.Lock()
 
-    async def restore(self) -> list[Subscription]:
-        """Return the subscriptions of before; their contexts are in the journal too."""
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        all_of_them, one = "subscriptions", "subscriptions/{id}"
+        name = "createSubscription"
+        return (
+            Operation("POST", all_of_them, name, "6.10.3.1", self.create, _LOCAL, True),
+            Operation("GET", all_of_them, "querySubscription", "6.10.3.2", self.list, PAGE_PARAMETERS),
+            Operation("GET", one, "retrieveSubscription", "6.11.3.1", self.retrieve, _VIEW),
+            Operation("PATCH", one, "updateSubscription", "6.11.3.2", self.update, _LOCAL),
+            Operation("DELETE", one, "deleteSubscription", "6.11.3.3", self.delete, _LOCAL),
+        )
+
+    async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
+        """Take up the subscriptions of before, each with its counts; their contexts are kept too."""
         found: list[Subscription] = []
-        for body, told in self._store.journal.subscriptions():
+        for body, told in kept:
             document = orjson.loads(body)
             one = subscription(document, await self._contexts.of(document["context"]))
             if told is not None:
                 one.counts = Counts(*orjson.loads(told))
             found.append(one)
-        return found
+        tenant.notifier.start(found)
 
     async def create(self, exchange: Exchange) -> Answer:
         """POST subscriptions."""
-        exchange.require_known(frozenset({"local"}))
         given, context = await exchange.body()
         document = kept_document(given, context)
         document["id"] = require_uri(
@@ -69,18 +80,17 @@ class SubscriptionOperations:
         used = await self._used_context(document, context)
         made = subscription({**document, "createdAt": at, "modifiedAt": at, "context": used.document}, used)
         async with self._one_at_a_time:
-            if self._notifier.get(made.id) is not None:
+            if exchange.tenant.notifier.get(made.id) is not None:
                 raise already_exists(
                     f"there is a subscription {made.id} already; update it, or choose another id"
                 )
-            await self._keep(made)
-            self._notifier.put(made)
+            await self._keep(exchange.tenant, made)
+            exchange.tenant.notifier.put(made)
         location = f"{PREFIX}subscriptions/{quote(made.id, safe=':')}".encode()
         return Answer(201, b"", [(b"location", location)])
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH subscriptions/{id}."""
-        exchange.require_known(frozenset({"local"}))
         given, context = await exchange.body()
         change = kept_document(given, context)
         async with self._one_at_a_time:
@@ -92,32 +102,31 @@ class SubscriptionOperations:
                 "context": used.document,
             }
             made = subscription(document, used)
-            await self._keep(made)
-            self._notifier.put(made)
+            await self._keep(exchange.tenant, made)
+            exchange.tenant.notifier.put(made)
         return DONE
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE subscriptions/{id}."""
-        exchange.require_known(frozenset({"local"}))
         async with self._one_at_a_time:
             before = self._existing(exchange)
-            await self._write(Entries(subscriptions={before.id: None}))
-            self._notifier.remove(before.id)
+            gone = (Kind.SUBSCRIPTION, exchange.tenant.name, before.id)
+            counts = (Kind.COUNTS, exchange.tenant.name, before.id)
+            await self._write(exchange.tenant, Entries(documents={gone: None, counts: None}))
+            exchange.tenant.notifier.remove(before.id)
         return DONE
 
     async def retrieve(self, exchange: Exchange) -> Answer:
         """GET subscriptions/{id}."""
-        exchange.require_known(_VIEW)
         media_type, context = exchange.accept(), await exchange.reader_context()
         document = self._shown(self._existing(exchange), exchange, context)
         return _answer(_with_context(document, media_type, context), media_type, context)
 
     async def list(self, exchange: Exchange) -> Answer:
         """GET subscriptions."""
-        exchange.require_known(PAGE_PARAMETERS)
         media_type, context = exchange.accept(), await exchange.reader_context()
         window = window_of(exchange)
-        found = self._notifier.all()
+        found = exchange.tenant.notifier.all()
         page = found[window.offset : window.offset + window.limit]
         documents = [_with_context(self._shown(one, exchange, context), media_type, context) for one in page]
         answer = _answer(documents, media_type, context)
@@ -127,9 +136,10 @@ class SubscriptionOperations:
         answer.headers += page_links(exchange, window, media_type, more=more)
         return answer
 
-    def _existing(self, exchange: Exchange) -> Subscription:
+    @staticmethod
+    def _existing(exchange: Exchange) -> Subscription:
         subscription_id = require_uri(exchange.names[0], "the subscription id in the path")
-        found = self._notifier.get(subscription_id)
+        found = exchange.tenant.notifier.get(subscription_id)
         if found is None:
             raise _absent(subscription_id)
         return found
@@ -139,12 +149,14 @@ class SubscriptionOperations:
         named = document.get("jsonldContext")
         return context if named is None else await self._contexts.of(require_uri(named, '"jsonldContext"'))
 
-    async def _keep(self, made: Subscription) -> None:
-        await self._write(Entries(subscriptions={made.id: orjson.dumps(made.document)}))
+    async def _keep(self, tenant: Tenant, made: Subscription) -> None:
+        key = (Kind.SUBSCRIPTION, tenant.name, made.id)
+        await self._write(tenant, Entries(documents={key: orjson.dumps(made.document)}))
 
-    async def _write(self, entries: Entries) -> None:
+    @staticmethod
+    async def _write(tenant: Tenant, entries: Entries) -> None:
         try:
-            await self._store.commits.store(entries)
+            await tenant.commits.store(entries)
         except NotStored as error:
             raise not_stored(str(error)) from error
 

@@ -9,6 +9,9 @@ from services.context_broker.problems import bad_request_data
 
 LONGEST_ID = 2048
 LONGEST_NAME = 512
+LONGEST_TENANT = 128
+
+TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{LONGEST_TENANT}}}")
 
 _URI = re.compile(r'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{}|\\^`\x00-\x20\x7f]+')
 _UNFIT_IN_NAMES = re.compile(r"[\s<>\"'=;,|(){}\[\]\\^`\x00-\x1f\x7f]")

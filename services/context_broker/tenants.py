@@ -1,0 +1,139 @@
+"""Tenants: one broker, several customers, none of whom sees anything of another (clauses 4.14 and 6.3.14).
+
+A tenant comes into being with the first thing that is kept for it, and costs next to nothing until then. The
+tenant without a name is always there.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
+from typing import Final
+
+from services.context_broker.commits import CommitQueue, Failed, stored
+from services.context_broker.entity import Entity
+from services.context_broker.http_sender import HttpSender
+from services.context_broker.journal import Entries, Journal, Kind
+from services.context_broker.notifier import Notifier, Outbound
+from services.context_broker.problems import bad_request_data, no_such_tenant
+from services.context_broker.settings import BrokerSettings
+from services.context_broker.store import Store
+from services.context_broker.words import LONGEST_TENANT, TENANT, shown
+
+DEFAULT: Final = ""
+
+
+class Tenant:
+    """All that belongs to one tenant."""
+
+    def __init__(self, name: str, tenants: "Tenants", *, is_kept: bool) -> None:
+        self.name = name
+        self.guests = 0
+        self.commits = _TenantCommits(name, tenants.commits, is_kept=is_kept)
+        self.notifier = Notifier(name, self.commits, tenants.outbound)
+        self.store = Store(name, self.commits, tenants.places, self.notifier.announce, self.notifier.deliver)
+        self.notifier.store = self.store
+
+    @property
+    def is_kept(self) -> bool:
+        """Say whether anything has ever been kept for this tenant."""
+        return self.commits.is_kept
+
+
+class _TenantCommits:
+    """The commits of one tenant: the first one also keeps the tenant."""
+
+    def __init__(self, name: str, commits: CommitQueue, *, is_kept: bool) -> None:
+        self._name = name
+        self._commits = commits
+        self.is_kept = is_kept
+
+    def submit(self, entries: Entries, done: Callable[[], None], failed: Failed) -> None:
+        """Queue a write."""
+        if self.is_kept:
+            self._commits.submit(entries, done, failed)
+            return
+        entries.documents[Kind.TENANT, DEFAULT, self._name] = b"{}"
+
+        def kept() -> None:
+            self.is_kept = True
+            done()
+
+        self._commits.submit(entries, kept, failed)
+
+    async def store(self, entries: Entries) -> None:
+        """Write `entries` and return when they are safe."""
+        await stored(self, entries)
+
+    def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
+        """Write `entries` with the next commit, or after `within_s`."""
+        self._commits.store_later(entries, within_s)
+
+
+class Tenants:
+    """All tenants, and what they share."""
+
+    def __init__(self, journal: Journal, settings: BrokerSettings) -> None:
+        self.commits = CommitQueue(journal, self._forget_staged)
+        self.places: Iterator[int] = itertools.count(1)
+        self.outbound: Outbound
+        self._journal = journal
+        self._settings = settings
+        self._tenants: dict[str, Tenant] = {}
+
+    def load(self) -> None:
+        """Take what the journal holds."""
+        journal, settings = self._journal, self._settings
+        self.places = itertools.count(journal.last_place() + 1)
+        self.outbound = Outbound(
+            journal,
+            HttpSender(),
+            itertools.count(journal.last_notice() + 1),
+            timeout_s=settings.broker_notification_timeout_s,
+            keep_s=settings.broker_notification_keep_h * 3600,
+        )
+        self._tenants[DEFAULT] = Tenant(DEFAULT, self, is_kept=True)
+        for _, name, _ in journal.documents(Kind.TENANT):
+            self._tenants[name] = Tenant(name, self, is_kept=True)
+        for tenant, body in journal.entities():
+            self._tenants[tenant].store.take(Entity.restored(body))
+
+    def __iter__(self) -> Iterator[Tenant]:
+        """Yield all tenants."""
+        return iter(list(self._tenants.values()))
+
+    def of(self, header: bytes, *, makes: bool) -> Tenant:
+        """Return the tenant that a request names; one that `makes` something brings a new one into being.
+
+        Raises a problem (404) for one that is not there, (400) for what is no name.
+        """
+        name = header.decode("latin-1").strip() if header else DEFAULT
+        tenant = self._tenants.get(name)
+        if tenant is not None:
+            tenant.guests += 1
+            return tenant
+        if not TENANT.fullmatch(name):
+            raise bad_request_data(
+                f"NGSILD-Tenant {shown(name)} is no name of a tenant: letters, digits, _ - and . "
+                f"({LONGEST_TENANT} at most)"
+            )
+        if not makes:
+            raise no_such_tenant(
+                f"there is no tenant {shown(name)}; it comes into being with the first entity, subscription "
+                "or registration that is made for it"
+            )
+        tenant = self._tenants[name] = Tenant(name, self, is_kept=False)
+        tenant.guests = 1
+        return tenant
+
+    def leave(self, tenant: Tenant) -> None:
+        """Note that a request is over; a tenant for which nothing came to be kept is forgotten."""
+        tenant.guests -= 1
+        if not tenant.is_kept and not tenant.guests:
+            self._tenants.pop(tenant.name, None)
+
+    def entities(self) -> int:
+        """Return how many entities there are in all."""
+        return sum(len(one.store) for one in self._tenants.values())
+
+    def _forget_staged(self) -> None:
+        for one in self._tenants.values():
+            one.store.forget_staged()
