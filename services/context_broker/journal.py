@@ -60,23 +60,35 @@ DocumentKey = tuple[Kind, str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Notice:
-    """A notification that is owed. Without `body` it waits for its throttling to end, to be told then."""
+class EntityRow:
+    """An entity as it is kept; without `body` it is gone."""
 
-    seq: int
+    tenant: str
+    id: str
+    body: bytes | None
+
+
+@dataclass(slots=True, eq=False)
+class Notice:
+    """A notification that is owed. Without `body` it waits for its throttling to end, to be told then.
+
+    `seq` is its place in the outbox, which the journal gives it in the commit.
+    """
+
     tenant: str
     subscription: str
     entity: str
     at: float
     body: bytes | None
+    seq: int = 0
 
 
 @dataclass(slots=True)
 class Entries:
     """What is to be written in one commit; None as a body deletes."""
 
-    entities: dict[int, tuple[str, bytes] | None] = field(default_factory=dict)
-    """By place in the order of creation: tenant and body."""
+    entities: dict[int, EntityRow] = field(default_factory=dict)
+    """By place in the order of creation."""
     documents: dict[DocumentKey, bytes | None] = field(default_factory=dict)
     owed: list[Notice] = field(default_factory=list)
     settled: list[int] = field(default_factory=list)
@@ -95,10 +107,12 @@ class Journal:
     def __init__(self, database: Database) -> None:
         self.name = database.name
         self._database = database
+        self._last_notice = 0
 
     def open(self) -> None:
         """Make ready; bring older content up to date. Raises `UsageError` if that cannot be."""
         self._database.open(SCHEMA_VERSION, _MIGRATIONS)
+        ((self._last_notice,),) = self._database.read("SELECT coalesce(max(seq), 0) FROM outbox")
         with self._database.transaction() as writer:
             # A change on its way while its subscription was deleted may have left something owed to it.
             for orphaned in ("outbox WHERE", f"documents WHERE kind = '{Kind.COUNTS}' AND"):
@@ -115,7 +129,7 @@ class Journal:
         with self._database.transaction() as writer:
             _write_entities(writer, entries)
             _write_documents(writer, entries)
-            _write_outbox(writer, entries)
+            self._write_outbox(writer, entries)
 
     def close(self) -> None:
         """Let go."""
@@ -137,7 +151,7 @@ class Journal:
         Raises `NotStored` when the disk cannot be read.
         """
         rows = self._database.read(
-            "SELECT seq, tenant, subscription, entity, at, body FROM outbox "
+            "SELECT tenant, subscription, entity, at, body, seq FROM outbox "
             "WHERE tenant = ? AND subscription = ? AND seq > ? ORDER BY seq LIMIT ?",
             (tenant, subscription, after, limit),
         )
@@ -148,15 +162,25 @@ class Journal:
         ((last,),) = self._database.read("SELECT coalesce(max(seq), 0) FROM entities")
         return int(last)
 
-    def last_notice(self) -> int:
-        """Return the highest number that a notification owed has."""
-        ((last,),) = self._database.read("SELECT coalesce(max(seq), 0) FROM outbox")
-        return int(last)
+    def _write_outbox(self, writer: Writer, entries: Entries) -> None:
+        for one in entries.owed:
+            self._last_notice += 1
+            one.seq = self._last_notice
+        if entries.owed:
+            writer.run_many(
+                "INSERT INTO outbox (seq, tenant, subscription, entity, at, body) VALUES (?, ?, ?, ?, ?, ?)",
+                [
+                    (one.seq, one.tenant, one.subscription, one.entity, one.at, one.body)
+                    for one in entries.owed
+                ],
+            )
+        if entries.settled:
+            writer.run_many("DELETE FROM outbox WHERE seq = ?", [(seq,) for seq in entries.settled])
 
 
 def _write_entities(writer: Writer, entries: Entries) -> None:
-    gone = [(seq,) for seq, row in entries.entities.items() if row is None]
-    kept = [(seq, *row) for seq, row in entries.entities.items() if row is not None]
+    gone = [(seq,) for seq, row in entries.entities.items() if row.body is None]
+    kept = [(seq, row.tenant, row.body) for seq, row in entries.entities.items() if row.body is not None]
     if kept:
         writer.run_many(
             "INSERT INTO entities (seq, tenant, body) VALUES (?, ?, ?) "
@@ -181,13 +205,3 @@ def _write_documents(writer: Writer, entries: Entries) -> None:
     for kind, tenant, name in gone:
         if kind == Kind.SUBSCRIPTION:
             writer.run("DELETE FROM outbox WHERE tenant = ? AND subscription = ?", (tenant, name))
-
-
-def _write_outbox(writer: Writer, entries: Entries) -> None:
-    if entries.owed:
-        writer.run_many(
-            "INSERT INTO outbox (seq, tenant, subscription, entity, at, body) VALUES (?, ?, ?, ?, ?, ?)",
-            [(one.seq, one.tenant, one.subscription, one.entity, one.at, one.body) for one in entries.owed],
-        )
-    if entries.settled:
-        writer.run_many("DELETE FROM outbox WHERE seq = ?", [(seq,) for seq in entries.settled])

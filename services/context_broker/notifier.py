@@ -10,7 +10,7 @@ import asyncio
 import random
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from datetime import UTC, datetime
 from typing import Final
@@ -220,7 +220,6 @@ class Outbound:
 
     journal: Journal
     sender: HttpSender
-    numbers: Iterator[int]
     _: KW_ONLY
     timeout_s: float
     keep_s: float
@@ -306,7 +305,7 @@ class Notifier:
 
     def _notice(self, subscription: Subscription, entity: Entity, now_s: float) -> Notice:
         body = None if subscription.throttling_s else notification(subscription, [entity])
-        return Notice(next(self.outbound.numbers), self.tenant, subscription.id, entity.id, now_s, body)
+        return Notice(self.tenant, subscription.id, entity.id, now_s, body)
 
     def _sort(self) -> None:
         """Sort the subscriptions by the types they want, so that a change looks at few."""

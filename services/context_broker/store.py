@@ -13,7 +13,7 @@ import orjson
 
 from services.context_broker.commits import Commits
 from services.context_broker.entity import Entity
-from services.context_broker.journal import Entries, Notice, NotStored
+from services.context_broker.journal import EntityRow, Entries, Notice, NotStored
 from services.context_broker.problems import bad_request_data, not_stored
 from services.context_broker.q_match import Equality, Scalar, scalars
 
@@ -124,7 +124,9 @@ class Store:
         one = after or before
         assert one is not None  # noqa: S101 - a change has at least one end
         try:
-            entries.entities[one.seq] = None if after is None else (self.tenant, after.stored())
+            entries.entities[one.seq] = EntityRow(
+                self.tenant, one.id, None if after is None else after.stored()
+            )
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
         staged = Staged(before, after, self._announce(after, touched))

@@ -86,7 +86,6 @@ class Tenants:
         self.outbound = Outbound(
             journal,
             HttpSender(),
-            itertools.count(journal.last_notice() + 1),
             timeout_s=settings.broker_notification_timeout_s,
             keep_s=settings.broker_notification_keep_h * 3600,
         )

@@ -8,7 +8,7 @@ import pytest
 
 from handover.errors import UsageError
 from services.context_broker.database import SqliteDatabase
-from services.context_broker.journal import SCHEMA_VERSION, Entries, Journal, Kind
+from services.context_broker.journal import SCHEMA_VERSION, EntityRow, Entries, Journal, Kind
 
 
 def version_of(file: Path) -> int:
@@ -21,7 +21,10 @@ def written(file: Path) -> None:
     journal = Journal(SqliteDatabase(file))
     journal.open()
     journal.commit(
-        Entries(entities={1: ("", b"one")}, documents={(Kind.CONTEXT, "", "http://context"): b"{}"})
+        Entries(
+            entities={1: EntityRow("", "urn:e", b"one")},
+            documents={(Kind.CONTEXT, "", "http://context"): b"{}"},
+        )
     )
     journal.close()
 
