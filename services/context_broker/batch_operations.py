@@ -11,7 +11,7 @@ from handover.errors import Problem
 from services.context_broker import changes
 from services.context_broker.changes import Outcome
 from services.context_broker.contexts import Context
-from services.context_broker.entity import Entity
+from services.context_broker.entity import Entity, Event
 from services.context_broker.entity_operations import DONE, absent, creation
 from services.context_broker.exchange import Answer, Exchange
 from services.context_broker.intake import Change, read_change, read_entity
@@ -139,7 +139,7 @@ class BatchOperations:
                 before = store.latest(entity_id)
                 if before is None:
                     raise absent(entity_id)
-                fates.on_their_way.append(_Change(entity_id, store.stage(before, None, frozenset())))
+                fates.on_their_way.append(_Change(entity_id, store.stage(Event(before, None))))
             except Problem as problem:
                 fates.refuse(given, problem)
         await fates.settle()
@@ -173,8 +173,8 @@ class BatchOperations:
 
     @staticmethod
     def _create(store: Store, given: Any, context: Context) -> _Change:
-        entity, touched = creation(store, read_entity(given, context.terms))
-        return _Change(entity.id, store.stage(None, entity, touched), is_new=True)
+        change = read_entity(given, context.terms)
+        return _Change(change.id or "", store.stage(creation(store, change)), is_new=True)
 
     def _upsert(self, store: Store, given: Any, context: Context, *, keeps: bool) -> _Change:
         change, before = self._known(store, given, context)
@@ -214,7 +214,7 @@ class BatchOperations:
     def _carry_out(store: Store, before: Entity, outcome: Outcome) -> _Change:
         if outcome.entity is before:
             return _Change(before.id, None)
-        return _Change(before.id, store.stage(before, outcome.entity, outcome.touched))
+        return _Change(before.id, store.stage(Event(before, outcome.entity, outcome.touched)))
 
 
 def _created(ids: list[str]) -> Answer:

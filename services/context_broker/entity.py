@@ -43,20 +43,47 @@ class Entity:
     created_at: str
     modified_at: str
     seq: int = 0
+    scopes: tuple[str, ...] = ()
+    expires_at: str | None = None
+    """When a transient entity ends (clause 4.23); None for one that stays."""
     rendered: dict[Any, bytes] = field(default_factory=dict)
     """What readers were last given, by context and form: kept because most reads repeat."""
 
     def stored(self) -> bytes:
         """Return the entity as the journal keeps it; raises `orjson.JSONEncodeError` if nested too deep."""
         return orjson.dumps(
-            [self.id, self.types, self.attributes, self.created_at, self.modified_at, self.seq]
+            [
+                self.id,
+                self.types,
+                self.attributes,
+                self.created_at,
+                self.modified_at,
+                self.seq,
+                self.scopes,
+                self.expires_at,
+            ]
         )
 
     @classmethod
     def restored(cls, stored: bytes) -> "Entity":
         """Return the entity that `stored` had been."""
-        entity_id, types, attributes, created_at, modified_at, seq = orjson.loads(stored)
-        return cls(entity_id, tuple(types), attributes, created_at, modified_at, seq)
+        entity_id, types, attributes, created_at, modified_at, seq, *later = orjson.loads(stored)
+        scopes, expires_at = later or ((), None)  # which the first release did not keep
+        return cls(
+            entity_id, tuple(types), attributes, created_at, modified_at, seq, tuple(scopes), expires_at
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A change of one entity: how it was and how it is, None where there is none.
+
+    `written` are the attributes (IRIs) that the change wrote, be their values new or not.
+    """
+
+    before: Entity | None
+    after: Entity | None
+    written: frozenset[str] = frozenset()
 
 
 def is_deletion(instance: Mapping[str, Any]) -> bool:

@@ -9,7 +9,7 @@ from handover.errors import Problem
 from services.context_broker import changes
 from services.context_broker.changes import Outcome
 from services.context_broker.contexts import Context
-from services.context_broker.entity import SAYS, Entity, Instance
+from services.context_broker.entity import SAYS, Entity, Event, Instance
 from services.context_broker.exchange import PREFIX, Answer, Exchange
 from services.context_broker.intake import (
     Change,
@@ -66,7 +66,7 @@ class EntityOperations:
         document, context = await exchange.body()
         change = read_entity(document, context.terms)
         store = exchange.tenant.store
-        await store.stage(None, *creation(store, change))
+        await store.stage(creation(store, change))
         location = f"{PREFIX}entities/{quote(change.id or '', safe=':')}".encode()
         return Answer(201, b"", [(b"location", location)])
 
@@ -94,7 +94,7 @@ class EntityOperations:
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}."""
-        await exchange.tenant.store.stage(self.existing(exchange), None, frozenset())
+        await exchange.tenant.store.stage(Event(self.existing(exchange), None))
         return DONE
 
     async def replace(self, exchange: Exchange) -> Answer:
@@ -192,7 +192,7 @@ class EntityOperations:
         """Make an outcome durable. No await may stand between reading the entity and this."""
         before = exchange.tenant.store.latest(exchange.names[0])
         if before is not None and outcome.entity is not before:
-            await exchange.tenant.store.stage(before, outcome.entity, outcome.touched)
+            await exchange.tenant.store.stage(Event(before, outcome.entity, outcome.touched))
 
     @staticmethod
     def _attribute_name(exchange: Exchange, context: Context) -> str:
@@ -208,12 +208,12 @@ class EntityOperations:
         return {instance.get("datasetId"): instance for instance in instances}
 
 
-def creation(store: Store, change: Change) -> tuple[Entity, frozenset[str]]:
-    """Return the entity to create and its attributes; raise a problem (409) if its id is taken."""
+def creation(store: Store, change: Change) -> Event:
+    """Return the coming into being of an entity; raise a problem (409) if its id is taken."""
     if store.latest(change.id or "") is not None:
         raise already_exists(f"there is an entity {change.id} already; update it, or choose another id")
     entity = changes.created(change, timestamp_now(), store.next_seq())
-    return entity, frozenset(entity.attributes)
+    return Event(None, entity, frozenset(entity.attributes))
 
 
 def absent(entity_id: str) -> Problem:

@@ -21,7 +21,7 @@ from prometheus_client import Counter, Gauge
 
 from handover.telemetry import get_logger
 from services.context_broker.commits import Commits
-from services.context_broker.entity import Entity
+from services.context_broker.entity import Entity, Event
 from services.context_broker.http_sender import HttpSender, SendError
 from services.context_broker.journal import Entries, Journal, Kind, Notice, NotStored
 from services.context_broker.rendering import rendered, with_context
@@ -271,8 +271,9 @@ class Notifier:
         """Return all subscriptions in a stable order."""
         return [courier.subscription for courier in self._couriers.values()]
 
-    def announce(self, after: Entity | None, touched: frozenset[str]) -> list[Notice]:
+    def announce(self, event: Event) -> list[Notice]:
         """Return the notifications that a change owes; the entity's end owes none."""
+        after, touched = event.after, event.written
         if after is None or not touched:
             return []
         now_s = time.time()

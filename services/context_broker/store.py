@@ -12,7 +12,7 @@ from typing import Final
 import orjson
 
 from services.context_broker.commits import Commits
-from services.context_broker.entity import Entity
+from services.context_broker.entity import Entity, Event
 from services.context_broker.journal import EntityRow, Entries, Notice, NotStored
 from services.context_broker.problems import bad_request_data, not_stored
 from services.context_broker.q_match import Equality, Scalar, scalars
@@ -29,8 +29,8 @@ class Staged:
     notices: list[Notice]
 
 
-Announce = Callable[[Entity | None, frozenset[str]], list[Notice]]
-"""Tells which notifications a change owes: the entity after it, and the attributes touched."""
+Announce = Callable[[Event], list[Notice]]
+"""Tells which notifications a change owes."""
 
 
 class Store:
@@ -116,10 +116,9 @@ class Store:
         """Return the place of a new entity in the order of creation."""
         return next(self._places)
 
-    def stage(
-        self, before: Entity | None, after: Entity | None, touched: frozenset[str]
-    ) -> asyncio.Future[None]:
+    def stage(self, event: Event) -> asyncio.Future[None]:
         """Put a change on its way; the future is done when it is safe, or fails with a problem (507)."""
+        before, after = event.before, event.after
         entries = Entries()
         one = after or before
         assert one is not None  # noqa: S101 - a change has at least one end
@@ -129,7 +128,7 @@ class Store:
             )
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
-        staged = Staged(before, after, self._announce(after, touched))
+        staged = Staged(before, after, self._announce(event))
         entries.owed = staged.notices
         self._staged[one.id] = staged
         fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
