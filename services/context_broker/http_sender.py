@@ -1,7 +1,8 @@
 """Posting notifications: a small HTTP client that keeps its connections open.
 
 A general client costs about a millisecond of processor time a request; this one a tenth of that, which is
-what lets a notification leave right after its commit. It posts, reads the status and forgets the rest.
+what lets a notification leave right after its commit. `HttpSender` posts, reads the status and forgets the
+rest; `HttpAsker` also reads what context sources answer.
 """
 
 import asyncio
@@ -9,7 +10,7 @@ import ssl
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, cast
+from typing import Any, Final, cast
 from urllib.parse import urlsplit
 
 import httptools
@@ -18,10 +19,29 @@ MOST_IDLE: Final = 8
 """Open connections kept for each address while nothing is sent."""
 LARGEST_ANSWER: Final = 256 * 1024
 """Bytes of an answer that are read before the connection is given up."""
+LARGEST_REPLY: Final = 32 * 1024 * 1024
+"""The same where the answer matters: a page of a thousand entities of 32 KB."""
 
 
 class SendError(Exception):
-    """The subscriber could not be reached or did not answer properly."""
+    """The other side could not be reached or did not answer properly."""
+
+
+class TooSlow(SendError):
+    """The other side did not answer in time."""
+
+
+class TooLarge(SendError):
+    """The other side answered more than is read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """An answer that was read whole; the names of `headers` are in lower case."""
+
+    status: int
+    headers: dict[str, str]
+    body: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,18 +68,20 @@ def address(url: str) -> Address:
 class _Connection(asyncio.Protocol):
     """One connection: a request is written, its answer awaited; one at a time."""
 
+    largest_answer = LARGEST_ANSWER
+
     def __init__(self) -> None:
         self.transport: asyncio.Transport | None = None
         self.reusable = False
         self._parser: httptools.HttpResponseParser | None = None
-        self._answer: asyncio.Future[int] | None = None
+        self._answer: asyncio.Future[Any] | None = None
         self._received = 0
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast("asyncio.Transport", transport)  # uvloop's is one in all but its class
 
-    def request(self, data: bytes) -> "asyncio.Future[int]":
-        """Send a request; the future is the status of the answer."""
+    def request(self, data: bytes) -> "asyncio.Future[Any]":
+        """Send a request; the future is the answer: its status, or all of it from one that reads."""
         assert self.transport is not None  # noqa: S101 - connected before use
         self._answer = asyncio.get_running_loop().create_future()
         self._parser = httptools.HttpResponseParser(self)
@@ -76,9 +98,9 @@ class _Connection(asyncio.Protocol):
         try:
             self._parser.feed_data(data)
         except httptools.HttpParserError as error:
-            self._fail(f"the answer is not HTTP ({error})")
-        if self._received > LARGEST_ANSWER:
-            self._fail(f"the answer has more than {LARGEST_ANSWER} bytes")
+            self._fail(SendError(f"the answer is not HTTP ({error})"))
+        if self._received > self.largest_answer:
+            self._fail(TooLarge(f"the answer has more than {self.largest_answer} bytes"))
 
     def on_message_complete(self) -> None:
         assert self._parser is not None  # noqa: S101 - it is what calls this
@@ -88,10 +110,11 @@ class _Connection(asyncio.Protocol):
         self.reusable = self._parser.should_keep_alive()
         self._parser = None
         if self._answer is not None and not self._answer.done():
-            self._answer.set_result(status)
+            self._answer.set_result(self._told(status))
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._fail(f"the connection was closed before an answer came{f' ({exc})' if exc else ''}")
+        why = f"the connection was closed before an answer came{f' ({exc})' if exc else ''}"
+        self._fail(SendError(why))
 
     def close(self) -> None:
         """Give the connection up."""
@@ -104,16 +127,63 @@ class _Connection(asyncio.Protocol):
         """Whether the other side has not closed it."""
         return self.transport is not None and not self.transport.is_closing()
 
-    def _fail(self, why: str) -> None:
+    def _told(self, status: int) -> Any:
+        return status
+
+    def _fail(self, error: SendError) -> None:
         self.reusable = False
         if self._answer is not None and not self._answer.done():
-            self._answer.set_exception(SendError(why))
+            self._answer.set_exception(error)
         if self.transport is not None:
             self.transport.abort()
 
 
+class _ReadingConnection(_Connection):
+    """A connection that keeps what is answered."""
+
+    largest_answer = LARGEST_REPLY
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._headers: dict[str, str] = {}
+        self._body: list[bytes] = []
+        self._ends_with_the_connection = False
+
+    def request(self, data: bytes) -> "asyncio.Future[Any]":
+        """Send a request; the future is the `Reply`."""
+        self._headers, self._body = {}, []
+        self._ends_with_the_connection = False
+        return super().request(data)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        key, text = name.decode("latin-1").lower(), value.decode("latin-1")
+        self._headers[key] = f"{self._headers[key]}, {text}" if key in self._headers else text
+
+    def on_headers_complete(self) -> None:
+        assert self._parser is not None  # noqa: S101 - it is what calls this
+        if self._parser.get_status_code() < 200:
+            self._headers = {}
+        self._ends_with_the_connection = (
+            "content-length" not in self._headers and "transfer-encoding" not in self._headers
+        )
+
+    def on_body(self, body: bytes) -> None:
+        self._body.append(body)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if exc is None and self._parser is not None and self._ends_with_the_connection:
+            self.on_message_complete()
+            self.reusable = False
+        super().connection_lost(exc)
+
+    def _told(self, status: int) -> Any:
+        return Reply(status, self._headers, b"".join(self._body))
+
+
 class HttpSender:
     """Posts to many addresses, over connections that are kept open between posts."""
+
+    _connection_class: type[_Connection] = _Connection
 
     def __init__(self) -> None:
         self._idle: dict[tuple[str, int, bool], list[_Connection]] = {}
@@ -121,19 +191,23 @@ class HttpSender:
 
     async def post(self, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float) -> int:
         """Return the status of the answer; raise `SendError` when there is none within `timeout_s`."""
+        status: int = await self._send("POST", url, headers, body, timeout_s)
+        return status
+
+    async def _send(
+        self, method: str, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float
+    ) -> Any:
         where = address(url)
-        lines = [
-            f"POST {where.target} HTTP/1.1",
-            f"Host: {where.host_header}",
-            f"Content-Length: {len(body)}",
-        ]
+        lines = [f"{method} {where.target} HTTP/1.1", f"Host: {where.host_header}"]
+        if body or method != "GET":
+            lines.append(f"Content-Length: {len(body)}")
         lines += [f"{name}: {value}" for name, value in headers]
         request = ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1") + body
         try:
             async with asyncio.timeout(timeout_s):
                 return await self._exchange(where, request)
         except TimeoutError:
-            raise SendError(f"no answer within {timeout_s:g} s") from None
+            raise TooSlow(f"no answer within {timeout_s:g} s") from None
         except OSError as error:
             raise SendError(error.strerror or str(error) or type(error).__name__) from None
 
@@ -144,13 +218,15 @@ class HttpSender:
                 connection.close()
         self._idle.clear()
 
-    async def _exchange(self, where: Address, request: bytes) -> int:
+    async def _exchange(self, where: Address, request: bytes) -> Any:
         idle = self._idle.setdefault((where.host, where.port, where.tls), [])
         while idle:
             connection = idle.pop()
             if connection.is_open:
                 try:
                     return await self._ask(connection, request, idle)
+                except TooLarge:
+                    raise
                 except SendError:
                     break  # the other side may have closed it while it was idle: once more on a new one
         return await self._ask(await self._connect(where), request, idle)
@@ -160,12 +236,12 @@ class HttpSender:
             self._tls = await asyncio.to_thread(ssl.create_default_context)
         loop = asyncio.get_running_loop()
         _, connection = await loop.create_connection(
-            _Connection, where.host, where.port, ssl=self._tls if where.tls else None
+            self._connection_class, where.host, where.port, ssl=self._tls if where.tls else None
         )
         return connection
 
     @staticmethod
-    async def _ask(connection: _Connection, request: bytes, idle: list[_Connection]) -> int:
+    async def _ask(connection: _Connection, request: bytes, idle: list[_Connection]) -> Any:
         try:
             return await connection.request(request)
         finally:
@@ -173,3 +249,16 @@ class HttpSender:
                 idle.append(connection)
             else:
                 connection.close()
+
+
+class HttpAsker(HttpSender):
+    """Asks many addresses anything, and reads what they answer."""
+
+    _connection_class = _ReadingConnection
+
+    async def ask(
+        self, method: str, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float
+    ) -> Reply:
+        """Return the answer; raise `SendError` when there is none within `timeout_s`."""
+        reply: Reply = await self._send(method, url, headers, body, timeout_s)
+        return reply
