@@ -53,6 +53,9 @@ class Kind(StrEnum):
     SUBSCRIPTION = "subscription"
     COUNTS = "counts"
     """What became of the notifications of the subscription of the same id."""
+    REGISTRATION = "registration"
+    ATTEMPTS = "attempts"
+    """What became of the operations passed on to the source of the registration of the same id."""
 
 
 DocumentKey = tuple[Kind, str, str]

@@ -14,6 +14,7 @@ from services.context_broker.http_sender import HttpSender
 from services.context_broker.journal import Entries, Journal, Kind
 from services.context_broker.notifier import Notifier, Outbound
 from services.context_broker.problems import bad_request_data, no_such_tenant
+from services.context_broker.registry import Registry
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.store import Store
 from services.context_broker.words import LONGEST_TENANT, TENANT, shown
@@ -31,6 +32,7 @@ class Tenant:
         self.notifier = Notifier(name, self.commits, tenants.outbound)
         self.store = Store(name, self.commits, tenants.places, self.notifier.announce, self.notifier.deliver)
         self.notifier.store = self.store
+        self.registry = Registry(name, self.commits)
 
     @property
     def is_kept(self) -> bool:

@@ -13,6 +13,11 @@ LONGEST_TENANT = 128
 
 TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{LONGEST_TENANT}}}")
 
+_DURATION = re.compile(
+    r"P(?:(\d+)Y)?(?:(\d+)M)?(?:(\d+)W)?(?:(\d+)D)?(?:T(?:(\d+)H)?(?:(\d+)M)?(?:(\d+(?:[.,]\d+)?)S)?)?"
+)
+_UNITS_S = (365 * 86400, 30 * 86400, 7 * 86400, 86400, 3600, 60, 1)
+
 _URI = re.compile(r'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{}|\\^`\x00-\x20\x7f]+')
 _UNFIT_IN_NAMES = re.compile(r"[\s<>\"'=;,|(){}\[\]\\^`\x00-\x1f\x7f]")
 
@@ -58,6 +63,18 @@ def require_time(value: Any, what: str) -> str:
     if not isinstance(value, str) or "T" not in value or moment(value) is None:
         raise bad_request_data(f"{what} must be a date-time such as 2024-05-01T12:00:00Z, not {shown(value)}")
     return value
+
+
+def duration_s(value: Any, what: str) -> float:
+    """Return an ISO 8601 duration such as PT5M in seconds, with years of 365 and months of 30 days.
+
+    Raises a problem that names `what` if it is none.
+    """
+    found = _DURATION.fullmatch(value) if isinstance(value, str) and len(value) <= 64 else None
+    if found is None or value[-1] in "PT":
+        raise bad_request_data(f"{what} must be a duration such as PT5M or P1DT12H, not {shown(value)}")
+    parts = (float((part or "0").replace(",", ".")) for part in found.groups())
+    return sum(part * unit_s for part, unit_s in zip(parts, _UNITS_S, strict=True))
 
 
 def require_name(value: Any, what: str) -> str:
