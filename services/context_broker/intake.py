@@ -12,6 +12,8 @@ from services.context_broker.geometry import fault_of, looks_like_geometry
 from services.context_broker.problems import bad_request_data, not_supported
 from services.context_broker.words import require_name, require_time, require_uri, shown
 
+DEFAULT_INSTANCE: Final = "@none"
+"""The datasetId by which a writer or a reader may name the instance that has none."""
 DEEPEST = 20
 """Attributes of attributes of attributes … that are read."""
 

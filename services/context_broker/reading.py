@@ -11,10 +11,12 @@ from urllib.parse import quote
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity
 from services.context_broker.exchange import JSON_LD, Answer, Exchange
-from services.context_broker.intake import expand
+from services.context_broker.intake import DEFAULT_INSTANCE, expand
+from services.context_broker.language import preferences
 from services.context_broker.notifier import link
 from services.context_broker.patterns import pattern
 from services.context_broker.problems import bad_request_data, invalid_request, too_many_results
+from services.context_broker.projection import read_projection
 from services.context_broker.rendering import Form, View, rendered, with_context
 from services.context_broker.selection import Page, Selection, compiled
 from services.context_broker.subscriptions import type_names
@@ -22,7 +24,9 @@ from services.context_broker.words import require_name, require_uri, shown
 
 DEFAULT_LIMIT: Final = 20
 LARGEST_LIMIT: Final = 1000
-VIEW_PARAMETERS: Final = frozenset({"options", "format", "attrs", "local"})
+VIEW_PARAMETERS: Final = frozenset(
+    {"options", "format", "attrs", "pick", "omit", "lang", "datasetId", "local"}
+)
 PAGE_PARAMETERS: Final = frozenset({"limit", "offset", "count", "options", "local"})
 QUERY_PARAMETERS: Final = VIEW_PARAMETERS | PAGE_PARAMETERS | {"id", "idPattern", "type", "q"}
 
@@ -75,7 +79,30 @@ def view_of(exchange: Exchange, context: Context) -> View:
     if len(forms) > 1:
         raise invalid_request(f"more than one form is asked for ({', '.join(sorted(forms))}); choose one")
     form = forms.pop() if forms else Form.NORMALIZED
-    return View(form, "sysAttrs" in options, names_of(exchange.parameter("attrs"), context))
+    attrs, pick, omit = (exchange.parameter(name) for name in ("attrs", "pick", "omit"))
+    if attrs is not None and (pick is not None or omit is not None):
+        raise bad_request_data(
+            "attrs goes together with neither pick nor omit; name attributes in one of them"
+        )
+    languages = exchange.parameter("lang")
+    return View(
+        form,
+        "sysAttrs" in options,
+        names_of(attrs, context),
+        read_projection(pick, omit, context.terms),
+        None if languages is None else preferences(languages),
+        datasets_of(exchange.parameter("datasetId")),
+    )
+
+
+def datasets_of(given: str | None) -> frozenset[str | None] | None:
+    """Return a comma list of datasetIds, with None for `@none`, the default instance."""
+    if given is None:
+        return None
+    return frozenset(
+        None if one == DEFAULT_INSTANCE else require_uri(one, "a datasetId in the query")
+        for one in given.split(",")
+    )
 
 
 def window_of(exchange: Exchange) -> Window:

@@ -1,6 +1,6 @@
-"""What readers get: an entity in the form, with the names and with the attributes they asked for.
+"""What readers get: an entity in the form, with the names, the members and the languages they asked for.
 
-Forms of clauses 4.5.1 to 4.5.17: normalized, concise and simplified (keyValues).
+Forms of clauses 4.5.1 to 4.5.25: normalized, concise and simplified (keyValues).
 """
 
 from dataclasses import dataclass
@@ -10,13 +10,16 @@ from typing import Any
 import orjson
 
 from services.context_broker.contexts import Context
-from services.context_broker.entity import SAYS, Entity, Instance, Terms
+from services.context_broker.entity import SAYS, Attributes, Entity, Instance, Terms
 from services.context_broker.geometry import looks_like_geometry
+from services.context_broker.language import in_language
+from services.context_broker.projection import Projection
 
 FORMS_KEPT = 4
 """Rendered forms of one entity that are kept."""
 
-_TIMES = frozenset({"createdAt", "modifiedAt"})
+_TIMES = frozenset({"createdAt", "modifiedAt", "expiresAt"})
+_TERM_MEMBERS = ("objectType", "valueType", "entityTypeSealed")
 
 
 class Form(StrEnum):
@@ -29,16 +32,34 @@ class Form(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """How a reader wants entities; `attributes` (IRIs) limits them, None wants all."""
+    """How a reader wants entities; what is None does not limit or change anything.
+
+    `attributes` (IRIs) are those of `attrs`, `projection` is what `pick` and `omit` make of an entity,
+    `languages` are the ranges of `lang`, best first, `datasets` the wanted instances by datasetId, with None
+    for the default one.
+    """
 
     form: Form = Form.NORMALIZED
     sys_attrs: bool = False
     attributes: frozenset[str] | None = None
+    projection: Projection | None = None
+    languages: tuple[str, ...] | None = None
+    datasets: frozenset[str | None] | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Say whether all of an entity is wanted, as it is."""
+        return (
+            self.attributes is None
+            and self.projection is None
+            and self.languages is None
+            and self.datasets is None
+        )
 
 
 def rendered(entity: Entity, context: Context, view: View) -> bytes:
     """Return the entity as JSON text; what is asked for often is kept with the entity."""
-    if view.attributes is not None:
+    if not view.is_whole:
         return orjson.dumps(render(entity, context.terms, view))
     key = (context.key, view.form, view.sys_attrs)
     text = entity.rendered.get(key)
@@ -59,13 +80,38 @@ def render(entity: Entity, terms: Terms, view: View) -> dict[str, Any]:
     compact = terms.compact
     types = [compact(kind) for kind in entity.types]
     result: dict[str, Any] = {"id": entity.id, "type": types[0] if len(types) == 1 else types}
+    if entity.scopes:
+        result["scope"] = entity.scopes[0] if len(entity.scopes) == 1 else list(entity.scopes)
     if view.sys_attrs:
+        if entity.expires_at is not None:
+            result["expiresAt"] = entity.expires_at
         result["createdAt"] = entity.created_at
         result["modifiedAt"] = entity.modified_at
+    attributes = entity.attributes
+    if not view.is_whole:
+        attributes = _wanted(attributes, view)
+        if (projection := view.projection) is not None:
+            result = {member: value for member, value in result.items() if projection.wants(member)}
     write = _WRITERS[view.form]
-    for name, instances in entity.attributes.items():
-        if view.attributes is None or name in view.attributes:
-            result[compact(name)] = write(instances, terms, view.sys_attrs)
+    for name, instances in attributes.items():
+        result[compact(name)] = write(instances, terms, view.sys_attrs)
+    return result
+
+
+def _wanted(attributes: Attributes, view: View) -> Attributes:
+    """Return the attributes, and the instances of them, that a reader asked for, in their language."""
+    chosen, projection, datasets, languages = view.attributes, view.projection, view.datasets, view.languages
+    result: Attributes = {}
+    for name, instances in attributes.items():
+        if (chosen is not None and name not in chosen) or not (projection is None or projection.wants(name)):
+            continue
+        kept = instances
+        if datasets is not None:
+            kept = [one for one in kept if one.get("datasetId") in datasets]
+        if languages is not None:
+            kept = [in_language(one, languages) for one in kept]
+        if kept:
+            result[name] = kept
     return result
 
 
@@ -89,8 +135,9 @@ def _use_terms(written: dict[str, Any], kind: str, terms: Terms) -> None:
     """Write the members whose content are terms with the names of the reader."""
     if kind == "VocabProperty":
         written["vocab"] = _compacted(written["vocab"], terms)
-    if "objectType" in written:
-        written["objectType"] = _compacted(written["objectType"], terms)
+    for member in _TERM_MEMBERS:
+        if member in written:
+            written[member] = _compacted(written[member], terms)
 
 
 def _compacted(said: Any, terms: Terms) -> Any:
