@@ -125,6 +125,7 @@ class Launcher:
         if running.log.exists() and running.log.stat().st_size > LARGEST_LOG_BYTES:
             running.log.replace(running.log.with_suffix(".log.1"))
         environment = {
+            "HANDOVER_BROKER_NOTIFY_LOOPBACK": "true",  # whoever listens, the services are on this machine
             **os.environ,
             LIFELINE: "1",
             "HANDOVER_DATA_DIR": str(self._data_dir),

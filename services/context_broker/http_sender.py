@@ -10,10 +10,13 @@ import ssl
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Final, cast
 from urllib.parse import urlsplit
 
 import httptools
+
+from services.context_broker.destinations import Destinations, Refused
 
 MOST_IDLE: Final = 8
 """Open connections kept for each address while nothing is sent."""
@@ -21,6 +24,9 @@ LARGEST_ANSWER: Final = 256 * 1024
 """Bytes of an answer that are read before the connection is given up."""
 LARGEST_REPLY: Final = 32 * 1024 * 1024
 """The same where the answer matters: a page of a thousand entities of 32 KB."""
+
+
+OPEN: Final = Destinations()
 
 
 class SendError(Exception):
@@ -181,11 +187,16 @@ class _ReadingConnection(_Connection):
 
 
 class HttpSender:
-    """Posts to many addresses, over connections that are kept open between posts."""
+    """Posts to many addresses, over connections that are kept open between posts.
+
+    `ca_file` (PEM) names authorities that are trusted besides those the system knows.
+    """
 
     _connection_class: type[_Connection] = _Connection
 
-    def __init__(self) -> None:
+    def __init__(self, destinations: Destinations = OPEN, ca_file: Path | None = None) -> None:
+        self._destinations = destinations
+        self._ca_file = ca_file
         self._idle: dict[tuple[str, int, bool], list[_Connection]] = {}
         self._tls: ssl.SSLContext | None = None
 
@@ -208,6 +219,10 @@ class HttpSender:
                 return await self._exchange(where, request)
         except TimeoutError:
             raise TooSlow(f"no answer within {timeout_s:g} s") from None
+        except Refused as refused:
+            raise SendError(str(refused)) from None
+        except UnicodeError as error:
+            raise SendError(f"{where.host} is no name of a machine ({error})") from None
         except OSError as error:
             raise SendError(error.strerror or str(error) or type(error).__name__) from None
 
@@ -232,13 +247,30 @@ class HttpSender:
         return await self._ask(await self._connect(where), request, idle)
 
     async def _connect(self, where: Address) -> _Connection:
+        """Connect to the first of the host's open addresses that answers.
+
+        The name is looked up here and the address used as it was checked: a name that leads elsewhere the
+        next moment changes nothing.
+        """
         if where.tls and self._tls is None:
-            self._tls = await asyncio.to_thread(ssl.create_default_context)
+            self._tls = await asyncio.to_thread(trusting, self._ca_file)
         loop = asyncio.get_running_loop()
-        _, connection = await loop.create_connection(
-            self._connection_class, where.host, where.port, ssl=self._tls if where.tls else None
-        )
-        return connection
+        tls = self._tls if where.tls else None
+        failure: OSError | None = None
+        for one in await self._destinations.resolved(where.host, where.port):
+            try:
+                _, connection = await loop.create_connection(
+                    self._connection_class,
+                    one,
+                    where.port,
+                    ssl=tls,
+                    server_hostname=where.host if tls else None,
+                )
+            except OSError as error:
+                failure = error
+            else:
+                return connection
+        raise failure or OSError(f"{where.host} has no address")
 
     @staticmethod
     async def _ask(connection: _Connection, request: bytes, idle: list[_Connection]) -> Any:
@@ -262,3 +294,11 @@ class HttpAsker(HttpSender):
         """Return the answer; raise `SendError` when there is none within `timeout_s`."""
         reply: Reply = await self._send(method, url, headers, body, timeout_s)
         return reply
+
+
+def trusting(ca_file: Path | None) -> ssl.SSLContext:
+    """Return a TLS context that checks certificates by the system's authorities and those of `ca_file`."""
+    context = ssl.create_default_context()
+    if ca_file is not None:
+        context.load_verify_locations(ca_file)
+    return context

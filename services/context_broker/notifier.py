@@ -21,6 +21,7 @@ from prometheus_client import Counter, Gauge
 
 from handover.telemetry import get_logger
 from services.context_broker.commits import Commits
+from services.context_broker.destinations import Destinations
 from services.context_broker.entity import Entity, Event
 from services.context_broker.http_sender import HttpSender, SendError
 from services.context_broker.journal import Entries, Journal, Kind, Notice, NotStored
@@ -220,6 +221,7 @@ class Outbound:
 
     journal: Journal
     sender: HttpSender
+    destinations: Destinations
     _: KW_ONLY
     timeout_s: float
     keep_s: float

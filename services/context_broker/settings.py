@@ -1,8 +1,9 @@
 """What an operator may set about the broker: its port, its limits and its patience with subscribers."""
 
-from pydantic import Field
+from pydantic import Field, FilePath
 
 from handover.settings import Settings
+from services.context_broker.destinations import Destinations, is_loopback
 
 
 class BrokerSettings(Settings):
@@ -18,6 +19,27 @@ class BrokerSettings(Settings):
     broker_notification_keep_h: float = Field(
         24.0, gt=0, description="how long a notification that cannot be delivered is tried again, in hours"
     )
+    broker_notification_keep_mb: int = Field(
+        1024, ge=1, description="how much may wait on disk for one endpoint; beyond it the oldest is given up"
+    )
+    broker_notification_ca_file: FilePath | None = Field(
+        None, description="authorities (PEM) that vouch for subscribers, besides those the system knows"
+    )
+    broker_notify_link_local: bool = Field(
+        False, description="whether subscribers may have link-local addresses (169.254.0.0/16, fe80::/10)"
+    )
+    broker_notify_loopback: bool | None = Field(
+        None,
+        description="whether subscribers may be on the broker's own machine; "
+        "if absent, they may while the broker listens on loopback only",
+    )
     broker_context_timeout_s: float = Field(
         5.0, gt=0, description="how long the broker waits for an @context that it must fetch"
     )
+
+    def destinations(self) -> Destinations:
+        """Return where the broker may send to."""
+        loopback = self.broker_notify_loopback
+        return Destinations(
+            self.broker_notify_link_local, is_loopback(self.host) if loopback is None else loopback
+        )

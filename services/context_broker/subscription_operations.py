@@ -4,7 +4,7 @@ import asyncio
 import time
 from collections.abc import Iterable
 from typing import Any, Final
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 from uuid import uuid4
 
 import orjson
@@ -79,6 +79,7 @@ class SubscriptionOperations:
         at = timestamp_now()
         used = await self._used_context(document, context)
         made = subscription({**document, "createdAt": at, "modifiedAt": at, "context": used.document}, used)
+        await self._require_open(exchange.tenant, made)
         async with self._one_at_a_time:
             if exchange.tenant.notifier.get(made.id) is not None:
                 raise already_exists(
@@ -102,6 +103,8 @@ class SubscriptionOperations:
                 "context": used.document,
             }
             made = subscription(document, used)
+            if "notification" in change:
+                await self._require_open(exchange.tenant, made)
             await self._keep(exchange.tenant, made)
             exchange.tenant.notifier.put(made)
         return DONE
@@ -148,6 +151,11 @@ class SubscriptionOperations:
         """Return the context that notifications are written in: jsonldContext if the subscriber names one."""
         named = document.get("jsonldContext")
         return context if named is None else await self._contexts.of(require_uri(named, '"jsonldContext"'))
+
+    @staticmethod
+    async def _require_open(tenant: Tenant, made: Subscription) -> None:
+        host = urlsplit(made.endpoint.uri).hostname or ""
+        await tenant.notifier.outbound.destinations.require_open(host, "notification.endpoint.uri")
 
     async def _keep(self, tenant: Tenant, made: Subscription) -> None:
         key = (Kind.SUBSCRIPTION, tenant.name, made.id)

@@ -84,10 +84,12 @@ class Tenants:
     def load(self) -> None:
         """Take what the journal holds."""
         journal, settings = self._journal, self._settings
+        destinations = settings.destinations()
         self.places = itertools.count(journal.last_place() + 1)
         self.outbound = Outbound(
             journal,
-            HttpSender(),
+            HttpSender(destinations, settings.broker_notification_ca_file),
+            destinations,
             timeout_s=settings.broker_notification_timeout_s,
             keep_s=settings.broker_notification_keep_h * 3600,
         )
