@@ -24,9 +24,8 @@ LARGEST_ANSWER: Final = 256 * 1024
 """Bytes of an answer that are read before the connection is given up."""
 LARGEST_REPLY: Final = 32 * 1024 * 1024
 """The same where the answer matters: a page of a thousand entities of 32 KB."""
-
-
 OPEN: Final = Destinations()
+"""Where a sender may send that is told nothing else: to all but link-local addresses."""
 
 
 class SendError(Exception):
