@@ -27,6 +27,7 @@ from services.context_broker.exchange import (
     problem_answer,
     received,
     send_answer,
+    told_back,
 )
 from services.context_broker.journal import Entries, Journal, Kind, NotStored
 from services.context_broker.operation import Directory, Operation
@@ -90,6 +91,9 @@ class Broker:
     async def answer(self, scope: Scope, receive: Receive) -> Answer:
         """Answer one request."""
         method: str = scope["method"]
+        if method == "OPTIONS":
+            allowed = self.directory.allowed(path_parts(scope), scope["path"])
+            return Answer(204, b"", [(b"allow", ", ".join(allowed).encode())])
         operation, names = self.directory.find(method, path_parts(scope), scope["path"])
         request = await received(scope, receive, self.settings.broker_max_body_bytes)
         started_s = time.perf_counter()
@@ -97,21 +101,18 @@ class Broker:
             answer = await self._performed(operation, request, names)
         except Problem as problem:
             answer = problem_answer(problem)
+        answer = told_back(request, answer)
         self._observe(operation, answer.status, time.perf_counter() - started_s)
         return answer
 
     async def _performed(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
-        header = request.headers.get(b"ngsild-tenant", b"")
-        tenant = self.tenants.of(header, makes=operation.makes_tenant)
+        tenant = self.tenants.of(request.headers.get(b"ngsild-tenant", b""), makes=operation.makes_tenant)
         try:
             exchange = Exchange(request, names, self.contexts, tenant)
             exchange.require_known(operation.parameters)
-            answer = await operation.answer(exchange)
+            return await operation.answer(exchange)
         finally:
             self.tenants.leave(tenant)
-        if not header:
-            return answer
-        return Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", header)])
 
     async def _take_up_subscriptions(self) -> None:
         told = {(tenant, one): body for tenant, one, body in self.journal.documents(Kind.COUNTS)}

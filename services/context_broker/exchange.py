@@ -15,9 +15,21 @@ from starlette.types import Receive, Scope, Send
 
 from handover.errors import Problem
 from services.context_broker.contexts import Context, ContextBook
+from services.context_broker.negotiation import (
+    GEO_JSON,
+    JSON,
+    JSON_LD,
+    MERGE_PATCH,
+    PLAIN,
+    accepted,
+    context_link,
+    preferred_version,
+)
 from services.context_broker.problems import (
+    MethodNotAllowed,
     bad_request_data,
     invalid_request,
+    length_required,
     not_acceptable,
     too_large,
     unsupported_media_type,
@@ -25,19 +37,19 @@ from services.context_broker.problems import (
 from services.context_broker.tenants import Tenant
 from services.context_broker.words import shown
 
+__all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Answer", "Disconnected", "Exchange", "Request"]
+
 PREFIX: Final = "/ngsi-ld/v1/"
-JSON: Final = "application/json"
-JSON_LD: Final = "application/ld+json"
-MERGE_PATCH: Final = "application/merge-patch+json"
 LONGEST_QUERY: Final = 64 * 1024
 LONGEST_HEADER: Final = 4096
+MOST_PARAMETERS: Final = 100
+"""Parameters that are read: no operation has half as many."""
 LONGEST_REMEMBERED: Final = 1024
 """Characters of the query of a URL that is kept parsed."""
 
-_CONTEXT_LINK = re.compile(
-    r'<([^>]*)>(?=[^,<]*;\s*rel\s*=\s*"?http://www\.w3\.org/ns/json-ld#context"?)', re.IGNORECASE
-)
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
+_WITH_BODY = {"POST", "PATCH", "PUT"}
+_BROKEN_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
 
 
 class Disconnected(Exception):
@@ -153,15 +165,16 @@ class Exchange:
     def link(self) -> str | None:
         """Return the URL of the context in the Link header, None if there is none."""
         given = self.headers.get(b"link")
-        return None if given is None else _context_link(_of_bearable_length(given, "Link"))
+        return None if given is None else context_link(_of_bearable_length(given, "Link"))
 
-    def accept(self) -> str:
-        """Return the media type to answer in; raise a problem (406) if the broker has none that is wanted."""
+    def accept(self, offered: tuple[str, ...] = PLAIN) -> str:
+        """Return the media type of `offered` to answer in; raise a problem (406) if none is wanted."""
         given = self.headers.get(b"accept")
-        chosen = JSON if given is None else _accepted(_of_bearable_length(given, "Accept"))
+        chosen = offered[0] if given is None else accepted(_of_bearable_length(given, "Accept"), offered)
         if chosen is None:
             raise not_acceptable(
-                f"Accept {shown((given or b'').decode('latin-1'))} leaves nothing; accept {JSON} or {JSON_LD}"
+                f"Accept {shown((given or b'').decode('latin-1'))} leaves nothing; accept "
+                f"{', '.join(offered[:-1])} or {offered[-1]}"
             )
         return chosen
 
@@ -170,33 +183,6 @@ def _of_bearable_length(given: bytes, name: str) -> bytes:
     if len(given) > LONGEST_HEADER:
         raise invalid_request(f"the {name} header has {len(given)} characters; {LONGEST_HEADER} are read")
     return given
-
-
-@lru_cache(maxsize=1024)
-def _context_link(given: bytes) -> str | None:
-    found: list[str] = _CONTEXT_LINK.findall(given.decode("latin-1"))
-    if len(found) > 1:
-        raise bad_request_data("the Link header names more than one @context; put them into one document")
-    return found[0] if found else None
-
-
-@lru_cache(maxsize=1024)
-def _accepted(given: bytes) -> str | None:
-    best, chosen = 0.0, None
-    for part in given.decode("latin-1").split(","):
-        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
-        weight = next((_weight(one[2:]) for one in options if one.startswith("q=")), 1.0)
-        offered = {JSON: JSON, JSON_LD: JSON_LD, "*/*": JSON, "application/*": JSON}.get(media_type)
-        if offered is not None and weight > best:
-            best, chosen = weight, offered
-    return chosen
-
-
-def _weight(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return 0.0
 
 
 def _parameters(query: bytes) -> Mapping[str, str]:
@@ -208,11 +194,14 @@ def _parameters(query: bytes) -> Mapping[str, str]:
 @lru_cache(maxsize=4096)
 def _read_parameters(query: bytes) -> Mapping[str, str]:
     try:
-        pairs = parse_qsl(query.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=100)
+        text = query.decode("ascii")
+        pairs = parse_qsl(text, keep_blank_values=True, errors="strict", max_num_fields=MOST_PARAMETERS)
     except ValueError as error:
         raise invalid_request(
             f"the query of the URL cannot be read: {error}; percent-encode it as UTF-8"
         ) from None
+    if _BROKEN_PERCENT.search(text):
+        raise invalid_request("the query of the URL has a % without two digits after it; write %25 for a %")
     parameters = dict(pairs)
     if len(parameters) < len(pairs):
         raise invalid_request("a parameter is given twice; join its values with commas")
@@ -225,19 +214,29 @@ def path_parts(scope: Scope) -> list[str]:
     try:
         text = raw.decode("ascii").partition("?")[0][len(PREFIX) :].rstrip("/")
         parts = text.split("/")
-        return [unquote(part, errors="strict") for part in parts] if "%" in text else parts
+        if "%" not in text:
+            return parts
+        if _BROKEN_PERCENT.search(text):
+            raise invalid_request("the path has a % without two digits after it; write %25 for a %")
+        return [unquote(part, errors="strict") for part in parts]
     except UnicodeDecodeError:
         raise invalid_request("the path is not percent-encoded UTF-8") from None
 
 
 async def received(scope: Scope, receive: Receive, max_bytes: int) -> Request:
-    """Return the request, its body read; raise a problem (413) when the body is larger than `max_bytes`."""
+    """Return the request, its body read.
+
+    Raises a problem: 411 for a body without a Content-Length (clause 6.3.4 has no exception for chunks), 413
+    for one larger than `max_bytes`.
+    """
     headers: dict[bytes, bytes] = {}
     for name, value in scope["headers"]:
         headers[name] = headers[name] + b", " + value if name in headers else value
     query: bytes = scope["query_string"]
     if len(query) > LONGEST_QUERY:
         raise invalid_request(f"the query of the URL has more than {LONGEST_QUERY} characters; use POST")
+    if scope["method"] in _WITH_BODY and b"content-length" not in headers:
+        raise length_required()
     body = await _body(receive, headers, max_bytes)
     return Request(scope["method"], scope["path"], _parameters(query) if query else {}, headers, body)
 
@@ -272,7 +271,44 @@ async def send_answer(send: Send, answer: Answer) -> None:
     await send({"type": "http.response.body", "body": answer.body})
 
 
+def told_back(request: Request, answer: Answer) -> Answer:
+    """Return the answer with what the asker is told of its own headers: the tenant, the version it prefers.
+
+    The tenant is told in errors too (clause 6.3.14). An answer that was made to conform to an earlier version
+    has the status 203 (clause 6.3.21); where nothing had to be changed it stays what it is.
+    """
+    tenant = request.headers.get(b"ngsild-tenant")
+    if tenant is not None:
+        answer = Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", tenant)])
+    prefer = request.headers.get(b"prefer")
+    return answer if prefer is None or answer.status != 200 else _as_preferred(request, prefer, answer)
+
+
+def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
+    from services.context_broker import conformance  # noqa: PLC0415 - few ask for another version
+
+    try:
+        version = preferred_version(_of_bearable_length(prefer, "Prefer"))
+    except Problem as problem:
+        return problem_answer(problem)
+    if version is None or not answer.body:
+        return answer
+    said = {*request.parameters.get("options", "").split(","), request.parameters.get("format", "")}
+    document = orjson.loads(answer.body)
+    simplified = not said.isdisjoint({"keyValues", "simplified"})
+    conformed = conformance.conformed(document, version, simplified=simplified)
+    applied = "ngsi-ld={}.{}".format(*min(version, conformance.OURS)).encode()
+    headers = [*answer.headers, (b"preference-applied", applied)]
+    if conformed is document:
+        return Answer(200, answer.body, headers)
+    return Answer(203, orjson.dumps(conformed), headers)
+
+
 def problem_answer(problem: Problem) -> Answer:
     """Return a problem as an answer."""
-    body = orjson.dumps(problem.body())
-    return Answer(problem.status, body, [(b"content-type", b"application/problem+json")])
+    if problem.status == 411:  # which has no body: clause 6.3.4
+        return Answer(411)
+    headers = [(b"content-type", b"application/problem+json")]
+    if isinstance(problem, MethodNotAllowed):
+        headers.append((b"allow", ", ".join(problem.allowed).encode()))
+    return Answer(problem.status, orjson.dumps(problem.body()), headers)

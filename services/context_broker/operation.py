@@ -40,6 +40,11 @@ class _Place:
     template: tuple[str, ...]
     methods: dict[str, Operation] = field(default_factory=dict)
 
+    def allowed(self) -> tuple[str, ...]:
+        """Return what can be done here, by HTTP's names."""
+        head = ("HEAD",) if "GET" in self.methods else ()
+        return (*self.methods, *head, "OPTIONS")
+
     def names(self, parts: list[str]) -> tuple[str, ...] | None:
         """Return the parts that name things if the path leads here."""
         found: list[str] = []
@@ -67,14 +72,26 @@ class Directory:
             place.methods[one.method] = one
 
     def find(self, method: str, parts: list[str], path: str) -> tuple[Operation, tuple[str, ...]]:
-        """Return the operation and the names in its path; raise a problem (404 or 405) if there is none."""
+        """Return the operation and the names in its path; raise a problem (404 or 405) if there is none.
+
+        HEAD finds what GET finds.
+        """
+        place, names = self._place(parts, path)
+        operation = place.methods.get("GET" if method == "HEAD" else method)
+        if operation is None:
+            allowed = place.allowed()
+            raise method_not_allowed(f"{path} takes {', '.join(allowed)}, not {method}", allowed)
+        return operation, names
+
+    def allowed(self, parts: list[str], path: str) -> tuple[str, ...]:
+        """Return the methods that a path takes; raise a problem (404) if there is no such path."""
+        return self._place(parts, path)[0].allowed()
+
+    def _place(self, parts: list[str], path: str) -> tuple[_Place, tuple[str, ...]]:
         for place in self._places.get((parts[0], len(parts)), ()):
             names = place.names(parts)
             if names is not None:
-                operation = place.methods.get(method)
-                if operation is None:
-                    raise method_not_allowed(f"{path} takes {', '.join(place.methods)}, not {method}")
-                return operation, names
+                return place, names
         raise not_found(f"there is nothing at {path}; see {PREFIX}entities and {PREFIX}subscriptions")
 
     def by_path(self) -> Mapping[str, list[Operation]]:

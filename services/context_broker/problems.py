@@ -3,6 +3,9 @@
 ETSI GS CIM 009, clause 5.5.2 and table 6.3.2-1.
 """
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 from handover.errors import Problem
 
 ERRORS = "https://uri.etsi.org/ngsi-ld/errors/"
@@ -63,9 +66,22 @@ def too_large(detail: str) -> Problem:
     return Problem(413, "Content too large", detail, ERRORS + "InvalidRequest")
 
 
-def method_not_allowed(detail: str) -> Problem:
+@dataclass
+class MethodNotAllowed(Problem):
+    """The path is right, the method is not; `allowed` are those that the path takes."""
+
+    allowed: tuple[str, ...] = ()
+
+
+def method_not_allowed(detail: str, allowed: Iterable[str]) -> Problem:
     """The path is right, the method is not."""
-    return Problem(405, "Method not allowed", detail, ERRORS + "OperationNotSupported")
+    kind = ERRORS + "OperationNotSupported"
+    return MethodNotAllowed(405, "Method not allowed", detail, kind, allowed=tuple(allowed))
+
+
+def length_required() -> Problem:
+    """A body has no length; the answer has no body (clause 6.3.4)."""
+    return Problem(411, "Length required", "send a Content-Length", ERRORS + "InvalidRequest")
 
 
 def not_stored(reason: str) -> Problem:
