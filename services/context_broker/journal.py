@@ -1,10 +1,11 @@
 """The journal: what must survive, on disk. Everything else in the broker is rebuilt from it at start.
 
 Entities are rows by their place in the order of creation; subscriptions, registrations, @contexts and the
-like are documents by kind; what subscribers are owed is the outbox. All looking up is done in memory.
+like are documents by kind; what subscribers are owed is the outbox. All looking up is done in memory. What
+has been is the history: a row for each change of an entity, and a row for each entity that has departed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
@@ -40,6 +41,14 @@ _MIGRATIONS: Final = (
     DROP TABLE subscriptions;
     DROP TABLE subscription_counts;
     DROP TABLE contexts;
+    CREATE TABLE history (
+        entity BIGINT NOT NULL, seq BIGINT NOT NULL, observed_from {number}, observed_to {number},
+        rewritten INTEGER NOT NULL, body {bytes} NOT NULL, PRIMARY KEY (entity, seq)
+    ) {keyed};
+    CREATE TABLE departed (
+        place BIGINT PRIMARY KEY, tenant TEXT NOT NULL, id TEXT NOT NULL, body {bytes} NOT NULL
+    );
+    CREATE INDEX departed_by_id ON departed (tenant, id);
     """,
 )
 SCHEMA_VERSION: Final = len(_MIGRATIONS)
@@ -72,6 +81,31 @@ class EntityRow:
 
 
 @dataclass(slots=True, eq=False)
+class HistoryRow:
+    """A change of the entity at `place`; without `body` it is forgotten.
+
+    `seq` is the time of the change in microseconds since 1970, made different from every other one of the
+    entity; `observed` are the first and the last observedAt in it, in seconds since 1970, if it has any.
+    """
+
+    place: int
+    seq: int
+    observed: tuple[float | None, float | None]
+    body: bytes | None
+    rewritten: bool = False
+    """Whether it was changed later, so that modifiedAt in it may be younger than the row."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepartedRow:
+    """An entity that is only history, whether it is gone or never was; without `body` it is forgotten."""
+
+    tenant: str
+    id: str
+    body: bytes | None
+
+
+@dataclass(slots=True, eq=False)
 class Notice:
     """A notification that is owed. Without `body` it waits for its throttling to end, to be told then.
 
@@ -95,6 +129,11 @@ class Entries:
     documents: dict[DocumentKey, bytes | None] = field(default_factory=dict)
     owed: list[Notice] = field(default_factory=list)
     settled: list[int] = field(default_factory=list)
+    history: list[HistoryRow] = field(default_factory=list)
+    cleared: list[tuple[int, int]] = field(default_factory=list)
+    """Places, each with the seq below which its history is cleared away."""
+    departed: dict[int, DepartedRow] = field(default_factory=dict)
+    """By place in the order of creation."""
 
     def add(self, later: "Entries") -> None:
         """Put what comes later into the same commit."""
@@ -102,6 +141,9 @@ class Entries:
         self.documents.update(later.documents)
         self.owed.extend(later.owed)
         self.settled.extend(later.settled)
+        self.history.extend(later.history)
+        self.cleared.extend(later.cleared)
+        self.departed.update(later.departed)
 
 
 class Journal:
@@ -133,6 +175,7 @@ class Journal:
             _write_entities(writer, entries)
             _write_documents(writer, entries)
             self._write_outbox(writer, entries)
+            _write_history(writer, entries)
 
     def close(self) -> None:
         """Let go."""
@@ -163,7 +206,47 @@ class Journal:
     def last_place(self) -> int:
         """Return the highest place in the order of creation."""
         ((last,),) = self._database.read("SELECT coalesce(max(seq), 0) FROM entities")
-        return int(last)
+        ((gone,),) = self._database.read("SELECT coalesce(max(place), 0) FROM departed")
+        return max(int(last), int(gone))
+
+    def departed(self, tenant: str, entity_id: str | None = None) -> Iterator[tuple[int, str, bytes]]:
+        """Yield place, id and body of what is only history, all of it or that of one id; from any thread."""
+        asked = "SELECT place, id, body FROM departed WHERE tenant = ?"
+        if entity_id is None:
+            yield from self._database.scan(f"{asked} ORDER BY place", (tenant,))
+        else:
+            yield from self._database.scan(f"{asked} AND id = ? ORDER BY place", (tenant, entity_id))
+
+    def history(
+        self, places: Sequence[int], condition: str = "", values: Sequence[float] = ()
+    ) -> Iterator[tuple[int, int, bytes]]:
+        """Yield place, seq and body of the changes at `places`, in the order of places and of time.
+
+        `condition` is SQL about seq, observed_from, observed_to and rewritten. From any thread.
+        """
+        marks = ", ".join("?" * len(places))
+        narrowed = f" AND {condition}" if condition else ""
+        asked = f"SELECT entity, seq, body FROM history WHERE entity IN ({marks}){narrowed}"  # noqa: S608 - ours
+        yield from self._database.scan(f"{asked} ORDER BY entity, seq", (*places, *values))
+
+    def oldest_change(self, after: int, before: int, most: int) -> tuple[int, int, int | None] | None:
+        """Return the next place after `after` that has history, what is to be cleared of it, and what stays.
+
+        What is to be cleared is below a seq, at most `most` changes and none from `before` on; what stays is
+        the first seq from there on, None if nothing does. None when there is no such place.
+        """
+        ((place,),) = self._database.read("SELECT min(entity) FROM history WHERE entity > ?", (after,))
+        if place is None:
+            return None
+        found = self._database.read(
+            "SELECT seq FROM history WHERE entity = ? AND seq < ? ORDER BY seq LIMIT ?",
+            (place, before, most + 1),
+        )
+        bound = found[most][0] if len(found) > most else before
+        ((left,),) = self._database.read(
+            "SELECT min(seq) FROM history WHERE entity = ? AND seq >= ?", (place, bound)
+        )
+        return int(place), int(bound), left
 
     def _write_outbox(self, writer: Writer, entries: Entries) -> None:
         for one in entries.owed:
@@ -208,3 +291,39 @@ def _write_documents(writer: Writer, entries: Entries) -> None:
     for kind, tenant, name in gone:
         if kind == Kind.SUBSCRIPTION:
             writer.run("DELETE FROM outbox WHERE tenant = ? AND subscription = ?", (tenant, name))
+
+
+def _write_history(writer: Writer, entries: Entries) -> None:
+    kept = [
+        (row.place, row.seq, *row.observed, int(row.rewritten), row.body)
+        for row in entries.history
+        if row.body is not None
+    ]
+    if kept:
+        writer.run_many(
+            "INSERT INTO history (entity, seq, observed_from, observed_to, rewritten, body) "
+            "VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (entity, seq) DO UPDATE SET observed_from = "
+            "excluded.observed_from, observed_to = excluded.observed_to, rewritten = excluded.rewritten, "
+            "body = excluded.body",
+            kept,
+        )
+    gone = [(row.place, row.seq) for row in entries.history if row.body is None]
+    if gone:
+        writer.run_many("DELETE FROM history WHERE entity = ? AND seq = ?", gone)
+    if entries.cleared:
+        writer.run_many("DELETE FROM history WHERE entity = ? AND seq < ?", entries.cleared)
+    if entries.departed:
+        _write_departed(writer, entries.departed)
+
+
+def _write_departed(writer: Writer, departed: Mapping[int, DepartedRow]) -> None:
+    kept = [(place, row.tenant, row.id, row.body) for place, row in departed.items() if row.body is not None]
+    if kept:
+        writer.run_many(
+            "INSERT INTO departed (place, tenant, id, body) VALUES (?, ?, ?, ?) "
+            "ON CONFLICT (place) DO UPDATE SET body = excluded.body",
+            kept,
+        )
+    gone = [(place,) for place, row in departed.items() if row.body is None]
+    if gone:
+        writer.run_many("DELETE FROM departed WHERE place = ?", gone)

@@ -43,3 +43,10 @@ class BrokerSettings(Settings):
         return Destinations(
             self.broker_notify_link_local, is_loopback(self.host) if loopback is None else loopback
         )
+
+    broker_history: bool = Field(
+        default=True, description="whether the broker records what changes, for the temporal API to tell"
+    )
+    broker_history_keep_days: float = Field(
+        30.0, ge=0, description="for how many days the broker keeps what it has recorded; 0 keeps it for ever"
+    )

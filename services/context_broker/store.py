@@ -13,6 +13,7 @@ import orjson
 
 from services.context_broker.commits import Commits
 from services.context_broker.entity import Entity, Event
+from services.context_broker.history import Recorder
 from services.context_broker.journal import EntityRow, Entries, Notice, NotStored
 from services.context_broker.problems import bad_request_data, not_stored
 from services.context_broker.q_match import Equality, Scalar, scalars
@@ -36,7 +37,7 @@ Announce = Callable[[Event], list[Notice]]
 class Store:
     """All entities of one tenant. `announce` and `deliver` are the notifier's two ends.
 
-    `places` gives each new entity its place in the order of creation.
+    `places` gives each new entity its place in the order of creation; `recorder` keeps history, None none.
     """
 
     def __init__(
@@ -46,12 +47,15 @@ class Store:
         places: Iterator[int],
         announce: Announce,
         deliver: Callable[[list[Notice]], None],
+        *,
+        recorder: Recorder | None = None,
     ) -> None:
         self.tenant = tenant
         self._commits = commits
         self._places = places
         self._announce = announce
         self._deliver = deliver
+        self._recorder = recorder
         self._committed: dict[str, Entity] = {}
         self._by_type: dict[str, dict[str, None]] = {}
         self._indexes: dict[str, dict[Scalar, dict[str, None]]] = {}
@@ -126,6 +130,8 @@ class Store:
             entries.entities[one.seq] = EntityRow(
                 self.tenant, one.id, None if after is None else after.stored()
             )
+            if self._recorder is not None:
+                self._recorder.record(self.tenant, event, entries)
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
         staged = Staged(before, after, self._announce(event))

@@ -10,6 +10,7 @@ from typing import Final
 
 from services.context_broker.commits import CommitQueue, Failed, stored
 from services.context_broker.entity import Entity
+from services.context_broker.history import Recorder
 from services.context_broker.http_sender import HttpSender
 from services.context_broker.journal import Entries, Journal, Kind
 from services.context_broker.notifier import Notifier, Outbound
@@ -30,7 +31,14 @@ class Tenant:
         self.guests = 0
         self.commits = _TenantCommits(name, tenants.commits, is_kept=is_kept)
         self.notifier = Notifier(name, self.commits, tenants.outbound)
-        self.store = Store(name, self.commits, tenants.places, self.notifier.announce, self.notifier.deliver)
+        self.store = Store(
+            name,
+            self.commits,
+            tenants.places,
+            self.notifier.announce,
+            self.notifier.deliver,
+            recorder=tenants.recorder,
+        )
         self.notifier.store = self.store
         self.registry = Registry(name, self.commits)
 
@@ -77,6 +85,7 @@ class Tenants:
         self.commits = CommitQueue(journal, self._forget_staged)
         self.places: Iterator[int] = itertools.count(1)
         self.outbound: Outbound
+        self.recorder = Recorder() if settings.broker_history else None
         self._journal = journal
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}
