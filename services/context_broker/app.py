@@ -32,6 +32,7 @@ from services.context_broker.exchange import (
 from services.context_broker.journal import Entries, Journal, Kind, NotStored
 from services.context_broker.operation import Directory, Operation
 from services.context_broker.problems import ERRORS, not_stored
+from services.context_broker.registration_operations import RegistrationOperations
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.subscription_operations import SubscriptionOperations
 from services.context_broker.tenants import DEFAULT, Tenants
@@ -57,6 +58,7 @@ class Broker:
         self.tenants = Tenants(journal, settings)
         self.contexts = ContextBook(self._keep_context, settings.broker_context_timeout_s)
         self.subscriptions = SubscriptionOperations(self.contexts)
+        self.registrations = RegistrationOperations(self.contexts)
         self.directory = Directory(
             operation
             for room in (
@@ -64,6 +66,7 @@ class Broker:
                 BatchOperations(),
                 DiscoveryOperations(f"handover-{settings.factory}"),
                 self.subscriptions,
+                self.registrations,
             )
             for operation in room.operations()
         )
@@ -75,6 +78,7 @@ class Broker:
             self.contexts.remember(url, stored)
         self.tenants.load()
         self.tenants.commits.start()
+        await self._take_up_registrations()
         await self._take_up_subscriptions()
         ENTITIES.set_function(self.tenants.entities)
         gc.freeze()  # what was loaded stays: collections need not walk through it again and again
@@ -114,13 +118,23 @@ class Broker:
         finally:
             self.tenants.leave(tenant)
 
+    async def _take_up_registrations(self) -> None:
+        kept = self._kept(Kind.REGISTRATION, Kind.ATTEMPTS)
+        for tenant in self.tenants:
+            await self.registrations.restore(tenant, kept.get(tenant.name, ()))
+
     async def _take_up_subscriptions(self) -> None:
-        told = {(tenant, one): body for tenant, one, body in self.journal.documents(Kind.COUNTS)}
-        kept: dict[str, list[tuple[bytes, bytes | None]]] = {}
-        for name, one, body in self.journal.documents(Kind.SUBSCRIPTION):
-            kept.setdefault(name, []).append((body, told.get((name, one))))
+        kept = self._kept(Kind.SUBSCRIPTION, Kind.COUNTS)
         for tenant in self.tenants:
             await self.subscriptions.restore(tenant, kept.get(tenant.name, ()))
+
+    def _kept(self, kind: Kind, counts: Kind) -> dict[str, list[tuple[bytes, bytes | None]]]:
+        """Return what the journal holds of a kind by tenant, each with its counts."""
+        told = {(tenant, one): body for tenant, one, body in self.journal.documents(counts)}
+        kept: dict[str, list[tuple[bytes, bytes | None]]] = {}
+        for name, one, body in self.journal.documents(kind):
+            kept.setdefault(name, []).append((body, told.get((name, one))))
+        return kept
 
     def _observe(self, operation: Operation, status: int, seconds: float) -> None:
         key = (operation.method, operation.path, status)

@@ -26,6 +26,11 @@ def already_exists(detail: str) -> Problem:
     return Problem(409, "Already exists", detail, ERRORS + "AlreadyExists")
 
 
+def conflict(detail: str) -> Problem:
+    """What is asked for cannot be together with what is there."""
+    return Problem(409, "Conflict", detail, ERRORS + "Conflict")
+
+
 def not_found(detail: str) -> Problem:
     """There is nothing with this id."""
     return Problem(404, "Not found", detail, ERRORS + "ResourceNotFound")

@@ -151,6 +151,11 @@ class Attempts:
     rests_until_s: float = float("-inf")
     """By the monotonic clock: until then the source is left alone. Not kept across a restart."""
 
+    def go_on_from(self, before: "Attempts") -> None:
+        """Take over the counts of the registration as it was before a change; its source need not rest."""
+        self.sent, self.failed = before.sent, before.failed
+        self.last_success, self.last_failure = before.last_success, before.last_failure
+
     def members(self) -> dict[str, Any]:
         """Return the members that a reader of the registration gets; none before the first attempt."""
         if not self.sent:

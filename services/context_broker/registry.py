@@ -60,6 +60,10 @@ class Registry:
         found = self._all.get(registration_id)
         return None if found is None or found.is_over(time.time()) else found
 
+    def holds(self, registration: Registration) -> bool:
+        """Say whether this very registration is in force, neither changed nor deleted since."""
+        return self._all.get(registration.id) is registration
+
     def take(self, registration: Registration) -> None:
         """Take up what was kept before a restart; nobody is told."""
         self._file(registration)
@@ -79,6 +83,11 @@ class Registry:
         self._unfile(before)
         self.is_empty = not self._all
         self._tell(before, None)
+
+    def remove_if_held(self, registration: Registration) -> None:
+        """Forget a registration unless it was changed or deleted meanwhile."""
+        if self.holds(registration):
+            self.remove(registration.id)
 
     def matching(self, operation: str, asked: Asked = ANY, where: Where | None = None) -> list[Match]:
         """Return the registrations whose source takes `operation` and may serve some of what is `asked`.

@@ -1,0 +1,234 @@
+"""Operations on registrations of context sources: to keep them (clauses 5.9 and 6.8) and to find them (5.10).
+
+Changes are rare and made one after the other. A registration that has expired is gone: it is taken off the
+disk when its time comes, or at the next start.
+"""
+
+import asyncio
+import time
+from collections.abc import Iterable
+from typing import Any, Final
+from urllib.parse import quote
+from uuid import uuid4
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.contexts import Context, ContextBook
+from services.context_broker.exchange import JSON_LD, PREFIX, Answer, Exchange
+from services.context_broker.journal import Entries, Kind, NotStored
+from services.context_broker.operation import Operation
+from services.context_broker.problems import already_exists, conflict, not_found, not_stored
+from services.context_broker.reading import (
+    PAGE_PARAMETERS,
+    json_headers,
+    options_of,
+    page_links,
+    window_of,
+)
+from services.context_broker.registration import Attempts, Mode, Registration, shown_document
+from services.context_broker.registration_intake import (
+    kept_document,
+    refuse_past,
+    registration,
+    updated_document,
+)
+from services.context_broker.registration_search import SEARCH_PARAMETERS, search_of
+from services.context_broker.registry import claims
+from services.context_broker.tenants import Tenant
+from services.context_broker.words import require_uri, timestamp_now
+
+DONE: Final = Answer(204)
+LONGEST_NAP_S: Final = 86400.0
+"""How far ahead an end is looked for: timers count in floats, and some registrations end in a century."""
+_VIEW: Final = frozenset({"options"})
+_SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
+
+
+class RegistrationOperations:
+    """What can be done to registrations."""
+
+    def __init__(self, contexts: ContextBook) -> None:
+        self._contexts = contexts
+        self._one_at_a_time = asyncio.Lock()
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        all_of_them, one = "csourceRegistrations", "csourceRegistrations/{id}"
+        searching = PAGE_PARAMETERS | SEARCH_PARAMETERS
+        return (
+            Operation("POST", all_of_them, "createCSR", "6.8.3.1", self.create, makes_tenant=True),
+            Operation("GET", all_of_them, "queryCSR", "6.8.3.2", self.search, searching),
+            Operation("GET", one, "retrieveCSR", "6.9.3.1", self.retrieve, _VIEW),
+            Operation("PATCH", one, "updateCSR", "6.9.3.2", self.update),
+            Operation("DELETE", one, "deleteCSR", "6.9.3.3", self.delete),
+        )
+
+    async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
+        """Take up the registrations of before, each with its counts, in the order of their creation."""
+        documents = [(orjson.loads(body), told) for body, told in kept]
+        for document, told in sorted(documents, key=lambda one: str(one[0].get("createdAt"))):
+            made = registration(document, await self._contexts.of(document["context"]))
+            if told is not None:
+                _count_on(made.attempts, told)
+            tenant.registry.take(made)
+            self._see_to_its_end(tenant, made)
+
+    async def create(self, exchange: Exchange) -> Answer:
+        """POST csourceRegistrations."""
+        given, context = await exchange.body()
+        document = kept_document(given, context)
+        named = document.get("id") or f"urn:ngsi-ld:ContextSourceRegistration:{uuid4()}"
+        at = timestamp_now()
+        made = registration(
+            {
+                **{name: value for name, value in document.items() if value is not None},
+                "id": require_uri(named, "the registration id"),
+                "createdAt": at,
+                "modifiedAt": at,
+                "context": context.document,
+            },
+            context,
+        )
+        refuse_past(made.document)
+        async with self._one_at_a_time:
+            if exchange.tenant.registry.get(made.id) is not None:
+                raise already_exists(
+                    f"there is a registration {made.id} already; update it, or choose another id"
+                )
+            _refuse_conflicts(exchange.tenant, made)
+            await self._keep(exchange.tenant, made)
+        location = f"{PREFIX}csourceRegistrations/{quote(made.id, safe=':')}".encode()
+        return Answer(201, b"", [(b"location", location)])
+
+    async def update(self, exchange: Exchange) -> Answer:
+        """PATCH csourceRegistrations/{id}."""
+        given, context = await exchange.body()
+        change = kept_document(given, context)
+        async with self._one_at_a_time:
+            before = _existing(exchange)
+            document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
+            made = registration(document, before.context)
+            if "expiresAt" in change:
+                refuse_past(document)
+            made.attempts.go_on_from(before.attempts)
+            if {"mode", "information"} & change.keys():
+                _refuse_conflicts(exchange.tenant, made)
+            await self._keep(exchange.tenant, made)
+        return DONE
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """DELETE csourceRegistrations/{id}."""
+        async with self._one_at_a_time:
+            before = _existing(exchange)
+            await _write(exchange.tenant, _end_of(exchange.tenant, before))
+            exchange.tenant.registry.remove(before.id)
+        return DONE
+
+    async def retrieve(self, exchange: Exchange) -> Answer:
+        """GET csourceRegistrations/{id}."""
+        media_type, context = exchange.accept(), await exchange.reader_context()
+        sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
+        document = shown_document(_existing(exchange), context, sys_attrs=sys_attrs)
+        return answer(_with_context(document, media_type, context), media_type, context)
+
+    async def search(self, exchange: Exchange) -> Answer:
+        """GET csourceRegistrations (clause 5.10.2): those concerned, each with what of it is."""
+        media_type, context = exchange.accept(), await exchange.reader_context()
+        window = window_of(exchange)
+        sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
+        search = search_of(exchange.parameters, context)
+        found = exchange.tenant.registry.concerned(search.asked, search.wants)
+        page = found[window.offset : window.offset + window.limit]
+        documents = [
+            shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.asked))
+            for one in page
+        ]
+        result = answer([_with_context(one, media_type, context) for one in documents], media_type, context)
+        if window.count:
+            result.headers.append((b"ngsild-results-count", str(len(found)).encode()))
+        more = window.offset + window.limit < len(found)
+        result.headers += page_links(exchange, window, media_type, more=more)
+        return result
+
+    async def _keep(self, tenant: Tenant, made: Registration) -> None:
+        key = (Kind.REGISTRATION, tenant.name, made.id)
+        await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}))
+        tenant.registry.put(made)
+        self._see_to_its_end(tenant, made)
+
+    def _see_to_its_end(self, tenant: Tenant, made: Registration) -> None:
+        """Take a registration away when it expires, unless it was changed meanwhile."""
+        left_s = made.expires_at_s - time.time()
+        if left_s == float("inf"):
+            return
+        loop = asyncio.get_running_loop()
+        if left_s > 0:
+            loop.call_later(min(left_s, LONGEST_NAP_S), self._see_to_its_end, tenant, made)
+        elif tenant.registry.holds(made):
+            gone = _end_of(tenant, made)
+            tenant.commits.submit(gone, lambda: tenant.registry.remove_if_held(made), lambda _: None)
+
+
+def answer(body: Any, media_type: str, context: Context) -> Answer:
+    """Return registrations, or documents like them, as an answer."""
+    headers = json_headers(context)
+    if media_type == JSON_LD:
+        headers = [(b"content-type", JSON_LD.encode())]
+    return Answer(200, orjson.dumps(body), headers)
+
+
+def _with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:
+    return {"@context": context.document, **document} if media_type == JSON_LD else document
+
+
+def _existing(exchange: Exchange) -> Registration:
+    registration_id = require_uri(exchange.names[0], "the registration id in the path")
+    found = exchange.tenant.registry.get(registration_id)
+    if found is None:
+        raise _absent(registration_id)
+    return found
+
+
+def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
+    """Raise a problem (409) if a proxied registration would hide what is there (clauses 4.3.6.3, 5.9.2.4)."""
+    other = tenant.registry.in_the_way_of(made)
+    if other is not None:
+        raise conflict(
+            f"registration {other.id} ({other.mode.name.lower()}) has some of these entities and attributes; "
+            "an exclusive source shares them with no other: delete it, or choose others"
+        )
+    if not made.mode.is_proxied:
+        return
+    for piece in made.information:
+        ids = [one.id for one in piece.entities if one.id is not None]
+        types = {kind for one in piece.entities for kind in one.types}
+        has_groups = not piece.entities or len(ids) < len(piece.entities)
+        for entity in tenant.store.candidates(None if has_groups else ids, types or None, None):
+            if claims(made, entity):
+                has = "entity" if made.mode is Mode.REDIRECT else "one of these attributes of entity"
+                raise conflict(
+                    f"the broker has the {has} {entity.id} itself, which a source in mode "
+                    f"{made.mode.name.lower()} would hide; delete it here first, or choose another mode"
+                )
+
+
+def _end_of(tenant: Tenant, one: Registration) -> Entries:
+    registered = (Kind.REGISTRATION, tenant.name, one.id)
+    attempts = (Kind.ATTEMPTS, tenant.name, one.id)
+    return Entries(documents={registered: None, attempts: None})
+
+
+async def _write(tenant: Tenant, entries: Entries) -> None:
+    try:
+        await tenant.commits.store(entries)
+    except NotStored as error:
+        raise not_stored(str(error)) from error
+
+
+def _count_on(attempts: Attempts, told: bytes) -> None:
+    attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure = orjson.loads(told)
+
+
+def _absent(registration_id: str) -> Problem:
+    return not_found(f"there is no registration {registration_id}; create it first")

@@ -1,0 +1,269 @@
+"""Which source can serve what: matching by table (clauses 4.3.6, 4.20 and 5.2.8 to 5.2.10)."""
+
+import re
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from datamodels.contexts import TermMap
+from handover.errors import Problem
+from services.context_broker.contexts import CORE, Context
+from services.context_broker.entity import Entity
+from services.context_broker.registration import Asked, Mode, Registration, root_of, shown_document
+from services.context_broker.registration_intake import kept_document, registration
+from services.context_broker.registry import Registry, claims
+
+CONTEXT = Context(1, TermMap(None, lambda _: None), CORE, b"", CORE)
+TASK, ROBOT = (CONTEXT.terms.expand(name) for name in ("Task", "Robot"))
+SPEED, STATUS, PART_OF = (CONTEXT.terms.expand(name) for name in ("speed", "status", "isPartOf"))
+ONE, TWO = "urn:ngsi-ld:Task:demo:1", "urn:ngsi-ld:Task:demo:2"
+
+
+class NoDisk:
+    """Takes what is written in passing."""
+
+    def submit(self, *_: Any) -> None: ...
+    async def store(self, *_: Any) -> None: ...
+    def store_later(self, *_: Any) -> None: ...
+
+
+def registered(*information: dict[str, Any], **members: Any) -> Registration:
+    number = members.pop("number", 1)
+    document = {
+        "type": "ContextSourceRegistration",
+        "information": list(information),
+        "endpoint": "http://127.0.0.1:9",
+        **members,
+    }
+    kept = {**kept_document(document, CONTEXT), "id": f"urn:ngsi-ld:ContextSourceRegistration:{number}"}
+    return registration(kept, CONTEXT)
+
+
+def registry(*registrations: Registration) -> Registry:
+    made = Registry("", NoDisk())
+    for one in registrations:
+        made.put(one)
+    return made
+
+
+TASKS = {"entities": [{"type": "Task"}]}
+TASK_ONE = {"entities": [{"type": "Task", "id": ONE}]}
+EVEN_TASKS = {"entities": [{"type": "Task", "idPattern": "[02468]$"}]}
+SPEEDS = {"entities": [{"type": "Robot"}], "propertyNames": ["speed"]}
+ANY_SPEED = {"propertyNames": ["speed"], "relationshipNames": ["isPartOf"]}
+
+
+@pytest.mark.parametrize(
+    ("piece", "asked", "ids", "attributes"),
+    [
+        (TASKS, Asked(types=frozenset({TASK})), None, None),
+        (TASKS, Asked(types=frozenset({TASK, ROBOT}), attributes=frozenset({SPEED})), None, {SPEED}),
+        (TASKS, Asked(ids=(ONE, TWO)), (ONE, TWO), None),
+        (TASK_ONE, Asked(ids=(ONE, TWO)), (ONE,), None),
+        (TASK_ONE, Asked(types=frozenset({TASK})), (ONE,), None),
+        (TASK_ONE, Asked(id_pattern=re.compile("demo")), (ONE,), None),
+        (EVEN_TASKS, Asked(ids=(ONE, TWO), types=frozenset({TASK})), (TWO,), None),
+        (EVEN_TASKS, Asked(id_pattern=re.compile("1$")), None, None),
+        (SPEEDS, Asked(attributes=frozenset({SPEED, STATUS})), None, {SPEED}),
+        (SPEEDS, Asked(), None, {SPEED}),
+        (ANY_SPEED, Asked(ids=(ONE,), types=frozenset({TASK})), (ONE,), {SPEED, PART_OF}),
+        (ANY_SPEED, Asked(), None, {SPEED, PART_OF}),
+    ],
+)
+def test_a_source_serves_what_both_sides_name(
+    piece: dict[str, Any], asked: Asked, ids: tuple[str, ...] | None, attributes: set[str] | None
+) -> None:
+    (match,) = registry(registered(piece)).matching("queryEntity", asked)
+    assert match.ids == ids
+    assert match.attributes == (None if attributes is None else frozenset(attributes))
+
+
+@pytest.mark.parametrize(
+    ("piece", "asked"),
+    [
+        (TASKS, Asked(types=frozenset({ROBOT}))),
+        (TASK_ONE, Asked(ids=(TWO,))),
+        (TASK_ONE, Asked(id_pattern=re.compile("2$"))),
+        (EVEN_TASKS, Asked(ids=(ONE,))),
+        (SPEEDS, Asked(attributes=frozenset({STATUS}))),
+        (ANY_SPEED, Asked(types=frozenset({TASK}), attributes=frozenset({STATUS}))),
+    ],
+)
+def test_a_source_is_left_alone_when_it_has_nothing_of_it(piece: dict[str, Any], asked: Asked) -> None:
+    assert registry(registered(piece)).matching("queryEntity", asked) == []
+
+
+@pytest.mark.parametrize(
+    ("operations", "taken", "not_taken"),
+    [
+        (None, {"retrieveEntity", "queryBatch", "createSubscription"}, {"createEntity", "retrieveTemporal"}),
+        (["updateOps"], {"updateEntity", "replaceAttrs"}, {"retrieveEntity", "createEntity"}),
+        (["redirectionOps", "deleteBatch"], {"createEntity", "purgeEntity", "deleteBatch"}, {"queryBatch"}),
+        (["retrieveOps"], {"retrieveEntity", "queryEntity"}, {"queryBatch", "updateEntity"}),
+    ],
+)
+def test_groups_stand_for_their_operations(
+    operations: list[str] | None, taken: set[str], not_taken: set[str]
+) -> None:
+    one = registered(TASKS, **({} if operations is None else {"operations": operations}))
+    assert all(one.takes(operation) for operation in taken)
+    assert not any(one.takes(operation) for operation in not_taken)
+
+
+def test_a_registration_with_an_interval_is_about_the_past_alone() -> None:
+    one = registered(TASKS, observationInterval={"startAt": "2024-01-01T00:00:00Z"})
+    assert one.takes("queryTemporal")
+    assert not one.takes("queryEntity")
+
+
+def test_matches_come_in_the_order_of_their_say() -> None:
+    found = registry(
+        registered(TASKS, number=1),
+        registered(TASKS, number=2, mode="auxiliary"),
+        registered(TASKS, number=3, mode="redirect"),
+        registered({**TASK_ONE, "propertyNames": ["speed"]}, number=4, mode="exclusive"),
+        registered(TASKS, number=5),
+    ).matching("retrieveEntity", Asked(ids=(ONE,)))
+    assert [match.registration.id[-1] for match in found] == ["4", "3", "1", "5", "2"]
+
+
+def test_attributes_are_told_for_each_entity() -> None:
+    (match,) = registry(
+        registered(
+            {**TASK_ONE, "propertyNames": ["speed"]},
+            {"entities": [{"type": "Task", "id": TWO}], "propertyNames": ["status"]},
+        )
+    ).matching("queryEntity", Asked(types=frozenset({TASK})))
+    assert match.attributes_for(ONE) == {SPEED}
+    assert match.attributes_for(TWO) == {STATUS}
+    assert match.ids == (ONE, TWO)
+
+
+def test_an_expired_registration_serves_nothing() -> None:
+    assert registry(registered(TASKS, expiresAt="2020-01-01T00:00:00Z")).matching("queryEntity") == []
+
+
+def test_a_registry_is_empty_again_when_its_last_registration_goes() -> None:
+    one = registered(TASKS)
+    made = registry(one)
+    seen: list[Any] = []
+    made.watchers.append(lambda before, after: seen.append((before, after)))
+    made.remove(one.id)
+    assert made.is_empty
+    assert made.matching("queryEntity") == []
+    assert seen == [(one, None)]
+
+
+ids = st.sampled_from([ONE, TWO, "urn:ngsi-ld:Task:demo:3"])
+entity_infos = st.fixed_dictionaries(
+    {"type": st.sampled_from(["Task", "Robot"])},
+    optional={"id": ids, "idPattern": st.sampled_from(["1$", "[23]$"])},
+)
+pieces = st.fixed_dictionaries(
+    {"entities": st.lists(entity_infos, min_size=1, max_size=3)},
+    optional={"propertyNames": st.lists(st.sampled_from(["speed", "status"]), min_size=1, max_size=2)},
+)
+questions = st.builds(
+    Asked,
+    ids=st.none() | st.lists(ids, min_size=1, max_size=2, unique=True).map(tuple),
+    types=st.none() | st.sets(st.sampled_from([TASK, ROBOT]), min_size=1).map(frozenset),
+    attributes=st.none() | st.sets(st.sampled_from([SPEED, STATUS]), min_size=1).map(frozenset),
+)
+
+
+@given(st.lists(st.lists(pieces, min_size=1, max_size=2), max_size=4), questions)
+def test_the_index_finds_what_looking_at_each_would(kept: list[list[dict[str, Any]]], asked: Asked) -> None:
+    all_of_them = [registered(*information, number=number) for number, information in enumerate(kept)]
+    found = registry(*all_of_them).matching("queryEntity", asked)
+    assert [match.registration for match in found] == [one for one in all_of_them if one.parts(asked)]
+
+
+def test_an_exclusive_source_shares_with_no_other_proxied_one() -> None:
+    held = {**TASK_ONE, "propertyNames": ["speed"]}
+    made = registry(registered(held, mode="exclusive"))
+    assert made.in_the_way_of(registered(held, number=2, mode="exclusive")) is not None
+    assert made.in_the_way_of(registered(TASKS, number=2, mode="redirect")) is not None
+    assert made.in_the_way_of(registered(TASKS, number=2)) is None
+    other = {**TASK_ONE, "propertyNames": ["status"]}
+    assert made.in_the_way_of(registered(other, number=2, mode="exclusive")) is None
+    assert made.in_the_way_of(registered(held, mode="exclusive")) is None, "itself, when it is changed"
+
+
+def test_redirect_sources_may_overlap() -> None:
+    made = registry(registered(TASKS, mode="redirect"))
+    assert made.in_the_way_of(registered(TASKS, number=2, mode="redirect")) is None
+
+
+def test_a_claim_looks_at_types_and_attributes() -> None:
+    entity = Entity(ONE, (TASK,), {SPEED: [{"type": "Property", "value": 1}]}, "", "")
+    assert claims(registered(TASKS, mode="redirect"), entity)
+    assert not claims(registered(SPEEDS, mode="redirect"), entity)
+    assert not claims(registered({**TASKS, "propertyNames": ["status"]}, mode="redirect"), entity)
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["http://a:1", "http://a:1/", "http://a:1/ngsi-ld/v1", "http://a:1/ngsi-ld/v1/"]
+)
+def test_endpoints_with_and_without_the_path_of_the_api_are_one(endpoint: str) -> None:
+    assert registered(TASKS, endpoint=endpoint).url("entities") == "http://a:1/ngsi-ld/v1/entities"
+    assert root_of(endpoint) == "http://a:1"
+
+
+@pytest.mark.parametrize(
+    ("members", "says"),
+    [
+        ({"information": None}, "information"),
+        ({"information": [{"entities": []}]}, "entities"),
+        ({"information": [{"entities": [{"id": ONE}]}]}, "type"),
+        ({"information": [{"propertyNames": []}]}, "propertyNames"),
+        ({"endpoint": None}, "endpoint"),
+        ({"endpoint": "mqtt://a:1"}, "endpoint"),
+        ({"mode": "shared"}, "mode"),
+        ({"operations": ["fly"]}, "operations"),
+        ({"operations": []}, "operations"),
+        ({"mode": "auxiliary", "operations": ["updateEntity"]}, "auxiliary"),
+        ({"mode": "exclusive"}, "exclusive"),
+        ({"mode": "exclusive", "information": [{**EVEN_TASKS, "propertyNames": ["speed"]}]}, "exclusive"),
+        ({"management": {"timeout": 0}}, "timeout"),
+        ({"management": {"cacheDuration": "soon"}}, "cacheDuration"),
+        ({"management": {"localOnly": "yes"}}, "localOnly"),
+        ({"observationInterval": {"endAt": "2024-01-01T00:00:00Z"}}, "startAt"),
+        ({"location": {"type": "Point", "coordinates": "here"}}, "location"),
+        ({"contextSourceInfo": [{"key": "X Y", "value": "1"}]}, "contextSourceInfo"),
+        ({"expiresAt": "tomorrow"}, "expiresAt"),
+        ({"tenant": "a b"}, "tenant"),
+    ],
+)
+def test_what_cannot_be_used_is_named(members: dict[str, Any], says: str) -> None:
+    with pytest.raises(Problem, match=says) as caught:
+        registered(**{"information": [TASKS], **members}) if "information" not in members else _raw(members)
+    assert caught.value.status == 400
+
+
+def _raw(members: dict[str, Any]) -> Registration:
+    document = {"endpoint": "http://127.0.0.1:9", **members}
+    return registration({**kept_document(document, CONTEXT), "id": "urn:x:1"}, CONTEXT)
+
+
+def test_a_reader_gets_what_was_sent_with_the_defaults() -> None:
+    one = registered(SPEEDS, floor="second", management={"timeout": 250})
+    shown = shown_document(one, CONTEXT, sys_attrs=False)
+    assert shown["information"] == [SPEEDS]
+    assert shown["floor"] == "second"
+    assert (shown["mode"], shown["operations"]) == ("inclusive", ["federationOps"])
+    assert one.management.timeout_s == 0.25
+    assert one.mode is Mode.INCLUSIVE
+
+
+def test_counts_tell_how_the_last_attempt_went() -> None:
+    one = registered(TASKS, management={"cooldown": 60_000})
+    made = registry(one)
+    assert "status" not in shown_document(one, CONTEXT, sys_attrs=False)
+    made.note(one, succeeded=True)
+    assert not made.rests(one)
+    made.note(one, succeeded=False)
+    assert made.rests(one)
+    shown = shown_document(one, CONTEXT, sys_attrs=False)
+    assert (shown["status"], shown["timesSent"], shown["timesFailed"]) == ("failed", 2, 1)
