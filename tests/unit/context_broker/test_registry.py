@@ -136,8 +136,8 @@ def test_attributes_are_told_for_each_entity() -> None:
             {"entities": [{"type": "Task", "id": TWO}], "propertyNames": ["status"]},
         )
     ).matching("queryEntity", Asked(types=frozenset({TASK})))
-    assert match.attributes_for(ONE) == {SPEED}
-    assert match.attributes_for(TWO) == {STATUS}
+    assert match.attributes_for(ONE) == frozenset({SPEED})
+    assert match.attributes_for(TWO) == frozenset({STATUS})
     assert match.ids == (ONE, TWO)
 
 
