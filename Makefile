@@ -14,7 +14,7 @@ PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
 # What needs the Node that built the page: lint and tests of its TypeScript.
 PAGE := $(BIN)/python -m webui.build
 
-.PHONY: help setup demo up test check lint lock bench bench-broker bench-gestures bench-handover bench-screen clean
+.PHONY: help setup demo up test crashes check lint lock bench bench-broker bench-gestures bench-handover bench-screen clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -41,6 +41,9 @@ up: setup  ## every service, nobody simulated but the robot
 test: setup lint  ## every check and every test
 	@$(PAGE) test
 	@$(PYTEST) $(ARGS)
+
+crashes: setup  ## kill the broker a hundred times in the middle of writing, and look what is left
+	@HANDOVER_TEST_CRASHES=100 $(BIN)/pytest -q tests/integration/context_broker/test_crashes.py $(ARGS)
 
 check: setup lint  ## what an everyday change needs: lint, types, structure and the quick tests
 	@$(PAGE) test

@@ -1,9 +1,6 @@
 """What was acknowledged is there: after a power cut, after a full disk, for those not told yet."""
 
-import random
 import resource
-import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,110 +9,6 @@ import httpx
 import pytest
 
 Eventually = Callable[..., Any]
-WRITERS = 6
-ENTITIES_EACH = 12
-
-
-class Writer(threading.Thread):
-    """Creates, patches and deletes entities of its own, and notes what was acknowledged of each.
-
-    `acknowledged` is the state the broker has promised; `attempted` the one that was asked for last and may
-    or may not be there when the answer never came.
-    """
-
-    def __init__(self, broker: Any, number: int) -> None:
-        super().__init__(daemon=True)
-        self.broker = broker
-        self.number = number
-        self.dice = random.Random(number)
-        self.acknowledged: dict[str, int | None] = {}
-        self.attempted: dict[str, int | None] = {}
-        self.count = 0
-        self.failures: list[str] = []
-        self.over = threading.Event()
-
-    def run(self) -> None:
-        with self.broker.client() as http:
-            while not self.over.is_set():
-                try:
-                    self._write(http)
-                except httpx.TransportError:
-                    return
-
-    def _write(self, http: httpx.Client) -> None:
-        entity_id = f"urn:ngsi-ld:Load:demo:{self.number}-{self.dice.randrange(ENTITIES_EACH)}"
-        known = self.acknowledged.get(entity_id)
-        self.count += 1
-        wanted: int | None = self.count
-        if known is None:
-            self.attempted[entity_id] = wanted
-            answer = http.post(
-                "/entities", json={"id": entity_id, "type": "Load", "n": wanted, "pad": "x" * 200}
-            )
-        elif self.dice.random() < 0.2:
-            wanted = self.attempted[entity_id] = None
-            answer = http.delete(f"/entities/{entity_id}")
-        else:
-            self.attempted[entity_id] = wanted
-            answer = http.patch(f"/entities/{entity_id}/attrs", json={"n": wanted})
-        if not answer.is_success:
-            self.failures.append(f"{answer.status_code} {answer.text}")
-        self.acknowledged[entity_id] = wanted
-
-
-def compare(http: httpx.Client, writer: Writer) -> None:
-    """Every entity is as acknowledged, or as the one request left open would have made it."""
-    open_requests = 0
-    for entity_id, acknowledged in writer.acknowledged.items() | {
-        (one, None) for one in writer.attempted if one not in writer.acknowledged
-    }:
-        answer = http.get(f"/entities/{entity_id}", params={"options": "keyValues"})
-        found = answer.json()["n"] if answer.status_code == 200 else None
-        if found != acknowledged:
-            assert found == writer.attempted[entity_id], (
-                entity_id,
-                acknowledged,
-                writer.attempted[entity_id],
-            )
-            open_requests += 1
-        writer.acknowledged[entity_id] = writer.attempted[entity_id] = found
-    assert open_requests <= 1, "a writer has one request open at a time"
-
-
-@pytest.mark.slow
-def test_a_power_cut_takes_nothing_back_that_was_acknowledged(own_broker: Any) -> None:
-    state: list[Writer] = [Writer(own_broker, number) for number in range(WRITERS)]
-    written = 0
-    for cut in range(8):
-        own_broker.start()
-        with own_broker.client() as http:
-            for writer in state:
-                compare(http, writer)
-        fresh = [Writer(own_broker, writer.number) for writer in state]
-        for writer, before in zip(fresh, state, strict=True):
-            writer.acknowledged, writer.attempted = before.acknowledged, before.attempted
-            writer.count, writer.dice = before.count, before.dice
-            writer.start()
-        state = fresh
-        deadline_s = time.monotonic() + 20
-        goal = sum(writer.count for writer in state) + 150 + 60 * cut
-        while sum(writer.count for writer in state) < goal:
-            assert time.monotonic() < deadline_s, "the writers do not get on"
-            time.sleep(0.001)
-        own_broker.kill()
-        for writer in state:
-            writer.join(30)
-            assert not writer.is_alive()
-            assert writer.failures == []
-        written = sum(writer.count for writer in state)
-    own_broker.start()
-    with own_broker.client() as http:
-        for writer in state:
-            compare(http, writer)
-        answer = http.get("/entities", params={"type": "Load", "limit": 1000, "count": "true"})
-    known = {one for writer in state for one, value in writer.acknowledged.items() if value is not None}
-    assert {entity["id"] for entity in answer.json()} == known
-    assert written > 1500
 
 
 def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
