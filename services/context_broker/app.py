@@ -64,7 +64,7 @@ class Broker:
             for room in (
                 EntityOperations(),
                 BatchOperations(),
-                DiscoveryOperations(f"handover-{settings.factory}"),
+                DiscoveryOperations(),
                 self.subscriptions,
                 self.registrations,
             )

@@ -1,10 +1,12 @@
 """What there is: the types of entities and what they look like (clauses 5.7.5 to 5.7.7), and who answers."""
 
+import time
 from hashlib import sha256
 from typing import Any, Final
 
 import orjson
 
+from services.context_broker.conformance import OURS
 from services.context_broker.exchange import JSON_LD, Answer, Exchange
 from services.context_broker.intake import expand
 from services.context_broker.operation import Operation
@@ -18,9 +20,8 @@ _KNOWN: Final = frozenset({"details", "limit", "offset", "local"})
 class DiscoveryOperations:
     """What readers can learn about the broker's content as a whole."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._since = timestamp_now()
+    def __init__(self) -> None:
+        self._since_s = time.monotonic()
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
@@ -82,13 +83,15 @@ class DiscoveryOperations:
         return await _answer(exchange, body)
 
     async def source_identity(self, exchange: Exchange) -> Answer:
-        """GET info/sourceIdentity (clause 5.15)."""
+        """GET info/sourceIdentity (clause 5.15): who answers, for the tenant that is asked about."""
+        alias = exchange.tenant.alias
         body = {
-            "id": f"urn:ngsi-ld:ContextSourceIdentity:{self._name}",
+            "id": f"urn:ngsi-ld:ContextSourceIdentity:{alias}",
             "type": "ContextSourceIdentity",
-            "contextSourceAlias": self._name,
+            "contextSourceAlias": alias,
             "contextSourceTimeAt": timestamp_now(),
-            "contextSourceUptime": self._since,
+            "contextSourceUptime": f"PT{time.monotonic() - self._since_s:.3f}S",
+            "contextSourceExtras": {"ngsildConformance": "{}.{}".format(*OURS)},
         }
         return await _answer(exchange, body)
 

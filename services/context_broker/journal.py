@@ -62,6 +62,8 @@ class Kind(StrEnum):
     SUBSCRIPTION = "subscription"
     COUNTS = "counts"
     """What became of the notifications of the subscription of the same id."""
+    IDENTITY = "identity"
+    """What tells this broker from all others, made at its first start."""
     REGISTRATION = "registration"
     ATTEMPTS = "attempts"
     """What became of the operations passed on to the source of the registration of the same id."""

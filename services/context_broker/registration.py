@@ -5,7 +5,7 @@ registration made ready for matching; `registration_intake` reads what is sent, 
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Final
@@ -181,8 +181,8 @@ class Registration:
     `endpoint` is the source's root without the path of the API, `tenant` the tenant to name there ("" for
     none), `alias` what it calls itself in Via. `operations` are single operations, groups are resolved.
     `source_info` are the pairs of contextSourceInfo in their order. `places` maps location, observationSpace
-    and operationSpace to the geometries given. `described` is the registration as an entity whose attributes
-    a context source filter (csf) can ask for. `attempts` counts on.
+    and operationSpace to the geometries given. `described` is the registration as an entity, whose attributes
+    (its own properties, plain members and places) filters can ask for. `attempts` counts on.
     """
 
     id: str
@@ -231,9 +231,13 @@ class Registration:
         """Return what of a question the source may serve; nothing if it is not concerned."""
         return tuple(part for piece in self.information for part in piece.served(asked))
 
-    def relevant(self, asked: Asked) -> list[int]:
-        """Return which pieces of its information (by place) a question concerns (clause 5.10.2.5)."""
-        return [place for place, piece in enumerate(self.information) if piece.served(asked)]
+    def relevant(self, questions: Iterable[Asked]) -> list[int]:
+        """Return which pieces of its information (by place) any of the questions concerns (5.10.2.5)."""
+        return [
+            place
+            for place, piece in enumerate(self.information)
+            if any(piece.served(asked) for asked in questions)
+        ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -362,6 +362,10 @@ def _described(document: Mapping[str, Any], context: Context) -> Entity:
         name: read_attribute(terms.compact(name), value, terms)
         for name, value in document.get(PROPERTIES, {}).items()
     }
+    for name in PLACES:
+        if name in document:
+            place = _place(document[name], name)
+            attributes[expand(name, terms)] = [{"type": "GeoProperty", "value": place}]
     for name in (*_TEXTS, "endpoint", "mode"):
         if isinstance(document.get(name), str):
             attributes.setdefault(expand(name, terms), [{"type": "Property", "value": document[name]}])

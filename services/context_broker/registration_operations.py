@@ -138,10 +138,10 @@ class RegistrationOperations:
         window = window_of(exchange)
         sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
         search = search_of(exchange.parameters, context)
-        found = exchange.tenant.registry.concerned(search.asked, search.wants)
+        found = exchange.tenant.registry.concerned(search.questions, search.wants)
         page = found[window.offset : window.offset + window.limit]
         documents = [
-            shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.asked))
+            shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.questions))
             for one in page
         ]
         result = answer([_with_context(one, media_type, context) for one in documents], media_type, context)

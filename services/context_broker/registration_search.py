@@ -6,21 +6,23 @@ properties, places and scopes with those registered, and a time with its interva
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
+from services.context_broker import geo_query
 from services.context_broker.contexts import Context
+from services.context_broker.geo_query import GeoQuery
 from services.context_broker.patterns import pattern
 from services.context_broker.problems import bad_request_data
 from services.context_broker.reading import names_of
 from services.context_broker.registration import Asked, Interval, Registration
+from services.context_broker.scope_query import ScopeQuery, scope_query
 from services.context_broker.selection import Query, compiled
-from services.context_broker.subscriptions import type_names
+from services.context_broker.type_selection import type_selection
 from services.context_broker.words import moment, require_time, require_uri, shown
 
-SEARCH_PARAMETERS: Final = frozenset(
-    {"id", "type", "idPattern", "attrs", "q", "csf", "georel", "geometry", "coordinates", "geoproperty",
-     "timerel", "timeAt", "endTimeAt", "timeproperty", "scopeQ"}
-)  # fmt: skip
+SEARCH_PARAMETERS: Final = geo_query.PARAMETERS | {
+    "id", "type", "idPattern", "attrs", "q", "csf", "timerel", "timeAt", "endTimeAt", "timeproperty", "scopeQ"
+}  # fmt: skip
 _ENOUGH: Final = ("id", "type", "idPattern", "attrs", "q", "csf", "georel", "scopeQ")
 _MANAGED_TIMES: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"})
 
@@ -40,11 +42,13 @@ class Period:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What is looked for; `filters` must all hold of the registration's own properties."""
+    """What is looked for: registrations that any of the `questions` concerns and for which the rest holds."""
 
-    asked: Asked
+    questions: tuple[Asked, ...]
     filters: tuple[Query, ...] = ()
     period: Period | None = None
+    place: GeoQuery | None = None
+    scope: ScopeQuery | None = None
 
     def wants(self, one: Registration) -> bool:
         """Say whether a registration that is about the right entities is among those looked for."""
@@ -53,7 +57,15 @@ class Search:
                 return False
         elif not self.period.meets(one):
             return False
-        return all(one_filter.holds(one.described) for one_filter in self.filters)
+        return (
+            all(condition.holds(one.described) for condition in self.filters)
+            and (self.place is None or self.place.wants(one.described))
+            and (self.scope is None or self.scope.wants(one.scopes))
+        )
+
+    def finds(self, one: Registration) -> bool:
+        """Say whether a registration is one of those looked for, entities and all."""
+        return any(one.parts(asked) for asked in self.questions) and self.wants(one)
 
 
 def search_of(parameters: Mapping[str, str], context: Context) -> Search:
@@ -63,18 +75,33 @@ def search_of(parameters: Mapping[str, str], context: Context) -> Search:
         raise bad_request_data(
             f"a search for registrations has at least one of {', '.join(_ENOUGH)}; add one"
         )
-    ids, wanted, types = given.get("id"), given.get("idPattern"), given.get("type")
-    asked = Asked(
-        ids=None if ids is None else tuple(require_uri(one, "an id in the query") for one in ids.split(",")),
-        id_pattern=None if wanted is None else pattern(wanted),
-        types=None if types is None else frozenset(type_names(types, context)),
-        attributes=names_of(given.get("attrs"), context),
+    ids = given.get("id")
+    asked = asked_of(
+        None if ids is None else ids.split(","), given.get("idPattern"), given.get("type"), context
     )
-    filters = tuple(compiled(given[name], context) for name in ("csf", "q") if name in given)
-    return Search(asked, filters, period_of(given))
+    names = names_of(given.get("attrs"), context)
+    return Search(
+        (Asked(asked.ids, asked.id_pattern, asked.types, names),),
+        tuple(compiled(given[name], context) for name in ("csf", "q") if name in given),
+        period_of(given),
+        geo_query.geo_query(given, context.terms.expand),
+        scope_query(given["scopeQ"]) if "scopeQ" in given else None,
+    )
 
 
-def period_of(given: Mapping[str, str]) -> Period | None:
+def asked_of(ids: list[str] | None, id_pattern: Any, types: Any, context: Context) -> Asked:
+    """Return the question for entities with these ids or a pattern, and of these types."""
+    if id_pattern is not None and not isinstance(id_pattern, str):
+        raise bad_request_data(f"idPattern is text, not {shown(id_pattern)}")
+    chosen = None if types is None else type_selection(types, context.terms.expand)
+    return Asked(
+        ids=None if ids is None else tuple(require_uri(one, "an id of an entity") for one in ids),
+        id_pattern=None if id_pattern is None else pattern(id_pattern),
+        types=None if chosen is None or chosen.is_every else frozenset(chosen.names()),
+    )
+
+
+def period_of(given: Mapping[str, Any]) -> Period | None:
     """Return the time that a temporal query (clause 4.11) asks for; None if it asks for none."""
     relation = given.get("timerel")
     if relation is None:

@@ -5,7 +5,7 @@ an empty registry (the usual case) costs its asker one look at `is_empty`.
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 import orjson
@@ -110,10 +110,10 @@ class Registry:
         ]
         return sorted(found, key=lambda match: (match.registration.mode, self._places[match.registration.id]))
 
-    def concerned(self, asked: Asked, where: Where | None = None) -> list[Registration]:
-        """Return the registrations that a question concerns, whatever operations they take; oldest first."""
+    def concerned(self, questions: Sequence[Asked], where: Where | None = None) -> list[Registration]:
+        """Return the registrations that any of the questions concerns, whatever they take; oldest first."""
         now_s = time.time()
-        concerned = {one.id for one in self._candidates(asked) if one.parts(asked)}
+        concerned = {one.id for asked in questions for one in self._candidates(asked) if one.parts(asked)}
         return [
             one
             for one in self._all.values()

@@ -7,6 +7,7 @@ tenant without a name is always there.
 import itertools
 from collections.abc import Callable, Iterator
 from typing import Final
+from uuid import uuid4
 
 from services.context_broker.commits import CommitQueue, Failed, stored
 from services.context_broker.entity import Entity
@@ -29,6 +30,8 @@ class Tenant:
     def __init__(self, name: str, tenants: "Tenants", *, is_kept: bool) -> None:
         self.name = name
         self.guests = 0
+        self.alias = tenants.alias_of(name)
+        """What this broker calls itself in Via when it asks on behalf of the tenant (clause 5.2.40)."""
         self.commits = _TenantCommits(name, tenants.commits, is_kept=is_kept)
         self.notifier = Notifier(name, self.commits, tenants.outbound)
         self.store = Store(
@@ -89,10 +92,19 @@ class Tenants:
         self._journal = journal
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}
+        self._identity = ""
+
+    def alias_of(self, tenant: str) -> str:
+        """Return the broker's pseudonym for one tenant: a token that no other broker has (clause 5.2.40).
+
+        It differs from tenant to tenant, so that one tenant can be a source of another without a loop.
+        """
+        return f"{self._identity}.{tenant}" if tenant else self._identity
 
     def load(self) -> None:
         """Take what the journal holds."""
         journal, settings = self._journal, self._settings
+        self._identity = f"handover-{settings.factory}-{self._kept_identity()}"
         destinations = settings.destinations()
         self.places = itertools.count(journal.last_place() + 1)
         self.outbound = Outbound(
@@ -107,6 +119,14 @@ class Tenants:
             self._tenants[name] = Tenant(name, self, is_kept=True)
         for tenant, body in journal.entities():
             self._tenants[tenant].store.take(Entity.restored(body))
+
+    def _kept_identity(self) -> str:
+        """Return what tells this broker from others; made once, before anything else is written."""
+        for _, _, kept in self._journal.documents(Kind.IDENTITY):
+            return kept.decode()
+        made = uuid4().hex[:12]
+        self._journal.commit(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made.encode()}))
+        return made
 
     def __iter__(self) -> Iterator[Tenant]:
         """Yield all tenants."""

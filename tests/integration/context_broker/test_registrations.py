@@ -93,6 +93,36 @@ def test_registrations_are_found_by_what_their_sources_have(http: httpx.Client) 
     assert http.get(PATH).status_code == 400
 
 
+def test_registrations_are_found_by_their_places_and_scopes(http: httpx.Client) -> None:
+    here = {"type": "Point", "coordinates": [8.68, 49.41]}
+    one = register(http, "place", information=of_type("Placed"), scope="/Madrid/Centro", location=here)
+    other = register(http, "nowhere", information=of_type("Placed"), scope="/Berlin")
+    near = {"georel": "near;maxDistance==2000", "geometry": "Point", "coordinates": "[8.68,49.41]"}
+    assert found(http, type="Placed", **near) == [one]
+    assert found(http, type="Placed", geoproperty="operationSpace", **near) == []
+    assert found(http, type="Placed", scopeQ="/Madrid/#") == [one]
+    assert found(http, type="Placed", scopeQ="/Berlin") == [other]
+    assert http.get(PATH, params={"type": "Placed", "georel": "near"}).status_code == 400
+
+
+def test_who_answers_differs_from_tenant_to_tenant_and_stays(own_broker: BrokerProcess) -> None:
+    tenant = {"NGSILD-Tenant": "cell4"}
+    own_broker.start()
+    with own_broker.client() as http:
+        http.post(PATH, json={"endpoint": "http://a", "information": of_type("Owned")}, headers=tenant)
+        aliases = [
+            http.get("/info/sourceIdentity", headers=headers).json()["contextSourceAlias"]
+            for headers in ({}, tenant)
+        ]
+        assert aliases[1] == f"{aliases[0]}.cell4"
+    own_broker.kill()
+    own_broker.start()
+    with own_broker.client() as http:
+        identity = http.get("/info/sourceIdentity").json()
+        assert identity["contextSourceAlias"] == aliases[0]
+        assert identity["contextSourceUptime"].startswith("PT")
+
+
 def test_registrations_come_in_pages(http: httpx.Client) -> None:
     ids = [register(http, f"page-{number}", information=of_type("Paged")) for number in range(3)]
     answer = http.get(PATH, params={"type": "Paged", "limit": "2", "count": "true"})
