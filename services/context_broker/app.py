@@ -1,10 +1,14 @@
 """The broker as an application: NGSI-LD under /ngsi-ld/v1 in plain ASGI, health and metrics beside it."""
 
+import asyncio
 import gc
+import random
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Final
 
+import orjson
 from fastapi import FastAPI
 from prometheus_client import Counter, Gauge, Histogram
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -14,7 +18,7 @@ from handover.service import create_app
 from handover.telemetry import get_logger
 from services.context_broker.batch_operations import BatchOperations
 from services.context_broker.contexts import ContextBook
-from services.context_broker.database import SqliteDatabase
+from services.context_broker.database import Database, SqliteDatabase
 from services.context_broker.discovery_operations import DiscoveryOperations
 from services.context_broker.entity_operations import EntityOperations
 from services.context_broker.exchange import (
@@ -30,14 +34,23 @@ from services.context_broker.exchange import (
     told_back,
 )
 from services.context_broker.journal import Entries, Journal, Kind, NotStored
+from services.context_broker.leadership import ElectedBroker, Leadership, SoleBroker
 from services.context_broker.operation import Directory, Operation
-from services.context_broker.problems import ERRORS, not_stored
+from services.context_broker.postgres import PostgresDatabase
+from services.context_broker.problems import ERRORS, not_stored, too_busy
 from services.context_broker.registration_operations import RegistrationOperations
+from services.context_broker.replica import TRIMMING, Overtaken, Replica
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.subscription_operations import SubscriptionOperations
+from services.context_broker.subscriptions import Counts
 from services.context_broker.tenants import DEFAULT, Tenants
 
 log = get_logger(__name__)
+
+MOST_ATTEMPTS: Final = 60
+"""How often an operation is begun again because another broker was quicker; then the asker hears of it."""
+LONGEST_PAUSE_S: Final = 0.1
+"""Before the last of these attempts; before the others less, so that they do not meet again and again."""
 
 ENTITIES = Gauge("handover_broker_entities", "Entities in the broker")
 REQUESTS = Counter("handover_broker_requests_total", "Requests answered", ["operation", "status"])
@@ -52,10 +65,13 @@ SECONDS = Histogram(
 class Broker:
     """The broker's parts, put together."""
 
-    def __init__(self, settings: BrokerSettings, journal: Journal) -> None:
+    def __init__(
+        self, settings: BrokerSettings, journal: Journal, leadership: Leadership, replica: Replica | None
+    ) -> None:
         self.settings = settings
         self.journal = journal
-        self.tenants = Tenants(journal, settings)
+        self.leadership = leadership
+        self.tenants = Tenants(journal, settings, leadership, replica)
         self.contexts = ContextBook(self._keep_context, settings.broker_context_timeout_s)
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.registrations = RegistrationOperations(self.contexts)
@@ -74,12 +90,15 @@ class Broker:
 
     async def start(self) -> None:
         """Take up what the journal holds, and begin to notify."""
+        self.tenants.commits.open()
         for _, url, stored in self.journal.documents(Kind.CONTEXT):
             self.contexts.remember(url, stored)
         self.tenants.load()
         self.tenants.commits.start()
         await self._take_up_registrations()
         await self._take_up_subscriptions()
+        self._follow_others()
+        self.leadership.start(self.tenants.turn, self.tenants.commits.look)
         ENTITIES.set_function(self.tenants.entities)
         gc.freeze()  # what was loaded stays: collections need not walk through it again and again
         log.info("broker ready", entities=self.tenants.entities(), database=self.journal.name)
@@ -90,6 +109,7 @@ class Broker:
             tenant.notifier.stop()
         self.tenants.outbound.sender.close()
         await self.tenants.commits.stop()
+        await asyncio.to_thread(self.leadership.stop)
         self.journal.close()
 
     async def answer(self, scope: Scope, receive: Receive) -> Answer:
@@ -110,6 +130,23 @@ class Broker:
         return answer
 
     async def _performed(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
+        """Carry an operation out, again from its start when another broker was quicker."""
+        for attempt in range(MOST_ATTEMPTS):
+            if attempt:
+                await asyncio.sleep(attempt * random.uniform(0, LONGEST_PAUSE_S / MOST_ATTEMPTS))  # noqa: S311
+            try:
+                return await self._carried_out(operation, request, names)
+            except Overtaken:
+                continue
+            except Problem as problem:
+                if not isinstance(problem.__cause__, Overtaken):
+                    raise
+        raise too_busy(
+            f"other brokers on the same database changed what this is about {MOST_ATTEMPTS} times in a row; "
+            "send it again in a moment"
+        )
+
+    async def _carried_out(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
         tenant = self.tenants.of(request.headers.get(b"ngsild-tenant", b""), makes=operation.makes_tenant)
         try:
             exchange = Exchange(request, names, self.contexts, tenant)
@@ -122,6 +159,24 @@ class Broker:
         kept = self._kept(Kind.REGISTRATION, Kind.ATTEMPTS)
         for tenant in self.tenants:
             await self.registrations.restore(tenant, kept.get(tenant.name, ()))
+
+    def _follow_others(self) -> None:
+        following = self.tenants.following
+        following.on(Kind.CONTEXT, self._follow_context)
+        following.on(Kind.SUBSCRIPTION, self._follow_subscription)
+        following.on(Kind.COUNTS, self._follow_counts)
+
+    async def _follow_context(self, _: str, url: str, body: bytes | None) -> None:
+        if body is not None:
+            self.contexts.remember(url, body)
+
+    async def _follow_subscription(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
+        await self.subscriptions.follow(self.tenants.kept(tenant), subscription_id, body)
+
+    async def _follow_counts(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
+        found = self.tenants.kept(tenant).notifier.get(subscription_id)
+        if found is not None and body is not None and not self.leadership.leads:
+            found.counts = Counts(*orjson.loads(body))
 
     async def _take_up_subscriptions(self) -> None:
         kept = self._kept(Kind.SUBSCRIPTION, Kind.COUNTS)
@@ -155,9 +210,17 @@ class Broker:
 
 def create_broker(settings: BrokerSettings) -> ASGIApp:
     """Return the broker as an ASGI application; raise `UsageError` when its file cannot be used."""
-    journal = Journal(SqliteDatabase(settings.data_dir / "broker.db"))
+    database: Database
+    leadership: Leadership
+    url = settings.broker_database_url
+    if url is None:
+        database, leadership = SqliteDatabase(settings.data_dir / "broker.db"), SoleBroker()
+    else:
+        database = PostgresDatabase(url)
+        leadership = ElectedBroker(database, TRIMMING)
+    journal = Journal(database)
     journal.open()
-    broker = Broker(settings, journal)
+    broker = Broker(settings, journal, leadership, None if url is None else Replica(journal))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:

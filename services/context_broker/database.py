@@ -21,6 +21,10 @@ class NotStored(Exception):
     """The database did not take a transaction (nothing of it is there), or cannot be read."""
 
 
+class FateUnknown(NotStored):
+    """The connection to the database broke while it was committing: the transaction may be there, or not."""
+
+
 class Writer(Protocol):
     """An open transaction."""
 

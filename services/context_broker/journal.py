@@ -6,6 +6,7 @@ has been is the history: a row for each change of an entity, and a row for each 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
@@ -174,10 +175,20 @@ class Journal:
     def commit(self, entries: Entries) -> None:
         """Write all of `entries` or nothing, and return when it is safe. Raises `NotStored`."""
         with self._database.transaction() as writer:
-            _write_entities(writer, entries)
-            _write_documents(writer, entries)
-            self._write_outbox(writer, entries)
-            _write_history(writer, entries)
+            self.write(writer, entries, self._last_notice)
+        self._last_notice += len(entries.owed)
+
+    def transaction(self) -> AbstractContextManager[Writer]:
+        """Begin a transaction, as a commit is one. Raises `NotStored`."""
+        return self._database.transaction()
+
+    @staticmethod
+    def write(writer: Writer, entries: Entries, last_notice: int) -> None:
+        """Write all of `entries`; what is owed is numbered from `last_notice` on."""
+        _write_entities(writer, entries)
+        _write_documents(writer, entries)
+        _write_outbox(writer, entries, last_notice)
+        _write_history(writer, entries)
 
     def close(self) -> None:
         """Let go."""
@@ -250,21 +261,6 @@ class Journal:
         )
         return int(place), int(bound), left
 
-    def _write_outbox(self, writer: Writer, entries: Entries) -> None:
-        for one in entries.owed:
-            self._last_notice += 1
-            one.seq = self._last_notice
-        if entries.owed:
-            writer.run_many(
-                "INSERT INTO outbox (seq, tenant, subscription, entity, at, body) VALUES (?, ?, ?, ?, ?, ?)",
-                [
-                    (one.seq, one.tenant, one.subscription, one.entity, one.at, one.body)
-                    for one in entries.owed
-                ],
-            )
-        if entries.settled:
-            writer.run_many("DELETE FROM outbox WHERE seq = ?", [(seq,) for seq in entries.settled])
-
 
 def _write_entities(writer: Writer, entries: Entries) -> None:
     gone = [(seq,) for seq, row in entries.entities.items() if row.body is None]
@@ -329,3 +325,15 @@ def _write_departed(writer: Writer, departed: Mapping[int, DepartedRow]) -> None
     gone = [(place,) for place, row in departed.items() if row.body is None]
     if gone:
         writer.run_many("DELETE FROM departed WHERE place = ?", gone)
+
+
+def _write_outbox(writer: Writer, entries: Entries, last_notice: int) -> None:
+    for number, one in enumerate(entries.owed, last_notice + 1):
+        one.seq = number
+    if entries.owed:
+        writer.run_many(
+            "INSERT INTO outbox (seq, tenant, subscription, entity, at, body) VALUES (?, ?, ?, ?, ?, ?)",
+            [(one.seq, one.tenant, one.subscription, one.entity, one.at, one.body) for one in entries.owed],
+        )
+    if entries.settled:
+        writer.run_many("DELETE FROM outbox WHERE seq = ?", [(seq,) for seq in entries.settled])

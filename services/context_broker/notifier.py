@@ -25,6 +25,7 @@ from services.context_broker.destinations import Destinations
 from services.context_broker.entity import Entity, Event
 from services.context_broker.http_sender import HttpSender, SendError
 from services.context_broker.journal import Entries, Journal, Kind, Notice, NotStored
+from services.context_broker.leadership import Leadership
 from services.context_broker.rendering import rendered, with_context
 from services.context_broker.store import Store
 from services.context_broker.subscriptions import JSON_LD, Subscription
@@ -80,6 +81,13 @@ class Courier:
             self._task.cancel()
         WAITING.dec(len(self._queue))
         self._queue.clear()
+
+    def leave(self) -> None:
+        """Leave all that is owed to another broker."""
+        self.stop()
+        self._task = None
+        self._throttled.clear()
+        self._last_seq = 0
 
     def change(self, subscription: Subscription) -> None:
         """Go on with a changed subscription, at once even if a retry was due later."""
@@ -222,6 +230,7 @@ class Outbound:
     journal: Journal
     sender: HttpSender
     destinations: Destinations
+    leadership: Leadership
     _: KW_ONLY
     timeout_s: float
     keep_s: float
@@ -253,7 +262,8 @@ class Notifier:
         courier = self._couriers.get(subscription.id)
         if courier is None:
             courier = self._couriers[subscription.id] = Courier(subscription, self)
-            courier.start(from_disk=from_disk)
+            if self.outbound.leadership.leads:
+                courier.start(from_disk=from_disk)
         else:
             subscription.counts = courier.subscription.counts
             courier.change(subscription)
@@ -287,11 +297,27 @@ class Notifier:
         return [self._notice(one, after, now_s) for one in interested if one.wants(after, touched, now_s)]
 
     def deliver(self, notices: list[Notice]) -> None:
-        """Hand notifications whose change is committed to their couriers."""
+        """Hand notifications whose change is committed to their couriers, if this broker is to notify."""
+        if not self.outbound.leadership.leads:
+            return
         for notice in notices:
             courier = self._couriers.get(notice.subscription)
             if courier is not None:
                 courier.add(notice)
+
+    def owed_by_others(self, subscription_id: str) -> None:
+        """Look into the outbox: another broker has put something there."""
+        courier = self._couriers.get(subscription_id)
+        if courier is not None and self.outbound.leadership.leads:
+            courier.start(from_disk=True)
+
+    def turn(self, *, leads: bool) -> None:
+        """Begin with all that is owed, or leave it to another broker."""
+        for courier in self._couriers.values():
+            if leads:
+                courier.start(from_disk=True)
+            else:
+                courier.leave()
 
     def settle(self, subscription: Subscription, seqs: list[int]) -> None:
         """Strike out what was delivered and write the counts, in passing: with the next commit."""

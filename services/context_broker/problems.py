@@ -93,3 +93,8 @@ def not_stored(reason: str) -> Problem:
     """The disk did not take the change; nothing of it is kept."""
     detail = f"the change was not stored and nothing of it is kept: {reason}; try again once there is space"
     return Problem(507, "Insufficient storage", detail, ERRORS + "InternalError")
+
+
+def too_busy(detail: str) -> Problem:
+    """Others are always quicker; nothing was changed."""
+    return Problem(503, "Service unavailable", detail, ERRORS + "InternalError")

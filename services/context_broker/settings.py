@@ -10,6 +10,12 @@ class BrokerSettings(Settings):
     """Settings of the embedded broker."""
 
     broker_port: int = Field(1026, ge=1, le=65535, description="the port of the embedded broker")
+    broker_database_url: str | None = Field(
+        None,
+        pattern="^postgres(ql)?://",
+        description="postgresql:// URL of a database that several brokers may share; "
+        "a SQLite file in the data directory if absent",
+    )
     broker_max_body_bytes: int = Field(
         10 * 1024 * 1024, ge=1024, description="the largest request body that the broker reads"
     )

@@ -5,7 +5,7 @@ disk refuses, everything staged is forgotten, so that memory never says more tha
 """
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +17,7 @@ from services.context_broker.history import Recorder
 from services.context_broker.journal import EntityRow, Entries, Notice, NotStored
 from services.context_broker.problems import bad_request_data, not_stored
 from services.context_broker.q_match import Equality, Scalar, scalars
+from services.context_broker.replica import Overtaken
 
 MOST_INDEXES: Final = 64
 
@@ -60,6 +61,8 @@ class Store:
         self._by_type: dict[str, dict[str, None]] = {}
         self._indexes: dict[str, dict[Scalar, dict[str, None]]] = {}
         self._staged: dict[str, Staged] = {}
+        self._last_place = 0
+        self._in_order = True
 
     def take(self, entity: Entity) -> None:
         """Take an entity that the journal has kept."""
@@ -91,6 +94,8 @@ class Store:
         self, ids: Iterable[str] | None, types: Iterable[str] | None, equality: Equality | None
     ) -> list[Entity]:
         """Return the entities among which all hits are, in the order of their creation."""
+        if not self._in_order:
+            self._restore_order()
         if ids is not None:
             found = [entity for one in dict.fromkeys(ids) if (entity := self._committed.get(one))]
             return sorted(found, key=_by_seq)
@@ -146,7 +151,7 @@ class Store:
 
         def failed(error: NotStored) -> None:
             if not fate.done():
-                fate.set_exception(not_stored(str(error)))
+                fate.set_exception(error if isinstance(error, Overtaken) else not_stored(str(error)))
 
         self._commits.submit(entries, done, failed)
         return fate
@@ -162,6 +167,24 @@ class Store:
         """Forget what is on its way: the disk has refused it."""
         self._staged.clear()
 
+    def follow(self, place: int, entity_id: str, after: Entity | None) -> None:
+        """Take what another broker did to the entity at a place; what is on its way to it is overtaken."""
+        self._staged.pop(entity_id, None)
+        before = self._committed.get(entity_id)
+        if after is not None or (before is not None and before.seq == place):
+            self._put(before, after)
+
+    def forget_new_at(self, place: int) -> None:
+        """Forget what is on its way to a place that another broker has given too."""
+        for rival in [one.after.id for one in self._staged.values() if one.after and one.after.seq == place]:
+            del self._staged[rival]
+
+    def forget_all_but(self, places: Container[int]) -> None:
+        """Forget all entities at other places, and what is on its way."""
+        self._staged.clear()
+        for entity in [one for one in self._committed.values() if one.seq not in places]:
+            self._put(entity, None)
+
     # Keeping order
 
     def _put(self, before: Entity | None, after: Entity | None) -> None:
@@ -169,9 +192,21 @@ class Store:
             del self._committed[before.id]  # a new entity of the same id goes to the end of the order
         if after is not None:
             self._committed[after.id] = after
+            if after.seq >= self._last_place:
+                self._last_place = after.seq
+            elif before is None or before.seq != after.seq:
+                self._in_order = False
         self._file_by_type(before, after)
         for attribute, index in self._indexes.items():
             _refile(index, attribute, before, after)
+
+    def _restore_order(self) -> None:
+        """Put all into the order of their places: news of other brokers come in the order of commits."""
+        entities = self._committed
+        self._committed = {one.id: one for one in sorted(entities.values(), key=_by_seq)}
+        for kind, ids in self._by_type.items():
+            self._by_type[kind] = dict.fromkeys(sorted(ids, key=lambda one: entities[one].seq))
+        self._in_order = True
 
     def _file_by_type(self, before: Entity | None, after: Entity | None) -> None:
         if before and after and before.types == after.types and before.seq == after.seq:

@@ -69,6 +69,17 @@ class SubscriptionOperations:
             found.append(one)
         tenant.notifier.start(found)
 
+    async def follow(self, tenant: Tenant, subscription_id: str, body: bytes | None) -> None:
+        """Take what another broker did to a subscription."""
+        if body is None:
+            if tenant.notifier.get(subscription_id) is not None:
+                tenant.notifier.remove(subscription_id)
+            return
+        document = orjson.loads(body)
+        tenant.notifier.put(
+            subscription(document, await self._contexts.of(document["context"])), from_disk=True
+        )
+
     async def create(self, exchange: Exchange) -> Answer:
         """POST subscriptions."""
         given, context = await exchange.body()

@@ -4,19 +4,23 @@ A tenant comes into being with the first thing that is kept for it, and costs ne
 tenant without a name is always there.
 """
 
-import itertools
-from collections.abc import Callable, Iterator
+import secrets
+from collections.abc import Callable, Container, Iterator
 from typing import Final
 from uuid import uuid4
 
 from services.context_broker.commits import CommitQueue, Failed, stored
 from services.context_broker.entity import Entity
+from services.context_broker.following import Following
 from services.context_broker.history import Recorder
 from services.context_broker.http_sender import HttpSender
 from services.context_broker.journal import Entries, Journal, Kind
+from services.context_broker.leadership import Leadership
 from services.context_broker.notifier import Notifier, Outbound
+from services.context_broker.places import SLOTS, Places
 from services.context_broker.problems import bad_request_data, no_such_tenant
 from services.context_broker.registry import Registry
+from services.context_broker.replica import Replica
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.store import Store
 from services.context_broker.words import LONGEST_TENANT, TENANT, shown
@@ -84,11 +88,16 @@ class _TenantCommits:
 class Tenants:
     """All tenants, and what they share."""
 
-    def __init__(self, journal: Journal, settings: BrokerSettings) -> None:
-        self.commits = CommitQueue(journal, self._forget_staged)
-        self.places: Iterator[int] = itertools.count(1)
+    def __init__(
+        self, journal: Journal, settings: BrokerSettings, leadership: Leadership, replica: Replica | None
+    ) -> None:
+        self.following = Following(self)
+        self.leadership = leadership
+        self.commits = CommitQueue(journal, self._forget_staged, replica, self.following.take)
+        self.places: Places
         self.outbound: Outbound
         self.recorder = Recorder() if settings.broker_history else None
+        self._shares = replica is not None
         self._journal = journal
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}
@@ -106,11 +115,12 @@ class Tenants:
         journal, settings = self._journal, self._settings
         self._identity = f"handover-{settings.factory}-{self._kept_identity()}"
         destinations = settings.destinations()
-        self.places = itertools.count(journal.last_place() + 1)
+        self.places = Places(journal.last_place(), secrets.randbelow(SLOTS) if self._shares else None)
         self.outbound = Outbound(
             journal,
             HttpSender(destinations, settings.broker_notification_ca_file),
             destinations,
+            self.leadership,
             timeout_s=settings.broker_notification_timeout_s,
             keep_s=settings.broker_notification_keep_h * 3600,
         )
@@ -161,6 +171,32 @@ class Tenants:
         tenant.guests -= 1
         if not tenant.is_kept and not tenant.guests:
             self._tenants.pop(tenant.name, None)
+
+    def kept(self, name: str) -> Tenant:
+        """Return a tenant that another broker has kept something for."""
+        tenant = self._tenants.get(name)
+        if tenant is None:
+            tenant = self._tenants[name] = Tenant(name, self, is_kept=True)
+        tenant.commits.is_kept = True
+        return tenant
+
+    def follow(self, place: int, tenant: str, entity_id: str, entity: Entity | None) -> None:
+        """Take what another broker did to an entity."""
+        self.places.seen(place)
+        if self.places.may_be_mine(place):
+            for one in self._tenants.values():
+                one.store.forget_new_at(place)
+        self.kept(tenant).store.follow(place, entity_id, entity)
+
+    def forget_all_but(self, places: Container[int]) -> None:
+        """Forget the entities at other places, and all that is on its way."""
+        for one in self._tenants.values():
+            one.store.forget_all_but(places)
+
+    def turn(self, leads: bool) -> None:
+        """Take up notifying, or leave it to another broker."""
+        for one in self._tenants.values():
+            one.notifier.turn(leads=leads)
 
     def entities(self) -> int:
         """Return how many entities there are in all."""
