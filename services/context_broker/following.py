@@ -50,6 +50,8 @@ class Following:
             self._tenants.kept(tenant).store.forget_staged()  # who is to be told was decided too early
         for place, (tenant, entity_id, body) in news.entities.items():
             self._tenants.follow(place, tenant, entity_id, None if body is None else Entity.restored(body))
+        for place in news.departed:
+            self._tenants.places.seen(place)
         if news.is_everything:
             self._tenants.forget_all_but(news.entities)
         self._tenants.commits.knows(news.number)

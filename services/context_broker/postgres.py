@@ -39,7 +39,7 @@ _VERSIONS: Final = "CREATE TABLE IF NOT EXISTS schema_version (version BIGINT NO
 class PostgresDatabase:
     """A database on a server; a connection that breaks refuses what it carried, and the next is a new one."""
 
-    TYPES: Final = {"bytes": "BYTEA", "number": "DOUBLE PRECISION"}
+    TYPES: Final = {"bytes": "BYTEA", "number": "DOUBLE PRECISION", "keyed": ""}
 
     def __init__(self, url: str) -> None:
         self.url = url
@@ -208,9 +208,8 @@ def _query(statement: str) -> str:
 
 
 def _in_its_words(script: str, types: dict[str, str]) -> str:
-    """Return a migration in PostgreSQL's words: an INTEGER of SQLite has 64 bits, and rows are rows."""
-    in_types = re.sub(r"\bINTEGER\b", "BIGINT", script.format(**types))
-    return re.sub(r"\bWITHOUT\s+ROWID\b", "", in_types)
+    """Return a migration in PostgreSQL's words: an INTEGER of SQLite has 64 bits."""
+    return re.sub(r"\bINTEGER\b", "BIGINT", script.format(**types))
 
 
 def _one(connection: "psycopg.Connection", query: str) -> Any:

@@ -22,6 +22,7 @@ log = get_logger(__name__)
 
 NOTICES_A_COMMIT: Final = 1 << 24
 """Numbers of the outbox that belong to one number of the feed."""
+DEPARTED: Final = "departed"
 TRIMMING: Final = """
     DELETE FROM changes WHERE at < extract(epoch FROM clock_timestamp()) - 3600
     AND number < (SELECT max(number) FROM changes)
@@ -37,7 +38,7 @@ FEED: Final = """
         number BIGINT PRIMARY KEY, process TEXT NOT NULL, body BYTEA NOT NULL,
         at DOUBLE PRECISION NOT NULL DEFAULT extract(epoch FROM clock_timestamp())
     );
-    INSERT INTO changes (number, process, body) VALUES (0, '', '[[],[],[]]') ON CONFLICT DO NOTHING
+    INSERT INTO changes (number, process, body) VALUES (0, '', '[[],[],[],[]]') ON CONFLICT DO NOTHING
 """
 
 
@@ -61,18 +62,23 @@ class News:
     documents: dict[DocumentKey, bytes | None] = field(default_factory=dict)
     owed: set[tuple[str, str]] = field(default_factory=set)
     """Tenant and id of the subscriptions to which something is owed."""
+    departed: dict[int, tuple[str, str]] = field(default_factory=dict)
+    """Tenant and id of what became history only, or no longer is it, by place."""
     is_everything: bool = False
     """Whether what is not told of is not there either."""
 
     def __bool__(self) -> bool:
         """Say whether there are any."""
-        return bool(self.entities or self.documents or self.owed or self.is_everything)
+        return bool(self.entities or self.documents or self.owed or self.departed or self.is_everything)
 
     def touched(self) -> Iterator[Hashable]:
         """Yield what writes must not have built on: entities, their places, documents, whole tenants."""
         for place, (tenant, entity_id, _) in self.entities.items():
             yield place
             yield tenant, entity_id
+        for place, (tenant, entity_id) in self.departed.items():
+            yield place
+            yield DEPARTED, tenant, entity_id
         for key in self.documents:
             if key[0] not in BOOKKEEPING:
                 yield key
@@ -152,18 +158,20 @@ def _told(entries: Entries) -> bytes | None:
     entities = [(place, row.tenant, row.id) for place, row in entries.entities.items()]
     documents = list(entries.documents)
     owed = list({(one.tenant, one.subscription) for one in entries.owed})
-    if not (entities or documents or owed):
+    departed = [(place, row.tenant, row.id) for place, row in entries.departed.items()]
+    if not (entities or documents or owed or departed):
         return None
-    return orjson.dumps([entities, documents, owed])
+    return orjson.dumps([entities, documents, owed, departed])
 
 
 def _add(news: News, body: bytes) -> None:
-    entities, documents, owed = orjson.loads(body)
+    entities, documents, owed, departed = orjson.loads(body)
     for place, tenant, entity_id in entities:
         news.entities[place] = (tenant, entity_id, None)
     for kind, tenant, name in documents:
         news.documents[Kind(kind), tenant, name] = None
     news.owed.update((tenant, one) for tenant, one in owed)
+    news.departed.update((place, (tenant, one)) for place, tenant, one in departed)
 
 
 def _complete(news: News, writer: Writer) -> None:
@@ -201,6 +209,12 @@ class Unknown:
         if not numbers:
             return False
         if any(numbers.get(key, 0) > known for key in entries.documents if key[0] not in BOOKKEEPING):
+            return True
+        if any(
+            numbers.get(key, 0) > known
+            for place, gone in entries.departed.items()
+            for key in (place, (DEPARTED, gone.tenant, gone.id))
+        ):
             return True
         return any(
             numbers.get(key, 0) > known
