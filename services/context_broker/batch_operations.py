@@ -12,9 +12,9 @@ from services.context_broker import changes
 from services.context_broker.changes import Outcome
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity, Event
-from services.context_broker.entity_operations import DONE, absent, creation
+from services.context_broker.entity_operations import DONE, absent, creation, is_simplified, read_merge
 from services.context_broker.exchange import Answer, Exchange
-from services.context_broker.intake import Change, read_change, read_entity
+from services.context_broker.intake import Nulls, read_change, read_entity
 from services.context_broker.operation import Operation
 from services.context_broker.problems import bad_request_data, not_supported
 from services.context_broker.reading import (
@@ -32,6 +32,7 @@ from services.context_broker.words import require_uri, shown, timestamp_now
 
 MOST_ENTITIES: Final = 10_000
 _LOCAL: Final = frozenset({"local", "options"})
+_MERGE: Final = _LOCAL | {"format"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ class BatchOperations:
             Operation("POST", f"{at}/update", "updateBatch", "6.16.3.1", self.update, _LOCAL),
             Operation("POST", f"{at}/delete", "deleteBatch", "6.17.3.1", self.delete, _LOCAL),
             Operation("POST", f"{at}/query", "queryBatch", "6.23.3.1", self.query, asking),
-            Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _LOCAL),
+            Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _MERGE),
         )
 
     async def create(self, exchange: Exchange) -> Answer:
@@ -126,8 +127,12 @@ class BatchOperations:
         return fates.answer(DONE)
 
     async def merge(self, exchange: Exchange) -> Answer:
-        """POST entityOperations/merge."""
-        return (await self._each(exchange, self._merge)).answer(DONE)
+        """POST entityOperations/merge; options=simplified takes bare values for what their attributes are."""
+        simplified = is_simplified(exchange)
+        fates = await self._each(
+            exchange, lambda store, given, context: self._merge(store, given, context, simplified=simplified)
+        )
+        return fates.answer(DONE)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """POST entityOperations/delete with a list of ids."""
@@ -177,19 +182,18 @@ class BatchOperations:
         return _Change(change.id or "", store.stage(creation(store, change)), is_new=True)
 
     def _upsert(self, store: Store, given: Any, context: Context, *, keeps: bool) -> _Change:
-        change, before = self._known(store, given, context)
+        before = self._known(store, given)
         if before is None:
             return self._create(store, given, context)
         if keeps:
+            change = read_change(given, context.terms, Nulls.ATTRIBUTES)
             return self._carry_out(store, before, changes.appended(before, change, timestamp_now()))
-        return self._carry_out(
-            store, before, changes.replaced(before, read_entity(given, context.terms), timestamp_now())
-        )
+        change = read_entity(given, context.terms)
+        return self._carry_out(store, before, changes.replaced(before, change, timestamp_now()))
 
     def _append(self, store: Store, given: Any, context: Context, *, overwrite: bool) -> _Change:
-        change, before = self._known(store, given, context)
-        if before is None:
-            raise absent(change.id or "")
+        before = self._existing(store, given)
+        change = read_change(given, context.terms, Nulls.ATTRIBUTES)
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         if outcome.refused:
             names = ", ".join(shown(context.terms.compact(name)) for name in outcome.refused)
@@ -197,18 +201,21 @@ class BatchOperations:
             return replace(self._carry_out(store, before, outcome), refusal=refusal)
         return self._carry_out(store, before, outcome)
 
-    def _merge(self, store: Store, given: Any, context: Context) -> _Change:
-        change, before = self._known(store, given, context)
-        if before is None:
-            raise absent(change.id or "")
+    def _merge(self, store: Store, given: Any, context: Context, *, simplified: bool) -> _Change:
+        before = self._existing(store, given)
+        change = read_merge(given, before, context, simplified=simplified)
         return self._carry_out(store, before, changes.merged(before, change, timestamp_now()))
 
+    def _existing(self, store: Store, given: Any) -> Entity:
+        before = self._known(store, given)
+        if before is None:
+            raise absent(id_of(given))
+        return before
+
     @staticmethod
-    def _known(store: Store, given: Any, context: Context) -> tuple[Change, Entity | None]:
-        change = read_change(given, context.terms)
-        if change.id is None:
-            raise bad_request_data('an entity in a batch has an "id"; add it')
-        return change, store.latest(change.id)
+    def _known(store: Store, given: Any) -> Entity | None:
+        """Return the entity that a document is about, as the last write left it; None if there is none."""
+        return store.latest(id_of(given))
 
     @staticmethod
     def _carry_out(store: Store, before: Entity, outcome: Outcome) -> _Change:
@@ -221,11 +228,23 @@ def _created(ids: list[str]) -> Answer:
     return Answer(201, orjson.dumps(ids), [(b"content-type", b"application/json")])
 
 
+def id_of(document: Any) -> str:
+    """Return the id of an entity in a batch; raise a problem if there is none."""
+    if not isinstance(document, dict):
+        raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
+    given = document["id"] if "id" in document else document.get("@id")
+    if given is None:
+        raise bad_request_data('an entity in a batch has an "id"; add it')
+    return require_uri(given, "the entity id")
+
+
 def _as_list(document: Any, what: str) -> list[Any]:
     if not isinstance(document, list) or not document:
         raise bad_request_data(f"the body is a list of {what} with at least one in it")
     if len(document) > MOST_ENTITIES:
         raise bad_request_data(f"the body holds {len(document)} {what}; {MOST_ENTITIES} are taken at once")
+    if None in document:
+        raise bad_request_data(f"the list of {what} has null in it; nothing was done, send it without")
     return document
 
 

@@ -4,7 +4,7 @@ Clauses 5.6.1 to 5.6.5, 5.6.17 and 5.6.18 (create, append, update, partial updat
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from services.context_broker.entity import (
@@ -16,7 +16,7 @@ from services.context_broker.entity import (
     dataset_of,
     is_deletion,
 )
-from services.context_broker.intake import Change
+from services.context_broker.intake import DEEPEST_VALUE, Change, too_deep
 
 ABSENT = "the entity has no such attribute; append it first"
 PRESENT = "the entity has this attribute already and noOverwrite was asked for"
@@ -35,24 +35,38 @@ def created(change: Change, at: str, seq: int) -> Entity:
     """Return the new entity that `change` tells of."""
     assert change.id is not None  # noqa: S101 - read_entity has seen to it
     attributes = {name: _stamped(instances, {}, at) for name, instances in change.attributes.items()}
-    return Entity(change.id, change.types, attributes, at, at, seq)
+    return Entity(change.id, change.types, attributes, at, at, seq, change.scopes or (), _end(None, change))
 
 
 def replaced(before: Entity, change: Change, at: str) -> Outcome:
-    """Return the entity with all its attributes replaced; its place and its createdAt stay."""
+    """Return the entity with all it has replaced; its place and its createdAt stay (clause 5.6.18)."""
     attributes = {
         name: _stamped(instances, _by_dataset(before, name), at)
         for name, instances in change.attributes.items()
     }
     types = change.types or before.types
-    after = Entity(before.id, types, attributes, before.created_at, at, before.seq)
+    after = Entity(
+        before.id,
+        types,
+        attributes,
+        before.created_at,
+        at,
+        before.seq,
+        change.scopes or (),
+        _end(None, change),
+    )
     return Outcome(after, frozenset(attributes), {})
 
 
 def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True) -> Outcome:
-    """Return the entity with attributes added; those that are there are overwritten, or refused."""
+    """Return the entity with attributes added; those that are there are overwritten, or refused.
+
+    Scopes are overwritten too, or added to those that the entity has (clause 5.6.3).
+    """
     attributes = dict(before.attributes)
     refused: dict[str, str] = {}
+    if change.scopes and before.scopes and not overwrite:
+        change = replace(change, scopes=tuple(dict.fromkeys((*before.scopes, *change.scopes))))
     for name, instances in change.attributes.items():
         if name in attributes and not overwrite:
             refused[name] = PRESENT
@@ -62,9 +76,12 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
 
 
 def updated(before: Entity, change: Change, at: str) -> Outcome:
-    """Return the entity with attributes overwritten; those that are not there are refused."""
+    """Return the entity with attributes overwritten; those that are not there are refused (clause 5.6.2)."""
     attributes = dict(before.attributes)
     refused: dict[str, str] = {}
+    if change.scopes is not None and not before.scopes:
+        refused["scope"] = ABSENT
+        change = replace(change, scopes=None)
     for name, instances in change.attributes.items():
         if name in attributes:
             _write(attributes, name, instances, at)
@@ -73,13 +90,24 @@ def updated(before: Entity, change: Change, at: str) -> Outcome:
     return _outcome(before, change, attributes, at, refused)
 
 
-def merged(before: Entity, change: Change, at: str) -> Outcome:
-    """Return the entity merged with `change`, value objects too (a JSON merge patch with NULL for null)."""
+def merged(before: Entity, change: Change, at: str, observed_at: str | None = None) -> Outcome:
+    """Return the entity merged with `change`, value objects too (a JSON merge patch with NULL for null).
+
+    `observed_at` is when that was seen which had been seen before and says no time now (clause 5.6.17).
+    """
     attributes = dict(before.attributes)
     for name, instances in change.attributes.items():
         old = _by_dataset(before, name)
-        pairs = [(old.get(dataset_of(new)), new) for new in instances]
-        mixed = [new if was is None or is_deletion(new) else _merge(was, new) for was, new in pairs]
+        mixed: list[Instance] = []
+        for new in instances:
+            was = old.get(dataset_of(new))
+            if is_deletion(new):
+                mixed.append(new)
+                continue
+            merged_one = _merge(was, new)
+            if observed_at is not None and "observedAt" not in new and was and "observedAt" in was:
+                merged_one["observedAt"] = observed_at
+            mixed.append(merged_one)
         _write(attributes, name, mixed, at)
     return _outcome(before, change, attributes, at, {})
 
@@ -117,11 +145,21 @@ def _outcome(
     before: Entity, change: Change, attributes: Attributes, at: str, refused: Mapping[str, str]
 ) -> Outcome:
     types = tuple(dict.fromkeys((*before.types, *change.types))) if change.types else before.types
+    scopes = before.scopes if change.scopes is None else change.scopes
+    expires_at = _end(before.expires_at, change)
     named = frozenset(change.attributes).difference(refused)
-    if not named and types == before.types:
+    if not named and types == before.types and scopes == before.scopes and expires_at == before.expires_at:
         return Outcome(before, named, refused)
     touched = named.intersection(attributes)  # what a change deleted is no news to tell
-    return Outcome(Entity(before.id, types, attributes, before.created_at, at, before.seq), touched, refused)
+    after = Entity(before.id, types, attributes, before.created_at, at, before.seq, scopes, expires_at)
+    return Outcome(after, touched, refused)
+
+
+def _end(before: str | None, change: Change) -> str | None:
+    """Return when the entity ends after a change."""
+    if change.expires_at is None:
+        return before
+    return None if change.expires_at == NULL else change.expires_at
 
 
 def _by_dataset(entity: Entity, name: str) -> dict[str | None, Instance]:
@@ -151,10 +189,11 @@ def _stamp(instance: Instance, old: Instance | None, at: str) -> Instance:
     return {**instance, "createdAt": old["createdAt"] if old else at, "modifiedAt": at}
 
 
-def _merge(old: Instance, new: Instance) -> Instance:
-    if old["type"] != new["type"]:
-        return new
-    says = SAYS[old["type"]]
+def _merge(old: Instance | None, new: Instance) -> Instance:
+    """Return an instance as a merge leaves it; an instance that is new may tell of deletions too."""
+    says = SAYS[new["type"]]
+    if old is None or old["type"] != new["type"]:
+        return {**new, says: _merge_values(None, new[says])}
     result = {**old, says: _merge_values(old[says], new[says])}
     for member, value in new.items():
         if ":" not in member or member not in old:
@@ -164,20 +203,22 @@ def _merge(old: Instance, new: Instance) -> Instance:
         inner = {dataset_of(instance): instance for instance in old[member]}
         for one in value:
             was = inner.get(dataset_of(one))
-            inner[dataset_of(one)] = one if was is None or is_deletion(one) else _merge(was, one)
+            inner[dataset_of(one)] = one if is_deletion(one) else _merge(was, one)
         result[member] = list(inner.values())
     return result
 
 
-def _merge_values(old: Any, new: Any) -> Any:
-    if not isinstance(old, dict) or not isinstance(new, dict):
+def _merge_values(old: Any, new: Any, depth: int = 0) -> Any:
+    if not isinstance(new, dict):
         return new
-    result = dict(old)
+    if depth > DEEPEST_VALUE:
+        raise too_deep()
+    result = dict(old) if isinstance(old, dict) else {}
     for key, value in new.items():
         if value == NULL:
             result.pop(key, None)
         else:
-            result[key] = _merge_values(result.get(key), value)
+            result[key] = _merge_values(result.get(key), value, depth + 1)
     return result
 
 

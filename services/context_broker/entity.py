@@ -44,6 +44,7 @@ class Entity:
     modified_at: str
     seq: int = 0
     scopes: tuple[str, ...] = ()
+    """As they were written: a scope may do without the slash in front."""
     expires_at: str | None = None
     """When a transient entity ends (clause 4.23); None for one that stays."""
     rendered: dict[Any, bytes] = field(default_factory=dict)

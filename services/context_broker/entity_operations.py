@@ -1,6 +1,6 @@
 """Operations on one entity, and the query for many (clauses 6.4 to 6.7, 5.6 and 5.7)."""
 
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 import orjson
@@ -8,19 +8,22 @@ import orjson
 from handover.errors import Problem
 from services.context_broker import changes
 from services.context_broker.changes import Outcome
+from services.context_broker.completion import completed, completed_part, instance_for, normalized
 from services.context_broker.contexts import Context
-from services.context_broker.entity import SAYS, Entity, Event, Instance
+from services.context_broker.entity import Entity, Event, Instance
 from services.context_broker.exchange import PREFIX, Answer, Exchange
 from services.context_broker.intake import (
+    DEFAULT_INSTANCE,
     Change,
+    Nulls,
     expand,
     read_attribute,
     read_change,
     read_entity,
-    refuse_deletions,
+    refuse_nulls,
 )
 from services.context_broker.operation import Operation
-from services.context_broker.problems import already_exists, bad_request_data, not_found
+from services.context_broker.problems import already_exists, bad_request_data, invalid_request, not_found
 from services.context_broker.reading import (
     QUERY_PARAMETERS,
     VIEW_PARAMETERS,
@@ -33,12 +36,17 @@ from services.context_broker.reading import (
 )
 from services.context_broker.selection import search
 from services.context_broker.store import Store
-from services.context_broker.words import require_name, require_uri, shown, timestamp_now
+from services.context_broker.subscriptions import type_names
+from services.context_broker.words import require_name, require_time, require_uri, shown, timestamp_now
 
 DONE: Final = Answer(204)
 _LOCAL: Final = frozenset({"local"})
-_DELETE_ATTR: Final = frozenset({"datasetId", "deleteAll", "local"})
-_WRITE_OPTIONS: Final = frozenset({"options", "local"})
+_ONE: Final = frozenset({"type", "local"})
+_DELETE_ATTR: Final = _ONE | {"datasetId", "deleteAll"}
+_APPEND: Final = _ONE | {"options"}
+_MERGE: Final = _ONE | {"options", "format", "observedAt", "lang"}
+_FORMS: Final = frozenset({"normalized", "concise", "simplified", "keyValues"})
+_SIMPLIFIED: Final = frozenset({"simplified", "keyValues"})
 
 
 class EntityOperations:
@@ -50,15 +58,15 @@ class EntityOperations:
         return (
             Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _LOCAL, True),
             Operation("GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS),
-            Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, VIEW_PARAMETERS),
-            Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _LOCAL),
-            Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _LOCAL),
-            Operation("PATCH", one, "mergeEntity", "6.5.3.4", self.merge, _WRITE_OPTIONS),
-            Operation("POST", attributes, "appendAttrs", "6.6.3.1", self.append, _WRITE_OPTIONS),
-            Operation("PATCH", attributes, "updateEntity", "6.6.3.2", self.update, _LOCAL),
-            Operation("PATCH", attribute, "updateAttrs", "6.7.3.1", self.update_attribute, _LOCAL),
+            Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, VIEW_PARAMETERS | _ONE),
+            Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _ONE),
+            Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _ONE),
+            Operation("PATCH", one, "mergeEntity", "6.5.3.4", self.merge, _MERGE),
+            Operation("POST", attributes, "appendAttrs", "6.6.3.1", self.append, _APPEND),
+            Operation("PATCH", attributes, "updateEntity", "6.6.3.2", self.update, _ONE),
+            Operation("PATCH", attribute, "updateAttrs", "6.7.3.1", self.update_attribute, _ONE),
             Operation("DELETE", attribute, "deleteAttrs", "6.7.3.2", self.delete_attribute, _DELETE_ATTR),
-            Operation("PUT", attribute, "replaceAttrs", "6.7.3.3", self.replace_attribute, _LOCAL),
+            Operation("PUT", attribute, "replaceAttrs", "6.7.3.3", self.replace_attribute, _ONE),
         )
 
     async def create(self, exchange: Exchange) -> Answer:
@@ -88,55 +96,68 @@ class EntityOperations:
         entity = exchange.tenant.store.get(entity_id)
         if entity is None:
             raise absent(entity_id)
+        _require_type(exchange, entity, context)
         if view.attributes is not None and view.attributes.isdisjoint(entity.attributes):
             raise not_found(f"entity {entity_id} has none of the attributes {exchange.parameter('attrs')}")
         return entity_answer(exchange, entity, context, view)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}."""
-        await exchange.tenant.store.stage(Event(self.existing(exchange), None))
+        context = await exchange.reader_context() if exchange.parameters else None
+        await exchange.tenant.store.stage(Event(self.existing(exchange, context), None))
         return DONE
 
     async def replace(self, exchange: Exchange) -> Answer:
         """PUT entities/{id}."""
-        change, context = await self._change(exchange)
-        refuse_deletions(change, context.terms)
-        outcome = changes.replaced(self.existing(exchange), change, timestamp_now())
-        await self._carry_out(exchange, outcome)
+        document, context = await exchange.body()
+        before = self.existing(exchange, context)
+        change = _about(exchange, read_change(document, context.terms, Nulls.NOWHERE))
+        await self._carry_out(exchange, changes.replaced(before, change, timestamp_now()))
         return DONE
 
     async def merge(self, exchange: Exchange) -> Answer:
-        """PATCH entities/{id}."""
-        options_of(exchange, frozenset({"keyValues", "concise", "simplified"}))
-        change, _ = await self._change(exchange)
-        await self._carry_out(exchange, changes.merged(self.existing(exchange), change, timestamp_now()))
+        """PATCH entities/{id}: what is left unsaid stays, NULL deletes, objects as values are merged."""
+        simplified = is_simplified(exchange)
+        observed_at, language = exchange.parameter("observedAt"), exchange.parameter("lang")
+        if observed_at is not None:
+            require_time(observed_at, "observedAt in the query")
+        document, context = await exchange.body()
+        before = self.existing(exchange, context)
+        change = _about(exchange, read_merge(document, before, context, language, simplified=simplified))
+        await self._carry_out(exchange, changes.merged(before, change, timestamp_now(), observed_at))
         return DONE
 
     async def append(self, exchange: Exchange) -> Answer:
         """POST entities/{id}/attrs."""
         overwrite = "noOverwrite" not in options_of(exchange, frozenset({"noOverwrite"}))
-        change, context = await self._change(exchange)
-        before = self.existing(exchange)
+        document, context = await exchange.body()
+        before = self.existing(exchange, context)
+        change = _about(exchange, read_change(document, context.terms, Nulls.NOWHERE))
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         await self._carry_out(exchange, outcome)
         return _update_result(change, outcome, context)
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs."""
-        change, context = await self._change(exchange)
-        outcome = changes.updated(self.existing(exchange), change, timestamp_now())
+        document, context = await exchange.body()
+        before = self.existing(exchange, context)
+        change = _about(exchange, read_change(document, context.terms, Nulls.ATTRIBUTES))
+        outcome = changes.updated(before, change, timestamp_now())
         await self._carry_out(exchange, outcome)
         return _update_result(change, outcome, context)
 
     async def update_attribute(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs/{name}: overwrites members of the attribute."""
         document, context = await exchange.body()
+        if exchange.names[1] == "scope":
+            raise bad_request_data("a scope has no parts to update; PATCH …/attrs with the whole scope")
         name = self._attribute_name(exchange, context)
-        before = self.existing(exchange)
-        given = {member: value for member, value in document.items() if member != "@context"}
-        instances = self._instances(exchange, before, name)
-        completed = _completed(given, instances.get(given.get("datasetId"), {}))
-        part = read_attribute(exchange.names[1], completed, context.terms)[0]
+        before = self.existing(exchange, context)
+        given = _without_context(document)
+        instance = instance_for(given, self._instances(exchange, before, name))
+        whole = given if instance is None else completed_part(given, instance)
+        part = read_attribute(exchange.names[1], whole, context.terms)[0]
+        refuse_nulls({name: [part]}, context.terms, Nulls.ATTRIBUTES)
         try:
             outcome = changes.partially_updated(before, name, part, timestamp_now())
         except KeyError:
@@ -145,23 +166,34 @@ class EntityOperations:
         return DONE
 
     async def replace_attribute(self, exchange: Exchange) -> Answer:
-        """PUT entities/{id}/attrs/{name}."""
+        """PUT entities/{id}/attrs/{name}; other instances of the attribute stay."""
         document, context = await exchange.body()
+        before = self.existing(exchange, context)
+        if exchange.names[1] == "scope":
+            raise bad_request_data("a scope is replaced with PATCH …/attrs, or with the whole entity")
         name = self._attribute_name(exchange, context)
-        before = self.existing(exchange)
         self._instances(exchange, before, name)
-        given = {member: value for member, value in document.items() if member != "@context"}
-        change = Change(None, (), {name: read_attribute(exchange.names[1], given, context.terms)})
+        instances = read_attribute(exchange.names[1], _without_context(document), context.terms)
+        refuse_nulls({name: instances}, context.terms, Nulls.NOWHERE)
+        change = Change(None, (), {name: instances})
         await self._carry_out(exchange, changes.updated(before, change, timestamp_now()))
         return DONE
 
     async def delete_attribute(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}/attrs/{name}; one instance by datasetId, or every one with deleteAll."""
         context = await exchange.reader_context()
+        before = self.existing(exchange, context)
+        if exchange.names[1] == "scope":
+            if not before.scopes:
+                raise not_found(f"entity {before.id} has no scope")
+            outcome = changes.updated(before, Change(None, (), {}, scopes=()), timestamp_now())
+            await self._carry_out(exchange, outcome)
+            return DONE
         name = self._attribute_name(exchange, context)
-        before = self.existing(exchange)
         self._instances(exchange, before, name)
         dataset = exchange.parameter("datasetId")
+        if dataset == DEFAULT_INSTANCE:
+            dataset = None
         try:
             outcome = changes.without(
                 before, name, dataset, timestamp_now(), every=exchange.flag("deleteAll")
@@ -171,22 +203,18 @@ class EntityOperations:
         await self._carry_out(exchange, outcome)
         return DONE
 
-    def existing(self, exchange: Exchange) -> Entity:
-        """Return the entity that the path names, as the last write left it; raise a problem (404) if none."""
+    def existing(self, exchange: Exchange, context: Context | None) -> Entity:
+        """Return the entity that the path names, as the last write left it.
+
+        Raises a problem (404) if there is none, or none of the types that the parameter `type` selects.
+        """
         entity_id = require_uri(exchange.names[0], "the entity id in the path")
         entity = exchange.tenant.store.latest(entity_id)
         if entity is None:
             raise absent(entity_id)
+        if context is not None:
+            _require_type(exchange, entity, context)
         return entity
-
-    async def _change(self, exchange: Exchange) -> tuple[Change, Context]:
-        document, context = await exchange.body()
-        change = read_change(document, context.terms)
-        if change.id is not None and change.id != exchange.names[0]:
-            raise bad_request_data(
-                f"the body is about {change.id}, the path about {exchange.names[0]}; agree on one"
-            )
-        return change, context
 
     async def _carry_out(self, exchange: Exchange, outcome: Outcome) -> None:
         """Make an outcome durable. No await may stand between reading the entity and this."""
@@ -199,13 +227,13 @@ class EntityOperations:
         return expand(require_name(exchange.names[1], "the attribute name in the path"), context.terms)
 
     @staticmethod
-    def _instances(exchange: Exchange, entity: Entity, name: str) -> dict[str | None, Instance]:
+    def _instances(exchange: Exchange, entity: Entity, name: str) -> list[Instance]:
         instances = entity.attributes.get(name)
         if instances is None:
             raise not_found(
                 f"entity {entity.id} has no attribute {shown(exchange.names[1])}; append it first"
             )
-        return {instance.get("datasetId"): instance for instance in instances}
+        return instances
 
 
 def creation(store: Store, change: Change) -> Event:
@@ -226,21 +254,60 @@ def _absent_instance(exchange: Exchange, dataset: str | None) -> Problem:
     return not_found(f"attribute {shown(exchange.names[1])} has no {which}")
 
 
-def _completed(given: dict[str, object], instance: Instance) -> dict[str, object]:
-    """Return a part of an attribute completed by the kind and the value that the attribute has."""
-    if not instance or given.get("type", instance["type"]) != instance["type"]:
-        return given
-    says = SAYS[instance["type"]]
-    kept = {} if says in given else {says: instance[says]}
-    return {"type": instance["type"], **kept, **given}
+def read_merge(
+    document: object,
+    before: Entity,
+    context: Context,
+    language: str | None = None,
+    *,
+    simplified: bool = False,
+) -> Change:
+    """Return a merge, read by what the entity says: see `completion`."""
+    if isinstance(document, dict):
+        complete = normalized if simplified else completed
+        document = complete(document, before, context.terms, language)
+    return read_change(document, context.terms, Nulls.VALUES)
+
+
+def is_simplified(exchange: Exchange) -> bool:
+    """Say whether the body is in simplified form; any other form tells by itself which it is."""
+    forms = options_of(exchange, _FORMS)
+    wanted = exchange.parameter("format")
+    if wanted is not None:
+        if wanted not in _FORMS:
+            raise invalid_request(f"format is one of {', '.join(sorted(_FORMS))}, not {shown(wanted)}")
+        forms.add(wanted)
+    return not forms.isdisjoint(_SIMPLIFIED)
+
+
+def _about(exchange: Exchange, change: Change) -> Change:
+    """Return a change if it is about the entity that the path names; raise a problem if not."""
+    if change.id is not None and change.id != exchange.names[0]:
+        raise bad_request_data(
+            f"the body is about {change.id}, the path about {exchange.names[0]}; agree on one"
+        )
+    return change
+
+
+def _require_type(exchange: Exchange, entity: Entity, context: Context) -> None:
+    wanted = exchange.parameter("type")
+    if wanted is not None and set(type_names(wanted, context)).isdisjoint(entity.types):
+        raise not_found(f"there is no entity {entity.id} of type {shown(wanted)}; it has other types")
+
+
+def _without_context(document: dict[str, Any]) -> dict[str, Any]:
+    if not isinstance(document, dict):
+        raise bad_request_data(f"an attribute is a JSON object, not {shown(document)}")
+    return {member: value for member, value in document.items() if member != "@context"}
 
 
 def _update_result(change: Change, outcome: Outcome, context: Context) -> Answer:
     if not outcome.refused:
         return DONE
     compact = context.terms.compact
+    names = [*change.attributes] if change.scopes is None else [*change.attributes, "scope"]
     body = {
-        "updated": [compact(name) for name in change.attributes if name not in outcome.refused],
+        "updated": [compact(name) for name in names if name not in outcome.refused],
         "notUpdated": [
             {"attributeName": compact(name), "reason": reason} for name, reason in outcome.refused.items()
         ],

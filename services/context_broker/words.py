@@ -1,6 +1,7 @@
 """Ids, times and names as NGSI-LD writes them, checked once at the door."""
 
 import re
+import time
 from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Any
@@ -18,8 +19,15 @@ _DURATION = re.compile(
 )
 _UNITS_S = (365 * 86400, 30 * 86400, 7 * 86400, 86400, 3600, 60, 1)
 
-_URI = re.compile(r'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{}|\\^`\x00-\x20\x7f]+')
+_UNSEEN = (
+    r"\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180e\u200b-\u200f\u2028-\u202f\u2060-\u206f"
+    r"\u2800\u3164\ufe00-\ufe0f\ufeff\uffa0\ufdd0-\ufdef\ufff0-\uffff\ud800-\udfff\U000e0000-\U000e0fff"
+)
+"""Signs that are not seen, or turn what stands beside them: an id with one is read as another id."""
+_URI = re.compile(rf'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{{}}|\\^`\x00-\x20\x7f-\xa0{_UNSEEN}]+')
 _UNFIT_IN_NAMES = re.compile(r"[\s<>\"'=;,|(){}\[\]\\^`\x00-\x1f\x7f]")
+_SHORT_NAME = re.compile(r"[^\W\d_][\w\-]*")
+_SCOPE = re.compile(r"/?[^\W\d_]\w*(?:/[^\W\d_]\w*)*")
 
 
 def timestamp(moment: datetime) -> str:
@@ -59,9 +67,11 @@ def require_uri(value: Any, what: str) -> str:
 
 
 def require_time(value: Any, what: str) -> str:
-    """Return `value` if it is a date-time; raise a problem that names `what` if not."""
-    if not isinstance(value, str) or "T" not in value or moment(value) is None:
-        raise bad_request_data(f"{what} must be a date-time such as 2024-05-01T12:00:00Z, not {shown(value)}")
+    """Return `value` if it is a date-time in UTC (clause 4.6.3); raise a problem that names `what` if not."""
+    if not isinstance(value, str) or "T" not in value or value[-1] != "Z" or moment(value) is None:
+        raise bad_request_data(
+            f"{what} must be a date-time in UTC such as 2024-05-01T12:00:00Z, not {shown(value)}"
+        )
     return value
 
 
@@ -77,8 +87,30 @@ def duration_s(value: Any, what: str) -> float:
     return sum(part * unit_s for part, unit_s in zip(parts, _UNITS_S, strict=True))
 
 
+def require_future(value: Any, what: str) -> str:
+    """Return `value` if it is a date-time to come; raise a problem that names `what` if not."""
+    text = require_time(value, what)
+    if (moment(text) or 0.0) <= time.time():
+        raise bad_request_data(f"{what} is {text}, which is past; give a time to come, or leave it out")
+    return text
+
+
+def require_scope(value: Any) -> str:
+    """Return `value` if it is a scope, as it was written; raise a problem if not (clause 4.18)."""
+    if not isinstance(value, str) or len(value) > LONGEST_NAME or not _SCOPE.fullmatch(value):
+        raise bad_request_data(
+            f"a scope is a path such as /Madrid/Gardens_2, each level a letter followed by letters, digits "
+            f"and _ ({LONGEST_NAME} characters at most), not {shown(value)}"
+        )
+    return value
+
+
 def require_name(value: Any, what: str) -> str:
-    """Return `value` if it can name a type or an attribute; raise a problem that names `what` if not."""
+    """Return `value` if it can name a type or an attribute; raise a problem that names `what` if not.
+
+    A short name is a letter followed by letters, digits and _ (clause 4.6.2); the hyphen, which contexts in
+    use have in their terms, is taken too. An IRI or `prefix:name` may hold more.
+    """
     if not isinstance(value, str) or not value:
         raise bad_request_data(f"{what} must be a name, not {shown(value)}")
     if len(value) > LONGEST_NAME:
@@ -87,6 +119,8 @@ def require_name(value: Any, what: str) -> str:
         raise bad_request_data(
             f"{what} {shown(value)} is no name: leave out spaces, quotes, brackets and @ = ; , | < >"
         )
+    if ":" not in value and not _SHORT_NAME.fullmatch(value):
+        raise bad_request_data(f"{what} {shown(value)} is no name: a letter, then letters, digits and _")
     return value
 
 

@@ -160,7 +160,7 @@ def test_a_context_that_cannot_be_loaded_is_named_and_tried_again(
             400,
             "datasetId",
         ),
-        (task("n1", scope="/x"), JSON, 422, "scope"),
+        (task("n1", scope="/a//b"), JSON, 400, "scope"),
     ],
 )
 def test_what_cannot_be_taken_is_told_why(

@@ -1,5 +1,6 @@
 """Intake and rendering: what was sent comes back, in each form, and all forms tell the same."""
 
+from dataclasses import asdict
 from typing import Any
 
 import orjson
@@ -8,7 +9,8 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from services.context_broker.changes import created, merged
-from services.context_broker.entity import Entity
+from services.context_broker.completion import completed, normalized
+from services.context_broker.entity import SAYS, Entity
 from services.context_broker.intake import read_change, read_entity
 from services.context_broker.rendering import Form, View, render
 
@@ -24,33 +26,80 @@ VALUES = st.recursive(
     ),
     max_leaves=6,
 ).filter(lambda value: value != "urn:ngsi-ld:null")
-POINTS = st.fixed_dictionaries(
-    {"type": st.just("Point"), "coordinates": st.lists(st.integers(-90, 90), min_size=2, max_size=3)}
-)
-METADATA = st.fixed_dictionaries(
-    {}, optional={"observedAt": st.just("2026-01-01T12:00:00Z"), "unitCode": st.just("MTR")}
-)
-KINDS = st.one_of(
-    st.fixed_dictionaries({"type": st.just("Property"), "value": VALUES | POINTS}),
-    st.fixed_dictionaries({"type": st.just("Relationship"), "object": URIS}),
-    st.fixed_dictionaries({"type": st.just("GeoProperty"), "value": POINTS}),
+PLACES = st.integers(-90, 90)
+POSITIONS = st.tuples(PLACES, PLACES).map(list)
+RINGS = st.lists(POSITIONS, min_size=3, max_size=3).map(lambda ring: [*ring, ring[0]])
+POINTS = st.one_of(
+    st.fixed_dictionaries({"type": st.just("Point"), "coordinates": POSITIONS}),
     st.fixed_dictionaries(
         {
-            "type": st.just("LanguageProperty"),
-            "languageMap": st.just({"en": "part", "fi": ["osa", "kappale"]}),
+            "type": st.just("MultiPolygon"),
+            "coordinates": st.lists(st.lists(RINGS, min_size=1, max_size=1), min_size=1, max_size=2),
         }
     ),
-    st.fixed_dictionaries({"type": st.just("JsonProperty"), "json": VALUES}),
+    st.fixed_dictionaries(
+        {
+            "type": st.just("MultiLineString"),
+            "coordinates": st.lists(st.lists(POSITIONS, min_size=2, max_size=2), min_size=1, max_size=2),
+        }
+    ),
+)
+OBSERVED = st.fixed_dictionaries({}, optional={"observedAt": st.just("2026-01-01T12:00:00Z")})
+MEASURED = st.fixed_dictionaries(
+    {},
+    optional={
+        "observedAt": st.just("2026-01-01T12:00:00Z"),
+        "unitCode": st.just("MTR"),
+        "valueType": st.just("Length"),
+    },
+)
+LINKED = st.fixed_dictionaries({}, optional={"objectType": st.just("Device") | st.just(["Device", "Part"])})
+WORDINGS = st.dictionaries(
+    st.sampled_from(["en", "fi", "fr-CH", "@none"]),
+    st.text(max_size=5) | st.lists(st.text(max_size=5), max_size=2),
+    min_size=1,
+    max_size=2,
+)
+
+
+def both(one: st.SearchStrategy[Any], other: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    return st.tuples(one, other).map(lambda parts: parts[0] | parts[1])
+
+
+PROPERTIES = st.fixed_dictionaries({"type": st.just("Property"), "value": VALUES | POINTS})
+LISTS = st.fixed_dictionaries({"type": st.just("ListProperty"), "valueList": st.lists(VALUES, max_size=3)})
+LINKS = st.fixed_dictionaries(
+    {"type": st.just("Relationship"), "object": URIS | st.lists(URIS, min_size=1, max_size=2)}
+)
+LINK_LISTS = st.fixed_dictionaries(
+    {
+        "type": st.just("ListRelationship"),
+        "objectList": st.lists(st.fixed_dictionaries({"object": URIS}), max_size=2),
+    }
+)
+KINDS = st.one_of(
+    both(PROPERTIES | LISTS, MEASURED),
+    both(LINKS | LINK_LISTS, both(LINKED, OBSERVED)),
+    both(st.fixed_dictionaries({"type": st.just("GeoProperty"), "value": POINTS}), OBSERVED),
+    both(st.fixed_dictionaries({"type": st.just("LanguageProperty"), "languageMap": WORDINGS}), OBSERVED),
+    both(
+        st.fixed_dictionaries(
+            {
+                "type": st.just("JsonProperty"),
+                "json": st.dictionaries(st.sampled_from(["a", "@id"]), VALUES) | st.lists(VALUES, max_size=2),
+            }
+        ),
+        OBSERVED,
+    ),
     st.fixed_dictionaries(
         {"type": st.just("VocabProperty"), "vocab": st.just("calm") | st.just(["calm", "keen"])}
     ),
-    st.fixed_dictionaries({"type": st.just("ListProperty"), "valueList": st.lists(VALUES, max_size=3)}),
 )
 
 
 @st.composite
 def attributes(draw: st.DrawFn, depth: int = 1) -> Any:
-    attribute = draw(KINDS) | draw(METADATA)
+    attribute = draw(KINDS)
     if depth and draw(st.booleans()):
         attribute["accuracy"] = draw(attributes(depth - 1))
     if depth and draw(st.integers(0, 4)) == 0:
@@ -61,6 +110,7 @@ def attributes(draw: st.DrawFn, depth: int = 1) -> Any:
 ENTITIES = st.dictionaries(NAMES, attributes(), max_size=4).map(
     lambda given: {"id": "urn:ngsi-ld:Task:demo:1", "type": "Task", **given}
 )
+SCOPES = st.sampled_from([{}, {"scope": "/Madrid/Gardens"}, {"scope": ["/A", "B/C_1"]}])
 
 
 def kept(document: Any) -> Entity:
@@ -79,6 +129,40 @@ def test_concise_is_read_back_to_the_same_entity(document: dict[str, Any]) -> No
     assert len(orjson.dumps(concise)) <= len(orjson.dumps(document))
 
 
+@given(both(ENTITIES, SCOPES))
+def test_scopes_are_told_in_every_form(document: dict[str, Any]) -> None:
+    for form in Form:
+        assert render(kept(document), TERMS, View(form)).get("scope") == document.get("scope")
+
+
+@given(ENTITIES)
+def test_an_entity_merged_with_its_simplified_form_stays_what_it_was(document: dict[str, Any]) -> None:
+    before = kept(document)
+    simple = render(before, TERMS, View(Form.KEY_VALUES))
+    after = merged(before, read_change(normalized(simple, before, TERMS), TERMS), AT).entity
+    assert render(after, TERMS, View()) == document
+
+
+@given(ENTITIES)
+def test_an_entity_merged_with_any_part_of_itself_stays_what_it_was(document: dict[str, Any]) -> None:
+    before = kept(document)
+    for says in (frozenset[str](), frozenset(SAYS.values())):
+        part = {
+            name: {member: value for member, value in given.items() if member not in says}
+            for name, given in document.items()
+            if isinstance(given, dict)
+        }
+        after = merged(before, read_change(completed(part, before, TERMS), TERMS), AT).entity
+        assert render(after, TERMS, View()) == document
+
+
+@given(ENTITIES, ENTITIES)
+def test_a_merge_is_the_same_when_it_comes_twice(first: dict[str, Any], second: dict[str, Any]) -> None:
+    once = merged(kept(first), read_change(second, TERMS), AT).entity
+    twice = merged(once, read_change(second, TERMS), AT).entity
+    assert render(twice, TERMS, View()) == render(once, TERMS, View())
+
+
 @given(ENTITIES)
 def test_key_values_says_what_normalized_says(document: dict[str, Any]) -> None:
     simple = render(kept(document), TERMS, View(Form.KEY_VALUES))
@@ -94,12 +178,7 @@ def test_key_values_says_what_normalized_says(document: dict[str, Any]) -> None:
 def test_what_the_journal_keeps_is_what_it_was(document: dict[str, Any]) -> None:
     entity = kept(document)
     again = Entity.restored(entity.stored())
-    assert (again.id, again.types, again.attributes, again.seq) == (
-        entity.id,
-        entity.types,
-        entity.attributes,
-        entity.seq,
-    )
+    assert asdict(again) == asdict(entity)
 
 
 @given(ENTITIES, ENTITIES)
