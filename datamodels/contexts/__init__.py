@@ -9,6 +9,7 @@ from datamodels.contexts.shipped import (
     SHOP4CF_URL,
     SMART_DATA_MODELS_URL,
     handover_context,
+    is_core,
     resolve,
 )
 from datamodels.contexts.term_map import Context, ContextNotAvailable, TermMap, term_map
@@ -22,6 +23,7 @@ __all__ = [
     "ContextNotAvailable",
     "TermMap",
     "handover_context",
+    "is_core",
     "resolve",
     "term_map",
 ]

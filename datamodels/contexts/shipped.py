@@ -22,7 +22,11 @@ _FILES: Final = {
     SHOP4CF_URL: "shop4cf.jsonld",
     CORE_URL: "ngsi-ld-core.jsonld",
 }
-_ANY_CORE = re.compile(r"https?://uri\.etsi\.org/ngsi-ld/v1/ngsi-ld-core-context(-v1\.[0-9])?\.jsonld")
+_ANY_CORE = re.compile(
+    r"https?://(uri\.etsi\.org/ngsi-ld/v1/ngsi-ld-core-context(-v1\.[0-9]{1,2}(\.[0-9])?)?\.jsonld"
+    r"|forge\.etsi\.org/(gitlab|rep)/NGSI-LD/NGSI-LD/(-/)?raw/[\w.\-]+/coreContext/ngsi-ld-core-context\.jsonld)"
+)
+"""Where versions 1.0 to 1.9 of the core context are, and where drafts of the first ones were."""
 
 
 def resolve(url: str) -> dict[str, Any] | None:
@@ -31,8 +35,13 @@ def resolve(url: str) -> dict[str, Any] | None:
     Every published version of the core context answers with the same words: they only ever grew. The
     document is the caller's own.
     """
-    name = _FILES.get(CORE_URL if _ANY_CORE.fullmatch(url) else url)
+    name = _FILES.get(CORE_URL if is_core(url) else url)
     return None if name is None else deepcopy(_document(name))
+
+
+def is_core(url: str) -> bool:
+    """Say whether `url` is the core context, of whichever version."""
+    return _ANY_CORE.fullmatch(url) is not None
 
 
 def handover_context() -> dict[str, Any]:

@@ -17,8 +17,11 @@ from handover.errors import Problem
 from handover.service import create_app
 from handover.telemetry import get_logger
 from services.context_broker.batch_operations import BatchOperations
-from services.context_broker.contexts import ContextBook
+from services.context_broker.context_fetching import Fetcher
+from services.context_broker.context_operations import ContextOperations
+from services.context_broker.contexts import ContextBook, Documents, OwnAddress
 from services.context_broker.database import Database, SqliteDatabase
+from services.context_broker.destinations import Destinations
 from services.context_broker.discovery_operations import DiscoveryOperations
 from services.context_broker.entity_operations import EntityOperations
 from services.context_broker.exchange import (
@@ -43,7 +46,7 @@ from services.context_broker.replica import TRIMMING, Overtaken, Replica
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.subscription_operations import SubscriptionOperations
 from services.context_broker.subscriptions import Counts
-from services.context_broker.tenants import DEFAULT, Tenants
+from services.context_broker.tenants import Tenants
 
 log = get_logger(__name__)
 
@@ -72,7 +75,14 @@ class Broker:
         self.journal = journal
         self.leadership = leadership
         self.tenants = Tenants(journal, settings, leadership, replica)
-        self.contexts = ContextBook(self._keep_context, settings.broker_context_timeout_s)
+        # A page of ours on this machine may well be what publishes a context: loopback is open to fetching.
+        open_addresses = Destinations(settings.broker_notify_link_local)
+        self.contexts = ContextBook(
+            self._keep_documents,
+            lambda documents: self.tenants.commits.store_later(Entries(documents=dict(documents))),
+            Fetcher(settings.broker_context_timeout_s, open_addresses),
+            OwnAddress(settings.broker_public_url, settings.url_of(settings.broker_port)),
+        )
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.registrations = RegistrationOperations(self.contexts)
         self.directory = Directory(
@@ -83,6 +93,7 @@ class Broker:
                 DiscoveryOperations(),
                 self.subscriptions,
                 self.registrations,
+                ContextOperations(self.contexts),
             )
             for operation in room.operations()
         )
@@ -91,12 +102,15 @@ class Broker:
     async def start(self) -> None:
         """Take up what the journal holds, and begin to notify."""
         self.tenants.commits.open()
-        for _, url, stored in self.journal.documents(Kind.CONTEXT):
-            self.contexts.remember(url, stored)
+        for tenant, key, stored in self.journal.documents(Kind.CONTEXT):
+            self.contexts.remember(tenant, key, stored)
+        for _, key, stored in self.journal.documents(Kind.CONTEXT_USAGE):
+            self.contexts.remember_usage(key, stored)
         self.tenants.load()
         self.tenants.commits.start()
         await self._take_up_registrations()
         await self._take_up_subscriptions()
+        await self.contexts.tidy()
         self._follow_others()
         self.leadership.start(self.tenants.turn, self.tenants.commits.look)
         ENTITIES.set_function(self.tenants.entities)
@@ -108,6 +122,7 @@ class Broker:
         for tenant in self.tenants:
             tenant.notifier.stop()
         self.tenants.outbound.sender.close()
+        self.contexts.write_usage()
         await self.tenants.commits.stop()
         await asyncio.to_thread(self.leadership.stop)
         self.journal.close()
@@ -163,12 +178,19 @@ class Broker:
     def _follow_others(self) -> None:
         following = self.tenants.following
         following.on(Kind.CONTEXT, self._follow_context)
+        following.on(Kind.CONTEXT_USAGE, self._follow_context_usage)
         following.on(Kind.SUBSCRIPTION, self._follow_subscription)
         following.on(Kind.COUNTS, self._follow_counts)
 
-    async def _follow_context(self, _: str, url: str, body: bytes | None) -> None:
+    async def _follow_context(self, tenant: str, key: str, body: bytes | None) -> None:
+        if body is None:
+            self.contexts.forget(key)
+        else:
+            self.contexts.remember(tenant, key, body)
+
+    async def _follow_context_usage(self, _: str, key: str, body: bytes | None) -> None:
         if body is not None:
-            self.contexts.remember(url, body)
+            self.contexts.remember_usage(key, body)
 
     async def _follow_subscription(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
         await self.subscriptions.follow(self.tenants.kept(tenant), subscription_id, body)
@@ -201,9 +223,11 @@ class Broker:
         seen[0].inc()
         seen[1].observe(seconds)
 
-    async def _keep_context(self, url: str, text: bytes) -> None:
+    async def _keep_documents(self, documents: Documents) -> None:
+        names = {tenant for _, tenant, _ in documents}
+        commits = self.tenants.commits_of(names.pop()) if len(names) == 1 else self.tenants.commits
         try:
-            await self.tenants.commits.store(Entries(documents={(Kind.CONTEXT, DEFAULT, url): text}))
+            await commits.store(Entries(documents=dict(documents)))
         except NotStored as error:
             raise not_stored(str(error)) from error
 

@@ -60,6 +60,9 @@ class Kind(StrEnum):
 
     TENANT = "tenant"
     CONTEXT = "context"
+    """An @context: by its URL if it was fetched, else by its local identifier, of the tenant that gave it."""
+    CONTEXT_USAGE = "contextUsage"
+    """How the @context of the same id was used."""
     SUBSCRIPTION = "subscription"
     COUNTS = "counts"
     """What became of the notifications of the subscription of the same id."""

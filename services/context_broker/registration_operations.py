@@ -68,7 +68,7 @@ class RegistrationOperations:
         """Take up the registrations of before, each with its counts, in the order of their creation."""
         documents = [(orjson.loads(body), told) for body, told in kept]
         for document, told in sorted(documents, key=lambda one: str(one[0].get("createdAt"))):
-            made = registration(document, await self._contexts.of(document["context"]))
+            made = registration(document, await self._contexts.as_before(document["context"]))
             if told is not None:
                 _count_on(made.attempts, told)
             tenant.registry.take(made)

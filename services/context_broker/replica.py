@@ -31,7 +31,7 @@ TRIMMING: Final = """
 count from."""
 SURE_WITHIN: Final = 3
 """Attempts to learn what became of a commit during which the connection broke."""
-BOOKKEEPING: Final = frozenset({Kind.COUNTS, Kind.ATTEMPTS})
+BOOKKEEPING: Final = frozenset({Kind.COUNTS, Kind.ATTEMPTS, Kind.CONTEXT_USAGE})
 """Kinds of documents that nothing builds on: the last to write is right."""
 FEED: Final = """
     CREATE TABLE IF NOT EXISTS changes (

@@ -1,6 +1,6 @@
 """What an operator may set about the broker: its port, its limits and its patience with subscribers."""
 
-from pydantic import Field, FilePath
+from pydantic import Field, FilePath, field_validator
 
 from handover.settings import Settings
 from services.context_broker.destinations import Destinations, is_loopback
@@ -42,6 +42,19 @@ class BrokerSettings(Settings):
     broker_context_timeout_s: float = Field(
         5.0, gt=0, description="how long the broker waits for an @context that it must fetch"
     )
+
+    broker_public_url: str | None = Field(
+        None,
+        description="where others reach the broker, without /ngsi-ld/v1: the @contexts that it hosts have "
+        "their URLs there; if absent, under the address by which it was called",
+    )
+
+    @field_validator("broker_public_url")
+    @classmethod
+    def _is_address(cls, url: str | None) -> str | None:
+        if url is not None and not url.startswith(("http://", "https://")):
+            raise ValueError("must start with http:// or https://")
+        return None if url is None else url.rstrip("/").removesuffix("/ngsi-ld/v1")
 
     def destinations(self) -> Destinations:
         """Return where the broker may send to."""

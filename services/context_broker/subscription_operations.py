@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, Final
 from urllib.parse import quote, urlsplit
 from uuid import uuid4
@@ -63,7 +64,7 @@ class SubscriptionOperations:
         found: list[Subscription] = []
         for body, told in kept:
             document = orjson.loads(body)
-            one = subscription(document, await self._contexts.of(document["context"]))
+            one = subscription(document, await self._contexts.as_before(document["context"]))
             if told is not None:
                 one.counts = Counts(*orjson.loads(told))
             found.append(one)
@@ -77,7 +78,7 @@ class SubscriptionOperations:
             return
         document = orjson.loads(body)
         tenant.notifier.put(
-            subscription(document, await self._contexts.of(document["context"])), from_disk=True
+            subscription(document, await self._contexts.as_before(document["context"])), from_disk=True
         )
 
     async def create(self, exchange: Exchange) -> Answer:
@@ -91,6 +92,7 @@ class SubscriptionOperations:
         used = await self._used_context(document, context)
         made = subscription({**document, "createdAt": at, "modifiedAt": at, "context": used.document}, used)
         await self._require_open(exchange.tenant, made)
+        made = await self._with_link(exchange, made)
         async with self._one_at_a_time:
             if exchange.tenant.notifier.get(made.id) is not None:
                 raise already_exists(
@@ -116,6 +118,7 @@ class SubscriptionOperations:
             made = subscription(document, used)
             if "notification" in change:
                 await self._require_open(exchange.tenant, made)
+            made = await self._with_link(exchange, made)
             await self._keep(exchange.tenant, made)
             exchange.tenant.notifier.put(made)
         return DONE
@@ -162,6 +165,14 @@ class SubscriptionOperations:
         """Return the context that notifications are written in: jsonldContext if the subscriber names one."""
         named = document.get("jsonldContext")
         return context if named is None else await self._contexts.of(require_uri(named, '"jsonldContext"'))
+
+    async def _with_link(self, exchange: Exchange, made: Subscription) -> Subscription:
+        """Return the subscription with a context that its notifications can name in a Link header."""
+        base = self._contexts.base(exchange.headers)
+        linked = await self._contexts.linked(made.context, exchange.tenant.name, base)
+        if linked is made.context:
+            return made
+        return replace(made, context=linked, document={**made.document, "context": linked.document})
 
     @staticmethod
     async def _require_open(tenant: Tenant, made: Subscription) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Container, Iterator
 from typing import Final
 from uuid import uuid4
 
-from services.context_broker.commits import CommitQueue, Failed, stored
+from services.context_broker.commits import CommitQueue, Commits, Failed, stored
 from services.context_broker.entity import Entity
 from services.context_broker.following import Following
 from services.context_broker.history import Recorder
@@ -165,6 +165,11 @@ class Tenants:
         tenant = self._tenants[name] = Tenant(name, self, is_kept=False)
         tenant.guests = 1
         return tenant
+
+    def commits_of(self, name: str) -> Commits:
+        """Return where the writes of a tenant go; those of one that is not there go where all go."""
+        tenant = self._tenants.get(name)
+        return self.commits if tenant is None else tenant.commits
 
     def leave(self, tenant: Tenant) -> None:
         """Note that a request is over; a tenant for which nothing came to be kept is forgotten."""

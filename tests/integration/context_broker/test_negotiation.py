@@ -76,24 +76,6 @@ def test_a_context_is_fetched_once_and_survives_the_loss_of_its_server(
         assert url in read.headers["link"]
 
 
-def test_a_context_that_cannot_be_loaded_is_named_and_tried_again(
-    http: httpx.Client, new_subscriber: Callable[..., Any]
-) -> None:
-    server = new_subscriber()
-    url = f"http://127.0.0.1:{server.port}/later.jsonld"
-    entity = task("later", speed=3)
-    for _ in range(2):
-        answer = post(http, entity, JSON | link(url))
-        assert answer.status_code == 504
-        assert answer.json()["type"] == "https://uri.etsi.org/ngsi-ld/errors/LdContextNotAvailable"
-        assert url in answer.json()["detail"]
-        assert "404" in answer.json()["detail"]
-    server.document = "no object"
-    assert '"@context"' in post(http, entity, JSON | link(url)).json()["detail"]
-    server.document = {"@context": CONTEXT}
-    assert post(http, entity, JSON | link(url)).status_code == 201
-
-
 @pytest.mark.parametrize(
     ("body", "headers", "status", "word"),
     [
