@@ -14,6 +14,7 @@ from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity, Event
 from services.context_broker.entity_operations import DONE, absent, creation, is_simplified, read_merge
 from services.context_broker.exchange import Answer, Exchange
+from services.context_broker.geojson import OFFERED
 from services.context_broker.intake import Nulls, read_change, read_entity
 from services.context_broker.operation import Operation
 from services.context_broker.problems import bad_request_data, not_supported
@@ -152,7 +153,7 @@ class BatchOperations:
 
     async def query(self, exchange: Exchange) -> Answer:
         """POST entityOperations/query with a Query document (clause 5.2.23)."""
-        exchange.accept()
+        exchange.accept(OFFERED)
         document, context = await exchange.body()
         parameters = _query_parameters(document)
         exchange.parameters = {

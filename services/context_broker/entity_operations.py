@@ -12,6 +12,7 @@ from services.context_broker.completion import completed, completed_part, instan
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity, Event, Instance
 from services.context_broker.exchange import PREFIX, Answer, Exchange
+from services.context_broker.geojson import OFFERED
 from services.context_broker.intake import (
     DEFAULT_INSTANCE,
     Change,
@@ -36,7 +37,7 @@ from services.context_broker.reading import (
 )
 from services.context_broker.selection import search
 from services.context_broker.store import Store
-from services.context_broker.subscriptions import type_names
+from services.context_broker.type_selection import type_selection
 from services.context_broker.words import require_name, require_time, require_uri, shown, timestamp_now
 
 DONE: Final = Answer(204)
@@ -80,7 +81,7 @@ class EntityOperations:
 
     async def query(self, exchange: Exchange) -> Answer:
         """GET entities."""
-        exchange.accept()
+        exchange.accept(OFFERED)
         context = await exchange.reader_context()
         view, window = view_of(exchange, context), window_of(exchange)
         selection = selection_of(exchange.parameters, context)
@@ -89,7 +90,7 @@ class EntityOperations:
 
     async def retrieve(self, exchange: Exchange) -> Answer:
         """GET entities/{id}."""
-        exchange.accept()
+        exchange.accept(OFFERED)
         context = await exchange.reader_context()
         view = view_of(exchange, context)
         entity_id = require_uri(exchange.names[0], "the entity id in the path")
@@ -291,7 +292,7 @@ def _about(exchange: Exchange, change: Change) -> Change:
 
 def _require_type(exchange: Exchange, entity: Entity, context: Context) -> None:
     wanted = exchange.parameter("type")
-    if wanted is not None and set(type_names(wanted, context)).isdisjoint(entity.types):
+    if wanted is not None and not type_selection(wanted, context.terms.expand).wants(entity.types):
         raise not_found(f"there is no entity {entity.id} of type {shown(wanted)}; it has other types")
 
 

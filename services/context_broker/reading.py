@@ -10,7 +10,15 @@ from urllib.parse import quote
 
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity
-from services.context_broker.exchange import JSON_LD, Answer, Exchange
+from services.context_broker.exchange import GEO_JSON, JSON_LD, Answer, Exchange
+from services.context_broker.geojson import (
+    OFFERED,
+    collection_body,
+    feature,
+    feature_body,
+    has_context_in_body,
+    place_of,
+)
 from services.context_broker.intake import DEFAULT_INSTANCE, expand
 from services.context_broker.language import preferences
 from services.context_broker.notifier import link
@@ -25,7 +33,7 @@ from services.context_broker.words import require_name, require_uri, shown
 DEFAULT_LIMIT: Final = 20
 LARGEST_LIMIT: Final = 1000
 VIEW_PARAMETERS: Final = frozenset(
-    {"options", "format", "attrs", "pick", "omit", "lang", "datasetId", "local"}
+    {"options", "format", "attrs", "pick", "omit", "lang", "datasetId", "geometryProperty", "local"}
 )
 PAGE_PARAMETERS: Final = frozenset({"limit", "offset", "count", "options", "local"})
 QUERY_PARAMETERS: Final = VIEW_PARAMETERS | PAGE_PARAMETERS | {"id", "idPattern", "type", "q"}
@@ -84,6 +92,8 @@ def view_of(exchange: Exchange, context: Context) -> View:
         raise bad_request_data(
             "attrs goes together with neither pick nor omit; name attributes in one of them"
         )
+    if exchange.parameter("geometryProperty") is not None:
+        place_of(exchange, context)  # a fault in it is told before anything is looked for
     languages = exchange.parameter("lang")
     return View(
         form,
@@ -134,26 +144,47 @@ def selection_of(parameters: Mapping[str, str], context: Context) -> Selection:
 
 def entity_answer(exchange: Exchange, entity: Entity, context: Context, view: View) -> Answer:
     """Return one entity as an answer."""
+    accept = exchange.accept(OFFERED)
+    if accept == GEO_JSON:
+        one = feature(entity, context.terms, view, place_of(exchange, context))
+        in_body = has_context_in_body(exchange)
+        return Answer(200, feature_body(one, context, with_context=in_body), _geo_headers(context, in_body))
     text = rendered(entity, context, view)
-    if exchange.accept() == JSON_LD:
+    if accept == JSON_LD:
         return Answer(200, with_context(text, context), [(b"content-type", JSON_LD.encode())])
     return Answer(200, text, json_headers(context))
 
 
 def entities_answer(exchange: Exchange, page: Page, window: Window, context: Context, view: View) -> Answer:
     """Return a page of entities as an answer, with links to its neighbours."""
-    accept = exchange.accept()
-    texts: Iterable[bytes] = (rendered(entity, context, view) for entity in page.entities)
-    if accept == JSON_LD:
-        texts = (with_context(text, context) for text in texts)
-        headers = [(b"content-type", JSON_LD.encode())]
+    accept = exchange.accept(OFFERED)
+    if accept == GEO_JSON:
+        place, in_body = place_of(exchange, context), has_context_in_body(exchange)
+        features = (feature(entity, context.terms, view, place) for entity in page.entities)
+        body, headers = (
+            collection_body(features, context, with_context=in_body),
+            _geo_headers(context, in_body),
+        )
     else:
-        headers = json_headers(context)
+        texts: Iterable[bytes] = (rendered(entity, context, view) for entity in page.entities)
+        if accept == JSON_LD:
+            texts = (with_context(text, context) for text in texts)
+            headers = [(b"content-type", JSON_LD.encode())]
+        else:
+            headers = json_headers(context)
+        body = b"[" + b",".join(texts) + b"]"
     if page.total is not None:
         headers.append((b"ngsild-results-count", str(page.total).encode()))
     if exchange.method == "GET":
         headers += page_links(exchange, window, accept, more=page.more)
-    return Answer(200, b"[" + b",".join(texts) + b"]", headers)
+    return Answer(200, body, headers)
+
+
+def _geo_headers(context: Context, in_body: bool) -> list[tuple[bytes, bytes]]:
+    headers = [(b"content-type", GEO_JSON.encode())]
+    if not in_body and context.link is not None:
+        headers.append((b"link", link(context.link).encode()))
+    return headers
 
 
 def json_headers(context: Context) -> list[tuple[bytes, bytes]]:
