@@ -23,6 +23,8 @@ from services.context_broker.contexts import ContextBook, Documents, OwnAddress
 from services.context_broker.database import Database, SqliteDatabase
 from services.context_broker.destinations import Destinations
 from services.context_broker.discovery_operations import DiscoveryOperations
+from services.context_broker.distributed_operations import HANDLINGS
+from services.context_broker.distribution import Distribution
 from services.context_broker.entity_operations import EntityOperations
 from services.context_broker.exchange import (
     PREFIX,
@@ -36,6 +38,8 @@ from services.context_broker.exchange import (
     send_answer,
     told_back,
 )
+from services.context_broker.forwarding import Forwarder
+from services.context_broker.http_sender import HttpAsker
 from services.context_broker.journal import Entries, Journal, Kind, NotStored
 from services.context_broker.leadership import ElectedBroker, Leadership, SoleBroker
 from services.context_broker.operation import Directory, Operation
@@ -97,6 +101,9 @@ class Broker:
             )
             for operation in room.operations()
         )
+        asker = HttpAsker(settings.destinations(), settings.broker_notification_ca_file)
+        forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
+        self.distribution = Distribution(forwarder, HANDLINGS)
         self._seen: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
 
     async def start(self) -> None:
@@ -123,6 +130,7 @@ class Broker:
             tenant.notifier.stop()
         self.tenants.outbound.sender.close()
         self.contexts.write_usage()
+        self.distribution.forwarder.asker.close()
         await self.tenants.commits.stop()
         await asyncio.to_thread(self.leadership.stop)
         self.journal.close()
@@ -166,7 +174,9 @@ class Broker:
         try:
             exchange = Exchange(request, names, self.contexts, tenant)
             exchange.require_known(operation.parameters)
-            return await operation.answer(exchange)
+            if tenant.registry.is_empty:
+                return await operation.answer(exchange)
+            return await self.distribution.answer(operation, exchange)
         finally:
             self.tenants.leave(tenant)
 

@@ -36,7 +36,9 @@ VIEW_PARAMETERS: Final = frozenset(
     {"options", "format", "attrs", "pick", "omit", "lang", "datasetId", "geometryProperty", "local"}
 )
 PAGE_PARAMETERS: Final = frozenset({"limit", "offset", "count", "options", "local"})
-QUERY_PARAMETERS: Final = VIEW_PARAMETERS | PAGE_PARAMETERS | {"id", "idPattern", "type", "q"}
+QUERY_PARAMETERS: Final = (
+    VIEW_PARAMETERS | PAGE_PARAMETERS | {"id", "idPattern", "type", "q", "csf", "splitEntities"}
+)
 
 _FORMS: Final = {
     "normalized": Form.NORMALIZED,

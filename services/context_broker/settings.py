@@ -39,6 +39,11 @@ class BrokerSettings(Settings):
         description="whether subscribers may be on the broker's own machine; "
         "if absent, they may while the broker listens on loopback only",
     )
+    broker_source_timeout_s: float = Field(
+        5.0,
+        gt=0,
+        description="how long the broker waits for a context source whose registration does not say",
+    )
     broker_context_timeout_s: float = Field(
         5.0, gt=0, description="how long the broker waits for an @context that it must fetch"
     )

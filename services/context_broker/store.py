@@ -5,7 +5,7 @@ disk refuses, everything staged is forgotten, so that memory never says more tha
 """
 
 import asyncio
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -113,6 +113,22 @@ class Store:
             return [self._committed[one] for one in self._by_type.get(types[0], ())]
         hits = {one: None for kind in types for one in self._by_type.get(kind, ())}
         return sorted((self._committed[one] for one in hits), key=_by_seq)
+
+    def mixed(
+        self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
+    ) -> "Store":
+        """Return a store, for one answer, of the entities with these ids or else types (None: of all).
+
+        `others` are how entities are when other sources are heard too; None stands for one that is not to
+        be shown. Nothing may be written to it.
+        """
+        mix = Mix(self, others)
+        for one in self.candidates(ids, types, None):
+            if one.id not in others:
+                mix.take(one)
+        for entity in sorted((one for one in others.values() if one is not None), key=_by_seq):
+            mix.take(entity)
+        return mix
 
     # What writers do
 
@@ -226,6 +242,20 @@ class Store:
             if index:  # nobody's attribute must not take the place of somebody's
                 self._indexes[attribute] = index
         return index
+
+
+class Mix(Store):
+    """Entities as they are when other sources are heard too; what it lacks is looked up in the store."""
+
+    def __init__(self, store: Store, others: Mapping[str, Entity | None]) -> None:
+        super().__init__(store.tenant, store._commits, store._places, store._announce, store._deliver)
+        self._store = store
+        self._others = others
+
+    def get(self, entity_id: str) -> Entity | None:
+        """Return an entity of the mix, or the committed one."""
+        found = super().get(entity_id)
+        return self._store.get(entity_id) if found is None and entity_id not in self._others else found
 
 
 def _by_seq(entity: Entity) -> int:

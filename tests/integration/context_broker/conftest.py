@@ -1,5 +1,6 @@
 """A broker as a process, and a subscriber as a real HTTP server, for every test of this folder."""
 
+import itertools
 import json
 import os
 import re
@@ -17,6 +18,8 @@ from typing import Any
 
 import httpx
 import pytest
+
+from tests.context_sources import ScriptedSource
 
 JSON = {"Content-Type": "application/json"}
 
@@ -229,3 +232,48 @@ def new_subscriber() -> Iterator[Callable[..., Subscriber]]:
 def eventually() -> Callable[..., Any]:
     """Wait for a condition with a bound; returns what it returned."""
     return wait_for
+
+
+@pytest.fixture(scope="module")
+def brokers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[BrokerProcess]]:
+    """Three brokers that can be registered with each other."""
+    made = [BrokerProcess(tmp_path_factory.mktemp(name)) for name in ("near", "far", "third")]
+    for one in made:
+        one.extra = {"HANDOVER_BROKER_SOURCE_TIMEOUT_S": "2"}
+        one.start()
+    yield made
+    for one in made:
+        one.stop()
+
+
+@pytest.fixture
+def near(brokers: list[BrokerProcess]) -> Iterator[httpx.Client]:
+    """A client of the first broker, whose registrations go when the test ends."""
+    with brokers[0].client() as client:
+        yield client
+        for one in client.get("/csourceRegistrations?idPattern=.*&limit=100").json():
+            client.delete(f"/csourceRegistrations/{one['id']}")
+
+
+@pytest.fixture
+def far(brokers: list[BrokerProcess]) -> Iterator[httpx.Client]:
+    """A client of the second broker, which the first may be told of."""
+    with brokers[1].client() as client:
+        yield client
+
+
+@pytest.fixture
+def source() -> Iterator[ScriptedSource]:
+    """A context source that does as it is told."""
+    made = ScriptedSource()
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def kind() -> str:
+    """A type of entities that no other test has."""
+    return f"Kind{next(_kinds)}"
+
+
+_kinds = itertools.count(1)

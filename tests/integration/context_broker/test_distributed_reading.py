@@ -1,0 +1,288 @@
+"""Entities read from several brokers: what each mode means, and what happens when one fails."""
+
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.context_sources import ScriptedSource, put, register, values
+
+
+def at(value: Any, second: int) -> dict[str, Any]:
+    return {"type": "Property", "value": value, "observedAt": f"2026-01-01T00:00:{second:02}Z"}
+
+
+READ = {
+    # mode: what the reader gets of a (here only), b (both; newer there), c (both; newer here), d (there only)
+    "inclusive": {"a": 1, "b": "there", "c": "here", "d": 4},
+    "redirect": {"b": "there", "c": "there", "d": 4},
+    "auxiliary": {"a": 1, "b": "here", "c": "here", "d": 4},
+    "exclusive": {"a": 1, "c": "here", "b": "there", "d": 4},
+}
+
+
+HOW = ("retrieve", "query", "query by POST", "query by id")
+
+
+@pytest.mark.parametrize("told", [(mode, how) for mode in READ for how in HOW], ids="-".join)
+def test_each_mode_says_whose_attributes_count(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, told: tuple[str, str]
+) -> None:
+    mode, how = told
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    names = ["b", "d"] if mode == "exclusive" else None
+    info = {"type": kind, "id": entity_id} if mode == "exclusive" else {"type": kind}
+    if mode in {
+        "exclusive",
+        "redirect",
+    }:  # what a source has to itself is not kept here, unless by local=true
+        register(near, brokers[1].url, info, names, mode=mode)
+    put(near, entity_id, kind, a=at(1, 0), b=at("here", 1), c=at("here", 9))
+    put(far, entity_id, kind, b=at("there", 5), c=at("there", 5), d=at(4, 0))
+    if mode in {"inclusive", "auxiliary"}:
+        register(near, brokers[1].url, info, names, mode=mode)
+    if how == "retrieve":
+        assert values(near.get(f"/entities/{entity_id}")) == READ[mode]
+        return
+    if how == "query by POST":
+        answer = near.post("/entityOperations/query", json={"type": "Query", "entities": [{"type": kind}]})
+    else:
+        answer = near.get("/entities", params={"type": kind} | ({"id": entity_id} if "id" in how else {}))
+    assert answer.status_code == 200, answer.text
+    (entity,) = answer.json()
+    assert {name: said["value"] for name, said in entity.items() if isinstance(said, dict)} == READ[mode]
+
+
+def test_local_asks_nobody(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    register(near, source.url, {"type": kind})
+    assert near.get(f"/entities/urn:ngsi-ld:{kind}:1?local=true").status_code == 404
+    assert near.get(f"/entities?type={kind}&local=true").json() == []
+    assert source.asked == []
+
+
+def test_conditions_and_pages_are_over_whole_entities(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    register(near, brokers[1].api, {"type": kind}, ["there"])
+    for number in range(12):
+        entity_id = f"urn:ngsi-ld:{kind}:{number:02}"
+        put(near, entity_id, kind, here=number)
+        put(far, entity_id, kind, there=number % 2, hidden=1)
+    put(far, f"urn:ngsi-ld:{kind}:99", kind, there=1)
+    answer = near.get("/entities", params={"type": kind, "q": "there==1;here>4", "count": "true"})
+    assert [one["id"][-2:] for one in answer.json()] == ["05", "07", "09", "11"]
+    assert answer.headers["ngsild-results-count"] == "4"
+    assert "hidden" not in answer.json()[0]
+    found: list[str] = []
+    url = f"/entities?type={kind}&limit=5"
+    while url:
+        answer = near.get(url.removeprefix("/ngsi-ld/v1"))
+        found += [one["id"] for one in answer.json()]
+        url = answer.links.get("next", {}).get("url", "")
+    assert len(found) == len(set(found)) == 13
+
+
+def test_filters_go_along_where_entities_are_whole(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind})
+    source.answers["GET", "/ngsi-ld/v1/entities"] = (
+        200,
+        [{"id": f"urn:ngsi-ld:{kind}:1", "type": kind, "n": 9}],
+    )
+    assert len(near.get("/entities", params={"type": kind, "q": "n>5"}).json()) == 1
+    assert source.asked[-1][2]["q"] == "n>5"
+    near.get("/entities", params={"type": kind, "q": "n>5", "splitEntities": "true"})
+    assert "q" not in source.asked[-1][2]
+
+
+def test_a_chain_of_brokers_and_a_circle(brokers: list[Any], kind: str) -> None:
+    with brokers[0].client() as first, brokers[1].client() as second, brokers[2].client() as third:
+        paths = [
+            (first, register(first, brokers[1].url, {"type": kind})),
+            (second, register(second, brokers[2].url, {"type": kind})),
+            (third, register(third, brokers[0].url, {"type": kind})),
+        ]
+        entity_id = f"urn:ngsi-ld:{kind}:1"
+        put(first, entity_id, kind, a=1)
+        put(second, entity_id, kind, b=2)
+        put(third, entity_id, kind, c=3)
+        for one in (first, second, third):
+            assert values(one.get(f"/entities/{entity_id}")) == {"a": 1, "b": 2, "c": 3}
+            assert len(one.get("/entities", params={"type": kind}).json()) == 1
+        for client, path in paths:
+            client.delete(path)
+
+
+def test_a_request_that_comes_round_is_a_loop(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    register(near, source.url, {"type": kind})
+    near.get(f"/entities/urn:ngsi-ld:{kind}:1")
+    via = source.asked[-1][3]["via"]
+    answer = near.get(f"/entities/urn:ngsi-ld:{kind}:1", headers={"Via": f"1.1 other, {via} (proxy)"})
+    assert answer.status_code == 508
+    assert answer.json()["type"].endswith("LoopDetected")
+    assert "Via" in answer.json()["detail"]
+
+
+def test_a_source_that_a_request_has_passed_is_not_asked(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, contextSourceAlias="peer")
+    near.get(f"/entities?type={kind}", headers={"Via": "1.1 peer"})
+    assert source.asked == []
+    near.get(f"/entities?type={kind}", headers={"Via": "1.1 someone"})
+    assert source.asked[-1][3]["via"].startswith("1.1 someone, 1.1 handover-")
+
+
+@pytest.mark.parametrize(
+    ("reply", "code"),
+    [
+        ((500, {}), "299"),
+        ((403, {}), "299"),
+        ((200, b"no json"), "111"),
+        ((200, [1]), "111"),
+        ((508, {}), "199"),
+    ],
+)
+def test_a_part_that_fails_is_warned_of(
+    near: httpx.Client, source: ScriptedSource, kind: str, reply: tuple[int, Any], code: str
+) -> None:
+    register(near, source.url, {"type": kind})
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    source.answers["GET", "/ngsi-ld/v1/entities"] = reply
+    source.answers["GET", f"/ngsi-ld/v1/entities/{entity_id}"] = reply
+    for answer in (near.get(f"/entities/{entity_id}"), near.get("/entities", params={"type": kind})):
+        assert answer.status_code == 200, answer.text
+        assert answer.headers["ngsild-warning"].startswith(code)
+
+
+def test_nothing_known_there_is_nothing_to_warn_of(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind})
+    answer = near.get(f"/entities/urn:ngsi-ld:{kind}:1")
+    assert answer.status_code == 404
+    assert "ngsild-warning" not in answer.headers
+
+
+def test_a_source_that_hangs_costs_its_patience_once(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    management = {"timeout": 150, "cooldown": 60_000}
+    path = register(near, source.url, {"type": kind}, management=management)
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    source.go_on.clear()
+    for _ in range(5):
+        answer = near.get(f"/entities/{entity_id}")
+        assert answer.status_code == 200
+        assert answer.headers["ngsild-warning"].startswith("199")
+    assert len(source.asked) == 1
+    told = near.get(path).json()
+    assert (told["timesSent"], told["timesFailed"], told["status"]) == (1, 1, "failed")
+
+
+@pytest.mark.parametrize(("reply", "status"), [((500, {}), 502), ((404, {}), 404), ((508, {}), 508)])
+def test_the_only_holder_of_an_entity_passes_on_its_failure(
+    near: httpx.Client, source: ScriptedSource, kind: str, reply: tuple[int, Any], status: int
+) -> None:
+    register(near, source.url, {"type": kind}, mode="redirect")
+    source.answers["GET", f"/ngsi-ld/v1/entities/urn:ngsi-ld:{kind}:1"] = reply
+    answer = near.get(f"/entities/urn:ngsi-ld:{kind}:1")
+    assert answer.status_code == status
+    assert answer.json()["detail"]
+
+
+def test_the_only_holder_of_an_entity_is_silent(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, mode="redirect", management={"timeout": 100})
+    source.go_on.clear()
+    assert near.get(f"/entities/urn:ngsi-ld:{kind}:1").status_code == 504
+
+
+def test_what_context_source_info_says_is_conveyed(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    pairs = {
+        "X-Cell": "4",
+        "User": "urn:ngsi-ld:request",
+        "Absent": "urn:ngsi-ld:request",
+        "NGSILD-Tenant": "other",
+        "Via": "1.1 evil",
+        "Content-Length": "7",
+        "accept": "application/ld+json",
+    }
+    info = [{"key": key, "value": value} for key, value in pairs.items()]
+    register(near, source.url, {"type": kind}, contextSourceInfo=info, tenant="theirs")
+    near.get(f"/entities/urn:ngsi-ld:{kind}:1", headers={"User": "abcd"})
+    _, _, _, headers, _ = source.asked[-1]
+    assert headers["x-cell"] == "4"
+    assert headers["user"] == "abcd"
+    assert "absent" not in headers
+    assert headers["ngsild-tenant"] == "theirs"
+    assert "evil" not in headers["via"]
+    assert headers["accept"] == "application/ld+json"
+
+
+def test_a_source_for_itself_alone_is_asked_locally(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, management={"localOnly": True})
+    near.get(f"/entities/urn:ngsi-ld:{kind}:1")
+    assert source.asked[-1][2]["local"] == "true"
+
+
+def test_a_filter_on_sources_says_who_is_asked(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    register(near, source.url, {"type": kind}, sourceType="sensor")
+    near.get("/entities", params={"type": kind, "csf": 'sourceType=="archive"'})
+    assert source.asked == []
+    near.get("/entities", params={"type": kind, "csf": 'sourceType=="sensor"'})
+    assert len(source.asked) == 1
+
+
+def test_names_are_those_of_the_sources_own_context(
+    near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
+) -> None:
+    core = "https://uri.etsi.org/ngsi-ld/default-context/"
+    subscriber.document = {"@context": {kind: core + kind, "tempo": core + "speed"}}
+    url = subscriber.url.replace("/notify", f"/{kind}.jsonld")
+    register(
+        near,
+        source.url,
+        {"type": kind},
+        ["speed"],
+        contextSourceInfo=[{"key": "jsonldContext", "value": url}],
+    )
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    source.answers["GET", f"/ngsi-ld/v1/entities/{entity_id}"] = (
+        200,
+        {"id": entity_id, "type": kind, "tempo": 5},
+    )
+    assert values(near.get(f"/entities/{entity_id}")) == {"speed": 5}
+    assert source.asked[-1][2]["attrs"] == "tempo"
+    assert url in source.asked[-1][3]["link"]
+
+
+def test_an_answer_may_be_kept_for_as_long_as_a_registration_says(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, management={"cacheDuration": "PT1H"})
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    source.answers["GET", f"/ngsi-ld/v1/entities/{entity_id}"] = 200, {"id": entity_id, "type": kind, "n": 5}
+    near.get(f"/entities/{entity_id}")
+    answer = near.get(f"/entities/{entity_id}")
+    assert values(answer) == {"n": 5}
+    assert answer.headers["ngsild-warning"].startswith("110")
+    assert len(source.asked) == 1
+
+
+def test_linked_entities_come_from_other_sources_too(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    register(near, brokers[1].url, {"type": f"{kind}Owner"})
+    owner = put(far, f"urn:ngsi-ld:{kind}Owner:1", f"{kind}Owner", name="Ada")
+    put(near, f"urn:ngsi-ld:{kind}:1", kind, owner={"type": "Relationship", "object": owner})
+    answer = near.get("/entities", params={"type": kind, "join": "inline", "joinLevel": "1"})
+    if answer.status_code == 400:
+        pytest.skip("no join yet")
+    assert answer.json()[0]["owner"]["entity"]["name"]["value"] == "Ada"
