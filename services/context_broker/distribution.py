@@ -89,6 +89,8 @@ class Distribution:
         try:
             answer = await handling(sources, exchange, operation.answer)
         except Problem as problem:
+            if problem.__cause__ is not None:  # another broker was quicker: all is done again
+                raise
             answer = problem_answer(problem)
         return sources.with_warnings(answer) if sources.warnings else answer
 
