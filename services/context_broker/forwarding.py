@@ -16,10 +16,10 @@ from handover.telemetry import get_logger
 from services.context_broker.contexts import CORE, Context, ContextBook
 from services.context_broker.exchange import JSON, JSON_LD
 from services.context_broker.http_sender import HttpAsker, Reply, SendError, TooLarge, TooSlow
-from services.context_broker.via import lengthened
 from services.context_broker.registration import Registration
 from services.context_broker.registry import Registry
 from services.context_broker.translation import older, translated
+from services.context_broker.via import lengthened
 
 log = get_logger(__name__)
 
