@@ -2,11 +2,9 @@
 
 import asyncio
 import gc
-import random
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Final
 
 import orjson
 from fastapi import FastAPI
@@ -16,6 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from handover.errors import Problem
 from handover.service import create_app
 from handover.telemetry import get_logger
+from services.context_broker.attempts import made_again, was_overtaken
 from services.context_broker.batch_operations import BatchOperations
 from services.context_broker.context_fetching import Fetcher
 from services.context_broker.context_operations import ContextOperations
@@ -44,7 +43,7 @@ from services.context_broker.journal import Entries, Journal, Kind, NotStored
 from services.context_broker.leadership import ElectedBroker, Leadership, SoleBroker
 from services.context_broker.operation import Directory, Operation
 from services.context_broker.postgres import PostgresDatabase
-from services.context_broker.problems import ERRORS, not_stored, too_busy
+from services.context_broker.problems import ERRORS, not_stored
 from services.context_broker.registration_operations import RegistrationOperations
 from services.context_broker.replica import TRIMMING, Overtaken, Replica
 from services.context_broker.settings import BrokerSettings
@@ -53,11 +52,6 @@ from services.context_broker.subscriptions import Counts
 from services.context_broker.tenants import Tenants
 
 log = get_logger(__name__)
-
-MOST_ATTEMPTS: Final = 60
-"""How often an operation is begun again because another broker was quicker; then the asker hears of it."""
-LONGEST_PAUSE_S: Final = 0.1
-"""Before the last of these attempts; before the others less, so that they do not meet again and again."""
 
 ENTITIES = Gauge("handover_broker_entities", "Entities in the broker")
 REQUESTS = Counter("handover_broker_requests_total", "Requests answered", ["operation", "status"])
@@ -154,20 +148,12 @@ class Broker:
 
     async def _performed(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
         """Carry an operation out, again from its start when another broker was quicker."""
-        for attempt in range(MOST_ATTEMPTS):
-            if attempt:
-                await asyncio.sleep(attempt * random.uniform(0, LONGEST_PAUSE_S / MOST_ATTEMPTS))  # noqa: S311
-            try:
-                return await self._carried_out(operation, request, names)
-            except Overtaken:
-                continue
-            except Problem as problem:
-                if not isinstance(problem.__cause__, Overtaken):
-                    raise
-        raise too_busy(
-            f"other brokers on the same database changed what this is about {MOST_ATTEMPTS} times in a row; "
-            "send it again in a moment"
-        )
+        try:
+            return await self._carried_out(operation, request, names)
+        except (Overtaken, Problem) as error:
+            if not was_overtaken(error):
+                raise
+        return await made_again(lambda: self._carried_out(operation, request, names))
 
     async def _carried_out(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
         tenant = self.tenants.of(request.headers.get(b"ngsild-tenant", b""), makes=operation.makes_tenant)
@@ -191,6 +177,7 @@ class Broker:
         following.on(Kind.CONTEXT_USAGE, self._follow_context_usage)
         following.on(Kind.SUBSCRIPTION, self._follow_subscription)
         following.on(Kind.COUNTS, self._follow_counts)
+        following.on(Kind.REGISTRATION, self._follow_registration)
 
     async def _follow_context(self, tenant: str, key: str, body: bytes | None) -> None:
         if body is None:
@@ -204,6 +191,9 @@ class Broker:
 
     async def _follow_subscription(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
         await self.subscriptions.follow(self.tenants.kept(tenant), subscription_id, body)
+
+    async def _follow_registration(self, tenant: str, registration_id: str, body: bytes | None) -> None:
+        await self.registrations.follow(self.tenants.kept(tenant), registration_id, body)
 
     async def _follow_counts(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
         found = self.tenants.kept(tenant).notifier.get(subscription_id)

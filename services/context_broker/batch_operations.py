@@ -3,12 +3,14 @@
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final
 
 import orjson
 
 from handover.errors import Problem
 from services.context_broker import changes
+from services.context_broker.attempts import made_again
 from services.context_broker.changes import Outcome
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity, Event
@@ -27,6 +29,7 @@ from services.context_broker.reading import (
     view_of,
     window_of,
 )
+from services.context_broker.replica import Overtaken
 from services.context_broker.selection import search
 from services.context_broker.store import Store
 from services.context_broker.words import require_uri, shown, timestamp_now
@@ -46,6 +49,9 @@ class _Change:
     refusal: Problem | None = None
 
 
+Act = Callable[[], _Change]
+
+
 @dataclass(slots=True)
 class _Fates:
     """What has become of the entities of one request."""
@@ -53,7 +59,12 @@ class _Fates:
     created: list[str] = field(default_factory=list)
     succeeded: list[str] = field(default_factory=list)
     errors: list[dict[str, Any]] = field(default_factory=list)
-    on_their_way: list[_Change] = field(default_factory=list)
+    on_their_way: list[tuple[_Change, Act]] = field(default_factory=list)
+    """What was begun, and what begins it again when another broker was quicker."""
+
+    def begin(self, act: Act) -> None:
+        """Put a change on its way; raises a problem if it is refused."""
+        self.on_their_way.append((act(), act))
 
     def refuse(self, entity_id: Any, problem: Problem) -> None:
         """Note that an entity was refused."""
@@ -61,14 +72,17 @@ class _Fates:
 
     async def settle(self) -> None:
         """Wait until everything on its way is safe, or known not to be."""
-        for change in self.on_their_way:
+        for begun, act in self.on_their_way:
+            change = begun
             try:
-                if change.fate is not None:
-                    await change.fate
+                try:
+                    await _safe(begun)
+                except Overtaken:
+                    change = await made_again(partial(_begun_and_safe, act))
                 if change.refusal is not None:
                     raise change.refusal
             except Problem as problem:
-                self.refuse(change.entity_id, problem)
+                self.refuse(begun.entity_id, problem)
             else:
                 self.succeeded.append(change.entity_id)
                 if change.is_new:
@@ -80,6 +94,16 @@ class _Fates:
             return all_well
         body = orjson.dumps({"success": self.succeeded, "errors": self.errors})
         return Answer(207, body, [(b"content-type", b"application/json")])
+
+
+async def _safe(change: _Change) -> _Change:
+    if change.fate is not None:
+        await change.fate
+    return change
+
+
+async def _begun_and_safe(act: Act) -> _Change:
+    return await _safe(act())
 
 
 class BatchOperations:
@@ -142,10 +166,7 @@ class BatchOperations:
         for given in _as_list(exchange.document(), "entity ids"):
             try:
                 entity_id = require_uri(given, "an entity id")
-                before = store.latest(entity_id)
-                if before is None:
-                    raise absent(entity_id)
-                fates.on_their_way.append(_Change(entity_id, store.stage(Event(before, None))))
+                fates.begin(partial(self._delete, store, entity_id))
             except Problem as problem:
                 fates.refuse(given, problem)
         await fates.settle()
@@ -171,11 +192,18 @@ class BatchOperations:
         for given in documents:
             try:
                 context = await exchange.context_of(given, media_type)
-                fates.on_their_way.append(act(exchange.tenant.store, given, context))
+                fates.begin(partial(act, exchange.tenant.store, given, context))
             except Problem as problem:
                 fates.refuse(given.get("id") if isinstance(given, dict) else None, problem)
         await fates.settle()
         return fates
+
+    @staticmethod
+    def _delete(store: Store, entity_id: str) -> _Change:
+        before = store.latest(entity_id)
+        if before is None:
+            raise absent(entity_id)
+        return _Change(entity_id, store.stage(Event(before, None)))
 
     @staticmethod
     def _create(store: Store, given: Any, context: Context) -> _Change:

@@ -208,8 +208,9 @@ def _query(statement: str) -> str:
 
 
 def _in_its_words(script: str, types: dict[str, str]) -> str:
-    """Return a migration in PostgreSQL's words: an INTEGER of SQLite has 64 bits."""
-    return re.sub(r"\bINTEGER\b", "BIGINT", script.format(**types))
+    """Return a migration in PostgreSQL's words, with SQLite's numbers of 64 bits and its order of texts."""
+    in_types = re.sub(r"\bINTEGER\b", "BIGINT", script.format(**types))
+    return re.sub(r"\bTEXT\b", 'TEXT COLLATE "C"', in_types)
 
 
 def _one(connection: "psycopg.Connection", query: str) -> Any:

@@ -74,6 +74,20 @@ class RegistrationOperations:
             tenant.registry.take(made)
             self._see_to_its_end(tenant, made)
 
+    async def follow(self, tenant: Tenant, registration_id: str, body: bytes | None) -> None:
+        """Take what another broker on the same database did to a registration."""
+        before = tenant.registry.get(registration_id)
+        if body is None:
+            if before is not None:
+                tenant.registry.remove(registration_id)
+            return
+        document = orjson.loads(body)
+        made = registration(document, await self._contexts.of(document["context"]))
+        if before is not None:
+            made.attempts.go_on_from(before.attempts)
+        tenant.registry.put(made)
+        self._see_to_its_end(tenant, made)
+
     async def create(self, exchange: Exchange) -> Answer:
         """POST csourceRegistrations."""
         given, context = await exchange.body()

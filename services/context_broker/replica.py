@@ -81,7 +81,7 @@ class News:
             yield DEPARTED, tenant, entity_id
         for key in self.documents:
             if key[0] not in BOOKKEEPING:
-                yield key
+                yield key[:2]  # what is written may have been weighed against all others of its kind
             if key[0] is Kind.SUBSCRIPTION:
                 yield key[1]  # who is to be told of a change is decided when it is made
 
@@ -208,7 +208,7 @@ class Unknown:
         numbers = self._numbers
         if not numbers:
             return False
-        if any(numbers.get(key, 0) > known for key in entries.documents if key[0] not in BOOKKEEPING):
+        if any(numbers.get(key[:2], 0) > known for key in entries.documents if key[0] not in BOOKKEEPING):
             return True
         if any(
             numbers.get(key, 0) > known

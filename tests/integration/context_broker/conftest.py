@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import psycopg
 import pytest
 
 from tests.context_sources import ScriptedSource
@@ -115,10 +116,47 @@ class BrokerProcess:
         )
 
 
+DATABASES = ("sqlite", "postgresql")
+ON_BOTH = {"test_batches", "test_entities", "test_queries", "test_subscriptions", "test_temporal"}
+"""Modules whose tests run on both databases; all others run on SQLite, unless a test asks for both itself."""
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run what depends on the database on both."""
+    if metafunc.module.__name__.rpartition(".")[2] in ON_BOTH and "shared_broker" in metafunc.fixturenames:
+        metafunc.parametrize("shared_broker", DATABASES, indirect=True, scope="module")
+
+
+@pytest.fixture(scope="session")
+def new_database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], str]]:
+    """Make databases on one PostgreSQL server; each call returns the URL of a new one."""
+    from tests.postgres import postgres_server
+
+    numbers = itertools.count()
+    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
+
+        def make() -> str:
+            name = f"broker_{next(numbers)}"
+            with psycopg.connect(url, autocommit=True) as connection:
+                connection.execute(f"CREATE DATABASE {name}")
+            return url.replace("/postgres?", f"/{name}?")
+
+        yield make
+
+
+def on(request: pytest.FixtureRequest) -> dict[str, str]:
+    """Return the settings for the database that a test wants: its parameter, SQLite if it has none."""
+    if getattr(request, "param", "sqlite") == "sqlite":
+        return {}
+    return {"HANDOVER_BROKER_DATABASE_URL": request.getfixturevalue("new_database")()}
+
+
 @pytest.fixture(scope="module")
-def shared_broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrokerProcess]:
+def shared_broker(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[BrokerProcess]:
     """A broker for all tests of a module; each uses ids and types of its own."""
-    broker = BrokerProcess(tmp_path_factory.mktemp("broker")).start()
+    broker = BrokerProcess(tmp_path_factory.mktemp("broker"), extra=on(request)).start()
     yield broker
     broker.stop()
 
@@ -131,9 +169,9 @@ def http(shared_broker: BrokerProcess) -> Iterator[httpx.Client]:
 
 
 @pytest.fixture
-def own_broker(tmp_path: Path) -> Iterator[BrokerProcess]:
+def own_broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[BrokerProcess]:
     """A broker for one test, which may kill it and start it again; not started yet."""
-    broker = BrokerProcess(tmp_path)
+    broker = BrokerProcess(tmp_path, extra=on(request))
     yield broker
     broker.stop()
 

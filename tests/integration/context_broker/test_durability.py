@@ -11,6 +11,9 @@ import pytest
 Eventually = Callable[..., Any]
 
 
+on_both = pytest.mark.parametrize("own_broker", ["sqlite", "postgresql"], indirect=True)
+
+
 def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
     subscription_id = f"urn:ngsi-ld:Subscription:demo:{name}"
     body = {
@@ -31,6 +34,7 @@ def numbers(subscriber: Any) -> list[int]:
 
 
 @pytest.mark.slow
+@on_both
 def test_what_was_owed_before_a_power_cut_is_told_after_it(
     own_broker: Any, new_subscriber: Callable[..., Any], eventually: Eventually
 ) -> None:
@@ -71,6 +75,7 @@ def test_what_was_owed_before_a_power_cut_is_told_after_it(
 
 
 @pytest.mark.slow
+@on_both
 def test_power_cuts_while_notifying_lose_no_notification_and_keep_the_order(
     own_broker: Any, subscriber: Any, eventually: Eventually
 ) -> None:
@@ -92,6 +97,7 @@ def test_power_cuts_while_notifying_lose_no_notification_and_keep_the_order(
 
 
 @pytest.mark.slow
+@on_both
 def test_a_million_would_not_fill_the_memory_because_a_window_of_them_is_held(
     own_broker: Any, new_subscriber: Callable[..., Any], eventually: Eventually
 ) -> None:
