@@ -49,6 +49,8 @@ from services.context_broker.replica import TRIMMING, Overtaken, Replica
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.subscription_operations import SubscriptionOperations
 from services.context_broker.subscriptions import Counts
+from services.context_broker.temporal_operations import TemporalOperations
+from services.context_broker.temporal_provision import TemporalProvision
 from services.context_broker.tenants import Tenants
 
 log = get_logger(__name__)
@@ -92,6 +94,8 @@ class Broker:
                 self.subscriptions,
                 self.registrations,
                 ContextOperations(self.contexts),
+                TemporalOperations(journal),
+                TemporalProvision(journal, self.tenants.recorder),
             )
             for operation in room.operations()
         )

@@ -176,7 +176,7 @@ class BatchOperations:
         """POST entityOperations/query with a Query document (clause 5.2.23)."""
         exchange.accept(OFFERED)
         document, context = await exchange.body()
-        parameters = _query_parameters(document)
+        parameters = query_parameters(document)
         exchange.parameters = {
             **exchange.parameters, **{name: parameters[name] for name in ("attrs",) if name in parameters}
         }  # fmt: skip
@@ -277,7 +277,8 @@ def _as_list(document: Any, what: str) -> list[Any]:
     return document
 
 
-def _query_parameters(document: Any) -> dict[str, str]:
+def query_parameters(document: Any) -> dict[str, str]:
+    """Return the query parameters that say the same as a Query document (clause 5.2.23)."""
     if not isinstance(document, dict) or document.get("type", "Query") != "Query":
         raise bad_request_data('the body is an object with "type": "Query"')
     parameters: dict[str, str] = {}

@@ -102,6 +102,14 @@ class Change:
             return True
         return False
 
+    def put(self, position: int, instance: Instance) -> None:
+        """Put another instance in the place of the one at `position`."""
+        for instances in self.attributes.values():
+            if position < len(instances):
+                instances[position] = instance
+                return
+            position -= len(instances)
+
     def find(self, attribute: str, position: int) -> Instance | None:
         """Return the instance of `attribute` at `position`, None if there is none."""
         for name, instances in self.attributes.items():

@@ -245,6 +245,13 @@ class Journal:
         asked = f"SELECT entity, seq, body FROM history WHERE entity IN ({marks}){narrowed}"  # noqa: S608 - ours
         yield from self._database.scan(f"{asked} ORDER BY entity, seq", (*places, *values))
 
+    def bound_of(self, place: int, most: int) -> int | None:
+        """Return the seq of the change after the first `most` at `place`, None if there are no more."""
+        found = self._database.read(
+            "SELECT seq FROM history WHERE entity = ? ORDER BY seq LIMIT 1 OFFSET ?", (place, most)
+        )
+        return int(found[0][0]) if found else None
+
     def oldest_change(self, after: int, before: int, most: int) -> tuple[int, int, int | None] | None:
         """Return the next place after `after` that has history, what is to be cleared of it, and what stays.
 

@@ -98,3 +98,9 @@ def not_stored(reason: str) -> Problem:
 def too_busy(detail: str) -> Problem:
     """Others are always quicker; nothing was changed."""
     return Problem(503, "Service unavailable", detail, ERRORS + "InternalError")
+
+
+def not_read(reason: str) -> Problem:
+    """The database did not tell what was asked for."""
+    detail = f"what was asked for cannot be read just now: {reason}; try again in a moment"
+    return Problem(503, "Service unavailable", detail, ERRORS + "InternalError")

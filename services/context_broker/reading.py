@@ -117,13 +117,13 @@ def datasets_of(given: str | None) -> frozenset[str | None] | None:
     )
 
 
-def window_of(exchange: Exchange) -> Window:
+def window_of(exchange: Exchange, options: frozenset[str] = _OPTIONS) -> Window:
     """Return which page the asker wants."""
     offset = _whole_number(exchange, "offset", 0)
     limit = _whole_number(exchange, "limit", DEFAULT_LIMIT)
     if limit > LARGEST_LIMIT:
         raise too_many_results(f"limit is at most {LARGEST_LIMIT}, not {limit}; ask page by page with offset")
-    count = exchange.flag("count") or "count" in options_of(exchange)
+    count = exchange.flag("count") or "count" in options_of(exchange, options)
     if limit == 0 and not count:
         raise bad_request_data("limit=0 asks for nothing; add count=true to learn how many there are")
     return Window(offset, limit, count)

@@ -98,6 +98,11 @@ def render(entity: Entity, terms: Terms, view: View) -> dict[str, Any]:
     return result
 
 
+def written(instance: Instance, terms: Terms, form: Form, *, sys_attrs: bool) -> Any:
+    """Return one instance of an attribute in a form, as it stands in an entity."""
+    return _WRITERS[form]([instance], terms, sys_attrs)
+
+
 def _wanted(attributes: Attributes, view: View) -> Attributes:
     """Return the attributes, and the instances of them, that a reader asked for, in their language."""
     chosen, projection, datasets, languages = view.attributes, view.projection, view.datasets, view.languages

@@ -1,0 +1,200 @@
+"""How things have been: the operations that tell of the past (clauses 5.7.3, 5.7.4, 6.18, 6.19 and 6.24)."""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, TypeVar
+
+import orjson
+
+from services.context_broker.batch_operations import query_parameters
+from services.context_broker.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
+from services.context_broker.contexts import Context
+from services.context_broker.entity import Entity
+from services.context_broker.entity_operations import absent
+from services.context_broker.exchange import JSON_LD, Answer, Exchange
+from services.context_broker.journal import Journal, NotStored
+from services.context_broker.operation import Operation
+from services.context_broker.problems import bad_request_data, not_read
+from services.context_broker.reading import (
+    QUERY_PARAMETERS,
+    VIEW_PARAMETERS,
+    json_headers,
+    page_links,
+    selection_of,
+)
+from services.context_broker.rendering import with_context
+from services.context_broker.selection import Selection
+from services.context_broker.temporal_query import (
+    AGGREGATION_PARAMETERS,
+    TIME_PARAMETERS,
+    Telling,
+    TemporalQuery,
+    TemporalView,
+    temporal_query,
+    temporal_view,
+    temporal_window,
+)
+from services.context_broker.temporal_rendering import content_range, told
+from services.context_broker.words import require_uri, shown
+
+_TELLING: Final = VIEW_PARAMETERS | TIME_PARAMETERS | AGGREGATION_PARAMETERS
+_QUERYING: Final = QUERY_PARAMETERS | _TELLING
+_WHO: Final = frozenset({"id", "idPattern", "type"})
+_BY_VALUES: Final = frozenset({"q", "georel", "geometry", "coordinates", "geoproperty", "scopeQ"})
+"""Parameters by which entities are chosen for what they say."""
+
+
+Told = TypeVar("Told")
+
+
+@dataclass(frozen=True, slots=True)
+class _Wish:
+    """What is asked for, and how it is to be told."""
+
+    context: Context
+    query: TemporalQuery
+    view: TemporalView
+    accept: str
+
+
+class TemporalOperations:
+    """What readers can learn about how things have been."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        at = "temporal/entities"
+        query = "temporal/entityOperations/query"
+        return (
+            Operation("GET", at, "queryTemporal", "6.18.3.2", self.query, _QUERYING),
+            Operation("GET", f"{at}/{{id}}", "retrieveTemporal", "6.19.3.1", self.retrieve, _TELLING),
+            Operation("POST", query, "queryTemporalBatch", "6.24.3.1", self.query_by_document, _QUERYING),
+        )
+
+    async def retrieve(self, exchange: Exchange) -> Answer:
+        """GET temporal/entities/{id}."""
+        wish = await self._wish(exchange, await exchange.reader_context())
+        entity_id = require_uri(exchange.names[0], "the entity id in the path")
+        live = exchange.tenant.store.get(entity_id)
+        question = Question(wish.query, wish.view.wants, None, wish.view.view.datasets)
+
+        def look() -> tuple[Found, list[bytes]] | None:
+            departed = self._journal.departed(exchange.tenant.name, entity_id)
+            subjects = subjects_of(() if live is None else (live,), departed)
+            if not subjects:
+                return None
+            found = tell_one(self._journal, subjects[0], question)
+            return found, _texts(found, wish)
+
+        answered = await _in_thread(look)
+        if answered is None:
+            raise absent(entity_id)
+        found, (text,) = answered
+        return _answer(text, found, wish)
+
+    async def query(self, exchange: Exchange) -> Answer:
+        """GET temporal/entities."""
+        return await self._queried(exchange, await exchange.reader_context())
+
+    async def query_by_document(self, exchange: Exchange) -> Answer:
+        """POST temporal/entityOperations/query with a Query document (clause 5.2.23)."""
+        document, context = await exchange.body()
+        exchange.parameters = {**exchange.parameters, **_parameters(document)}
+        return await self._queried(exchange, context)
+
+    async def _wish(self, exchange: Exchange, context: Context) -> _Wish:
+        accept = exchange.accept()
+        view = temporal_view(exchange, context)
+        query = temporal_query(exchange.parameters, aggregates=view.telling is Telling.AGGREGATED)
+        return _Wish(context, query, view, accept)
+
+    async def _queried(self, exchange: Exchange, context: Context) -> Answer:
+        wish = await self._wish(exchange, context)
+        parameters = exchange.parameters
+        window = temporal_window(exchange)
+        selection = selection_of(parameters, context)
+        who = {name: given for name, given in parameters.items() if name in _WHO}
+        narrowing = selection_of(who, context) if who else Selection()
+        by_values = not _BY_VALUES.isdisjoint(parameters)
+        question = Question(
+            wish.query,
+            wish.view.wants,
+            selection.attributes,
+            wish.view.view.datasets,
+            selection.wants if by_values else None,
+        )
+        live = exchange.tenant.store.candidates(narrowing.ids, narrowing.types, None)
+        name = exchange.tenant.name
+
+        def look() -> tuple[Found, list[bytes]]:
+            known = subjects_of(live, self._journal.departed(name))
+            wanted = [one for one in known if narrowing.wants(_as_entity(one))]
+            found = tell(self._journal, wanted, question, window.offset, window.limit, count=window.count)
+            return found, _texts(found, wish)
+
+        found, texts = await _in_thread(look)
+        answer = _answer(b"[" + b",".join(texts) + b"]", found, wish)
+        if window.count:
+            answer.headers.append((b"ngsild-results-count", str(found.total).encode()))
+        if exchange.method == "GET":
+            answer.headers += page_links(exchange, window, wish.accept, more=found.more)
+        return answer
+
+
+async def _in_thread(look: Callable[[], Told]) -> Told:
+    """Look into the database in a thread; raise a problem (503) when it cannot be read."""
+    try:
+        return await asyncio.to_thread(look)
+    except NotStored as error:
+        raise not_read(str(error)) from error
+
+
+def _texts(found: Found, wish: _Wish) -> list[bytes]:
+    terms = wish.context.terms
+    texts = [orjson.dumps(told(one, wish.query, wish.view, terms)) for one in found.evolutions]
+    return [with_context(text, wish.context) for text in texts] if wish.accept == JSON_LD else texts
+
+
+def _answer(body: bytes, found: Found, wish: _Wish) -> Answer:
+    headers = [(b"content-type", JSON_LD.encode())] if wish.accept == JSON_LD else json_headers(wish.context)
+    told_of = content_range(found, wish.query)
+    if told_of is None:
+        return Answer(200, body, headers)
+    return Answer(206, body, [*headers, (b"content-range", told_of)])
+
+
+def _as_entity(subject: Subject) -> Entity:
+    return Entity(
+        subject.id, subject.types, {}, subject.created_at, subject.modified_at, scopes=subject.scopes
+    )
+
+
+def _parameters(document: Any) -> dict[str, str]:
+    """Return the query parameters that say the same as a Query document (clauses 5.2.21, 5.2.23, 5.2.44)."""
+    if not isinstance(document, Mapping):
+        raise bad_request_data(f'the body is an object with "type": "Query", not {shown(document)}')
+    rest = {name: given for name, given in document.items() if name not in {"temporalQ", "aggrParams"}}
+    parameters = query_parameters(rest)
+    for name, known in (
+        ("temporalQ", TIME_PARAMETERS | AGGREGATION_PARAMETERS),
+        ("aggrParams", AGGREGATION_PARAMETERS),
+    ):
+        given = document.get(name, {})
+        if not isinstance(given, Mapping) or not known.issuperset(given):
+            raise bad_request_data(f'"{name}" is an object with {", ".join(sorted(known))} at most')
+        for member, value in given.items():
+            parameters[member] = _as_parameter(member, value)
+    return parameters
+
+
+def _as_parameter(name: str, value: Any) -> str:
+    if name == "lastN" and isinstance(value, int) and not isinstance(value, bool):
+        return str(value)
+    if name == "aggrMethods" and isinstance(value, list) and all(isinstance(one, str) for one in value):
+        return ",".join(value)
+    if isinstance(value, str) and name != "lastN":
+        return value
+    raise bad_request_data(f'"{name}" in a temporal query cannot be {shown(value)}; see clause 5.2.21')
