@@ -47,6 +47,7 @@ from services.context_broker.problems import ERRORS, not_stored
 from services.context_broker.registration_operations import RegistrationOperations
 from services.context_broker.replica import TRIMMING, Overtaken, Replica
 from services.context_broker.settings import BrokerSettings
+from services.context_broker.source_subscription_operations import SourceSubscriptionOperations
 from services.context_broker.subscription_operations import SubscriptionOperations
 from services.context_broker.subscriptions import Counts
 from services.context_broker.temporal_operations import TemporalOperations
@@ -85,6 +86,7 @@ class Broker:
         )
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.registrations = RegistrationOperations(self.contexts)
+        self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
         self.directory = Directory(
             operation
             for room in (
@@ -93,6 +95,7 @@ class Broker:
                 DiscoveryOperations(),
                 self.subscriptions,
                 self.registrations,
+                self.source_subscriptions,
                 ContextOperations(self.contexts),
                 TemporalOperations(journal),
                 TemporalProvision(journal, self.tenants.recorder),
@@ -126,6 +129,7 @@ class Broker:
         """Commit what is on its way, and close."""
         for tenant in self.tenants:
             tenant.notifier.stop()
+            tenant.source_notifier.stop()
         self.tenants.outbound.sender.close()
         self.contexts.write_usage()
         self.distribution.forwarder.asker.close()
@@ -180,8 +184,10 @@ class Broker:
         following.on(Kind.CONTEXT, self._follow_context)
         following.on(Kind.CONTEXT_USAGE, self._follow_context_usage)
         following.on(Kind.SUBSCRIPTION, self._follow_subscription)
+        following.on(Kind.SOURCE_SUBSCRIPTION, self._follow_source_subscription)
         following.on(Kind.COUNTS, self._follow_counts)
         following.on(Kind.REGISTRATION, self._follow_registration)
+        following.on(Kind.ATTEMPTS, self._follow_attempts)
 
     async def _follow_context(self, tenant: str, key: str, body: bytes | None) -> None:
         if body is None:
@@ -196,18 +202,30 @@ class Broker:
     async def _follow_subscription(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
         await self.subscriptions.follow(self.tenants.kept(tenant), subscription_id, body)
 
-    async def _follow_registration(self, tenant: str, registration_id: str, body: bytes | None) -> None:
-        await self.registrations.follow(self.tenants.kept(tenant), registration_id, body)
+    async def _follow_source_subscription(self, tenant: str, one: str, body: bytes | None) -> None:
+        await self.source_subscriptions.follow(self.tenants.kept(tenant), one, body)
+
+    async def _follow_registration(self, tenant: str, one: str, body: bytes | None) -> None:
+        await self.registrations.follow(self.tenants.kept(tenant), one, body)
+
+    async def _follow_attempts(self, tenant: str, one: str, body: bytes | None) -> None:
+        if body is not None:
+            self.tenants.kept(tenant).registry.count_on(one, body)
 
     async def _follow_counts(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
-        found = self.tenants.kept(tenant).notifier.get(subscription_id)
+        kept = self.tenants.kept(tenant)
+        found = kept.notifier.get(subscription_id) or kept.source_notifier.get(subscription_id)
         if found is not None and body is not None and not self.leadership.leads:
             found.counts = Counts(*orjson.loads(body))
 
     async def _take_up_subscriptions(self) -> None:
-        kept = self._kept(Kind.SUBSCRIPTION, Kind.COUNTS)
-        for tenant in self.tenants:
-            await self.subscriptions.restore(tenant, kept.get(tenant.name, ()))
+        for kind, room in (
+            (Kind.SUBSCRIPTION, self.subscriptions),
+            (Kind.SOURCE_SUBSCRIPTION, self.source_subscriptions),
+        ):
+            kept = self._kept(kind, Kind.COUNTS)
+            for tenant in self.tenants:
+                await room.restore(tenant, kept.get(tenant.name, ()))
 
     def _kept(self, kind: Kind, counts: Kind) -> dict[str, list[tuple[bytes, bytes | None]]]:
         """Return what the journal holds of a kind by tenant, each with its counts."""

@@ -68,10 +68,14 @@ class Kind(StrEnum):
     """What became of the notifications of the subscription of the same id."""
     IDENTITY = "identity"
     """What tells this broker from all others, made at its first start."""
+    SOURCE_SUBSCRIPTION = "source subscription"
+    """To registrations of context sources; its counts are kept as those of other subscriptions."""
     REGISTRATION = "registration"
     ATTEMPTS = "attempts"
     """What became of the operations passed on to the source of the registration of the same id."""
 
+
+_SUBSCRIPTION_KINDS: Final = f"'{Kind.SUBSCRIPTION}', '{Kind.SOURCE_SUBSCRIPTION}'"
 
 DocumentKey = tuple[Kind, str, str]
 """Kind, tenant and id."""
@@ -171,7 +175,7 @@ class Journal:
                 table = orphaned.partition(" ")[0]
                 writer.run(
                     f"DELETE FROM {orphaned} NOT EXISTS (SELECT 1 FROM documents s "  # noqa: S608 - ours
-                    f"WHERE s.kind = '{Kind.SUBSCRIPTION}' AND s.tenant = {table}.tenant "
+                    f"WHERE s.kind IN ({_SUBSCRIPTION_KINDS}) AND s.tenant = {table}.tenant "
                     f"AND s.id = {table}.{key})"
                 )
 
@@ -297,7 +301,7 @@ def _write_documents(writer: Writer, entries: Entries) -> None:
     if gone:
         writer.run_many("DELETE FROM documents WHERE kind = ? AND tenant = ? AND id = ?", gone)
     for kind, tenant, name in gone:
-        if kind == Kind.SUBSCRIPTION:
+        if kind in (Kind.SUBSCRIPTION, Kind.SOURCE_SUBSCRIPTION):
             writer.run("DELETE FROM outbox WHERE tenant = ? AND subscription = ?", (tenant, name))
 
 

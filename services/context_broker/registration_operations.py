@@ -26,7 +26,7 @@ from services.context_broker.reading import (
     page_links,
     window_of,
 )
-from services.context_broker.registration import Attempts, Mode, Registration, shown_document
+from services.context_broker.registration import Mode, Registration, shown_document
 from services.context_broker.registration_intake import (
     kept_document,
     refuse_past,
@@ -35,6 +35,7 @@ from services.context_broker.registration_intake import (
 )
 from services.context_broker.registration_search import SEARCH_PARAMETERS, search_of
 from services.context_broker.registry import claims
+from services.context_broker.source_subscriptions import notices_of_change
 from services.context_broker.tenants import Tenant
 from services.context_broker.words import require_uri, timestamp_now
 
@@ -69,9 +70,9 @@ class RegistrationOperations:
         documents = [(orjson.loads(body), told) for body, told in kept]
         for document, told in sorted(documents, key=lambda one: str(one[0].get("createdAt"))):
             made = registration(document, await self._contexts.as_before(document["context"]))
-            if told is not None:
-                _count_on(made.attempts, told)
             tenant.registry.take(made)
+            if told is not None:
+                tenant.registry.count_on(made.id, told)
             self._see_to_its_end(tenant, made)
 
     async def follow(self, tenant: Tenant, registration_id: str, body: bytes | None) -> None:
@@ -82,7 +83,7 @@ class RegistrationOperations:
                 tenant.registry.remove(registration_id)
             return
         document = orjson.loads(body)
-        made = registration(document, await self._contexts.of(document["context"]))
+        made = registration(document, await self._contexts.as_before(document["context"]))
         if before is not None:
             made.attempts.go_on_from(before.attempts)
         tenant.registry.put(made)
@@ -111,7 +112,7 @@ class RegistrationOperations:
                     f"there is a registration {made.id} already; update it, or choose another id"
                 )
             _refuse_conflicts(exchange.tenant, made)
-            await self._keep(exchange.tenant, made)
+            await self._keep(exchange.tenant, None, made)
         location = f"{PREFIX}csourceRegistrations/{quote(made.id, safe=':')}".encode()
         return Answer(201, b"", [(b"location", location)])
 
@@ -128,15 +129,17 @@ class RegistrationOperations:
             made.attempts.go_on_from(before.attempts)
             if {"mode", "information"} & change.keys():
                 _refuse_conflicts(exchange.tenant, made)
-            await self._keep(exchange.tenant, made)
+            await self._keep(exchange.tenant, before, made)
         return DONE
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE csourceRegistrations/{id}."""
         async with self._one_at_a_time:
-            before = _existing(exchange)
-            await _write(exchange.tenant, _end_of(exchange.tenant, before))
-            exchange.tenant.registry.remove(before.id)
+            before, tenant = _existing(exchange), exchange.tenant
+            gone = _end_of(tenant, before)
+            await _write(tenant, gone)
+            tenant.registry.remove(before.id)
+            tenant.source_notifier.deliver(gone.owed)
         return DONE
 
     async def retrieve(self, exchange: Exchange) -> Answer:
@@ -165,10 +168,12 @@ class RegistrationOperations:
         result.headers += page_links(exchange, window, media_type, more=more)
         return result
 
-    async def _keep(self, tenant: Tenant, made: Registration) -> None:
+    async def _keep(self, tenant: Tenant, before: Registration | None, made: Registration) -> None:
         key = (Kind.REGISTRATION, tenant.name, made.id)
-        await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}))
+        owed = notices_of_change(tenant.source_notifier, before, made)
+        await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}, owed=owed))
         tenant.registry.put(made)
+        tenant.source_notifier.deliver(owed)
         self._see_to_its_end(tenant, made)
 
     def _see_to_its_end(self, tenant: Tenant, made: Registration) -> None:
@@ -181,7 +186,12 @@ class RegistrationOperations:
             loop.call_later(min(left_s, LONGEST_NAP_S), self._see_to_its_end, tenant, made)
         elif tenant.registry.holds(made):
             gone = _end_of(tenant, made)
-            tenant.commits.submit(gone, lambda: tenant.registry.remove_if_held(made), lambda _: None)
+
+            def taken_away() -> None:
+                tenant.registry.remove_if_held(made)
+                tenant.source_notifier.deliver(gone.owed)
+
+            tenant.commits.submit(gone, taken_away, lambda _: None)
 
 
 def answer(body: Any, media_type: str, context: Context) -> Answer:
@@ -230,7 +240,8 @@ def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
 def _end_of(tenant: Tenant, one: Registration) -> Entries:
     registered = (Kind.REGISTRATION, tenant.name, one.id)
     attempts = (Kind.ATTEMPTS, tenant.name, one.id)
-    return Entries(documents={registered: None, attempts: None})
+    owed = notices_of_change(tenant.source_notifier, one, None)
+    return Entries(documents={registered: None, attempts: None}, owed=owed)
 
 
 async def _write(tenant: Tenant, entries: Entries) -> None:
@@ -238,10 +249,6 @@ async def _write(tenant: Tenant, entries: Entries) -> None:
         await tenant.commits.store(entries)
     except NotStored as error:
         raise not_stored(str(error)) from error
-
-
-def _count_on(attempts: Attempts, told: bytes) -> None:
-    attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure = orjson.loads(told)
 
 
 def _absent(registration_id: str) -> Problem:

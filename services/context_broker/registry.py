@@ -166,6 +166,13 @@ class Registry:
             key = (Kind.ATTEMPTS, self.tenant, registration.id)
             self._commits.store_later(Entries(documents={key: told(attempts)}))
 
+    def count_on(self, registration_id: str, kept: bytes) -> None:
+        """Take the counts that were written for a registration, here before a restart or by another broker."""
+        found = self._all.get(registration_id)
+        if found is not None:
+            attempts = found.attempts
+            attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure = orjson.loads(kept)
+
     @staticmethod
     def rests(registration: Registration) -> bool:
         """Say whether the source has failed so lately that it is to be left alone."""

@@ -12,8 +12,9 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker.contexts import Context, ContextBook
-from services.context_broker.exchange import JSON_LD, PREFIX, Answer, Exchange
+from services.context_broker.exchange import JSON_LD, Answer, Exchange
 from services.context_broker.journal import Entries, Kind, NotStored
+from services.context_broker.notifier import Notifier
 from services.context_broker.operation import Operation
 from services.context_broker.problems import already_exists, not_found, not_stored
 from services.context_broker.reading import (
@@ -41,7 +42,12 @@ _SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
 
 
 class SubscriptionOperations:
-    """What can be done to subscriptions. Changes are rare and made one after the other."""
+    """What can be done to subscriptions. Changes are rare and made one after the other.
+
+    Subscriptions to registrations of context sources are the same in another book (`source_subscriptions`).
+    """
+
+    KIND = Kind.SUBSCRIPTION
 
     def __init__(self, contexts: ContextBook) -> None:
         self._contexts = contexts
@@ -59,6 +65,10 @@ class SubscriptionOperations:
             Operation("DELETE", one, "deleteSubscription", "6.11.3.3", self.delete, _LOCAL),
         )
 
+    def book(self, tenant: Tenant) -> Notifier:
+        """Return who knows a tenant's subscriptions and has their notifications delivered."""
+        return tenant.notifier
+
     async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
         """Take up the subscriptions of before, each with its counts; their contexts are kept too."""
         found: list[Subscription] = []
@@ -68,18 +78,17 @@ class SubscriptionOperations:
             if told is not None:
                 one.counts = Counts(*orjson.loads(told))
             found.append(one)
-        tenant.notifier.start(found)
+        self.book(tenant).start(found)
 
     async def follow(self, tenant: Tenant, subscription_id: str, body: bytes | None) -> None:
         """Take what another broker did to a subscription."""
+        book = self.book(tenant)
         if body is None:
-            if tenant.notifier.get(subscription_id) is not None:
-                tenant.notifier.remove(subscription_id)
+            if book.get(subscription_id) is not None:
+                book.remove(subscription_id)
             return
         document = orjson.loads(body)
-        tenant.notifier.put(
-            subscription(document, await self._contexts.as_before(document["context"])), from_disk=True
-        )
+        book.put(subscription(document, await self._contexts.as_before(document["context"])), from_disk=True)
 
     async def create(self, exchange: Exchange) -> Answer:
         """POST subscriptions."""
@@ -94,13 +103,12 @@ class SubscriptionOperations:
         await self._require_open(exchange.tenant, made)
         made = await self._with_link(exchange, made)
         async with self._one_at_a_time:
-            if exchange.tenant.notifier.get(made.id) is not None:
+            if any(book.get(made.id) for book in (exchange.tenant.notifier, exchange.tenant.source_notifier)):
                 raise already_exists(
                     f"there is a subscription {made.id} already; update it, or choose another id"
                 )
-            await self._keep(exchange.tenant, made)
-            exchange.tenant.notifier.put(made)
-        location = f"{PREFIX}subscriptions/{quote(made.id, safe=':')}".encode()
+            await self.keep(exchange.tenant, made)
+        location = f"{exchange.path.rstrip('/')}/{quote(made.id, safe=':')}".encode()
         return Answer(201, b"", [(b"location", location)])
 
     async def update(self, exchange: Exchange) -> Answer:
@@ -119,18 +127,17 @@ class SubscriptionOperations:
             if "notification" in change:
                 await self._require_open(exchange.tenant, made)
             made = await self._with_link(exchange, made)
-            await self._keep(exchange.tenant, made)
-            exchange.tenant.notifier.put(made)
+            await self.keep(exchange.tenant, made)
         return DONE
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE subscriptions/{id}."""
         async with self._one_at_a_time:
             before = self._existing(exchange)
-            gone = (Kind.SUBSCRIPTION, exchange.tenant.name, before.id)
+            gone = (self.KIND, exchange.tenant.name, before.id)
             counts = (Kind.COUNTS, exchange.tenant.name, before.id)
-            await self._write(exchange.tenant, Entries(documents={gone: None, counts: None}))
-            exchange.tenant.notifier.remove(before.id)
+            await self.write(exchange.tenant, Entries(documents={gone: None, counts: None}))
+            self.book(exchange.tenant).remove(before.id)
         return DONE
 
     async def retrieve(self, exchange: Exchange) -> Answer:
@@ -143,7 +150,7 @@ class SubscriptionOperations:
         """GET subscriptions."""
         media_type, context = exchange.accept(), await exchange.reader_context()
         window = window_of(exchange)
-        found = exchange.tenant.notifier.all()
+        found = self.book(exchange.tenant).all()
         page = found[window.offset : window.offset + window.limit]
         documents = [_with_context(self._shown(one, exchange, context), media_type, context) for one in page]
         answer = _answer(documents, media_type, context)
@@ -153,10 +160,9 @@ class SubscriptionOperations:
         answer.headers += page_links(exchange, window, media_type, more=more)
         return answer
 
-    @staticmethod
-    def _existing(exchange: Exchange) -> Subscription:
+    def _existing(self, exchange: Exchange) -> Subscription:
         subscription_id = require_uri(exchange.names[0], "the subscription id in the path")
-        found = exchange.tenant.notifier.get(subscription_id)
+        found = self.book(exchange.tenant).get(subscription_id)
         if found is None:
             raise _absent(subscription_id)
         return found
@@ -179,12 +185,18 @@ class SubscriptionOperations:
         host = urlsplit(made.endpoint.uri).hostname or ""
         await tenant.notifier.outbound.destinations.require_open(host, "notification.endpoint.uri")
 
-    async def _keep(self, tenant: Tenant, made: Subscription) -> None:
-        key = (Kind.SUBSCRIPTION, tenant.name, made.id)
-        await self._write(tenant, Entries(documents={key: orjson.dumps(made.document)}))
+    async def keep(self, tenant: Tenant, made: Subscription) -> None:
+        """Write a new or a changed subscription, and heed it once it is safe."""
+        await self.write(tenant, self.entries_of(tenant, made))
+        self.book(tenant).put(made)
+
+    def entries_of(self, tenant: Tenant, made: Subscription) -> Entries:
+        """Return what is to be written for a subscription."""
+        return Entries(documents={(self.KIND, tenant.name, made.id): orjson.dumps(made.document)})
 
     @staticmethod
-    async def _write(tenant: Tenant, entries: Entries) -> None:
+    async def write(tenant: Tenant, entries: Entries) -> None:
+        """Write `entries`; raise a problem (507) if the disk refuses."""
         try:
             await tenant.commits.store(entries)
         except NotStored as error:

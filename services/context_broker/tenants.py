@@ -48,6 +48,9 @@ class Tenant:
         )
         self.notifier.store = self.store
         self.registry = Registry(name, self.commits)
+        self.source_notifier = Notifier(name, self.commits, tenants.outbound)
+        """Tells of registrations that come, change and go; it hears of no entity."""
+        self.source_notifier.store = self.store
 
     @property
     def is_kept(self) -> bool:
@@ -202,6 +205,7 @@ class Tenants:
         """Take up notifying, or leave it to another broker."""
         for one in self._tenants.values():
             one.notifier.turn(leads=leads)
+            one.source_notifier.turn(leads=leads)
 
     def entities(self) -> int:
         """Return how many entities there are in all."""

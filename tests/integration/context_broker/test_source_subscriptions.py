@@ -1,0 +1,112 @@
+"""Subscriptions to registrations: told at the start, of what comes, changes and goes; nothing lost."""
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import httpx
+
+from .conftest import BrokerProcess, Subscriber
+
+PATH = "/csourceSubscriptions"
+
+
+def subscribe(http: httpx.Client, uri: str, kind: str, **members: Any) -> str:
+    document = {
+        "type": "Subscription",
+        "entities": [{"type": kind}],
+        "notification": {"endpoint": {"uri": uri}},
+        **members,
+    }
+    answer = http.post(PATH, json=document)
+    assert answer.status_code == 201, answer.text
+    return str(answer.headers["location"].rpartition("/")[2])
+
+
+def register(http: httpx.Client, name: str, kind: str, **members: Any) -> str:
+    one = f"urn:ngsi-ld:ContextSourceRegistration:{name}"
+    information = [{"entities": [{"type": kind}], "propertyNames": ["speed"]}]
+    document = {"id": one, "endpoint": "http://127.0.0.1:9", "information": information, **members}
+    assert http.post("/csourceRegistrations", json=document).status_code == 201
+    return one
+
+
+def told(subscriber: Subscriber) -> list[tuple[str, list[str]]]:
+    return [(one["triggerReason"], [each["id"] for each in one["data"]]) for one in list(subscriber.received)]
+
+
+def test_a_new_subscriber_is_told_of_all_that_match_and_then_of_changes(
+    http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    first = register(http, "first", "Told")
+    one = subscribe(http, subscriber.url, "Told", watchedAttributes=["speed"])
+    eventually(lambda: told(subscriber) == [("newlyMatching", [first])])
+    body = subscriber.received[0]
+    assert (body["type"], body["subscriptionId"]) == ("ContextSourceNotification", one)
+    assert body["data"][0]["information"][0]["entities"] == [{"type": "Told"}]
+    register(http, "unheard", "Other")
+    second = register(http, "second", "Told")
+    http.patch(f"/csourceRegistrations/{first}", json={"description": "changed"})
+    http.patch(f"/csourceRegistrations/{first}", json={"information": [{"entities": [{"type": "Other"}]}]})
+    http.delete(f"/csourceRegistrations/{second}")
+    expected = [
+        ("newlyMatching", [first]),
+        ("newlyMatching", [second]),
+        ("updated", [first]),
+        ("noLongerMatching", [first]),
+        ("noLongerMatching", [second]),
+    ]
+    eventually(lambda: told(subscriber) == expected, why=str(told(subscriber)))
+    document = http.get(f"{PATH}/{one}").json()
+    assert document["notification"]["timesSent"] == 5
+    assert http.get("/subscriptions").json() == []
+    assert one in [each["id"] for each in http.get(PATH).json()]
+    assert http.delete(f"{PATH}/{one}").status_code == 204
+    assert http.get(f"{PATH}/{one}").status_code == 404
+
+
+def test_a_registration_that_expires_is_told_of(
+    http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    subscribe(http, subscriber.url, "Ending")
+    soon = (datetime.now(UTC) + timedelta(seconds=0.5)).isoformat()
+    one = register(http, "ending", "Ending", expiresAt=soon)
+    eventually(lambda: told(subscriber) == [("newlyMatching", [one]), ("noLongerMatching", [one])])
+
+
+def test_a_paused_subscription_is_told_nothing(http: httpx.Client, subscriber: Subscriber) -> None:
+    paused = subscribe(http, subscriber.url, "Paused", isActive=False)
+    register(http, "paused", "Paused")
+    assert http.get(f"{PATH}/{paused}").json()["status"] == "paused"
+    assert told(subscriber) == []
+
+
+def test_entities_are_none_of_its_business(
+    http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    subscribe(http, subscriber.url, "Business")
+    entity = {"id": "urn:ngsi-ld:Business:1", "type": "Business", "speed": {"type": "Property", "value": 1}}
+    assert http.post("/entities", json=entity).status_code == 201
+    one = register(http, "business", "Business")
+    eventually(lambda: told(subscriber) == [("newlyMatching", [one])])
+
+
+def test_what_is_owed_is_sent_after_a_power_cut(
+    own_broker: BrokerProcess, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    subscriber.status = 503
+    own_broker.start()
+    with own_broker.client() as http:
+        subscribe(http, subscriber.url, "Owed")
+        one = register(http, "owed", "Owed")
+    own_broker.kill()
+    subscriber.status = 200
+    own_broker.start()
+    eventually(lambda: told(subscriber) == [("newlyMatching", [one])])
+
+
+def test_a_subscription_that_asks_for_nonsense_is_refused(http: httpx.Client) -> None:
+    document = {"entities": [{"type": "A"}], "notification": {"endpoint": {"uri": "http://127.0.0.1:9"}}}
+    assert http.post(PATH, json={**document, "notification": {}}).status_code == 400
+    assert http.post(PATH, json=[]).status_code == 400
+    assert http.get(f"{PATH}/urn:ngsi-ld:Subscription:absent").status_code == 404
