@@ -56,7 +56,9 @@ class Following:
             self._tenants.forget_all_but(news.entities)
         self._tenants.commits.knows(news.number)
         for tenant, subscription in news.owed:
-            self._tenants.kept(tenant).notifier.owed_by_others(subscription)
+            kept = self._tenants.kept(tenant)
+            kept.notifier.owed_by_others(subscription)
+            kept.source_notifier.owed_by_others(subscription)
 
     async def _follow_tenant(self, _: str, name: str, body: bytes | None) -> None:
         if body is not None:

@@ -167,7 +167,7 @@ class Registry:
             self._commits.store_later(Entries(documents={key: told(attempts)}))
 
     def count_on(self, registration_id: str, kept: bytes) -> None:
-        """Take the counts that were written for a registration, here before a restart or by another broker."""
+        """Take the counts kept for a registration, from before a restart or by another broker."""
         found = self._all.get(registration_id)
         if found is not None:
             attempts = found.attempts
