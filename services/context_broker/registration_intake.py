@@ -3,7 +3,6 @@
 Clauses 5.2.9 (the document), 5.9.2.4 (what is refused) and 4.3.6.3 (what an exclusive one must say).
 """
 
-import time
 from collections.abc import Mapping
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -30,7 +29,9 @@ from services.context_broker.words import (
     TENANT,
     duration_s,
     moment,
+    require_future,
     require_name,
+    require_scope,
     require_time,
     require_uri,
     shown,
@@ -123,8 +124,8 @@ def registration(document: Mapping[str, Any], context: Context) -> Registration:
 
 def refuse_past(document: Mapping[str, Any]) -> None:
     """Raise a problem (400) if a registration that comes in has expired already."""
-    if _expiry(document.get("expiresAt")) <= time.time():
-        raise bad_request_data(f'"expiresAt" is {document["expiresAt"]}, which is past; give a time to come')
+    if "expiresAt" in document:
+        require_future(document["expiresAt"], '"expiresAt"')
 
 
 def _without_null(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -288,12 +289,7 @@ def _source_info(given: Any) -> tuple[tuple[str, str], ...]:
 
 
 def _scopes(given: Any) -> tuple[str, ...]:
-    scopes = given if isinstance(given, list) else [given]
-    if not all(isinstance(one, str) and one for one in scopes):
-        raise bad_request_data(
-            f'"scope" is a scope such as /Hall/Cell4 or a list of them, not {shown(given)}'
-        )
-    return tuple(scopes)
+    return tuple(require_scope(one) for one in (given if isinstance(given, list) else [given]))
 
 
 def _place(given: Any, name: str) -> Mapping[str, Any]:

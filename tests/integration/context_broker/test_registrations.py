@@ -186,7 +186,7 @@ def test_registrations_are_there_after_a_restart_and_end_in_time(
     own_broker: BrokerProcess, eventually: Callable[..., Any]
 ) -> None:
     own_broker.start()
-    soon = (datetime.now(UTC) + timedelta(seconds=3)).isoformat()
+    soon = (datetime.now(UTC) + timedelta(seconds=3)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     with own_broker.client() as http:
         stays = register(http, "stays", information=of_type("Kept"), floor="second")
         goes = register(http, "goes", information=of_type("Kept"), expiresAt=soon)

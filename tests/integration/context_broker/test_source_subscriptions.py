@@ -27,7 +27,8 @@ def register(http: httpx.Client, name: str, kind: str, **members: Any) -> str:
     one = f"urn:ngsi-ld:ContextSourceRegistration:{name}"
     information = [{"entities": [{"type": kind}], "propertyNames": ["speed"]}]
     document = {"id": one, "endpoint": "http://127.0.0.1:9", "information": information, **members}
-    assert http.post("/csourceRegistrations", json=document).status_code == 201
+    answer = http.post("/csourceRegistrations", json=document)
+    assert answer.status_code == 201, answer.text
     return one
 
 
@@ -69,7 +70,7 @@ def test_a_registration_that_expires_is_told_of(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     subscribe(http, subscriber.url, "Ending")
-    soon = (datetime.now(UTC) + timedelta(seconds=2)).isoformat()
+    soon = (datetime.now(UTC) + timedelta(seconds=2)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     one = register(http, "ending", "Ending", expiresAt=soon)
     eventually(lambda: told(subscriber) == [("newlyMatching", [one]), ("noLongerMatching", [one])])
 
