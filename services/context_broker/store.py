@@ -11,6 +11,7 @@ from typing import Final
 
 import orjson
 
+from services.context_broker.census import Census
 from services.context_broker.commits import Commits
 from services.context_broker.entity import Entity, Event
 from services.context_broker.history import Recorder
@@ -57,6 +58,7 @@ class Store:
         self._announce = announce
         self._deliver = deliver
         self._recorder = recorder
+        self.census = Census()
         self._committed: dict[str, Entity] = {}
         self._by_type: dict[str, dict[str, None]] = {}
         self._indexes: dict[str, dict[Scalar, dict[str, None]]] = {}
@@ -76,19 +78,6 @@ class Store:
     def get(self, entity_id: str) -> Entity | None:
         """Return the committed entity."""
         return self._committed.get(entity_id)
-
-    def types(self) -> list[str]:
-        """Return the types (IRIs) of which there are entities."""
-        return [kind for kind, ids in self._by_type.items() if ids]
-
-    def attributes_of(self, kind: str) -> tuple[int, dict[str, set[str]]]:
-        """Return how many entities of a type there are, and their attributes with the kinds these have."""
-        attributes: dict[str, set[str]] = {}
-        ids = self._by_type.get(kind, {})
-        for entity_id in ids:
-            for name, instances in self._committed[entity_id].attributes.items():
-                attributes.setdefault(name, set()).update(one["type"] for one in instances)
-        return len(ids), attributes
 
     def candidates(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, equality: Equality | None
@@ -212,6 +201,7 @@ class Store:
                 self._last_place = after.seq
             elif before is None or before.seq != after.seq:
                 self._in_order = False
+        self.census.note(before, after)
         self._file_by_type(before, after)
         for attribute, index in self._indexes.items():
             _refile(index, attribute, before, after)

@@ -1,0 +1,72 @@
+"""The census: what is counted change by change is what there is."""
+
+from collections import Counter
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.context_broker.census import Census
+from services.context_broker.entity import Entity
+
+KINDS = ("Property", "Relationship", "GeoProperty")
+instances = st.lists(st.fixed_dictionaries({"type": st.sampled_from(KINDS)}), min_size=1, max_size=3)
+attributes = st.dictionaries(st.sampled_from(["u:a", "u:b", "u:c"]), instances)
+types = st.lists(st.sampled_from(["u:A", "u:B", "u:C"]), min_size=1, max_size=2, unique=True)
+bodies = st.none() | st.tuples(types, attributes)
+changes = st.lists(
+    st.tuples(st.sampled_from(["urn:1", "urn:2", "urn:3"]), bodies, st.booleans()), max_size=30
+)
+
+
+def entity(one: str, kinds: list[str], said: dict[str, Any]) -> Entity:
+    return Entity(one, tuple(kinds), said, "", "")
+
+
+@given(changes)
+def test_what_is_counted_is_what_there_is(made: list[tuple[str, Any, bool]]) -> None:
+    census, there = Census(), dict[str, Entity]()
+    for one, body, keeps in made:
+        before = there.pop(one, None)
+        after = None if body is None else entity(one, *body)
+        if before is not None and after is not None and keeps:
+            after = entity(one, list(before.types), {**before.attributes, **after.attributes})
+        census.note(before, after)
+        if after is not None:
+            there[one] = after
+    expected_types = Counter(kind for one in there.values() for kind in one.types)
+    assert {kind: census.entities_of(kind) for kind in census.types()} == dict(expected_types)
+    by_attribute = Counter(
+        (name, instance["type"])
+        for one in there.values()
+        for name, said in one.attributes.items()
+        for instance in said
+    )
+    counted = {
+        (name, kind): number for name in census.attributes() for kind, number in census.kinds_of(name).items()
+    }
+    assert counted == dict(by_attribute)
+    by_type = Counter(
+        (kind, name, instance["type"])
+        for one in there.values()
+        for kind in one.types
+        for name, said in one.attributes.items()
+        for instance in said
+    )
+    counted_by_type = {
+        (kind, name, said): number
+        for kind in expected_types
+        for name, kinds in census.attributes_of(kind).items()
+        for said, number in kinds.items()
+    }
+    assert counted_by_type == dict(by_type)
+    for name in census.attributes():
+        assert set(census.types_with(name)) == {kind for kind, known, _ in by_type if known == name}
+
+
+def test_what_nobody_has_is_counted_as_nothing() -> None:
+    census = Census()
+    assert census.types() == census.attributes() == census.types_with("u:a") == []
+    assert census.entities_of("u:A") == 0
+    assert not census.attributes_of("u:A")
+    assert not census.kinds_of("u:a")
