@@ -4,7 +4,8 @@ So discovery (clauses 5.7.5 to 5.7.10) costs what it tells, not what is stored. 
 attribute anew in the kind it had costs a look-up.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 from services.context_broker.entity import Attributes, Entity, Instance
 
@@ -12,76 +13,86 @@ Kinds = dict[str, int]
 """How many instances there are of each kind of attribute."""
 
 
+@dataclass(slots=True)
+class _Group:
+    """The entities that have the same types: few groups, so that a change is counted in one place."""
+
+    entities: int = 0
+    attributes: dict[str, Kinds] = field(default_factory=dict)
+
+
 class Census:
     """Counts of one tenant's entities; types and attributes are IRIs."""
 
     def __init__(self) -> None:
-        self._entities: dict[str, int] = {}
-        self._of_types: dict[str, dict[str, Kinds]] = {}
-        self._of_attributes: dict[str, Kinds] = {}
+        self._groups: dict[tuple[str, ...], _Group] = {}
 
     def note(self, before: Entity | None, after: Entity | None) -> None:
         """Count a change: the entity before and after, None where there is none."""
         if before is not None and after is not None and before.types == after.types:
-            self._note_attributes(after.types, before.attributes, after.attributes)
+            _note_attributes(self._groups[after.types].attributes, before.attributes, after.attributes)
             return
         if before is not None:
-            self._count_entity(before, -1)
+            group = self._groups[before.types]
+            group.entities -= 1
+            if group.entities:
+                for name, instances in before.attributes.items():
+                    _drop(group.attributes, name, instances)
+            else:
+                del self._groups[before.types]
         if after is not None:
-            self._count_entity(after, 1)
+            group = self._groups.get(after.types) or self._groups.setdefault(after.types, _Group())
+            group.entities += 1
+            for name, instances in after.attributes.items():
+                _add(group.attributes, name, instances)
 
     def types(self) -> list[str]:
         """Return the types of which there are entities."""
-        return list(self._entities)
+        return list(dict.fromkeys(kind for types in self._groups for kind in types))
 
     def entities_of(self, kind: str) -> int:
         """Return how many entities of a type there are."""
-        return self._entities.get(kind, 0)
+        return sum(group.entities for group in self._of(kind))
 
-    def attributes_of(self, kind: str) -> Mapping[str, Kinds]:
-        """Return the attributes that entities of a type have."""
-        return self._of_types.get(kind, {})
+    def attributes_of(self, kind: str) -> Mapping[str, set[str]]:
+        """Return the attributes that entities of a type have, and of which kinds."""
+        found: dict[str, set[str]] = {}
+        for group in self._of(kind):
+            for name, kinds in group.attributes.items():
+                found.setdefault(name, set()).update(kinds)
+        return found
 
     def attributes(self) -> list[str]:
         """Return the attributes that entities have."""
-        return list(self._of_attributes)
+        return list(dict.fromkeys(name for group in self._groups.values() for name in group.attributes))
 
     def kinds_of(self, attribute: str) -> Kinds:
         """Return how many instances of an attribute there are, by kind; none if nobody has it."""
-        return self._of_attributes.get(attribute, {})
+        found: Kinds = {}
+        for group in self._groups.values():
+            for said, number in group.attributes.get(attribute, {}).items():
+                found[said] = found.get(said, 0) + number
+        return found
 
     def types_with(self, attribute: str) -> list[str]:
         """Return the types of the entities that have an attribute."""
-        return [kind for kind, attributes in self._of_types.items() if attribute in attributes]
+        having = (types for types, group in self._groups.items() if attribute in group.attributes)
+        return list(dict.fromkeys(kind for types in having for kind in types))
 
-    def _note_attributes(self, types: tuple[str, ...], old: Attributes, new: Attributes) -> None:
-        for name, instances in new.items():
-            was = old.get(name)
-            if was is not instances and (was is None or not _alike(was, instances)):
-                if was is not None:
-                    self._count_attribute(types, name, was, -1)
-                self._count_attribute(types, name, instances, 1)
-        if not old.keys() <= new.keys():
-            for name in old.keys() - new.keys():
-                self._count_attribute(types, name, old[name], -1)
+    def _of(self, kind: str) -> Iterator[_Group]:
+        return (group for types, group in self._groups.items() if kind in types)
 
-    def _count_entity(self, entity: Entity, step: int) -> None:
-        for kind in entity.types:
-            _count(self._entities, kind, step)
-        for name, instances in entity.attributes.items():
-            self._count_attribute(entity.types, name, instances, step)
 
-    def _count_attribute(
-        self, types: tuple[str, ...], name: str, instances: list[Instance], step: int
-    ) -> None:
-        for instance in instances:
-            said = instance["type"]
-            _count_in(self._of_attributes, name, said, step)
-            for kind in types:
-                _count_in(self._of_types.setdefault(kind, {}), name, said, step)
-        for kind in types:
-            if not self._of_types.get(kind, True):
-                del self._of_types[kind]
+def _note_attributes(counts: dict[str, Kinds], old: Attributes, new: Attributes) -> None:
+    for name, instances in new.items():
+        was = old.get(name)
+        if was is not instances and (was is None or not _alike(was, instances)):
+            if was is not None:
+                _drop(counts, name, was)
+            _add(counts, name, instances)
+    if not old.keys() <= new.keys():
+        for name in old.keys() - new.keys():
+            _drop(counts, name, old[name])
 
 
 def _alike(was: list[Instance], now: list[Instance]) -> bool:
@@ -91,16 +102,21 @@ def _alike(was: list[Instance], now: list[Instance]) -> bool:
     return [one["type"] for one in was] == [one["type"] for one in now]
 
 
-def _count_in(counts: dict[str, Kinds], name: str, said: str, step: int) -> None:
-    kinds = counts.setdefault(name, {})
-    _count(kinds, said, step)
+def _add(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None:
+    kinds = counts.get(name)
+    if kinds is None:
+        kinds = counts[name] = {}
+    for instance in instances:
+        said = instance["type"]
+        kinds[said] = kinds.get(said, 0) + 1
+
+
+def _drop(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None:
+    kinds = counts[name]
+    for instance in instances:
+        said = instance["type"]
+        kinds[said] -= 1
+        if not kinds[said]:
+            del kinds[said]
     if not kinds:
-        del counts[name]
-
-
-def _count(counts: dict[str, int], name: str, step: int) -> None:
-    number = counts.get(name, 0) + step
-    if number:
-        counts[name] = number
-    else:
         del counts[name]
