@@ -120,6 +120,7 @@ class Broker:
         await self._take_up_subscriptions()
         await self.contexts.tidy()
         self._follow_others()
+        self.tenants.ends.start()
         self.leadership.start(self.tenants.turn, self.tenants.commits.look)
         ENTITIES.set_function(self.tenants.entities)
         gc.freeze()  # what was loaded stays: collections need not walk through it again and again
@@ -127,6 +128,7 @@ class Broker:
 
     async def stop(self) -> None:
         """Commit what is on its way, and close."""
+        self.tenants.ends.stop()
         for tenant in self.tenants:
             tenant.notifier.stop()
             tenant.source_notifier.stop()

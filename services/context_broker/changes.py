@@ -17,6 +17,7 @@ from services.context_broker.entity import (
     is_deletion,
 )
 from services.context_broker.intake import DEEPEST_VALUE, Change, too_deep
+from services.context_broker.words import moment
 
 ABSENT = "the entity has no such attribute; append it first"
 PRESENT = "the entity has this attribute already and noOverwrite was asked for"
@@ -35,7 +36,9 @@ def created(change: Change, at: str, seq: int) -> Entity:
     """Return the new entity that `change` tells of."""
     assert change.id is not None  # noqa: S101 - read_entity has seen to it
     attributes = {name: _stamped(instances, {}, at) for name, instances in change.attributes.items()}
-    return Entity(change.id, change.types, attributes, at, at, seq, change.scopes or (), _end(None, change))
+    end = _end(None, change)
+    first = _first_end(end, attributes)
+    return Entity(change.id, change.types, attributes, at, at, seq, change.scopes or (), end, first)
 
 
 def replaced(before: Entity, change: Change, at: str) -> Outcome:
@@ -45,6 +48,7 @@ def replaced(before: Entity, change: Change, at: str) -> Outcome:
         for name, instances in change.attributes.items()
     }
     types = change.types or before.types
+    end = _end(None, change)
     after = Entity(
         before.id,
         types,
@@ -53,7 +57,8 @@ def replaced(before: Entity, change: Change, at: str) -> Outcome:
         at,
         before.seq,
         change.scopes or (),
-        _end(None, change),
+        end,
+        _first_end(end, attributes),
     )
     return Outcome(after, frozenset(attributes), {})
 
@@ -141,6 +146,31 @@ def without(before: Entity, name: str, dataset: str | None, at: str, *, every: b
     return _outcome(before, Change(None, (), {name: []}), attributes, at, {})
 
 
+def pruned(before: Entity, names: frozenset[str], at: str, *, keep: bool) -> Outcome:
+    """Return the entity without the attributes `names` (IRIs), or with no others (clause 5.6.21)."""
+    gone = [name for name in before.attributes if (name in names) is not keep]
+    if not gone:
+        return Outcome(before, frozenset(), {})
+    attributes = {name: before.attributes[name] for name in before.attributes if (name in names) is keep}
+    return _outcome(before, Change(None, (), {name: [] for name in gone}), attributes, at, {})
+
+
+def outlived(before: Entity, now_s: float, at: str) -> Entity:
+    """Return the entity without what of its attributes has ended by `now_s` (seconds since 1970)."""
+    attributes: Attributes = {}
+    for name, instances in before.attributes.items():
+        kept = [one for one in instances if "expiresAt" not in one or _seconds(one["expiresAt"]) > now_s]
+        if kept:
+            attributes[name] = kept
+    return replace(
+        before,
+        attributes=attributes,
+        modified_at=at,
+        ends_at=_first_end(before.expires_at, attributes),
+        rendered={},
+    )
+
+
 def _outcome(
     before: Entity, change: Change, attributes: Attributes, at: str, refused: Mapping[str, str]
 ) -> Outcome:
@@ -151,7 +181,12 @@ def _outcome(
     if not named and types == before.types and scopes == before.scopes and expires_at == before.expires_at:
         return Outcome(before, named, refused)
     touched = named.intersection(attributes)  # what a change deleted is no news to tell
-    after = Entity(before.id, types, attributes, before.created_at, at, before.seq, scopes, expires_at)
+    first = expires_at
+    if before.ends_at is not None:
+        first = _first_end(expires_at, attributes)
+    elif named:
+        first = _first_end(expires_at, {name: attributes.get(name, []) for name in named})
+    after = Entity(before.id, types, attributes, before.created_at, at, before.seq, scopes, expires_at, first)
     return Outcome(after, touched, refused)
 
 
@@ -160,6 +195,20 @@ def _end(before: str | None, change: Change) -> str | None:
     if change.expires_at is None:
         return before
     return None if change.expires_at == NULL else change.expires_at
+
+
+def _first_end(end: str | None, attributes: Attributes) -> str | None:
+    """Return the earliest of `end` and the ends of attributes, None if there is none."""
+    for instances in attributes.values():
+        for instance in instances:
+            if "expiresAt" in instance:
+                other: str = instance["expiresAt"]
+                end = other if end is None else min(end, other, key=_seconds)
+    return end
+
+
+def _seconds(end: str) -> float:
+    return moment(end) or 0.0
 
 
 def _by_dataset(entity: Entity, name: str) -> dict[str | None, Instance]:

@@ -47,6 +47,8 @@ class Entity:
     """As they were written: a scope may do without the slash in front."""
     expires_at: str | None = None
     """When a transient entity ends (clause 4.23); None for one that stays."""
+    ends_at: str | None = None
+    """When it, or the first of its attributes that do, ends; None if nothing of it does."""
     rendered: dict[Any, bytes] = field(default_factory=dict)
     """What readers were last given, by context and form: kept because most reads repeat."""
 
@@ -62,6 +64,7 @@ class Entity:
                 self.seq,
                 self.scopes,
                 self.expires_at,
+                self.ends_at,
             ]
         )
 
@@ -69,9 +72,17 @@ class Entity:
     def restored(cls, stored: bytes) -> "Entity":
         """Return the entity that `stored` had been."""
         entity_id, types, attributes, created_at, modified_at, seq, *later = orjson.loads(stored)
-        scopes, expires_at = later or ((), None)  # which the first release did not keep
+        scopes, expires_at, ends_at = later or ((), None, None)  # which the first release did not keep
         return cls(
-            entity_id, tuple(types), attributes, created_at, modified_at, seq, tuple(scopes), expires_at
+            entity_id,
+            tuple(types),
+            attributes,
+            created_at,
+            modified_at,
+            seq,
+            tuple(scopes),
+            expires_at,
+            ends_at,
         )
 
 

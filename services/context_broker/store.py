@@ -19,6 +19,7 @@ from services.context_broker.journal import EntityRow, Entries, Notice, NotStore
 from services.context_broker.problems import bad_request_data, not_stored
 from services.context_broker.q_match import Equality, Scalar, scalars
 from services.context_broker.replica import Overtaken
+from services.context_broker.transient import Ends
 
 MOST_INDEXES: Final = 64
 
@@ -39,7 +40,8 @@ Announce = Callable[[Event], list[Notice]]
 class Store:
     """All entities of one tenant. `announce` and `deliver` are the notifier's two ends.
 
-    `places` gives each new entity its place in the order of creation; `recorder` keeps history, None none.
+    `places` gives each new entity its place in the order of creation; `recorder` keeps history, None none;
+    `ends` ends what is transient.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class Store:
         deliver: Callable[[list[Notice]], None],
         *,
         recorder: Recorder | None = None,
+        ends: Ends | None = None,
     ) -> None:
         self.tenant = tenant
         self._commits = commits
@@ -59,6 +62,7 @@ class Store:
         self._deliver = deliver
         self._recorder = recorder
         self.census = Census()
+        self._ends = ends
         self._committed: dict[str, Entity] = {}
         self._by_type: dict[str, dict[str, None]] = {}
         self._indexes: dict[str, dict[Scalar, dict[str, None]]] = {}
@@ -197,6 +201,8 @@ class Store:
             del self._committed[before.id]  # a new entity of the same id goes to the end of the order
         if after is not None:
             self._committed[after.id] = after
+            if after.ends_at is not None and self._ends is not None:
+                self._ends.watch(self, after)
             if after.seq >= self._last_place:
                 self._last_place = after.seq
             elif before is None or before.seq != after.seq:

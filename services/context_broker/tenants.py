@@ -23,6 +23,7 @@ from services.context_broker.registry import Registry
 from services.context_broker.replica import Replica
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.store import Store
+from services.context_broker.transient import Ends
 from services.context_broker.words import LONGEST_TENANT, TENANT, shown
 
 DEFAULT: Final = ""
@@ -45,6 +46,7 @@ class Tenant:
             self.notifier.announce,
             self.notifier.deliver,
             recorder=tenants.recorder,
+            ends=tenants.ends,
         )
         self.notifier.store = self.store
         self.registry = Registry(name, self.commits)
@@ -96,6 +98,7 @@ class Tenants:
     ) -> None:
         self.following = Following(self)
         self.leadership = leadership
+        self.ends = Ends(lambda: leadership.leads)
         self.commits = CommitQueue(journal, self._forget_staged, replica, self.following.take)
         self.places: Places
         self.outbound: Outbound
