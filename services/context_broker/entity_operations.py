@@ -25,6 +25,7 @@ from services.context_broker.intake import (
 )
 from services.context_broker.operation import Operation
 from services.context_broker.problems import already_exists, bad_request_data, invalid_request, not_found
+from services.context_broker.purge import PURGE_PARAMETERS, purge
 from services.context_broker.reading import (
     QUERY_PARAMETERS,
     VIEW_PARAMETERS,
@@ -59,6 +60,7 @@ class EntityOperations:
         return (
             Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _LOCAL, True),
             Operation("GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS),
+            Operation("DELETE", "entities", "purgeEntity", "6.4.3.3", self.purge, PURGE_PARAMETERS),
             Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, VIEW_PARAMETERS | _ONE),
             Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _ONE),
             Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _ONE),
@@ -87,6 +89,10 @@ class EntityOperations:
         selection = selection_of(exchange.parameters, context)
         page = await search(exchange.tenant.store, selection, window.offset, window.limit, count=window.count)
         return entities_answer(exchange, page, window, context, view)
+
+    async def purge(self, exchange: Exchange) -> Answer:
+        """DELETE entities."""
+        return await purge(exchange)
 
     async def retrieve(self, exchange: Exchange) -> Answer:
         """GET entities/{id}."""

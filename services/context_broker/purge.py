@@ -1,0 +1,125 @@
+"""Purging: entities that a selection finds are deleted, or lose some of their attributes (clause 5.6.21)."""
+
+import asyncio
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker import changes
+from services.context_broker.contexts import Context
+from services.context_broker.entity import Entity, Event
+from services.context_broker.exchange import Answer, Exchange
+from services.context_broker.journal import NotStored
+from services.context_broker.problems import bad_request_data
+from services.context_broker.q_grammar import And, Or, Term, parse
+from services.context_broker.reading import QUERY_PARAMETERS, names_of, selection_of
+from services.context_broker.selection import Selection, search
+from services.context_broker.store import Store
+from services.context_broker.words import timestamp_now
+
+PURGE_PARAMETERS: Final = (
+    QUERY_PARAMETERS
+    & {
+        "type",
+        "id",
+        "idPattern",
+        "attrs",
+        "q",
+        "csf",
+        "geometry",
+        "georel",
+        "coordinates",
+        "geoproperty",
+        "scopeQ",
+        "local",
+    }
+) | {"keep", "drop"}
+AT_ONCE: Final = 500
+"""Entities whose fate is waited for together; so many may be on their way to disk."""
+
+_SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt", "observedAt"})
+
+
+async def purge(exchange: Exchange) -> Answer:
+    """DELETE entities: 204 when all are purged, 207 with what was not."""
+    context = await exchange.reader_context()
+    _require_narrow(exchange)
+    selection = _selection(exchange, context)
+    names, keep = _named(exchange, context)
+    store = exchange.tenant.store
+    ids = [entity.id for entity in await _hits(store, selection)]
+    succeeded: list[str] = []
+    errors: list[dict[str, Any]] = []
+    for start in range(0, len(ids), AT_ONCE):
+        fates: dict[str, asyncio.Future[None]] = {}
+        for entity_id in ids[start : start + AT_ONCE]:
+            entity = store.latest(entity_id)
+            event = None if entity is None or not selection.wants(entity) else _event(entity, names, keep)
+            if event is None:
+                succeeded.append(entity_id)
+            else:
+                fates[entity_id] = store.stage(event)
+        outcomes = await asyncio.gather(*fates.values(), return_exceptions=True)
+        for entity_id, outcome in zip(fates, outcomes, strict=True):
+            if isinstance(outcome, NotStored):
+                raise outcome  # the purge is begun again from what is there then
+            if isinstance(outcome, Problem):
+                errors.append({"entityId": entity_id, "error": outcome.body()})
+            elif outcome is not None:
+                raise outcome
+            else:
+                succeeded.append(entity_id)
+    if not errors:
+        return Answer(204)
+    body = orjson.dumps({"success": succeeded, "errors": errors})
+    return Answer(207, body, [(b"content-type", b"application/json")])
+
+
+def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | None:
+    """Return what the purge makes of an entity, None if it has nothing of what is to go."""
+    if names is None:
+        return Event(entity, None)
+    outcome = changes.pruned(entity, names, timestamp_now(), keep=keep)
+    return None if outcome.entity is entity else Event(entity, outcome.entity, outcome.touched)
+
+
+async def _hits(store: Store, selection: Selection) -> list[Entity]:
+    return (await search(store, selection, 0, len(store) + 1, count=False)).entities
+
+
+def _named(exchange: Exchange, context: Context) -> tuple[frozenset[str] | None, bool]:
+    """Return the attributes that are to go or, if so said, to stay; None if the entities go."""
+    keep, drop = exchange.parameter("keep"), exchange.parameter("drop")
+    if keep is not None and drop is not None:
+        raise bad_request_data("keep and drop exclude each other: what is not kept is dropped; leave out one")
+    return names_of(drop if keep is None else keep, context), keep is not None
+
+
+def _selection(exchange: Exchange, context: Context) -> Selection:
+    chosen = {
+        name: value for name, value in exchange.parameters.items() if name not in {"keep", "drop", "local"}
+    }
+    return selection_of(chosen, context) if chosen else Selection()
+
+
+def _require_narrow(exchange: Exchange) -> None:
+    """Raise a problem (400) for a purge of whatever is there: ids and system attributes choose nothing."""
+    given = exchange.parameter
+    attrs, q = given("attrs"), given("q")
+    if exchange.flag("local") or any(given(name) for name in ("type", "georel", "scopeQ", "keep", "drop")):
+        return
+    if attrs is not None and not _SYSTEM.issuperset(attrs.split(",")):
+        return
+    if q is not None and _asks_for_attributes(parse(q)):
+        return
+    raise bad_request_data(
+        "the purge is too wide: say which entities by type, by an attribute in attrs or q, or by place; "
+        "local=true purges whatever is in this broker"
+    )
+
+
+def _asks_for_attributes(term: Term) -> bool:
+    if isinstance(term, And | Or):
+        return any(_asks_for_attributes(part) for part in term.terms)
+    return term.path.names[0] not in _SYSTEM
