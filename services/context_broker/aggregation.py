@@ -117,11 +117,11 @@ def _text(said: Any) -> str | None:
     return said if isinstance(said, str) else None
 
 
-def _fitting(number: float) -> float:
-    """Return a number that JSON can carry: whole ones up to 64 bits, truths as numbers."""
+def _fitting(number: float) -> float | None:
+    """Return a number as JSON can carry it: whole up to 64 bits, truths as numbers; None if it cannot."""
     if isinstance(number, int):
         return int(number) if abs(number) <= _LARGEST_INTEGER else float(number)
-    return number
+    return number if math.isfinite(number) else None
 
 
 def _sum(numbers: Sequence[float]) -> float:

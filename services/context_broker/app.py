@@ -46,6 +46,7 @@ from services.context_broker.postgres import PostgresDatabase
 from services.context_broker.problems import ERRORS, not_stored
 from services.context_broker.registration_operations import RegistrationOperations
 from services.context_broker.replica import TRIMMING, Overtaken, Replica
+from services.context_broker.retention import Retention
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.source_subscription_operations import SourceSubscriptionOperations
 from services.context_broker.subscription_operations import SubscriptionOperations
@@ -105,6 +106,9 @@ class Broker:
         asker = HttpAsker(settings.destinations(), settings.broker_notification_ca_file)
         forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
         self.distribution = Distribution(forwarder, HANDLINGS)
+        self.retention = Retention(
+            journal, self.tenants.commits, settings.broker_history_keep_days, lambda: leadership.leads
+        )
         self._seen: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
 
     async def start(self) -> None:
@@ -122,6 +126,7 @@ class Broker:
         self._follow_others()
         self.tenants.ends.start()
         self.leadership.start(self.tenants.turn, self.tenants.commits.look)
+        self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
         gc.freeze()  # what was loaded stays: collections need not walk through it again and again
         log.info("broker ready", entities=self.tenants.entities(), database=self.journal.name)
@@ -135,6 +140,7 @@ class Broker:
         self.tenants.outbound.sender.close()
         self.contexts.write_usage()
         self.distribution.forwarder.asker.close()
+        await self.retention.stop()
         await self.tenants.commits.stop()
         await asyncio.to_thread(self.leadership.stop)
         self.journal.close()

@@ -249,31 +249,30 @@ class Journal:
         asked = f"SELECT entity, seq, body FROM history WHERE entity IN ({marks}){narrowed}"  # noqa: S608 - ours
         yield from self._database.scan(f"{asked} ORDER BY entity, seq", (*places, *values))
 
-    def bound_of(self, place: int, most: int) -> int | None:
-        """Return the seq of the change after the first `most` at `place`, None if there are no more."""
+    def bound_of(self, place: int, most: int, before: int | None = None) -> int | None:
+        """Return the seq after the first `most` changes at `place` (below `before`), None at their end."""
+        narrowed, values = ("", ()) if before is None else ("AND seq < ? ", (before,))
         found = self._database.read(
-            "SELECT seq FROM history WHERE entity = ? ORDER BY seq LIMIT 1 OFFSET ?", (place, most)
+            f"SELECT seq FROM history WHERE entity = ? {narrowed}ORDER BY seq LIMIT 1 OFFSET ?",  # noqa: S608 - ours
+            (place, *values, most),
         )
         return int(found[0][0]) if found else None
 
-    def oldest_change(self, after: int, before: int, most: int) -> tuple[int, int, int | None] | None:
-        """Return the next place after `after` that has history, what is to be cleared of it, and what stays.
-
-        What is to be cleared is below a seq, at most `most` changes and none from `before` on; what stays is
-        the first seq from there on, None if nothing does. None when there is no such place.
-        """
-        ((place,),) = self._database.read("SELECT min(entity) FROM history WHERE entity > ?", (after,))
-        if place is None:
-            return None
+    def first_change(self, after: int) -> tuple[int, int] | None:
+        """Return the first place after `after` that has history, and the seq of its first change."""
         found = self._database.read(
-            "SELECT seq FROM history WHERE entity = ? AND seq < ? ORDER BY seq LIMIT ?",
-            (place, before, most + 1),
+            "SELECT entity, seq FROM history WHERE entity > ? ORDER BY entity, seq LIMIT 1", (after,)
         )
-        bound = found[most][0] if len(found) > most else before
-        ((left,),) = self._database.read(
-            "SELECT min(seq) FROM history WHERE entity = ? AND seq >= ?", (place, bound)
+        return (int(found[0][0]), int(found[0][1])) if found else None
+
+    def departed_without_history(self, place: int) -> tuple[str, str] | None:
+        """Return tenant and id of the entity that departed from `place` if there is no history of it."""
+        found = self._database.read(
+            "SELECT tenant, id FROM departed WHERE place = ? "
+            "AND NOT EXISTS (SELECT 1 FROM history WHERE entity = departed.place)",
+            (place,),
         )
-        return int(place), int(bound), left
+        return (found[0][0], found[0][1]) if found else None
 
 
 def _write_entities(writer: Writer, entries: Entries) -> None:

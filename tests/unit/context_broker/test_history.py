@@ -1,0 +1,368 @@
+"""History: what was written change by change is what is told of the past, whatever is asked."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from datamodels.contexts import HANDOVER_URL, TermMap
+from services.context_broker import changes, chronicle
+from services.context_broker.changes import Outcome
+from services.context_broker.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
+from services.context_broker.contexts import Context
+from services.context_broker.database import SqliteDatabase
+from services.context_broker.durations import MICROS
+from services.context_broker.entity import Entity, Event, Instance
+from services.context_broker.history import (
+    Change,
+    Recorder,
+    change_of,
+    instance_id,
+    micros_of,
+    place_of,
+    time_of,
+)
+from services.context_broker.intake import read_change, read_entity
+from services.context_broker.journal import Entries, Journal, NotStored
+from services.context_broker.retention import Retention
+from services.context_broker.temporal_query import TemporalQuery
+from services.context_broker.temporal_rendering import content_range
+from services.context_broker.words import timestamp
+
+CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
+TERMS = CONTEXT.terms
+NAMES = ("speed", "heading", "place")
+PLACES = count(1)
+START = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def journal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Journal]:
+    made = Journal(SqliteDatabase(tmp_path_factory.mktemp("history") / "broker.db"))
+    made.open()
+    yield made
+    made.close()
+
+
+@dataclass
+class Life:
+    """An entity that is changed step by step, with a note of every instance that was written."""
+
+    journal: Journal
+    recorder: Recorder = field(default_factory=Recorder)
+    pending: Entries = field(default_factory=Entries)
+    place: int = field(default_factory=lambda: next(PLACES))
+    now: datetime = START
+    entity: Entity | None = None
+    written: list[tuple[str, Instance]] = field(default_factory=list)
+    deleted: list[tuple[str, str | None, str]] = field(default_factory=list)
+
+    def step(self) -> str:
+        self.now += timedelta(seconds=1)
+        return timestamp(self.now)
+
+    def take(self, after: Entity | None, at: str) -> None:
+        before = self.entity
+        self.recorder.record("", Event(before, after), self.pending)
+        old = {} if before is None else before.attributes
+        new = {} if after is None else after.attributes
+        for name, instances in new.items():
+            self.written += [(name, one) for one in instances if one["modifiedAt"] == at]
+        if after is not None:
+            for name, instances in old.items():
+                left = {one.get("datasetId") for one in new.get(name, [])}
+                gone = [one.get("datasetId") for one in instances if one.get("datasetId") not in left]
+                self.deleted += [(name, dataset, at) for dataset in gone]
+        self.entity = after
+
+    def create(self, document: dict[str, Any]) -> None:
+        at = self.step()
+        given = {"id": f"urn:x:{self.place}", "type": "Car", **document}
+        self.take(changes.created(read_entity(given, TERMS), at, self.place), at)
+
+    def change(self, document: dict[str, Any], how: str = "appended") -> None:
+        assert self.entity is not None
+        at = self.step()
+        outcome: Outcome = getattr(changes, how)(self.entity, read_change(document, TERMS), at)
+        if outcome.entity is not self.entity:
+            self.take(outcome.entity, at)
+
+    def commit(self) -> None:
+        self.journal.commit(self.pending)
+        self.pending = Entries()
+
+    def subject(self) -> Subject:
+        self.commit()
+        departed = self.journal.departed("", f"urn:x:{self.place}")
+        (found,) = subjects_of(() if self.entity is None else (self.entity,), departed)
+        return found
+
+    def told(self, query: TemporalQuery) -> Found:
+        return tell_one(self.journal, self.subject(), Question(query, lambda _: True))
+
+
+def without_id(instance: Instance) -> Instance:
+    return {member: value for member, value in instance.items() if member != "instanceId"}
+
+
+def points_of(found: Found) -> list[tuple[str, int, Instance]]:
+    (evolution,) = found.evolutions
+    return [
+        (name, at, one)
+        for name, named in evolution.series.items()
+        for series in named.values()
+        for at, one in series.points
+    ]
+
+
+VALUES = st.integers(-5, 5) | st.sampled_from(["a", "b"]) | st.lists(st.integers(0, 3), max_size=2)
+INSTANCES = st.fixed_dictionaries(
+    {"type": st.just("Property"), "value": VALUES},
+    optional={
+        "observedAt": st.integers(0, 20).map(lambda s: timestamp(START + timedelta(minutes=s))),
+        "datasetId": st.sampled_from(["urn:d:1", "urn:d:2"]),
+    },
+)
+ATTRIBUTES = st.lists(INSTANCES, min_size=1, max_size=3, unique_by=lambda one: str(one.get("datasetId")))
+DOCUMENTS = st.dictionaries(st.sampled_from(NAMES), ATTRIBUTES, max_size=3)
+STEPS = st.lists(
+    st.tuples(st.sampled_from(["appended", "updated", "replaced", "merged"]), DOCUMENTS), max_size=8
+)
+
+
+def lived(journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[str, Any]]]) -> Life:
+    life = Life(journal)
+    life.create(first)
+    for how, document in steps:
+        life.change(document, how)
+    return life
+
+
+@settings(max_examples=60)
+@given(DOCUMENTS, STEPS)
+def test_what_was_written_change_by_change_is_what_is_told(
+    journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[str, Any]]]
+) -> None:
+    life = lived(journal, first, steps)
+    told = [
+        (name, without_id(one))
+        for name, _, one in points_of(life.told(TemporalQuery(time_property="modifiedAt")))
+    ]
+    assert sorted(told, key=repr) == sorted(life.written, key=repr)
+    everything = [(name, without_id(one)) for name, _, one in points_of(life.told(TemporalQuery()))]
+    assert sorted(everything, key=repr) == sorted(life.written, key=repr)
+    gone = [
+        (name, one.get("datasetId"), one["deletedAt"])
+        for name, _, one in points_of(life.told(TemporalQuery(time_property="deletedAt")))
+    ]
+    assert sorted(gone, key=repr) == sorted(life.deleted, key=repr)
+
+
+@settings(max_examples=60)
+@given(
+    st.tuples(DOCUMENTS, STEPS),
+    st.sampled_from(["observedAt", "createdAt", "modifiedAt"]),
+    st.sampled_from(["before", "after", "between"]),
+    st.tuples(st.integers(-1, 21), st.integers(1, 10), st.sampled_from([1, 60])),
+)
+def test_a_window_tells_what_lies_in_it_and_nothing_else(
+    journal: Journal,
+    told_to: tuple[dict[str, Any], list[tuple[str, dict[str, Any]]]],
+    name: str,
+    relation: str,
+    window: tuple[int, int, int],
+) -> None:
+    at, length, unit_s = window
+    life = lived(journal, *told_to)
+    low = micros_of(timestamp(START + timedelta(seconds=at * unit_s)))
+    high = low + length * unit_s * MICROS
+    query = {
+        "before": TemporalQuery(relation, None, low, name),
+        "after": TemporalQuery(relation, low, None, name),
+        "between": TemporalQuery(relation, low, high, name),
+    }[relation]
+
+    def is_in(instance: Instance) -> bool:
+        if name not in instance:
+            return False
+        time = micros_of(instance[name])
+        return {"before": time < low, "after": time > low, "between": low <= time < high}[relation]
+
+    expected = [(attribute, one) for attribute, one in life.written if is_in(one)]
+    told = [(attribute, without_id(one)) for attribute, _, one in points_of(life.told(query))]
+    assert sorted(told, key=repr) == sorted(expected, key=repr)
+
+
+@settings(max_examples=60)
+@given(DOCUMENTS, STEPS, st.integers(1, 4))
+def test_the_last_instances_are_the_latest_of_each_series(
+    journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[str, Any]]], last: int
+) -> None:
+    life = lived(journal, first, steps)
+    everything = TemporalQuery(time_property="modifiedAt")
+    (whole,) = life.told(everything).evolutions
+    (some,) = life.told(replace(everything, last=last)).evolutions
+    for name, named in whole.series.items():
+        for dataset, series in named.items():
+            assert some.series[name][dataset].points == series.points[-last:]
+
+
+@given(st.lists(st.integers(0, 30), min_size=1, max_size=40), st.integers(1, 5), st.booleans())
+def test_asking_on_where_an_answer_ended_tells_all_and_nothing_twice(
+    journal: Journal, minutes: list[int], most: int, latest: bool
+) -> None:
+    life = Life(journal)
+    life.create({})
+    for number, minute in enumerate(minutes):
+        seen = timestamp(START + timedelta(minutes=minute))
+        attribute = NAMES[number % 2]
+        life.change({attribute: {"type": "Property", "value": number, "observedAt": seen}})
+    query = TemporalQuery(
+        "after", micros_of(timestamp(START)) - 1, None, "observedAt", 10_000 if latest else None
+    )
+    found: list[int] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chronicle, "MOST_OF_ATTRIBUTE", most)
+        for _ in range(len(minutes) + 1):
+            told = life.told(query)
+            found += [one["value"] for _, _, one in points_of(told)]
+            said = content_range(told, query)
+            if told.edge is None:
+                assert said is None
+                break
+            assert said is not None
+            assert said.startswith(b"date-time ")
+            query = replace(query, end=told.edge) if latest else replace(query, start=told.edge)
+    assert sorted(found) == list(range(len(minutes)))
+
+
+def test_an_answer_over_many_entities_ends_at_one_time_for_all(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chronicle, "MOST_IN_ANSWER", 10)
+    lives = [Life(journal) for _ in range(3)]
+    for life in lives:
+        life.create({})
+    for minute in range(10):
+        for life in lives:
+            seen = timestamp(START + timedelta(minutes=minute))
+            life.change({"speed": {"type": "Property", "value": minute, "observedAt": seen}})
+    question = Question(TemporalQuery(time_property="observedAt"), lambda _: True)
+    found = tell(journal, [life.subject() for life in lives], question, 0, 10, count=True)
+    assert found.total == 3
+    assert found.edge is not None
+    counts = [sum(len(series.points) for series in one.all()) for one in found.evolutions]
+    assert counts == [4, 4, 4]  # the tenth and those of its instant: nothing of one time is left for later
+
+
+def test_pages_of_entities_hold_each_once(journal: Journal) -> None:
+    lives = [Life(journal) for _ in range(7)]
+    for number, life in enumerate(lives):
+        life.create({"speed": number} if number % 2 else {"heading": number})
+    subjects = [life.subject() for life in lives]
+    question = Question(TemporalQuery(), lambda _: True, requires=frozenset({TERMS.expand("speed")}))
+    pages = [tell(journal, subjects, question, offset, 2, count=False) for offset in (0, 2)]
+    assert [one.subject.id for page in pages for one in page.evolutions] == [
+        f"urn:x:{life.place}" for life in lives[1::2]
+    ]
+    assert [page.more for page in pages] == [True, False]
+
+
+def test_an_entity_that_was_made_again_has_one_past(journal: Journal) -> None:
+    life = Life(journal)
+    life.create({"speed": 1})
+    assert life.entity is not None
+    entity_id, first = life.entity.id, life.place
+    life.take(None, life.step())
+    assert life.subject().deleted_at is not None
+    life.place = next(PLACES)
+    at = life.step()
+    again = read_entity({"id": entity_id, "type": "Car", "speed": 2}, TERMS)
+    life.take(changes.created(again, at, life.place), at)
+    assert life.entity is not None
+    life.commit()
+    (subject,) = subjects_of((life.entity,), journal.departed("", entity_id))
+    assert subject.places == (first, life.place)
+    assert subject.deleted_at is None
+    found = tell_one(journal, subject, Question(TemporalQuery(time_property="modifiedAt"), lambda _: True))
+    assert [one["value"] for _, _, one in points_of(found)] == [1, 2]
+
+
+def test_a_change_of_the_same_value_is_a_change() -> None:
+    before = changes.created(
+        read_entity({"id": "urn:x:1", "type": "Car", "speed": 1}, TERMS), timestamp(START), 1
+    )
+    after = changes.appended(before, read_change({"speed": 1}, TERMS), timestamp(START + timedelta(1))).entity
+    change = change_of(before, after)
+    assert change is not None
+    assert list(change.attributes) == [TERMS.expand("speed")]
+    assert change_of(after, after) is None
+
+
+def test_changes_of_one_instant_keep_their_order() -> None:
+    recorder = Recorder()
+    at = timestamp(START)
+    seqs = [recorder.row(1, Change(), at).seq for _ in range(5)]
+    assert seqs == sorted(set(seqs))
+    assert time_of(seqs[0]) == at
+
+
+@given(st.integers(0, 2**60 - 1), st.integers(0, 2**60 - 1), st.integers(0, 10**6))
+def test_an_instance_id_leads_back_to_its_place(place: int, seq: int, position: int) -> None:
+    assert place_of(instance_id(place, seq, position)) == (place, seq, position)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "urn:ngsi-ld:Instance:1-2", "urn:ngsi-ld:Instance:1-2-3x", "urn:x:1-2-3"]
+)
+def test_another_id_leads_nowhere(text: str) -> None:
+    assert place_of(text) is None
+
+
+class Straight:
+    """Commits at once, in the test's own thread."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+
+    async def store(self, entries: Entries) -> None:
+        self.journal.commit(entries)
+
+
+async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.context_broker.retention.PIECE", 3)
+    monkeypatch.setattr("services.context_broker.retention.PAUSE_S", 0)
+    monkeypatch.setattr("services.context_broker.retention.PLACES_A_LOOK", 1)
+    own = Journal(SqliteDatabase(tmp_path / "broker.db"))
+    own.open()
+    living, gone, young = Life(own), Life(own), Life(own, now=START + timedelta(days=2))
+    for life in (living, gone, young):
+        life.create({"speed": 0})
+        for number in range(8):
+            life.change({"speed": number + 1})
+    gone.take(None, gone.step())
+    young.take(None, young.step())
+    for life in (living, gone, young):
+        life.commit()
+    # A deletion is stamped by the clock on the wall; everything else here is of January 2026.
+    before = micros_of(timestamp(START + timedelta(days=1)))
+    retention = Retention(own, Straight(own), 1)  # type: ignore[arg-type]  # all that it needs of them
+    assert await retention.clear(before) == 6
+    assert list(own.history([living.place])) == []
+    assert [one for one, _, _ in own.departed("")] == [gone.place, young.place]
+    assert len(list(own.history([gone.place]))) == 1
+    assert len(list(own.history([young.place]))) == 10
+    assert await retention.clear(micros_of(timestamp(datetime.now(UTC) + timedelta(days=1)))) > 0
+    assert list(own.departed("")) == []
+    assert await retention.clear(2**62) == 0
+    own.close()
+    with pytest.raises(NotStored):
+        Journal(SqliteDatabase(tmp_path / "none" / "broker.db")).first_change(0)
