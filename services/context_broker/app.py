@@ -5,6 +5,7 @@ import gc
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 
 import orjson
 from fastapi import FastAPI
@@ -24,6 +25,7 @@ from services.context_broker.destinations import Destinations
 from services.context_broker.discovery_operations import DiscoveryOperations
 from services.context_broker.distributed_operations import HANDLINGS
 from services.context_broker.distribution import Distribution
+from services.context_broker.entity_map_operations import EntityMapOperations, wants_map
 from services.context_broker.entity_operations import EntityOperations
 from services.context_broker.exchange import (
     PREFIX,
@@ -88,6 +90,7 @@ class Broker:
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.registrations = RegistrationOperations(self.contexts)
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
+        self.entity_maps = EntityMapOperations(self._by_name)
         self.directory = Directory(
             operation
             for room in (
@@ -97,6 +100,7 @@ class Broker:
                 self.subscriptions,
                 self.registrations,
                 self.source_subscriptions,
+                self.entity_maps,
                 ContextOperations(self.contexts),
                 TemporalOperations(journal),
                 TemporalProvision(journal, self.tenants.recorder),
@@ -176,11 +180,22 @@ class Broker:
         try:
             exchange = Exchange(request, names, self.contexts, tenant)
             exchange.require_known(operation.parameters)
-            if tenant.registry.is_empty:
-                return await operation.answer(exchange)
-            return await self.distribution.answer(operation, exchange)
+            if wants_map(operation, exchange):
+                return await self.entity_maps.answer(operation, exchange, partial(self._answered, operation))
+            return await self._answered(operation, exchange)
         finally:
             self.tenants.leave(tenant)
+
+    async def _answered(self, operation: Operation, exchange: Exchange) -> Answer:
+        if exchange.tenant.registry.is_empty:
+            return await operation.answer(exchange)
+        return await self.distribution.answer(operation, exchange)
+
+    async def _by_name(self, name: str, exchange: Exchange) -> Answer:
+        """Carry out an operation that another one needs."""
+        operations = (one for one in self.directory.operations if one.name == name)
+        wanted = next(one for one in operations if one.method == exchange.method)
+        return await self._answered(wanted, exchange)
 
     async def _take_up_registrations(self) -> None:
         kept = self._kept(Kind.REGISTRATION, Kind.ATTEMPTS)
@@ -195,6 +210,7 @@ class Broker:
         following.on(Kind.SOURCE_SUBSCRIPTION, self._follow_source_subscription)
         following.on(Kind.COUNTS, self._follow_counts)
         following.on(Kind.REGISTRATION, self._follow_registration)
+        following.on(Kind.ENTITY_MAP, self._follow_entity_map)
         following.on(Kind.ATTEMPTS, self._follow_attempts)
 
     async def _follow_context(self, tenant: str, key: str, body: bytes | None) -> None:
@@ -215,6 +231,10 @@ class Broker:
 
     async def _follow_registration(self, tenant: str, one: str, body: bytes | None) -> None:
         await self.registrations.follow(self.tenants.kept(tenant), one, body)
+
+    async def _follow_entity_map(self, tenant: str, one: str, body: bytes | None) -> None:
+        maps = self.tenants.kept(tenant).entity_maps
+        maps.forget(one) if body is None else maps.take(body)
 
     async def _follow_attempts(self, tenant: str, one: str, body: bytes | None) -> None:
         if body is not None:

@@ -10,4 +10,5 @@ HANDLINGS: Final[Mapping[str, Handling]] = {
     "retrieveEntity": reading.retrieve,
     "queryEntity": reading.query,
     "queryBatch": reading.query_batch,
+    "createEntityMapQueryEntity": reading.query_by_method,
 }

@@ -94,6 +94,12 @@ async def query(sources: Sources, exchange: Exchange, perform: Performing) -> An
     return await _query(sources, exchange, perform, context, [dict(exchange.parameters)])
 
 
+async def query_by_method(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """GET or POST entityMaps, which ask as the two queries do (clause 5.14.4)."""
+    ask = query if exchange.method == "GET" else query_batch
+    return await ask(sources, exchange, perform)
+
+
 async def query_batch(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
     """POST entityOperations/query."""
     exchange.accept()
@@ -169,6 +175,7 @@ async def _query(
     others = {one: gathering.entity(store.get(one), one, claims) for one in touched}
     await _add_linked(sources, exchange, context, others)
     mix = store.mixed(ids, None if ids is not None else types, others)
+    mix.origins = gathering.origins(store)
     return await perform(_over(exchange, mix))
 
 

@@ -11,6 +11,7 @@ from services.context_broker.changes import Outcome
 from services.context_broker.completion import completed, completed_part, instance_for, normalized
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity, Event, Instance
+from services.context_broker.entity_maps import MAP_PARAMETERS
 from services.context_broker.exchange import PREFIX, Answer, Exchange
 from services.context_broker.geojson import OFFERED
 from services.context_broker.intake import (
@@ -59,7 +60,9 @@ class EntityOperations:
         one, attributes, attribute = "entities/{id}", "entities/{id}/attrs", "entities/{id}/attrs/{name}"
         return (
             Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _LOCAL, True),
-            Operation("GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS),
+            Operation(
+                "GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS | MAP_PARAMETERS
+            ),
             Operation("DELETE", "entities", "purgeEntity", "6.4.3.3", self.purge, PURGE_PARAMETERS),
             Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, VIEW_PARAMETERS | _ONE),
             Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _ONE),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from services.context_broker.entity import Entity
 from services.context_broker.fragments import Fragment, limited, merged
 from services.context_broker.registration import Mode, Registration
+from services.context_broker.store import Store
 
 
 @dataclass(slots=True)
@@ -25,6 +26,14 @@ class Gathering:
                 rank = (int(registration.mode) + 1, registration.id)
                 fills_gaps = registration.mode is Mode.AUXILIARY
                 self.fragments.setdefault(entity.id, []).append(Fragment(told, rank, fills_gaps))
+
+    def origins(self, store: Store) -> dict[str, list[str]]:
+        """Return who told of each entity, by registration; `@none` for the broker itself (clause 5.2.39)."""
+        return {
+            one: ([] if store.get(one) is None else ["@none"])
+            + list(dict.fromkeys(fragment.rank[1] for fragment in fragments))
+            for one, fragments in self.fragments.items()
+        }
 
     def entity(self, own: Entity | None, entity_id: str, proxied: list[Registration]) -> Entity | None:
         """Return the entity that the broker's own fragment and the others are part of, None if there is none.

@@ -66,6 +66,7 @@ class Kind(StrEnum):
     SUBSCRIPTION = "subscription"
     COUNTS = "counts"
     """What became of the notifications of the subscription of the same id."""
+    ENTITY_MAP = "entity map"
     IDENTITY = "identity"
     """What tells this broker from all others, made at its first start."""
     SOURCE_SUBSCRIPTION = "source subscription"

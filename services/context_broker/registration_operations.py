@@ -147,7 +147,7 @@ class RegistrationOperations:
         media_type, context = exchange.accept(), await exchange.reader_context()
         sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
         document = shown_document(_existing(exchange), context, sys_attrs=sys_attrs)
-        return answer(_with_context(document, media_type, context), media_type, context)
+        return answer(with_context(document, media_type, context), media_type, context)
 
     async def search(self, exchange: Exchange) -> Answer:
         """GET csourceRegistrations (clause 5.10.2): those concerned, each with what of it is."""
@@ -161,7 +161,7 @@ class RegistrationOperations:
             shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.questions))
             for one in page
         ]
-        result = answer([_with_context(one, media_type, context) for one in documents], media_type, context)
+        result = answer([with_context(one, media_type, context) for one in documents], media_type, context)
         if window.count:
             result.headers.append((b"ngsild-results-count", str(len(found)).encode()))
         more = window.offset + window.limit < len(found)
@@ -202,7 +202,8 @@ def answer(body: Any, media_type: str, context: Context) -> Answer:
     return Answer(200, orjson.dumps(body), headers)
 
 
-def _with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:
+def with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:
+    """Return a document as an answer of that media type has it."""
     return {"@context": context.document, **document} if media_type == JSON_LD else document
 
 

@@ -109,7 +109,7 @@ class Store:
 
     def mixed(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
-    ) -> "Store":
+    ) -> "Mix":
         """Return a store, for one answer, of the entities with these ids or else types (None: of all).
 
         `others` are how entities are when other sources are heard too; None stands for one that is not to
@@ -245,6 +245,8 @@ class Mix(Store):
 
     def __init__(self, store: Store, others: Mapping[str, Entity | None]) -> None:
         super().__init__(store.tenant, store._commits, store._places, store._announce, store._deliver)
+        self.origins: Mapping[str, list[str]] = {}
+        """By entity, which registrations told of it, and `@none` for the broker itself (clause 5.2.39)."""
         self._store = store
         self._others = others
 

@@ -11,6 +11,7 @@ from services.context_broker.batch_operations import query_parameters
 from services.context_broker.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity
+from services.context_broker.entity_maps import MAP_PARAMETERS
 from services.context_broker.entity_operations import absent
 from services.context_broker.exchange import JSON_LD, Answer, Exchange
 from services.context_broker.journal import Journal, NotStored
@@ -39,7 +40,7 @@ from services.context_broker.temporal_rendering import content_range, told
 from services.context_broker.words import require_uri, shown
 
 _TELLING: Final = VIEW_PARAMETERS | TIME_PARAMETERS | AGGREGATION_PARAMETERS
-_QUERYING: Final = QUERY_PARAMETERS | _TELLING
+QUERYING: Final = QUERY_PARAMETERS | _TELLING
 _WHO: Final = frozenset({"id", "idPattern", "type"})
 _BY_VALUES: Final = frozenset({"q", "georel", "geometry", "coordinates", "geoproperty", "scopeQ"})
 """Parameters by which entities are chosen for what they say."""
@@ -69,9 +70,9 @@ class TemporalOperations:
         at = "temporal/entities"
         query = "temporal/entityOperations/query"
         return (
-            Operation("GET", at, "queryTemporal", "6.18.3.2", self.query, _QUERYING),
+            Operation("GET", at, "queryTemporal", "6.18.3.2", self.query, QUERYING | MAP_PARAMETERS),
             Operation("GET", f"{at}/{{id}}", "retrieveTemporal", "6.19.3.1", self.retrieve, _TELLING),
-            Operation("POST", query, "queryTemporalBatch", "6.24.3.1", self.query_by_document, _QUERYING),
+            Operation("POST", query, "queryTemporalBatch", "6.24.3.1", self.query_by_document, QUERYING),
         )
 
     async def retrieve(self, exchange: Exchange) -> Answer:

@@ -11,6 +11,7 @@ from uuid import uuid4
 
 from services.context_broker.commits import CommitQueue, Commits, Failed, stored
 from services.context_broker.entity import Entity
+from services.context_broker.entity_maps import EntityMaps
 from services.context_broker.following import Following
 from services.context_broker.history import Recorder
 from services.context_broker.http_sender import HttpSender
@@ -50,6 +51,7 @@ class Tenant:
         )
         self.notifier.store = self.store
         self.registry = Registry(name, self.commits)
+        self.entity_maps = EntityMaps(name, self.commits)
         self.source_notifier = Notifier(name, self.commits, tenants.outbound)
         """Tells of registrations that come, change and go; it hears of no entity."""
         self.source_notifier.store = self.store
@@ -133,6 +135,8 @@ class Tenants:
         self._tenants[DEFAULT] = Tenant(DEFAULT, self, is_kept=True)
         for _, name, _ in journal.documents(Kind.TENANT):
             self._tenants[name] = Tenant(name, self, is_kept=True)
+        for tenant, _, body in journal.documents(Kind.ENTITY_MAP):
+            self._tenants[tenant].entity_maps.take(body)
         for tenant, body in journal.entities():
             self._tenants[tenant].store.take(Entity.restored(body))
 

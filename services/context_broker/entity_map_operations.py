@@ -1,0 +1,195 @@
+"""Operations on entity maps, and queries that are answered by one (clauses 5.14, 6.32, 6.34 and 6.35)."""
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, Final
+from urllib.parse import quote, unquote
+
+import orjson
+
+from services.context_broker.batch_operations import query_parameters
+from services.context_broker.distribution import in_place_of
+from services.context_broker.entity_maps import MAP_PARAMETERS, MOST_ENTITIES, OWN, EntityMap
+from services.context_broker.exchange import PREFIX, Answer, Exchange
+from services.context_broker.journal import NotStored
+from services.context_broker.operation import Operation
+from services.context_broker.problems import not_stored
+from services.context_broker.reading import QUERY_PARAMETERS, selection_of, window_of
+from services.context_broker.registration_operations import answer, with_context
+from services.context_broker.selection import search
+from services.context_broker.store import Mix, Store
+from services.context_broker.temporal_operations import QUERYING
+
+Performing = Callable[[Exchange], Awaitable[Answer]]
+"""Carries a query out, sources included."""
+
+HEADER: Final = b"ngsild-entitymap"
+THROUGH_A_MAP: Final = frozenset({"queryEntity", "queryTemporal"})
+"""Operations that can be answered by a map."""
+_LOCAL: Final = frozenset({"local"})
+_DONE: Final = Answer(204)
+_PAGE: Final = 1000
+_NOBODY: Final = "urn:ngsi-ld:EntityMap:nobody"
+"""Asked for where a page has nothing, so that an empty answer looks as the asker wants it."""
+
+
+class EntityMapOperations:
+    """What can be done to entity maps. `perform` carries out an operation by its name."""
+
+    def __init__(self, perform: Callable[[str, Exchange], Awaitable[Answer]]) -> None:
+        self._perform = perform
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        one, all_of_them, temporal = "entityMaps/{id}", "entityMaps", "temporal/entityMaps"
+        asking = QUERY_PARAMETERS | MAP_PARAMETERS
+        name, past = "createEntityMapQueryEntity", "createEntityMapQueryTemporal"
+        return (
+            Operation("GET", one, "retrieveEntityMap", "6.32.3.1", self.retrieve, _LOCAL),
+            Operation("PATCH", one, "updateEntityMap", "6.32.3.2", self.update, _LOCAL),
+            Operation("DELETE", one, "deleteEntityMap", "6.32.3.3", self.delete, _LOCAL),
+            Operation("GET", all_of_them, name, "6.34.3.1", self.create, asking),
+            Operation("POST", all_of_them, name, "6.34.3.2", self.create, asking),
+            Operation("GET", temporal, past, "6.35.3.1", self.create_temporal, QUERYING | MAP_PARAMETERS),
+            Operation("POST", temporal, past, "6.35.3.2", self.create_temporal, QUERYING | MAP_PARAMETERS),
+        )
+
+    async def retrieve(self, exchange: Exchange) -> Answer:
+        """GET entityMaps/{id}."""
+        return await _told(exchange, exchange.tenant.entity_maps.get(exchange.names[0]), 200)
+
+    async def update(self, exchange: Exchange) -> Answer:
+        """PATCH entityMaps/{id}."""
+        document, _ = await exchange.body()
+        try:
+            await exchange.tenant.entity_maps.update(exchange.names[0], document)
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+        return _DONE
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """DELETE entityMaps/{id}."""
+        try:
+            await exchange.tenant.entity_maps.delete(exchange.names[0])
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+        return _DONE
+
+    async def create(self, exchange: Exchange) -> Answer:
+        """GET or POST entityMaps (clause 5.14.4): the map of what a query finds."""
+        exchange.accept()
+        if exchange.method == "GET":
+            context, parameters = await exchange.reader_context(), exchange.parameters
+        else:
+            document, context = await exchange.body()
+            parameters = query_parameters(document)
+        store = exchange.tenant.store
+        page = await search(store, selection_of(parameters, context), 0, MOST_ENTITIES + 1, count=False)
+        return await self._kept(exchange, {one.id: _origins(store, one.id) for one in page.entities})
+
+    async def create_temporal(self, exchange: Exchange) -> Answer:
+        """GET or POST temporal/entityMaps (clause 5.14.5)."""
+        exchange.accept()
+        name = "queryTemporal" if exchange.method == "GET" else "queryTemporalBatch"
+        found: dict[str, list[str]] = {}
+        plain = _without(exchange.parameters, MAP_PARAMETERS | {"options", "format", "count"})
+        while True:
+            parameters = {**plain, "limit": str(_PAGE), "offset": str(len(found)), "lastN": "1"}
+            told = await self._perform(name, _plainly(exchange, parameters))
+            page = [one["id"] for one in orjson.loads(told.body)] if told.status < 300 else []
+            before = len(found)
+            found.update((one, [OWN]) for one in page)
+            if len(page) < _PAGE or len(found) == before:
+                break
+        return await self._kept(exchange, found)
+
+    async def answer(self, operation: Operation, exchange: Exchange, perform: Performing) -> Answer:
+        """Answer a query that names a map, or wants one made (clauses 5.5.14 and 6.4.3.2)."""
+        named = exchange.headers.get(HEADER)
+        if named is not None:
+            map_id = unquote(named.decode("latin-1").strip().rstrip("/").rpartition("/")[2])
+            return await self._page(exchange, exchange.tenant.entity_maps.get(map_id), perform)
+        past = operation.name == "queryTemporal"
+        making = "createEntityMapQueryTemporal" if past else "createEntityMapQueryEntity"
+        made = await self._perform(
+            making, in_place_of(exchange, headers=_without(exchange.headers, {b"accept"}))
+        )
+        map_id = orjson.loads(made.body)["id"]
+        result = await self._page(exchange, exchange.tenant.entity_maps.get(map_id), perform)
+        result.headers += [one for one in made.headers if one[0] == b"ngsild-warning"]
+        return Answer(201 if result.status == 200 else result.status, result.body, result.headers)
+
+    async def _page(self, exchange: Exchange, one: EntityMap, perform: Performing) -> Answer:
+        """Answer with the piece of a map that is asked for; what no longer fits the query is left out."""
+        wanted = in_place_of(exchange, parameters=_without(exchange.parameters, MAP_PARAMETERS))
+        window = window_of(wanted)
+        ids = list(one.entities)
+        some = ids[window.offset : window.offset + window.limit] or [_NOBODY]
+        parameters = {
+            **_without(wanted.parameters, {"offset", "count", "idPattern"}),
+            "id": ",".join(some),
+            "limit": str(len(some)),
+        }
+        result = await perform(in_place_of(exchange, parameters=parameters))
+        headers = [header for header in result.headers if not _is_page_link(header)]
+        if window.count:
+            headers.append((b"ngsild-results-count", str(len(ids)).encode()))
+        media_type = next((value for name, value in headers if name == b"content-type"), b"").decode()
+        before, after = window.offset - window.limit, window.offset + window.limit
+        if window.offset and window.limit:
+            headers.append(_page_link(wanted, max(0, before), "prev", media_type))
+        if window.limit and after < len(ids):
+            headers.append(_page_link(wanted, after, "next", media_type))
+        return Answer(result.status, result.body, [*headers, _location(one)])
+
+    @staticmethod
+    async def _kept(exchange: Exchange, entities: Mapping[str, list[str]]) -> Answer:
+        try:
+            made = await exchange.tenant.entity_maps.make(entities, exchange.parameter("entityMapLifetime"))
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+        return await _told(exchange, made, 201)
+
+
+async def _told(exchange: Exchange, one: EntityMap, status: int) -> Answer:
+    media_type, context = exchange.accept(), await exchange.reader_context()
+    result = answer(with_context(one.document(), media_type, context), media_type, context)
+    return Answer(status, result.body, [*result.headers, _location(one)])
+
+
+def _location(one: EntityMap) -> tuple[bytes, bytes]:
+    return HEADER, f"{PREFIX}entityMaps/{quote(one.id, safe=':')}".encode()
+
+
+def _origins(store: Store, entity_id: str) -> list[str]:
+    told = store.origins.get(entity_id) if isinstance(store, Mix) else None
+    return told or [OWN]
+
+
+def _without(given: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
+    return {name: value for name, value in given.items() if name not in names}
+
+
+def _plainly(exchange: Exchange, parameters: Mapping[str, str]) -> Exchange:
+    return in_place_of(exchange, parameters=parameters, headers=_without(exchange.headers, {b"accept"}))
+
+
+def _is_page_link(header: tuple[bytes, bytes]) -> bool:
+    name, value = header
+    if name == b"ngsild-results-count":
+        return True
+    return name == b"link" and (b'rel="next"' in value or b'rel="prev"' in value)
+
+
+def _page_link(exchange: Exchange, offset: int, relation: str, media_type: str) -> tuple[bytes, bytes]:
+    parameters = {**exchange.parameters, "offset": str(offset)}
+    query = "&".join(
+        f"{quote(name, safe='')}={quote(value, safe=':,')}" for name, value in parameters.items()
+    )
+    return b"link", f'<{exchange.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
+
+
+def wants_map(operation: Operation, exchange: Exchange) -> bool:
+    """Say whether a query is to be answered by a map that it names, or wants to have made."""
+    if HEADER not in exchange.headers and "entityMap" not in exchange.parameters:
+        return False
+    return operation.name in THROUGH_A_MAP and (HEADER in exchange.headers or exchange.flag("entityMap"))
