@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from services.context_broker import distributed_reading as reading
+from services.context_broker import distributed_writing as writing
 from services.context_broker.distribution import Handling
 
 HANDLINGS: Final[Mapping[str, Handling]] = {
@@ -11,4 +12,14 @@ HANDLINGS: Final[Mapping[str, Handling]] = {
     "queryEntity": reading.query,
     "queryBatch": reading.query_batch,
     "createEntityMapQueryEntity": reading.query_by_method,
+    "createEntity": writing.create,
+    "replaceEntity": writing.change_entity,
+    "mergeEntity": writing.change_entity,
+    "deleteEntity": writing.delete,
+    "purgeEntity": writing.purge,
+    "appendAttrs": writing.change_attributes,
+    "updateEntity": writing.change_attributes,
+    "updateAttrs": writing.change_attribute,
+    "replaceAttrs": writing.change_attribute,
+    "deleteAttrs": writing.change_attribute,
 }

@@ -1,0 +1,275 @@
+"""Entities changed at several brokers: every operation in every mode, and what is answered when one fails."""
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.context_sources import ScriptedSource, put, register, values
+
+EXCLUSIVE = {"b": 1, "c": 1}
+BOTH = {"a": 1, "b": 1, "c": 1}
+Act = Callable[[httpx.Client, str, str], httpx.Response]
+Values = dict[str, int] | None
+
+
+def create(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.post("/entities", json={"id": entity_id, "type": kind, "a": 2, "b": 2})
+
+
+def replace(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.put(f"/entities/{entity_id}", json={"id": entity_id, "type": kind, "a": 2, "b": 2})
+
+
+def merge(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.patch(f"/entities/{entity_id}", json={"a": 2, "b": 2})
+
+
+def append(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.post(f"/entities/{entity_id}/attrs", json={"a": 2, "b": 2})
+
+
+def update(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.patch(f"/entities/{entity_id}/attrs", json={"a": 2, "b": 2})
+
+
+def update_one(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.patch(f"/entities/{entity_id}/attrs/b", json={"value": 2})
+
+
+def replace_one(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.put(f"/entities/{entity_id}/attrs/b", json={"type": "Property", "value": 2})
+
+
+def delete_one(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.delete(f"/entities/{entity_id}/attrs/b")
+
+
+def delete(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.delete(f"/entities/{entity_id}")
+
+
+def create_batch(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.post("/entityOperations/create", json=[{"id": entity_id, "type": kind, "a": 2, "b": 2}])
+
+
+def upsert_batch(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.post("/entityOperations/upsert", json=[{"id": entity_id, "type": kind, "a": 2, "b": 2}])
+
+
+def update_batch(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.post("/entityOperations/update", json=[{"id": entity_id, "type": kind, "a": 2, "b": 2}])
+
+
+def merge_batch(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.post("/entityOperations/merge", json=[{"id": entity_id, "type": kind, "a": 2, "b": 2}])
+
+
+def delete_batch(client: httpx.Client, entity_id: str, kind: str) -> httpx.Response:
+    return client.post("/entityOperations/delete", json=[entity_id])
+
+
+TABLE: list[tuple[Act, str, int, Values, Values]] = [
+    # what is done, the mode, the status, then what is here and what is there; before, a, b and c are 1 wherever
+    # the mode lets them be: a here, b and c there (exclusive); there alone (redirect); in both
+    (create, "exclusive", 201, {"a": 2}, {"b": 2}),
+    (create, "redirect", 201, None, {"a": 2, "b": 2}),
+    (create, "inclusive", 201, {"a": 2, "b": 2}, {"a": 2, "b": 2}),
+    (create, "auxiliary", 201, {"a": 2, "b": 2}, None),
+    (replace, "exclusive", 204, {"a": 2}, {"b": 2}),
+    (replace, "redirect", 204, None, {"a": 2, "b": 2}),
+    (replace, "inclusive", 204, {"a": 2, "b": 2}, {"a": 2, "b": 2}),
+    (replace, "auxiliary", 204, {"a": 2, "b": 2}, BOTH),
+    (merge, "exclusive", 204, {"a": 2}, {"b": 2, "c": 1}),
+    (merge, "redirect", 204, None, {"a": 2, "b": 2, "c": 1}),
+    (merge, "inclusive", 204, {"a": 2, "b": 2, "c": 1}, {"a": 2, "b": 2, "c": 1}),
+    (merge, "auxiliary", 204, {"a": 2, "b": 2, "c": 1}, BOTH),
+    (append, "exclusive", 204, {"a": 2}, {"b": 2, "c": 1}),
+    (append, "redirect", 204, None, {"a": 2, "b": 2, "c": 1}),
+    (append, "inclusive", 204, {"a": 2, "b": 2, "c": 1}, {"a": 2, "b": 2, "c": 1}),
+    (append, "auxiliary", 204, {"a": 2, "b": 2, "c": 1}, BOTH),
+    (update, "exclusive", 204, {"a": 2}, {"b": 2, "c": 1}),
+    (update, "redirect", 204, None, {"a": 2, "b": 2, "c": 1}),
+    (update, "inclusive", 204, {"a": 2, "b": 2, "c": 1}, {"a": 2, "b": 2, "c": 1}),
+    (update, "auxiliary", 204, {"a": 2, "b": 2, "c": 1}, BOTH),
+    *(
+        (one, mode, 204, here, there)
+        for one in (update_one, replace_one)
+        for mode, here, there in (
+            ("exclusive", {"a": 1}, {"b": 2, "c": 1}),
+            ("redirect", None, {"a": 1, "b": 2, "c": 1}),
+            ("inclusive", {"a": 1, "b": 2, "c": 1}, {"a": 1, "b": 2, "c": 1}),
+            ("auxiliary", {"a": 1, "b": 2, "c": 1}, BOTH),
+        )
+    ),
+    (delete_one, "exclusive", 204, {"a": 1}, {"c": 1}),
+    (delete_one, "redirect", 204, None, {"a": 1, "c": 1}),
+    (delete_one, "inclusive", 204, {"a": 1, "c": 1}, {"a": 1, "c": 1}),
+    (delete_one, "auxiliary", 204, {"a": 1, "c": 1}, BOTH),
+    (delete, "exclusive", 204, None, None),
+    (delete, "redirect", 204, None, None),
+    (delete, "inclusive", 204, None, None),
+    (delete, "auxiliary", 204, None, BOTH),
+]
+
+
+@pytest.mark.parametrize("case", TABLE, ids=lambda case: f"{case[0].__name__}-{case[1]}")
+def test_a_change_goes_where_what_it_is_about_is(
+    near: httpx.Client,
+    far: httpx.Client,
+    brokers: list[Any],
+    kind: str,
+    case: tuple[Act, str, int, Values, Values],
+) -> None:
+    act, mode, status, here, there = case
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    arrange(near, far, entity_id, kind, mode, is_new="create" in act.__name__)
+    info = {"type": kind, "id": entity_id} if mode == "exclusive" else {"type": kind}
+    register(near, brokers[1].url, info, ["b", "c"] if mode == "exclusive" else None, mode=mode)
+    answer = act(near, entity_id, kind)
+    assert answer.status_code == status, answer.text
+    assert held(near, entity_id) == here
+    assert held(far, entity_id) == there
+
+
+def arrange(
+    near: httpx.Client, far: httpx.Client, entity_id: str, kind: str, mode: str, *, is_new: bool
+) -> None:
+    if is_new:
+        return
+    if mode == "exclusive":
+        put(near, entity_id, kind, a=1)
+        put(far, entity_id, kind, **EXCLUSIVE)
+        return
+    put(far, entity_id, kind, **BOTH)
+    if mode != "redirect":
+        put(near, entity_id, kind, **BOTH)
+
+
+def held(client: httpx.Client, entity_id: str) -> Values:
+    """Return the values that one broker has by itself, None if it does not have the entity."""
+    answer = client.get(f"/entities/{entity_id}?local=true")
+    return None if answer.status_code == 404 else values(answer)
+
+
+def test_what_a_source_alone_has_and_does_not_take_is_a_conflict(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, mode="redirect", operations=["retrieveOps"])
+    answer = create(near, f"urn:ngsi-ld:{kind}:1", kind)
+    assert answer.status_code == 409
+    assert answer.json()["type"].endswith("/Conflict")
+    assert source.asked == []
+    assert held(near, f"urn:ngsi-ld:{kind}:1") is None
+
+
+def test_what_others_may_have_too_is_just_not_passed_on(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, operations=["retrieveOps"])
+    assert create(near, f"urn:ngsi-ld:{kind}:1", kind).status_code == 201
+    assert source.asked == []
+
+
+@pytest.mark.parametrize(("reply", "status"), [(500, 502), (403, 502), (404, 404), (409, 409), (508, 508)])
+def test_the_failure_of_the_only_one_concerned_is_the_answer(
+    near: httpx.Client, source: ScriptedSource, kind: str, reply: int, status: int
+) -> None:
+    register(near, source.url, {"type": kind}, mode="redirect")
+    source.answers["DELETE", f"/ngsi-ld/v1/entities/urn:ngsi-ld:{kind}:1"] = reply, {}
+    assert delete(near, f"urn:ngsi-ld:{kind}:1", kind).status_code == status
+
+
+def test_the_only_one_concerned_is_silent(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    register(near, source.url, {"type": kind}, mode="redirect", management={"timeout": 100})
+    source.go_on.clear()
+    assert merge(near, f"urn:ngsi-ld:{kind}:1", kind).status_code == 504
+
+
+def test_a_part_that_fails_is_told(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    path = register(near, source.url, {"type": kind, "id": entity_id}, ["b"], mode="exclusive")
+    source.answers["PATCH", f"/ngsi-ld/v1/entities/{entity_id}/attrs"] = 500, {}
+    source.answers["PATCH", f"/ngsi-ld/v1/entities/{entity_id}"] = 500, {}
+    answer = update(near, entity_id, kind)
+    assert answer.status_code == 207
+    assert answer.json()["updated"] == ["a"]
+    (left,) = answer.json()["notUpdated"]
+    assert left["attributeName"] == "b"
+    assert path.endswith(left["registrationId"])
+    answer = merge(near, entity_id, kind)
+    assert answer.status_code == 207
+    assert answer.json()["success"] == [entity_id]
+    assert answer.json()["errors"][0]["error"]["status"] == 500
+    assert held(near, entity_id) == {"a": 2}
+
+
+def test_what_the_broker_refuses_goes_nowhere(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    register(near, source.url, {"type": kind})
+    assert create(near, entity_id, kind).status_code == 409
+    assert near.patch(f"/entities/{entity_id}", json={"a": {"type": "Nonsense"}}).status_code == 400
+    assert source.asked == []
+
+
+def test_a_local_change_goes_nowhere(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    register(near, source.url, {"type": kind})
+    put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    near.delete(f"/entities/urn:ngsi-ld:{kind}:1?local=true")
+    assert source.asked == []
+
+
+def test_a_change_that_comes_round_is_a_loop(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    register(near, source.url, {"type": kind})
+    source.answers["POST", "/ngsi-ld/v1/entities"] = 201, {}
+    assert create(near, entity_id, kind).status_code == 201
+    via = source.asked[-1][3]["via"]
+    assert near.delete(f"/entities/{entity_id}", headers={"Via": via}).status_code == 508
+    assert held(near, entity_id) == {"a": 2, "b": 2}
+
+
+def test_a_source_gets_the_words_and_the_version_that_it_speaks(
+    near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
+) -> None:
+    core = "https://uri.etsi.org/ngsi-ld/default-context/"
+    subscriber.document = {"@context": {kind: core + kind, "tempo": core + "speed", "worte": core + "words"}}
+    url = subscriber.url.replace("/notify", f"/{kind}.jsonld")
+    info = [{"key": "jsonldContext", "value": url}, {"key": "ngsildConformance", "value": "1.6"}]
+    register(near, source.url, {"type": kind}, mode="redirect", contextSourceInfo=info)
+    source.answers["POST", "/ngsi-ld/v1/entities"] = 201, {}
+    entity = {
+        "id": f"urn:ngsi-ld:{kind}:1",
+        "type": kind,
+        "speed": {"type": "Property", "value": 5},
+        "words": {"type": "JsonProperty", "json": {"speed": 1}},
+    }
+    assert near.post("/entities", json=entity).status_code == 201
+    _, _, _, headers, body = source.asked[-1]
+    assert headers["content-type"] == "application/json"
+    assert url in headers["link"]
+    assert body["tempo"] == {"type": "Property", "value": 5}
+    assert body["worte"] == {"type": "Property", "value": {"speed": 1}}
+
+
+@pytest.mark.parametrize("wanted", [None, "application/ld+json"])
+def test_an_inline_context_goes_along(
+    near: httpx.Client, source: ScriptedSource, kind: str, wanted: str | None
+) -> None:
+    info = [] if wanted is None else [{"key": "contentType", "value": wanted}]
+    register(near, source.url, {"type": kind}, mode="redirect", contextSourceInfo=info)
+    source.answers["POST", "/ngsi-ld/v1/entities"] = 201, {}
+    core = "https://uri.etsi.org/ngsi-ld/default-context/"
+    entity = {
+        "id": f"urn:ngsi-ld:{kind}:1",
+        "type": kind,
+        "x": 1,
+        "@context": {"x": "urn:x:", kind: core + kind},
+    }
+    answer = near.post("/entities", json=entity, headers={"Content-Type": "application/ld+json"})
+    assert answer.status_code == 201, answer.text
+    _, _, _, headers, body = source.asked[-1]
+    assert headers["content-type"] == "application/ld+json"
+    assert body["@context"] == entity["@context"]
+    assert "link" not in headers
