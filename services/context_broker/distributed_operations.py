@@ -5,6 +5,7 @@ from typing import Final
 
 from services.context_broker import distributed_reading as reading
 from services.context_broker import distributed_writing as writing
+from services.context_broker.distributed_batches import batch
 from services.context_broker.distribution import Handling
 
 HANDLINGS: Final[Mapping[str, Handling]] = {
@@ -12,6 +13,10 @@ HANDLINGS: Final[Mapping[str, Handling]] = {
     "queryEntity": reading.query,
     "queryBatch": reading.query_batch,
     "createEntityMapQueryEntity": reading.query_by_method,
+    **{
+        name: batch(name)
+        for name in ("createBatch", "upsertBatch", "updateBatch", "mergeBatch", "deleteBatch")
+    },
     "createEntity": writing.create,
     "replaceEntity": writing.change_entity,
     "mergeEntity": writing.change_entity,

@@ -42,7 +42,6 @@ _TYPE_SIGNS: Final = re.compile(r"[,;|()]+")
 
 async def retrieve(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
     """GET entities/{id}, from all that may know it."""
-    exchange.accept()
     context = await exchange.reader_context()
     entity_id = require_uri(exchange.names[0], "the entity id in the path")
     own = exchange.tenant.store.get(entity_id)
@@ -89,7 +88,6 @@ async def _retrieve_from(
 
 async def query(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
     """GET entities, and entities of all that may know some."""
-    exchange.accept()
     context = await exchange.reader_context()
     return await _query(sources, exchange, perform, context, [dict(exchange.parameters)])
 
@@ -102,7 +100,6 @@ async def query_by_method(sources: Sources, exchange: Exchange, perform: Perform
 
 async def query_batch(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
     """POST entityOperations/query."""
-    exchange.accept()
     document, context = await exchange.body()
     if not isinstance(document, dict):
         return await perform(exchange)

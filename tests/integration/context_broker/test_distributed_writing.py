@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from typing import Any
+from uuid import uuid4
 
 import httpx
 import pytest
@@ -71,8 +72,8 @@ def delete_batch(client: httpx.Client, entity_id: str, kind: str) -> httpx.Respo
 
 
 TABLE: list[tuple[Act, str, int, Values, Values]] = [
-    # what is done, the mode, the status, then what is here and what is there; before, a, b and c are 1 wherever
-    # the mode lets them be: a here, b and c there (exclusive); there alone (redirect); in both
+    # what is done, the mode, the status, then what is here and what is there; before, a, b and c are 1
+    # wherever the mode lets them be: a here, b and c there (exclusive); there alone (redirect); in both
     (create, "exclusive", 201, {"a": 2}, {"b": 2}),
     (create, "redirect", 201, None, {"a": 2, "b": 2}),
     (create, "inclusive", 201, {"a": 2, "b": 2}, {"a": 2, "b": 2}),
@@ -112,6 +113,63 @@ TABLE: list[tuple[Act, str, int, Values, Values]] = [
     (delete, "inclusive", 204, None, None),
     (delete, "auxiliary", 204, None, BOTH),
 ]
+
+
+BATCHES: list[tuple[Act, str, int, Values, Values]] = [
+    *(
+        (many, mode, 201 if many is create_batch else status, here, there)
+        for many, single in (
+            (create_batch, create),
+            (upsert_batch, replace),
+            (update_batch, append),
+            (merge_batch, merge),
+            (delete_batch, delete),
+        )
+        for one, mode, status, here, there in TABLE
+        if one is single
+    )
+]
+ALL_TAKE = ["redirectionOps", "createBatch", "upsertBatch", "updateBatch", "mergeBatch", "deleteBatch"]
+
+
+@pytest.mark.parametrize("takes", [ALL_TAKE, ["redirectionOps"]], ids=["at once", "one by one"])
+@pytest.mark.parametrize("case", BATCHES, ids=lambda case: f"{case[0].__name__}-{case[1]}")
+def test_a_batch_is_shared_entity_by_entity(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], case: tuple[Any, ...], takes: list[str]
+) -> None:
+    act, mode, status, here, there = case
+    kind = f"Kind{uuid4().hex}"
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    arrange(near, far, entity_id, kind, mode, is_new="create" in act.__name__)
+    info = {"type": kind, "id": entity_id} if mode == "exclusive" else {"type": kind}
+    names = ["b", "c"] if mode == "exclusive" else None
+    operations = ["retrieveOps"] if mode == "auxiliary" else takes
+    register(near, brokers[1].url, info, names, mode=mode, operations=operations)
+    answer = act(near, entity_id, kind)
+    assert answer.status_code == status, answer.text
+    assert held(near, entity_id) == here
+    assert held(far, entity_id) == there
+
+
+def test_a_batch_is_passed_on_as_a_batch_and_its_failures_are_told(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, mode="redirect", operations=["createBatch"])
+    ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(3)]
+    source.answers["POST", "/ngsi-ld/v1/entityOperations/create"] = (
+        207,
+        {
+            "success": ids[:2],
+            "errors": [{"entityId": ids[2], "error": {"title": "Already exists", "status": 409}}],
+        },
+    )
+    entities = [{"id": one, "type": kind, "a": 1} for one in ids]
+    answer = near.post("/entityOperations/create", json=[*entities, {"id": "urn:x:own", "type": "Bad Type"}])
+    assert answer.status_code == 207
+    assert answer.json()["success"] == ids[:2]
+    assert [one["entityId"] for one in answer.json()["errors"]] == [ids[2], "urn:x:own"]
+    assert len(source.asked) == 1
+    assert source.asked[0][4] == entities
 
 
 @pytest.mark.parametrize("case", TABLE, ids=lambda case: f"{case[0].__name__}-{case[1]}")
