@@ -282,6 +282,12 @@ class Broker:
             raise not_stored(str(error)) from error
 
 
+def operations_of(settings: BrokerSettings) -> tuple[Operation, ...]:
+    """Return all operations of a broker, of which nothing is started and nothing written."""
+    journal = Journal(SqliteDatabase(settings.data_dir / "broker.db"))
+    return Broker(settings, journal, SoleBroker(), None).directory.operations
+
+
 def create_broker(settings: BrokerSettings) -> ASGIApp:
     """Return the broker as an ASGI application; raise `UsageError` when its file cannot be used."""
     database: Database
