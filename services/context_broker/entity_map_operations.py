@@ -113,6 +113,8 @@ class EntityMapOperations:
         made = await self._perform(
             making, in_place_of(exchange, headers=_without(exchange.headers, {b"accept"}))
         )
+        if made.status >= 300:
+            return made
         map_id = orjson.loads(made.body)["id"]
         result = await self._page(exchange, exchange.tenant.entity_maps.get(map_id), perform)
         result.headers += [one for one in made.headers if one[0] == b"ngsild-warning"]
