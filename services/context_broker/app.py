@@ -60,6 +60,7 @@ from services.context_broker.tenants import Tenants
 log = get_logger(__name__)
 
 ENTITIES = Gauge("handover_broker_entities", "Entities in the broker")
+LEADS = Gauge("handover_broker_leads", "1 for the broker that notifies, 0 for others on the same database")
 REQUESTS = Counter("handover_broker_requests_total", "Requests answered", ["operation", "status"])
 SECONDS = Histogram(
     "handover_broker_request_seconds",
@@ -132,6 +133,7 @@ class Broker:
         self.leadership.start(self.tenants.turn, self.tenants.commits.look)
         self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
+        LEADS.set_function(lambda: self.leadership.leads)
         gc.freeze()  # what was loaded stays: collections need not walk through it again and again
         log.info("broker ready", entities=self.tenants.entities(), database=self.journal.name)
 

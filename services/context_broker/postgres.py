@@ -6,6 +6,7 @@ of all changes. Statements are sent in a pipeline: a commit costs as few round t
 
 import re
 import threading
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     import psycopg
 
 CONNECT_TIMEOUT_S: Final = 5
+CALM_S: Final = 0.25
+"""Between two attempts to connect for writing; what is to be written meanwhile waits for the next."""
 SPARE_READERS: Final = 4
 """Connections for reading that are kept open; more are opened while more is read at once."""
 SCAN_AT_ONCE: Final = 5000
@@ -46,6 +49,7 @@ class PostgresDatabase:
         self.name = shown_url(url)
         self._version = 0
         self._writer: psycopg.Connection | None = None
+        self._not_before_s = 0.0
         self._readers: list[psycopg.Connection] = []
         self._readers_lock = threading.Lock()
 
@@ -107,6 +111,13 @@ class PostgresDatabase:
 
     def read(self, statement: str, parameters: Sequence[Any] = ()) -> list[Row]:
         """Return the rows of a query."""
+        try:
+            return self._read(statement, parameters)
+        except NotStored:
+            self._close_readers()  # which may have been idle while the server was started again
+            return self._read(statement, parameters)
+
+    def _read(self, statement: str, parameters: Sequence[Any]) -> list[Row]:
         with self._reader() as connection:
             return connection.execute(_query(statement), tuple(parameters)).fetchall()
 
@@ -119,10 +130,7 @@ class PostgresDatabase:
     def close(self) -> None:
         """Let go."""
         self._start_over()
-        with self._readers_lock:
-            for connection in self._readers:
-                connection.close()
-            self._readers.clear()
+        self._close_readers()
 
     def connected(self) -> "psycopg.Connection":
         """Return a new connection; raise `psycopg.OperationalError` if there cannot be one."""
@@ -140,8 +148,16 @@ class PostgresDatabase:
             tcp_user_timeout=15_000,
         )
 
+    def _close_readers(self) -> None:
+        with self._readers_lock:
+            for connection in self._readers:
+                connection.close()
+            self._readers.clear()
+
     def _connected(self) -> "psycopg.Connection":
         if self._writer is None or self._writer.closed:
+            time.sleep(max(0.0, self._not_before_s - time.monotonic()))
+            self._not_before_s = time.monotonic() + CALM_S
             writer = self.connected()
             writer.execute(f"SELECT pg_advisory_lock_shared({_PRESENCE})")
             found = _one(writer, "SELECT max(version) FROM schema_version")

@@ -93,6 +93,8 @@ class Feed:
         self.process = uuid4().hex
         self._seen = (0, "")
         """Number and writer of the last row seen."""
+        self._documents: set[DocumentKey] = set()
+        """All that are known, so that it can be told which are gone when everything is loaded anew."""
 
     @property
     def number(self) -> int:
@@ -104,6 +106,10 @@ class Feed:
         for statement in FEED.split(";"):
             writer.run(statement)
         self._to_the_end(writer)
+        self._documents = {
+            (Kind(kind), tenant, name)
+            for kind, tenant, name in writer.run("SELECT kind, tenant, id FROM documents")
+        }
 
     def news(self, writer: Writer) -> News:
         """Return what others did since; raise `FeedLost` if that cannot be told."""
@@ -122,10 +128,12 @@ class Feed:
         """Return all there is, as news."""
         self._to_the_end(writer)
         news = News(*self._seen, is_everything=True)
+        news.documents = dict.fromkeys(self._documents)
         for place, tenant, body in writer.run("SELECT seq, tenant, body FROM entities ORDER BY seq"):
             news.entities[place] = (tenant, orjson.loads(body)[0], body)
         for kind, tenant, name, body in writer.run("SELECT kind, tenant, id, body FROM documents"):
             news.documents[Kind(kind), tenant, name] = body
+        self._documents = set(news.documents)
         return news
 
     def tell(self, writer: Writer, news: News, entries: Entries) -> bool:
@@ -140,8 +148,10 @@ class Feed:
         writer.run_many(f"SELECT pg_notify('{CHANNEL}', ?)", [(self.process,)])
         return True
 
-    def went_on(self, news: News, *, told: bool) -> None:
+    def went_on(self, news: News, entries: Entries, *, told: bool) -> None:
         """Note what is seen now that the transaction is committed: the news, and what was told after them."""
+        self._documents.update(news.documents)
+        self._documents.update(entries.documents)
         self._seen = (news.number + 1, self.process) if told else (news.number, news.process)
 
     def holds_own(self, writer: Writer, news: News) -> bool:
@@ -289,7 +299,7 @@ class Replica:
         except FateUnknown as error:
             if not (tells and self._is_there(news)):
                 raise NotStored(str(error)) from error
-        self._feed.went_on(news, told=tells)
+        self._feed.went_on(news, together, told=tells)
         return news, standing, overtaken
 
     def _is_there(self, news: News) -> bool:

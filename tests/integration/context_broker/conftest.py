@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -128,12 +129,16 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 @pytest.fixture(scope="session")
-def new_database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], str]]:
+def new_database() -> Iterator[Callable[[], str]]:
     """Make databases on one PostgreSQL server; each call returns the URL of a new one."""
     from tests.postgres import postgres_server
 
     numbers = itertools.count()
-    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
+    # Not a folder of pytest: a server that recovers from a crash looks at its own from outside.
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
+        postgres_server(Path(folder)) as url,
+    ):
 
         def make() -> str:
             name = f"broker_{next(numbers)}"
@@ -174,6 +179,12 @@ def own_broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Broke
     broker = BrokerProcess(tmp_path, extra=on(request))
     yield broker
     broker.stop()
+
+
+@pytest.fixture
+def broker_kind() -> type[BrokerProcess]:
+    """For tests that make brokers themselves."""
+    return BrokerProcess
 
 
 class Subscriber:
