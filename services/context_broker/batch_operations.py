@@ -14,7 +14,15 @@ from services.context_broker.attempts import made_again
 from services.context_broker.changes import Outcome
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity, Event
-from services.context_broker.entity_operations import DONE, absent, creation, is_simplified, read_merge
+from services.context_broker.entity_operations import (
+    DONE,
+    FORMS,
+    absent,
+    bare,
+    creation,
+    is_simplified,
+    read_merge,
+)
 from services.context_broker.exchange import Answer, Exchange
 from services.context_broker.geojson import OFFERED
 from services.context_broker.intake import Nulls, read_change, read_entity
@@ -35,8 +43,10 @@ from services.context_broker.store import Store
 from services.context_broker.words import require_uri, shown, timestamp_now
 
 MOST_ENTITIES: Final = 10_000
-_LOCAL: Final = frozenset({"local", "options"})
-_MERGE: Final = _LOCAL | {"format"}
+_LOCAL: Final = frozenset({"local"})
+_WRITE: Final = _LOCAL | {"options", "format"}
+_UPSERTING: Final = frozenset({"update", "replace"})
+_KEEPING: Final = frozenset({"noOverwrite"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +125,15 @@ class BatchOperations:
         asking = VIEW_PARAMETERS | PAGE_PARAMETERS
         return (
             Operation(
-                "POST", f"{at}/create", "createBatch", "6.14.3.1", self.create, _LOCAL, makes_tenant=True
+                "POST", f"{at}/create", "createBatch", "6.14.3.1", self.create, _WRITE, makes_tenant=True
             ),
             Operation(
-                "POST", f"{at}/upsert", "upsertBatch", "6.15.3.1", self.upsert, _LOCAL, makes_tenant=True
+                "POST", f"{at}/upsert", "upsertBatch", "6.15.3.1", self.upsert, _WRITE, makes_tenant=True
             ),
-            Operation("POST", f"{at}/update", "updateBatch", "6.16.3.1", self.update, _LOCAL),
+            Operation("POST", f"{at}/update", "updateBatch", "6.16.3.1", self.update, _WRITE),
             Operation("POST", f"{at}/delete", "deleteBatch", "6.17.3.1", self.delete, _LOCAL),
             Operation("POST", f"{at}/query", "queryBatch", "6.23.3.1", self.query, asking),
-            Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _MERGE),
+            Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _WRITE),
         )
 
     async def create(self, exchange: Exchange) -> Answer:
@@ -133,31 +143,30 @@ class BatchOperations:
 
     async def upsert(self, exchange: Exchange) -> Answer:
         """POST entityOperations/upsert; options=update keeps attributes that are not named."""
-        options = options_of(exchange, frozenset({"update", "replace"}))
+        options = _UPSERTING.intersection(options_of(exchange, FORMS | _UPSERTING))
         if len(options) > 1:
             raise bad_request_data("options is update or replace, not both")
         keeps = options == {"update"}
         fates = await self._each(
-            exchange, lambda store, given, context: self._upsert(store, given, context, keeps=keeps)
+            exchange,
+            lambda store, given, context: self._upsert(store, given, context, keeps=keeps),
+            _UPSERTING,
         )
         return fates.answer(_created(fates.created) if fates.created else DONE)
 
     async def update(self, exchange: Exchange) -> Answer:
         """POST entityOperations/update; options=noOverwrite leaves attributes that are there alone."""
-        overwrite = "noOverwrite" not in options_of(exchange, frozenset({"noOverwrite"}))
+        overwrite = "noOverwrite" not in options_of(exchange, FORMS | _KEEPING)
         fates = await self._each(
             exchange,
             lambda store, given, context: self._append(store, given, context, overwrite=overwrite),
+            _KEEPING,
         )
         return fates.answer(DONE)
 
     async def merge(self, exchange: Exchange) -> Answer:
-        """POST entityOperations/merge; options=simplified takes bare values for what their attributes are."""
-        simplified = is_simplified(exchange)
-        fates = await self._each(
-            exchange, lambda store, given, context: self._merge(store, given, context, simplified=simplified)
-        )
-        return fates.answer(DONE)
+        """POST entityOperations/merge."""
+        return (await self._each(exchange, self._merge)).answer(DONE)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """POST entityOperations/delete with a list of ids."""
@@ -185,7 +194,15 @@ class BatchOperations:
         page = await search(exchange.tenant.store, selection, window.offset, window.limit, count=window.count)
         return entities_answer(exchange, page, window, context, view)
 
-    async def _each(self, exchange: Exchange, act: Callable[[Store, Any, Context], _Change]) -> _Fates:
+    async def _each(
+        self,
+        exchange: Exchange,
+        act: Callable[[Store, Any, Context], _Change],
+        others: frozenset[str] = frozenset(),
+    ) -> _Fates:
+        """Have `act` done with each document; `others` are options that the operation has besides forms."""
+        if is_simplified(exchange, others):
+            act = partial(_from_simplified, act)
         media_type = exchange.content_type()
         documents = _as_list(exchange.document(), "entities")
         fates = _Fates()
@@ -230,9 +247,9 @@ class BatchOperations:
             return replace(self._carry_out(store, before, outcome), refusal=refusal)
         return self._carry_out(store, before, outcome)
 
-    def _merge(self, store: Store, given: Any, context: Context, *, simplified: bool) -> _Change:
+    def _merge(self, store: Store, given: Any, context: Context) -> _Change:
         before = self._existing(store, given)
-        change = read_merge(given, before, context, simplified=simplified)
+        change = read_merge(given, before, context)
         return self._carry_out(store, before, changes.merged(before, change, timestamp_now()))
 
     def _existing(self, store: Store, given: Any) -> Entity:
@@ -255,6 +272,12 @@ class BatchOperations:
 
 def _created(ids: list[str]) -> Answer:
     return Answer(201, orjson.dumps(ids), [(b"content-type", b"application/json")])
+
+
+def _from_simplified(
+    act: Callable[[Store, Any, Context], _Change], store: Store, given: Any, context: Context
+) -> _Change:
+    return act(store, bare(given, context, store.latest(id_of(given))), context)
 
 
 def id_of(document: Any) -> str:

@@ -25,7 +25,10 @@ PRESENT = "the entity has this attribute already and noOverwrite was asked for"
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """An entity after a change, the attributes (IRIs) that were written, and those refused and why."""
+    """An entity after a change, the attributes (IRIs) that were written, and those refused and why.
+
+    An attribute is both when some of its instances were written and others refused.
+    """
 
     entity: Entity
     touched: frozenset[str]
@@ -64,7 +67,7 @@ def replaced(before: Entity, change: Change, at: str) -> Outcome:
 
 
 def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True) -> Outcome:
-    """Return the entity with attributes added; those that are there are overwritten, or refused.
+    """Return the entity with attributes added; instances that are there are overwritten, or refused.
 
     Scopes are overwritten too, or added to those that the entity has (clause 5.6.3).
     """
@@ -72,27 +75,33 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
     refused: dict[str, str] = {}
     if change.scopes and before.scopes and not overwrite:
         change = replace(change, scopes=tuple(dict.fromkeys((*before.scopes, *change.scopes))))
+    written: Attributes = {}
     for name, instances in change.attributes.items():
-        if name in attributes and not overwrite:
+        kept = _by_dataset(before, name)
+        new = instances if overwrite else [one for one in instances if dataset_of(one) not in kept]
+        if len(new) < len(instances):
             refused[name] = PRESENT
-        else:
-            _write(attributes, name, instances, at)
-    return _outcome(before, change, attributes, at, refused)
+        if new:
+            written[name] = new
+            _write(attributes, name, new, at)
+    return _outcome(before, replace(change, attributes=written), attributes, at, refused)
 
 
 def updated(before: Entity, change: Change, at: str) -> Outcome:
     """Return the entity with attributes overwritten; those that are not there are refused (clause 5.6.2)."""
     attributes = dict(before.attributes)
     refused: dict[str, str] = {}
+    written: Attributes = {}
     if change.scopes is not None and not before.scopes:
         refused["scope"] = ABSENT
         change = replace(change, scopes=None)
     for name, instances in change.attributes.items():
         if name in attributes:
+            written[name] = instances
             _write(attributes, name, instances, at)
         else:
             refused[name] = ABSENT
-    return _outcome(before, change, attributes, at, refused)
+    return _outcome(before, replace(change, attributes=written), attributes, at, refused)
 
 
 def merged(before: Entity, change: Change, at: str, observed_at: str | None = None) -> Outcome:
@@ -177,7 +186,7 @@ def _outcome(
     types = tuple(dict.fromkeys((*before.types, *change.types))) if change.types else before.types
     scopes = before.scopes if change.scopes is None else change.scopes
     expires_at = _end(before.expires_at, change)
-    named = frozenset(change.attributes).difference(refused)
+    named = frozenset(change.attributes)
     if not named and types == before.types and scopes == before.scopes and expires_at == before.expires_at:
         return Outcome(before, named, refused)
     touched = named.intersection(attributes)  # what a change deleted is no news to tell

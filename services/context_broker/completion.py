@@ -62,16 +62,17 @@ def instance_for(given: Mapping[str, Any], instances: list[Instance]) -> Instanc
 
 
 def normalized(
-    document: Mapping[str, Any], entity: Entity, terms: Terms, language: str | None = None
+    document: Mapping[str, Any], entity: Entity | None, terms: Terms, language: str | None = None
 ) -> dict[str, Any]:
-    """Return a simplified change in normalized form, each attribute of the kind that `entity` has it in.
+    """Return a simplified document in normalized form, each attribute of the kind that `entity` has it in.
 
     Wordings without a tag are in `language`, or in none.
     """
+    known = {} if entity is None else entity.attributes
     return {
         name: given
         if _is_member(name)
-        else _normalized_attribute(given, entity.attributes.get(terms.expand(name), []), language)
+        else _normalized_attribute(given, known.get(terms.expand(name), []), language)
         for name, given in document.items()
     }
 

@@ -43,12 +43,13 @@ from services.context_broker.type_selection import type_selection
 from services.context_broker.words import require_name, require_time, require_uri, shown, timestamp_now
 
 DONE: Final = Answer(204)
-_LOCAL: Final = frozenset({"local"})
+_FORM: Final = frozenset({"options", "format"})
+_CREATE: Final = _FORM | {"local"}
 _ONE: Final = frozenset({"type", "local"})
+_WRITE: Final = _ONE | _FORM
 _DELETE_ATTR: Final = _ONE | {"datasetId", "deleteAll"}
-_APPEND: Final = _ONE | {"options"}
-_MERGE: Final = _ONE | {"options", "format", "observedAt", "lang"}
-_FORMS: Final = frozenset({"normalized", "concise", "simplified", "keyValues"})
+_MERGE: Final = _WRITE | {"observedAt", "lang"}
+FORMS: Final = frozenset({"normalized", "concise", "simplified", "keyValues"})
 _SIMPLIFIED: Final = frozenset({"simplified", "keyValues"})
 
 
@@ -59,17 +60,17 @@ class EntityOperations:
         """Return the operations of this room."""
         one, attributes, attribute = "entities/{id}", "entities/{id}/attrs", "entities/{id}/attrs/{name}"
         return (
-            Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _LOCAL, True),
+            Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _CREATE, True),
             Operation(
                 "GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS | MAP_PARAMETERS
             ),
             Operation("DELETE", "entities", "purgeEntity", "6.4.3.3", self.purge, PURGE_PARAMETERS),
             Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, VIEW_PARAMETERS | _ONE),
             Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _ONE),
-            Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _ONE),
+            Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _WRITE),
             Operation("PATCH", one, "mergeEntity", "6.5.3.4", self.merge, _MERGE),
-            Operation("POST", attributes, "appendAttrs", "6.6.3.1", self.append, _APPEND),
-            Operation("PATCH", attributes, "updateEntity", "6.6.3.2", self.update, _ONE),
+            Operation("POST", attributes, "appendAttrs", "6.6.3.1", self.append, _WRITE),
+            Operation("PATCH", attributes, "updateEntity", "6.6.3.2", self.update, _WRITE),
             Operation("PATCH", attribute, "updateAttrs", "6.7.3.1", self.update_attribute, _ONE),
             Operation("DELETE", attribute, "deleteAttrs", "6.7.3.2", self.delete_attribute, _DELETE_ATTR),
             Operation("PUT", attribute, "replaceAttrs", "6.7.3.3", self.replace_attribute, _ONE),
@@ -77,8 +78,9 @@ class EntityOperations:
 
     async def create(self, exchange: Exchange) -> Answer:
         """POST entities."""
+        simplified = is_simplified(exchange)
         document, context = await exchange.body()
-        change = read_entity(document, context.terms)
+        change = read_entity(bare(document, context) if simplified else document, context.terms)
         store = exchange.tenant.store
         await store.stage(creation(store, change))
         location = f"{PREFIX}entities/{quote(change.id or '', safe=':')}".encode()
@@ -119,8 +121,11 @@ class EntityOperations:
 
     async def replace(self, exchange: Exchange) -> Answer:
         """PUT entities/{id}."""
+        simplified = is_simplified(exchange)
         document, context = await exchange.body()
         before = self.existing(exchange, context)
+        if simplified:
+            document = bare(document, context, before)
         change = _about(exchange, read_change(document, context.terms, Nulls.NOWHERE))
         await self._carry_out(exchange, changes.replaced(before, change, timestamp_now()))
         return DONE
@@ -139,9 +144,12 @@ class EntityOperations:
 
     async def append(self, exchange: Exchange) -> Answer:
         """POST entities/{id}/attrs."""
-        overwrite = "noOverwrite" not in options_of(exchange, frozenset({"noOverwrite"}))
+        overwrite = "noOverwrite" not in options_of(exchange, FORMS | {"noOverwrite"})
+        simplified = is_simplified(exchange, frozenset({"noOverwrite"}))
         document, context = await exchange.body()
         before = self.existing(exchange, context)
+        if simplified:
+            document = bare(document, context, before)
         change = _about(exchange, read_change(document, context.terms, Nulls.NOWHERE))
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         await self._carry_out(exchange, outcome)
@@ -149,8 +157,11 @@ class EntityOperations:
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs."""
+        simplified = is_simplified(exchange)
         document, context = await exchange.body()
         before = self.existing(exchange, context)
+        if simplified:
+            document = bare(document, context, before)
         change = _about(exchange, read_change(document, context.terms, Nulls.ATTRIBUTES))
         outcome = changes.updated(before, change, timestamp_now())
         await self._carry_out(exchange, outcome)
@@ -176,14 +187,17 @@ class EntityOperations:
         return DONE
 
     async def replace_attribute(self, exchange: Exchange) -> Answer:
-        """PUT entities/{id}/attrs/{name}; other instances of the attribute stay."""
+        """PUT entities/{id}/attrs/{name}: replaces one instance, by datasetId; others stay."""
         document, context = await exchange.body()
         before = self.existing(exchange, context)
         if exchange.names[1] == "scope":
             raise bad_request_data("a scope is replaced with PATCH …/attrs, or with the whole entity")
         name = self._attribute_name(exchange, context)
-        self._instances(exchange, before, name)
+        kept = self._instances(exchange, before, name)
         instances = read_attribute(exchange.names[1], _without_context(document), context.terms)
+        for one in instances:
+            if instance_for(one, kept) is None:
+                raise _absent_instance(exchange, one.get("datasetId"))
         refuse_nulls({name: instances}, context.terms, Nulls.NOWHERE)
         change = Change(None, (), {name: instances})
         await self._carry_out(exchange, changes.updated(before, change, timestamp_now()))
@@ -279,13 +293,26 @@ def read_merge(
     return read_change(document, context.terms, Nulls.VALUES)
 
 
-def is_simplified(exchange: Exchange) -> bool:
-    """Say whether the body is in simplified form; any other form tells by itself which it is."""
-    forms = options_of(exchange, _FORMS)
+def bare(document: object, context: Context, before: Entity | None = None) -> object:
+    """Return a document in simplified form in normalized form, by what the entity says if there is one.
+
+    The standard has simplified bodies for merges alone; others are taken too because brokers in use do.
+    """
+    return normalized(document, before, context.terms) if isinstance(document, dict) else document
+
+
+def is_simplified(exchange: Exchange, others: frozenset[str] = frozenset()) -> bool:
+    """Say whether the body is in simplified form; any other form tells by itself which it is.
+
+    `others` are the options that the operation has besides.
+    """
+    if not exchange.parameters:
+        return False
+    forms = options_of(exchange, FORMS | others)
     wanted = exchange.parameter("format")
     if wanted is not None:
-        if wanted not in _FORMS:
-            raise invalid_request(f"format is one of {', '.join(sorted(_FORMS))}, not {shown(wanted)}")
+        if wanted not in FORMS:
+            raise invalid_request(f"format is one of {', '.join(sorted(FORMS))}, not {shown(wanted)}")
         forms.add(wanted)
     return not forms.isdisjoint(_SIMPLIFIED)
 
@@ -317,7 +344,9 @@ def _update_result(change: Change, outcome: Outcome, context: Context) -> Answer
     compact = context.terms.compact
     names = [*change.attributes] if change.scopes is None else [*change.attributes, "scope"]
     body = {
-        "updated": [compact(name) for name in names if name not in outcome.refused],
+        "updated": [
+            compact(name) for name in names if name not in outcome.refused or name in outcome.touched
+        ],
         "notUpdated": [
             {"attributeName": compact(name), "reason": reason} for name, reason in outcome.refused.items()
         ],

@@ -126,8 +126,7 @@ def refuse_nulls(attributes: Attributes, terms: Terms, nulls: Nulls) -> None:
     """Raise a problem if attributes tell of something to delete where `nulls` does not allow it."""
     for name, instances in attributes.items():
         for instance in instances:
-            whole = is_deletion(instance)
-            if (whole and nulls is Nulls.NOWHERE) or (not whole and _tells_null(instance, nulls)):
+            if _tells_null(instance, nulls):
                 raise bad_request_data(
                     f"attribute {shown(terms.compact(name))} has {NULL}, which only has a meaning where a "
                     "change deletes something, and inside values only in a merge; leave it out"
@@ -135,16 +134,18 @@ def refuse_nulls(attributes: Attributes, terms: Terms, nulls: Nulls) -> None:
 
 
 def _tells_null(instance: Instance, nulls: Nulls) -> bool:
-    opaque = instance["type"] == "JsonProperty"
-    for member, value in instance.items():
-        if ":" in member:
-            if any(_tells_null(one, nulls) for one in value):
-                return True
-        elif value == NULL:
-            if nulls is Nulls.NOWHERE:
-                return True
-        elif isinstance(value, dict | list) and not opaque and _holds_null(value):
+    if nulls is Nulls.NOWHERE:
+        if NULL in instance.values():
             return True
+    elif is_deletion(instance) or instance["type"] == "LanguageProperty":  # may delete a wording
+        return False
+    for member, value in instance.items():
+        if value.__class__ is dict or value.__class__ is list:
+            if ":" in member:
+                if any(_tells_null(one, nulls) for one in value):
+                    return True
+            elif member != "json" and _holds_null(value):
+                return True
     return False
 
 
@@ -269,11 +270,11 @@ def _plain(name: str, value: Any, terms: Terms, kind: str = "Property") -> Insta
 
 def _kind(name: str, given: Mapping[str, Any]) -> str | None:
     """Return the kind of an attribute; None when it is a bare value in concise form."""
-    if "@value" in given:
-        return None
     kind = kind_said(given)
     if kind in KINDS:
         return kind
+    if "@value" in given:
+        return None
     if kind is not None:
         if looks_like_geometry(given):
             return None
@@ -295,25 +296,49 @@ def _kind(name: str, given: Mapping[str, Any]) -> str | None:
 
 def _metadata(name: str, kind: str, member: str, value: Any, terms: Terms) -> Any:
     what = f"{member} of attribute {shown(name)}"
-    if kind not in _KINDS_WITH.get(member, KINDS):
+    if member in _KINDS_WITH and kind not in _KINDS_WITH[member]:
         raise bad_request_data(f"attribute {shown(name)} is a {kind}, which has no {member}; leave it out")
     if member == "datasetId":
         if value == NULL:
             raise bad_request_data(f"{what} cannot be deleted; delete the instance and append another")
         return require_uri(value, what)
-    if value == NULL:
-        return value
-    if member in {"observedAt", "expiresAt"}:
-        return require_time(value, what) if member == "observedAt" else require_future(value, what)
-    if member == "objectType":
-        return [*read_types(value, terms)] if isinstance(value, list) else read_types(value, terms)[0]
+    return value if value == NULL else _METADATA_READERS[member](value, what, kind, terms)
+
+
+def _observed_at(value: Any, what: str, _: str, __: Terms) -> str:
+    return require_time(value, what)
+
+
+def _expires_at(value: Any, what: str, _: str, __: Terms) -> str:
+    return require_future(value, what)
+
+
+def _object_type(value: Any, _: str, __: str, terms: Terms) -> Any:
+    types = read_types(value, terms)
+    return [*types] if isinstance(value, list) else types[0]
+
+
+def _text(value: Any, what: str, _: str, __: Terms) -> str:
     if not isinstance(value, str) or not value:
         raise bad_request_data(f"{what} must be text, not {shown(value)}")
-    if member == "valueType":
-        if kind == "LanguageProperty" and value not in _LANG_STRING:
-            raise bad_request_data(f"{what} is langString or left out, not {shown(value)}")
-        return terms.expand(value)
     return value
+
+
+def _value_type(value: Any, what: str, kind: str, terms: Terms) -> str:
+    text = _text(value, what, kind, terms)
+    if kind == "LanguageProperty" and text not in _LANG_STRING:
+        raise bad_request_data(f"{what} is langString or left out, not {shown(value)}")
+    return terms.expand(text)
+
+
+_METADATA_READERS: Final = {
+    "observedAt": _observed_at,
+    "expiresAt": _expires_at,
+    "objectType": _object_type,
+    "valueType": _value_type,
+    "unitCode": _text,
+    "lang": _text,
+}
 
 
 def _sealed(name: str, member: str, value: Any, terms: Terms) -> Any:

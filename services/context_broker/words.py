@@ -113,15 +113,23 @@ def require_name(value: Any, what: str) -> str:
     """
     if not isinstance(value, str) or not value:
         raise bad_request_data(f"{what} must be a name, not {shown(value)}")
+    if len(value) <= LONGEST_NAME and _is_name(value):
+        return value
     if len(value) > LONGEST_NAME:
         raise bad_request_data(f"{what} has {len(value)} characters; {LONGEST_NAME} are allowed")
     if value.startswith("@") or _UNFIT_IN_NAMES.search(value):
         raise bad_request_data(
             f"{what} {shown(value)} is no name: leave out spaces, quotes, brackets and @ = ; , | < >"
         )
-    if ":" not in value and not _SHORT_NAME.fullmatch(value):
-        raise bad_request_data(f"{what} {shown(value)} is no name: a letter, then letters, digits and _")
-    return value
+    raise bad_request_data(f"{what} {shown(value)} is no name: a letter, then letters, digits and _")
+
+
+@lru_cache(maxsize=8192)
+def _is_name(value: str) -> bool:
+    """Say whether `value` can name something; remembered, for the same names come again and again."""
+    if ":" not in value:
+        return _SHORT_NAME.fullmatch(value) is not None
+    return not value.startswith("@") and _UNFIT_IN_NAMES.search(value) is None
 
 
 def shown(value: Any) -> str:

@@ -250,3 +250,176 @@ def test_many_changes_at_once_all_count(shared_broker: Any, http: httpx.Client) 
         assert set(pool.map(append, range(80))) == {204}
     kept = read(http, entity_id, options="keyValues")
     assert {kept[f"n{number}"] for number in range(80)} == set(range(80))
+
+
+def test_a_merge_may_be_in_simplified_form_and_each_attribute_stays_of_its_kind(http: httpx.Client) -> None:
+    entity_id = made(
+        http,
+        "simplified-merge",
+        speed={"value": 1, "unitCode": "MTS", "observedAt": "2026-01-01T12:00:00Z"},
+        at={"object": "urn:ngsi-ld:Place:demo:a"},
+        label={"languageMap": {"en": "part", "fi": "osa"}},
+        mood={"vocab": "calm"},
+        raw={"json": {"a": 1, "b": 2}},
+    )
+    change = {
+        "speed": 2,
+        "at": "urn:ngsi-ld:Place:demo:b",
+        "label": "pièce",
+        "mood": {"vocab": "keen"},
+        "raw": {"json": {"b": 3}},
+        "new": {"languageMap": {"en": "new"}},
+    }
+    answer = http.patch(
+        f"/entities/{entity_id}",
+        params={"options": "keyValues", "lang": "fr", "observedAt": "2026-01-02T12:00:00Z"},
+        json=change,
+    )
+    assert answer.status_code == 204, answer.text
+    entity = read(http, entity_id)
+    assert entity["speed"] == {
+        "type": "Property",
+        "value": 2,
+        "unitCode": "MTS",
+        "observedAt": "2026-01-02T12:00:00Z",
+    }
+    assert entity["at"] == {"type": "Relationship", "object": "urn:ngsi-ld:Place:demo:b"}
+    assert entity["label"]["languageMap"] == {"en": "part", "fi": "osa", "fr": "pièce"}
+    assert entity["mood"] == {"type": "VocabProperty", "vocab": "keen"}
+    assert entity["raw"]["json"] == {"a": 1, "b": 3}
+    assert entity["new"]["type"] == "LanguageProperty"
+
+
+def test_a_merge_may_leave_values_unsaid(http: httpx.Client) -> None:
+    entity_id = made(
+        http,
+        "unsaid",
+        speed={"value": 1, "unitCode": "MTS", "accuracy": {"value": 0.1, "unitCode": "MTS"}},
+        label={"languageMap": {"en": "part", "fi": "osa"}},
+    )
+    change = {
+        "speed": {"type": "Property", "unitCode": "KMH", "accuracy": {"unitCode": "KMH"}},
+        "label": {"type": "LanguageProperty", "languageMap": {"fi": "urn:ngsi-ld:null"}},
+    }
+    assert http.patch(f"/entities/{entity_id}", json=change).status_code == 204
+    assert read(http, entity_id, options="concise") == task(
+        "unsaid",
+        speed={"value": 1, "unitCode": "KMH", "accuracy": {"value": 0.1, "unitCode": "KMH"}},
+        label={"languageMap": {"en": "part"}},
+    )
+
+
+def test_bodies_may_be_in_simplified_form(http: httpx.Client) -> None:
+    simple = task(
+        "simple", a=1, label={"languageMap": {"en": "part"}}, both={"dataset": {"@none": 1, "urn:x:1": 2}}
+    )
+    form = {"options": "keyValues"}
+    assert http.post("/entities", params=form, json=simple).status_code == 201
+    path = "/entities/urn:ngsi-ld:Task:demo:simple"
+    assert read(http, simple["id"], options="keyValues") == simple
+    assert (
+        http.patch(f"{path}/attrs", params=form, json={"label": {"languageMap": {"fi": "osa"}}}).status_code
+        == 204
+    )
+    assert http.post(f"{path}/attrs", params={"format": "simplified"}, json={"b": 2}).status_code == 204
+    assert read(http, simple["id"])["label"] == {"type": "LanguageProperty", "languageMap": {"fi": "osa"}}
+    replaced = task("simple", c={"json": {"x": 1}})
+    assert http.put(path, params=form, json=replaced).status_code == 204
+    assert read(http, simple["id"], options="keyValues") == replaced
+    problem(http.post("/entities", params={"format": "odd"}, json=simple), 400, "InvalidRequest", "odd")
+
+
+def test_scopes_are_kept_changed_and_deleted(http: httpx.Client) -> None:
+    entity_id = made(http, "scopes", scope=["/Madrid", "/Gardens/North_2"], a=1)
+    assert read(http, entity_id)["scope"] == ["/Madrid", "/Gardens/North_2"]
+    path = f"/entities/{entity_id}"
+    assert (
+        http.post(f"{path}/attrs", params={"options": "noOverwrite"}, json={"scope": "/New"}).status_code
+        == 204
+    )
+    assert read(http, entity_id)["scope"] == ["/Madrid", "/Gardens/North_2", "/New"]
+    assert http.post(f"{path}/attrs", json={"scope": "/Only"}).status_code == 204
+    assert read(http, entity_id, options="keyValues") == task("scopes", scope="/Only", a=1)
+    problem(http.patch(f"{path}/attrs/scope", json={"value": "/B"}), 400, "BadRequestData", "scope")
+    assert http.delete(f"{path}/attrs/scope").status_code == 204
+    assert "scope" not in read(http, entity_id)
+    problem(http.delete(f"{path}/attrs/scope"), 404, "ResourceNotFound", "scope")
+    answer = http.patch(f"{path}/attrs", json={"scope": "/B", "a": 2})
+    assert answer.status_code == 207
+    assert answer.json()["notUpdated"][0]["attributeName"] == "scope"
+    assert http.patch(path, json={"scope": "/C"}).status_code == 204
+    assert http.patch(path, json={"scope": "urn:ngsi-ld:null"}).status_code == 204
+    assert "scope" not in read(http, entity_id)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("GET", "", None),
+        ("PATCH", "", {"a": 2}),
+        ("PUT", "", {"type": "Task", "a": 2}),
+        ("POST", "/attrs", {"a": 2}),
+        ("PATCH", "/attrs", {"a": 2}),
+        ("PATCH", "/attrs/a", {"value": 2}),
+        ("PUT", "/attrs/a", {"value": 2}),
+        ("DELETE", "/attrs/a", None),
+        ("DELETE", "", None),
+    ],
+)
+def test_an_operation_may_ask_for_an_entity_of_a_type(
+    http: httpx.Client, method: str, path: str, body: dict[str, Any] | None
+) -> None:
+    entity_id = f"urn:ngsi-ld:Task:demo:typed{method}{path.replace('/', '-')}"
+    assert (
+        http.post("/entities", json={"id": entity_id, "type": ["Task", "Chore"], "a": 1}).status_code == 201
+    )
+    for kind, wanted in (("Alert", 404), ("(Task;Alert)", 404), ("Alert,Chore", 200), ("Task", 200)):
+        answer = http.request(method, f"/entities/{entity_id}{path}", params={"type": kind}, json=body)
+        if wanted == 404:
+            problem(answer, 404, "ResourceNotFound", entity_id)
+        else:
+            assert answer.status_code in {200, 204}, answer.text
+            break
+
+
+def test_deletions_are_told_only_where_they_mean_something(http: httpx.Client) -> None:
+    null = "urn:ngsi-ld:null"
+    entity_id = made(
+        http,
+        "nulls",
+        a=1,
+        address={"value": {"city": "B", "street": "S"}},
+        label={"languageMap": {"en": "x"}},
+    )
+    path = f"/entities/{entity_id}"
+    for method, where, body in (
+        ("POST", "/attrs", {"a": null}),
+        ("PUT", "", task("nulls", a=null)),
+        ("PUT", "/attrs/a", {"value": null}),
+        ("PATCH", "/attrs", {"address": {"value": {"city": null}}}),
+        ("PATCH", "/attrs/address", {"value": {"city": null}}),
+        ("PATCH", "/attrs/a", {"datasetId": null}),
+        ("PATCH", "", {"id": null}),
+        ("PATCH", "", {"type": null}),
+    ):
+        problem(http.request(method, path + where, json=body), 400, "BadRequestData")
+    for method, where, body in (
+        ("PATCH", "", {"address": {"value": {"city": null}}}),
+        ("PATCH", "/attrs", {"a": {"type": "Property", "value": null}}),
+        ("PATCH", "/attrs/label", {"languageMap": {"@none": null}}),
+    ):
+        assert http.request(method, path + where, json=body).status_code == 204
+    assert read(http, entity_id, options="keyValues") == task("nulls", address={"street": "S"})
+
+
+def test_instances_that_are_there_stay_when_nothing_is_to_be_overwritten(http: httpx.Client) -> None:
+    entity_id = made(http, "instances", speed=1)
+    path = f"/entities/{entity_id}/attrs"
+    both = [{"type": "Property", "value": 5}, {"type": "Property", "value": 2, "datasetId": "urn:x:gps"}]
+    answer = http.post(path, params={"options": "noOverwrite"}, json={"speed": both})
+    assert answer.status_code == 207
+    assert answer.json()["updated"] == ["speed"]
+    assert [one["attributeName"] for one in answer.json()["notUpdated"]] == ["speed"]
+    assert read(http, entity_id, options="keyValues")["speed"] == {"dataset": {"@none": 1, "urn:x:gps": 2}}
+    answer = http.put(f"{path}/speed", json={"value": 3, "datasetId": "urn:x:radar"})
+    problem(answer, 404, "ResourceNotFound", "urn:x:radar")
