@@ -43,6 +43,7 @@ from services.context_broker.forwarding import Forwarder
 from services.context_broker.http_sender import HttpAsker
 from services.context_broker.journal import Entries, Journal, Kind, NotStored
 from services.context_broker.leadership import ElectedBroker, Leadership, SoleBroker
+from services.context_broker.notifier import REQUEST_HEADERS
 from services.context_broker.operation import Directory, Operation
 from services.context_broker.postgres import PostgresDatabase
 from services.context_broker.problems import ERRORS, not_stored
@@ -143,7 +144,7 @@ class Broker:
         for tenant in self.tenants:
             tenant.notifier.stop()
             tenant.source_notifier.stop()
-        self.tenants.outbound.sender.close()
+        await self.tenants.outbound.close()
         self.contexts.write_usage()
         self.distribution.forwarder.asker.close()
         await self.retention.stop()
@@ -182,6 +183,8 @@ class Broker:
         try:
             exchange = Exchange(request, names, self.contexts, tenant)
             exchange.require_known(operation.parameters)
+            if tenant.notifier.passes_headers_on:
+                REQUEST_HEADERS.set(request.headers)
             if wants_map(operation, exchange):
                 return await self.entity_maps.answer(operation, exchange, partial(self._answered, operation))
             return await self._answered(operation, exchange)

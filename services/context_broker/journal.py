@@ -30,6 +30,7 @@ _MIGRATIONS: Final = (
     """
     ALTER TABLE entities ADD COLUMN tenant TEXT NOT NULL DEFAULT '';
     ALTER TABLE outbox ADD COLUMN tenant TEXT NOT NULL DEFAULT '';
+    ALTER TABLE outbox ADD COLUMN headers {bytes};
     DROP INDEX outbox_by_subscription;
     CREATE INDEX outbox_by_subscription ON outbox (tenant, subscription, seq);
     CREATE TABLE documents (
@@ -53,6 +54,9 @@ _MIGRATIONS: Final = (
     """,
 )
 SCHEMA_VERSION: Final = len(_MIGRATIONS)
+
+OVERHEAD_BYTES: Final = 200
+"""What a notice takes besides its body."""
 
 
 class Kind(StrEnum):
@@ -118,9 +122,12 @@ class DepartedRow:
 
 @dataclass(slots=True, eq=False)
 class Notice:
-    """A notification that is owed. Without `body` it waits for its throttling to end, to be told then.
+    """A notification that is owed.
 
-    `seq` is its place in the outbox, which the journal gives it in the commit.
+    Without `body`, or with one that is a list of entities instead of a notification, it waits for its
+    throttling to end, to be told then: how the entity is by then, or that list. `headers` (JSON) are those of
+    the request that the subscriber wants passed on. `seq` is its place in the outbox, which the journal gives
+    it in the commit.
     """
 
     tenant: str
@@ -129,6 +136,17 @@ class Notice:
     at: float
     body: bytes | None
     seq: int = 0
+    headers: bytes | None = None
+
+    @property
+    def waits_for_throttling(self) -> bool:
+        """Say whether it is told together with others once the throttling ends."""
+        return self.body is None or self.body.startswith(b"[")
+
+    @property
+    def size(self) -> int:
+        """How many bytes it takes, about."""
+        return OVERHEAD_BYTES + (0 if self.body is None else len(self.body))
 
 
 @dataclass(slots=True)
@@ -218,11 +236,34 @@ class Journal:
         Raises `NotStored` when the disk cannot be read.
         """
         rows = self._database.read(
-            "SELECT tenant, subscription, entity, at, body, seq FROM outbox "
+            "SELECT tenant, subscription, entity, at, body, seq, headers FROM outbox "
             "WHERE tenant = ? AND subscription = ? AND seq > ? ORDER BY seq LIMIT ?",
             (tenant, subscription, after, limit),
         )
         return [Notice(*row) for row in rows]
+
+    def owed_sizes(self, tenant: str, subscription: str, after: int, limit: int) -> list[tuple[int, int]]:
+        """Return number and bytes of the oldest notifications owed after number `after`, as `owed`."""
+        rows = self._database.read(
+            "SELECT seq, coalesce(length(body), 0) FROM outbox "
+            "WHERE tenant = ? AND subscription = ? AND seq > ? ORDER BY seq LIMIT ?",
+            (tenant, subscription, after, limit),
+        )
+        return [(seq, size + OVERHEAD_BYTES) for seq, size in rows]
+
+    def owed_in_all(self, tenant: str, subscription: str) -> tuple[int, int]:
+        """Return how many notifications are owed to a subscription, and their bytes, as `owed`."""
+        ((many, size),) = self._database.read(
+            "SELECT count(*), coalesce(sum(length(body)), 0) FROM outbox "
+            "WHERE tenant = ? AND subscription = ?",
+            (tenant, subscription),
+        )
+        return many, int(size) + many * OVERHEAD_BYTES
+
+    def owed_to(self, tenant: str) -> set[str]:
+        """Return the subscriptions of a tenant to which anything is owed, as `owed`."""
+        rows = self._database.read("SELECT DISTINCT subscription FROM outbox WHERE tenant = ?", (tenant,))
+        return {subscription for (subscription,) in rows}
 
     def last_place(self) -> int:
         """Return the highest place in the order of creation."""
@@ -346,8 +387,12 @@ def _write_outbox(writer: Writer, entries: Entries, last_notice: int) -> None:
         one.seq = number
     if entries.owed:
         writer.run_many(
-            "INSERT INTO outbox (seq, tenant, subscription, entity, at, body) VALUES (?, ?, ?, ?, ?, ?)",
-            [(one.seq, one.tenant, one.subscription, one.entity, one.at, one.body) for one in entries.owed],
+            "INSERT INTO outbox (seq, tenant, subscription, entity, at, body, headers) "
+            "VALUES (?, ?, ?, ?, ?, ?, ?)",
+            [
+                (one.seq, one.tenant, one.subscription, one.entity, one.at, one.body, one.headers)
+                for one in entries.owed
+            ],
         )
     if entries.settled:
         writer.run_many("DELETE FROM outbox WHERE seq = ?", [(seq,) for seq in entries.settled])

@@ -18,8 +18,8 @@ from services.context_broker.projection import Projection
 FORMS_KEPT = 4
 """Rendered forms of one entity that are kept."""
 
-_TIMES = frozenset({"createdAt", "modifiedAt", "expiresAt"})
-_TERM_MEMBERS = ("objectType", "valueType", "entityTypeSealed")
+_TIMES = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt"})
+_TERM_MEMBERS = ("objectType", "valueType", "entityTypeSealed", "previousVocab")
 
 
 class Form(StrEnum):

@@ -2,8 +2,8 @@
 
 from typing import Final
 
+from services.context_broker.courier_office import CourierOffice
 from services.context_broker.journal import Kind
-from services.context_broker.notifier import Notifier
 from services.context_broker.operation import Operation
 from services.context_broker.reading import PAGE_PARAMETERS
 from services.context_broker.source_subscriptions import notices_of_all
@@ -18,6 +18,7 @@ class SourceSubscriptionOperations(SubscriptionOperations):
     """What can be done to subscriptions to registrations. Who begins one is told of all that match."""
 
     KIND = Kind.SOURCE_SUBSCRIPTION
+    BESIDES = frozenset({"temporalQ"})
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
@@ -32,7 +33,7 @@ class SourceSubscriptionOperations(SubscriptionOperations):
             Operation("DELETE", one, "deleteCSRSubscription", "6.13.3.3", self.delete),
         )
 
-    def book(self, tenant: Tenant) -> Notifier:
+    def book(self, tenant: Tenant) -> CourierOffice:
         """Return who knows a tenant's subscriptions to registrations."""
         return tenant.source_notifier
 

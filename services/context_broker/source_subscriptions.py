@@ -12,9 +12,9 @@ from uuid import uuid4
 
 import orjson
 
+from services.context_broker.courier_office import CourierOffice
 from services.context_broker.geo_query import geo_query_document
 from services.context_broker.journal import Notice
-from services.context_broker.notifier import Notifier
 from services.context_broker.registration import Asked, Registration, shown_document
 from services.context_broker.registration_search import Search, asked_of, period_of
 from services.context_broker.registry import Registry
@@ -65,7 +65,7 @@ def search_of(subscription: Subscription) -> Search:
 
 
 def notices_of_change(
-    book: Notifier, before: Registration | None, after: Registration | None
+    book: CourierOffice, before: Registration | None, after: Registration | None
 ) -> list[Notice]:
     """Return what a change of a registration owes to those who want to be told of it (clause 5.11.7)."""
     now_s = time.time()
@@ -83,7 +83,7 @@ def notices_of_change(
     return owed
 
 
-def notices_of_all(book: Notifier, registry: Registry, subscription: Subscription) -> list[Notice]:
+def notices_of_all(book: CourierOffice, registry: Registry, subscription: Subscription) -> list[Notice]:
     """Return what is owed to a new subscription: all that match, or nothing if none does."""
     search = search_of(subscription)  # what cannot be asked is refused, also of one that is paused
     if not subscription.is_active(time.time()):
@@ -99,7 +99,7 @@ def _reason(*, matched: bool, matches: bool) -> Reason | None:
 
 
 def _notices(
-    book: Notifier, subscription: Subscription, search: Search, found: list[Registration], reason: Reason
+    book: CourierOffice, subscription: Subscription, search: Search, found: list[Registration], reason: Reason
 ) -> list[Notice]:
     now_s = time.time()
     return [

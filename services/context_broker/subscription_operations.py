@@ -5,16 +5,17 @@ import time
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, Final
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote
 from uuid import uuid4
 
 import orjson
 
 from handover.errors import Problem
+from handover.telemetry import get_logger
 from services.context_broker.contexts import Context, ContextBook
+from services.context_broker.courier_office import CourierOffice
 from services.context_broker.exchange import JSON_LD, Answer, Exchange
 from services.context_broker.journal import Entries, Kind, NotStored
-from services.context_broker.notifier import Notifier
 from services.context_broker.operation import Operation
 from services.context_broker.problems import already_exists, not_found, not_stored
 from services.context_broker.reading import (
@@ -24,16 +25,18 @@ from services.context_broker.reading import (
     page_links,
     window_of,
 )
-from services.context_broker.subscriptions import (
-    Counts,
-    Subscription,
+from services.context_broker.subscription_documents import (
+    NAMES_IN,
     kept_document,
+    names_things,
     shown_document,
-    subscription,
     updated_document,
 )
+from services.context_broker.subscriptions import Counts, Subscription, subscription
 from services.context_broker.tenants import Tenant
 from services.context_broker.words import require_uri, timestamp_now
+
+log = get_logger(__name__)
 
 DONE: Final = Answer(204)
 _LOCAL: Final = frozenset({"local"})
@@ -48,6 +51,8 @@ class SubscriptionOperations:
     """
 
     KIND = Kind.SUBSCRIPTION
+    BESIDES: frozenset[str] = frozenset()
+    """Members that such a subscription has besides those of all."""
 
     def __init__(self, contexts: ContextBook) -> None:
         self._contexts = contexts
@@ -65,7 +70,7 @@ class SubscriptionOperations:
             Operation("DELETE", one, "deleteSubscription", "6.11.3.3", self.delete, _LOCAL),
         )
 
-    def book(self, tenant: Tenant) -> Notifier:
+    def book(self, tenant: Tenant) -> CourierOffice:
         """Return who knows a tenant's subscriptions and has their notifications delivered."""
         return tenant.notifier
 
@@ -73,8 +78,11 @@ class SubscriptionOperations:
         """Take up the subscriptions of before, each with its counts; their contexts are kept too."""
         found: list[Subscription] = []
         for body, told in kept:
-            document = orjson.loads(body)
-            one = subscription(document, await self._contexts.as_before(document["context"]))
+            try:
+                one = await self._restored(body)
+            except Problem as problem:  # what another release took must not keep this one from starting
+                log.exception("a subscription cannot be used", document=body.decode(), why=problem.detail)
+                continue
             if told is not None:
                 one.counts = Counts(*orjson.loads(told))
             found.append(one)
@@ -87,19 +95,26 @@ class SubscriptionOperations:
             if book.get(subscription_id) is not None:
                 book.remove(subscription_id)
             return
+        book.put(await self._restored(body), from_disk=True)
+
+    async def _restored(self, body: bytes) -> Subscription:
         document = orjson.loads(body)
-        book.put(subscription(document, await self._contexts.as_before(document["context"])), from_disk=True)
+        names = document.get(NAMES_IN)
+        return subscription(
+            document,
+            await self._contexts.as_before(document["context"]),
+            None if names is None else await self._contexts.as_before(names),
+        )
 
     async def create(self, exchange: Exchange) -> Answer:
         """POST subscriptions."""
         given, context = await exchange.body()
-        document = kept_document(given, context)
+        document = kept_document(given, context, self.BESIDES)
         document["id"] = require_uri(
             document.get("id", f"urn:ngsi-ld:Subscription:{uuid4()}"), "the subscription id"
         )
         at = timestamp_now()
-        used = await self._used_context(document, context)
-        made = subscription({**document, "createdAt": at, "modifiedAt": at, "context": used.document}, used)
+        made = await self._made({**document, "createdAt": at, "modifiedAt": at}, context)
         await self._require_open(exchange.tenant, made)
         made = await self._with_link(exchange, made)
         async with self._one_at_a_time:
@@ -114,16 +129,12 @@ class SubscriptionOperations:
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH subscriptions/{id}."""
         given, context = await exchange.body()
-        change = kept_document(given, context)
+        change = kept_document(given, context, self.BESIDES)
         async with self._one_at_a_time:
             before = self._existing(exchange)
-            used = await self._used_context(change, context) if _names_things(change) else before.context
-            document = {
-                **updated_document(before.document, change),
-                "modifiedAt": timestamp_now(),
-                "context": used.document,
-            }
-            made = subscription(document, used)
+            names = context if names_things(change) else before.names
+            document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
+            made = await self._made(document, names)
             if "notification" in change:
                 await self._require_open(exchange.tenant, made)
             made = await self._with_link(exchange, made)
@@ -167,10 +178,18 @@ class SubscriptionOperations:
             raise _absent(subscription_id)
         return found
 
-    async def _used_context(self, document: dict[str, Any], context: Context) -> Context:
-        """Return the context that notifications are written in: jsonldContext if the subscriber names one."""
+    async def _made(self, document: dict[str, Any], names: Context) -> Subscription:
+        """Return the subscription of a document whose names are in `names`.
+
+        Notifications are written in `jsonldContext` if the subscriber names one, else in the same.
+        """
         named = document.get("jsonldContext")
-        return context if named is None else await self._contexts.of(require_uri(named, '"jsonldContext"'))
+        used = names if named is None else await self._contexts.of(require_uri(named, '"jsonldContext"'))
+        kept = {**document, "context": used.document}
+        kept.pop(NAMES_IN, None)
+        if names.key != used.key:
+            kept[NAMES_IN] = names.document
+        return subscription(kept, used, names)
 
     async def _with_link(self, exchange: Exchange, made: Subscription) -> Subscription:
         """Return the subscription with a context that its notifications can name in a Link header."""
@@ -182,8 +201,8 @@ class SubscriptionOperations:
 
     @staticmethod
     async def _require_open(tenant: Tenant, made: Subscription) -> None:
-        host = urlsplit(made.endpoint.uri).hostname or ""
-        await tenant.notifier.outbound.destinations.require_open(host, "notification.endpoint.uri")
+        destinations = tenant.notifier.outbound.destinations
+        await destinations.require_open(made.endpoint.host, "notification.endpoint.uri")
 
     async def keep(self, tenant: Tenant, made: Subscription) -> None:
         """Write a new or a changed subscription, and heed it once it is safe."""
@@ -206,11 +225,6 @@ class SubscriptionOperations:
     def _shown(one: Subscription, exchange: Exchange, context: Context) -> dict[str, Any]:
         sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
         return shown_document(one, context, time.time(), sys_attrs=sys_attrs)
-
-
-def _names_things(change: dict[str, Any]) -> bool:
-    """Say whether a change holds names, so that the context it came with becomes the subscription's."""
-    return any(name in change for name in ("entities", "watchedAttributes", "q", "jsonldContext"))
 
 
 def _with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:

@@ -1,35 +1,34 @@
-"""Subscriptions: who wants to be told of which changes, and how (clauses 5.2.12 to 5.2.15, 5.8).
+"""Subscriptions: who wants to be told of which changes, and how (clauses 5.2.12 to 5.2.15).
 
-A subscription is kept as its document with names expanded; `Subscription` is that made ready for matching.
+`Subscription` is a kept document (see `subscription_documents.py`) made ready for matching.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
-from urllib.parse import urlsplit
 
 from services.context_broker.contexts import Context
+from services.context_broker.endpoints import GEO_JSON, JSON, JSON_LD, Endpoint, endpoint
 from services.context_broker.entity import Entity
+from services.context_broker.entity_selector import EntitySelector, entity_selector
+from services.context_broker.geo_query import GeoQuery, geo_query_document
 from services.context_broker.intake import expand
-from services.context_broker.patterns import pattern
+from services.context_broker.language import preferences
 from services.context_broker.problems import bad_request_data, not_supported
+from services.context_broker.projection import Projection, read_projection
 from services.context_broker.rendering import Form, View
-from services.context_broker.selection import Selection, compiled
+from services.context_broker.scope_query import ScopeQuery, scope_query
+from services.context_broker.selection import Query, compiled
+from services.context_broker.triggers import Happened, Triggers, read_kinds
 from services.context_broker.words import moment, require_name, require_time, require_uri, shown
 
-JSON: Final = "application/json"
-JSON_LD: Final = "application/ld+json"
-_KNOWN: Final = frozenset(
-    {"id", "type", "subscriptionName", "description", "entities", "watchedAttributes", "q", "isActive",
-     "expiresAt", "throttling", "notification", "jsonldContext", "@context"}
-)  # fmt: skip
-_FROM_THE_BROKER: Final = frozenset(
-    {"status", "createdAt", "modifiedAt", "timesSent", "timesFailed", "lastNotification", "lastSuccess",
-     "lastFailure"}
-)  # fmt: skip
-_LATER: Final = frozenset(
-    {"geoQ", "scopeQ", "csf", "timeInterval", "notificationTrigger", "temporalQ", "lang", "datasetId"}
-)
+__all__ = ["GEO_JSON", "JSON", "JSON_LD", "Counts", "Endpoint", "Subscription", "subscription", "type_names"]
+
+MOST_SELECTORS: Final = 1000
+"""Entity selectors of one subscription: each is tried on each change of its types."""
+DEEPEST_JOIN: Final = 10
+"""As far as relationships are followed."""
 _FORMS: Final = {
     "normalized": Form.NORMALIZED,
     "concise": Form.CONCISE,
@@ -66,164 +65,112 @@ class Counts:
         return "failed" if (self.last_failure or "") > (self.last_success or "") else "ok"
 
 
-@dataclass(frozen=True, slots=True)
-class Endpoint:
-    """Where notifications go; `headers` are sent with each, `timeout_s` is the subscriber's own wish."""
-
-    uri: str
-    accept: str
-    headers: tuple[tuple[str, str], ...]
-    timeout_s: float | None
-
-
 @dataclass(slots=True, eq=False)
 class Subscription:
-    """A subscription ready for matching. `document` is what is kept, with expanded names."""
+    """A subscription ready for matching. `document` is what is kept, with expanded names.
+
+    Notifications are written in `context`; what the subscriber wrote itself is in the names of `names`.
+    `interval_s` is there for one that is told periodically, `expires_s` (seconds since 1970) for one that
+    ends; `join` (flat or inline) says that linked entities, as far as `join_level`, are told too.
+    """
 
     id: str
     document: dict[str, Any]
     context: Context
-    selectors: tuple[Selection, ...]
-    watched: frozenset[str] | None
-    query: Selection
+    names: Context
+    selectors: tuple[EntitySelector, ...]
+    triggers: Triggers
     view: View
     endpoint: Endpoint
-    throttling_s: float
+    query: Query | None = None
+    places: GeoQuery | None = None
+    scopes: ScopeQuery | None = None
+    throttling_s: float = 0.0
+    interval_s: float | None = None
+    expires_s: float = math.inf
+    is_on: bool = True
+    shows_changes: bool = False
+    join: str | None = None
+    join_level: int = 1
     counts: Counts = field(default_factory=Counts)
 
     def is_active(self, now_s: float) -> bool:
         """Say whether it is to be told of changes now."""
-        return self.status(now_s) == "active"
+        return self.is_on and now_s < self.expires_s
 
     def status(self, now_s: float) -> str:
         """Return active, paused or expired."""
-        expires_s = moment(self.document.get("expiresAt", ""))
-        if expires_s is not None and expires_s <= now_s:
+        if now_s >= self.expires_s:
             return "expired"
-        return "active" if self.document.get("isActive", True) else "paused"
+        return "active" if self.is_on else "paused"
 
-    def wants(self, entity: Entity, touched: frozenset[str], now_s: float) -> bool:
-        """Say whether a change of the attributes `touched`, after which `entity` is so, is to be told."""
-        return (
-            (self.watched is None or not self.watched.isdisjoint(touched))
-            and (not self.selectors or any(one.wants(entity) for one in self.selectors))
-            and self.is_active(now_s)
-            and self.query.wants(entity)
+    def selects(self, entity: Entity) -> bool:
+        """Say whether an entity is among those it is about."""
+        return (not self.selectors or any(one.wants(entity) for one in self.selectors)) and self.admits(
+            entity
         )
 
+    def admits(self, entity: Entity) -> bool:
+        """Say whether an entity is as it is to be: by its attributes, its places and its scopes."""
+        return (
+            (self.query is None or self.query.holds(entity))
+            and (self.scopes is None or self.scopes.wants(entity.scopes))
+            and (self.places is None or self.places.wants(entity))
+        )
 
-def kept_document(given: Any, context: Context) -> dict[str, Any]:
-    """Return the document to keep for a subscription that was sent: its names expanded."""
-    if not isinstance(given, dict):
-        raise bad_request_data(f"a subscription is a JSON object, not {shown(given)}")
-    if given.get("type", "Subscription") != "Subscription":
-        raise bad_request_data(f'the type of a subscription is "Subscription", not {shown(given["type"])}')
-    for name in given:
-        if name in _LATER:
-            raise not_supported(f'this broker does not heed "{name}" in a subscription yet; leave it out')
-        if name not in _KNOWN and name not in _FROM_THE_BROKER:
-            raise bad_request_data(f"a subscription has no member {shown(name)}; leave it out")
-    document = {
-        name: value for name, value in given.items() if name in _KNOWN and name not in {"@context", "type"}
-    }
-    if isinstance(document.get("entities"), list):
-        document["entities"] = [_kept_selector(one, context) for one in document["entities"]]
-    if document.get("watchedAttributes") is not None:
-        document["watchedAttributes"] = _names(document["watchedAttributes"], "watchedAttributes", context)
-    if isinstance(document.get("notification"), dict):
-        notification = dict(document["notification"])
-        if notification.get("attributes") is not None:
-            notification["attributes"] = _names(
-                notification["attributes"], "notification.attributes", context
-            )
-        document["notification"] = notification
-    return document
+    def wants(self, change: Happened, now_s: float) -> bool:
+        """Say whether a change is to be told."""
+        return self.triggers.heed(change) and self.is_active(now_s) and self.selects(change.entity)
 
 
-def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the document after a change: members are replaced, null deletes, `notification` is merged."""
-    after = {**before, **change, "id": before["id"]}
-    if isinstance(change.get("notification"), dict):
-        after["notification"] = _without_null({**before["notification"], **change["notification"]})
-    return _without_null(after)
+def subscription(document: dict[str, Any], context: Context, names: Context | None = None) -> Subscription:
+    """Return a kept document made ready; raises a problem that names what cannot be used.
 
-
-def subscription(document: dict[str, Any], context: Context) -> Subscription:
-    """Return a kept document made ready; raises a problem that names what cannot be used."""
+    `names` is the context of the names in the document, if another than that of notifications.
+    """
+    names = names or context
     entities, watched = document.get("entities"), document.get("watchedAttributes")
     if entities is None and watched is None:
         raise bad_request_data(
             'a subscription has "entities" or "watchedAttributes" or both; add one of them'
         )
-    if entities is not None and (not isinstance(entities, list) or not entities):
-        raise bad_request_data('"entities" is a list with at least one selector such as {"type": "Task"}')
+    if entities is not None and (not isinstance(entities, list) or not 0 < len(entities) <= MOST_SELECTORS):
+        raise bad_request_data(
+            f'"entities" is a list of 1 to {MOST_SELECTORS} selectors such as {{"type": "Task"}}'
+        )
     notification = document.get("notification")
     if not isinstance(notification, dict):
         raise bad_request_data('a subscription has a "notification" with an "endpoint"; add it')
-    query = document.get("q")
-    if query is not None and not isinstance(query, str):
-        raise bad_request_data(f"q is text, not {shown(query)}")
     _check_plain_members(document)
+    view = _view(document, notification, names)
+    shows_changes = _flag(notification, "showChanges", default=False, what="notification.showChanges")
+    if shows_changes and view.form is Form.KEY_VALUES:
+        raise bad_request_data(
+            "notification.showChanges has no place in the format keyValues; choose normalized or concise"
+        )
+    join, join_level = _join(notification)
     return Subscription(
         id=document["id"],
         document=document,
         context=context,
-        selectors=tuple(_selector(one) for one in entities or ()),
-        watched=None if watched is None else frozenset(watched),
-        query=Selection(query=None if query is None else compiled(query, context)),
-        view=_view(notification),
-        endpoint=_endpoint(notification.get("endpoint")),
+        names=names,
+        selectors=tuple(entity_selector(one) for one in entities or ()),
+        triggers=Triggers(
+            read_kinds(document.get("notificationTrigger")), None if watched is None else frozenset(watched)
+        ),
+        query=None if "q" not in document else _compiled(document["q"], names),
+        places=None if "geoQ" not in document else geo_query_document(document["geoQ"], _expanding(names)),
+        scopes=None if "scopeQ" not in document else scope_query(document["scopeQ"]),
+        view=view,
+        endpoint=endpoint(notification.get("endpoint")),
         throttling_s=_seconds(document.get("throttling", 0), '"throttling"'),
+        interval_s=_interval(document),
+        expires_s=math.inf if "expiresAt" not in document else moment(document["expiresAt"]) or math.inf,
+        is_on=_flag(document, "isActive", default=True, what='"isActive"'),
+        shows_changes=shows_changes,
+        join=join,
+        join_level=join_level,
     )
-
-
-def shown_document(one: Subscription, context: Context, now_s: float, *, sys_attrs: bool) -> dict[str, Any]:
-    """Return a subscription as a reader gets it, in the reader's names and with its counts."""
-    document = {"id": one.id, "type": "Subscription", **one.document}
-    context_document = document.pop("context")
-    if not sys_attrs:
-        document.pop("createdAt", None)
-        document.pop("modifiedAt", None)
-    compact = context.terms.compact
-    if "entities" in document:
-        document["entities"] = [
-            {**selector, "type": _with_types(selector["type"], compact)} if "type" in selector else selector
-            for selector in document["entities"]
-        ]
-    if "watchedAttributes" in document:
-        document["watchedAttributes"] = [compact(name) for name in document["watchedAttributes"]]
-    notification = {**document["notification"], **one.counts.members()}
-    if "attributes" in notification:
-        notification["attributes"] = [compact(name) for name in notification["attributes"]]
-    if (status := one.counts.status()) is not None:
-        notification["status"] = status
-    document.setdefault("isActive", True)
-    document["status"] = one.status(now_s)
-    document["notification"] = notification
-    if isinstance(context_document, str):
-        document.setdefault("jsonldContext", context_document)
-    return document
-
-
-def _without_null(document: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in document.items() if value is not None}
-
-
-def _with_types(kinds: str, compact: Any) -> str:
-    return ",".join(compact(kind) for kind in kinds.split(","))
-
-
-def _kept_selector(given: Any, context: Context) -> dict[str, Any]:
-    if not isinstance(given, dict) or not given:
-        raise bad_request_data(
-            f'an entity selector is an object such as {{"type": "Task"}}, not {shown(given)}'
-        )
-    if unknown := sorted(set(given) - {"id", "idPattern", "type"}):
-        raise bad_request_data(f"an entity selector has id, idPattern and type, not {shown(unknown[0])}")
-    kept = dict(given)
-    if "type" in kept:
-        kept["type"] = ",".join(type_names(kept["type"], context))
-    return kept
 
 
 def type_names(given: Any, context: Context) -> list[str]:
@@ -238,90 +185,107 @@ def type_names(given: Any, context: Context) -> list[str]:
     return [expand(require_name(name, "the type"), context.terms) for name in names]
 
 
-def _names(given: Any, what: str, context: Context) -> list[str]:
-    if not isinstance(given, list) or not given:
-        raise bad_request_data(f"{what} is a list with at least one attribute name, not {shown(given)}")
-    return [expand(require_name(name, f"a name in {what}"), context.terms) for name in given]
-
-
 def _check_plain_members(document: Mapping[str, Any]) -> None:
-    for name in ("description", "subscriptionName", "jsonldContext"):
+    for name in ("description", "subscriptionName", "jsonldContext", "csf"):
         if name in document and not isinstance(document[name], str):
             raise bad_request_data(f'"{name}" is text, not {shown(document[name])}')
-    if not isinstance(document.get("isActive", True), bool):
-        raise bad_request_data(f'"isActive" is true or false, not {shown(document["isActive"])}')
+    _flag(document, "localOnly", default=False, what='"localOnly"')
     if "expiresAt" in document:
         require_time(document["expiresAt"], '"expiresAt"')
 
 
-def _selector(kept: Mapping[str, Any]) -> Selection:
-    ids = kept.get("id")
-    wanted = kept.get("idPattern")
-    if wanted is not None and not isinstance(wanted, str):
-        raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
-    return Selection(
-        ids=None if ids is None else (require_uri(ids, "the id of an entity selector"),),
-        id_pattern=None if wanted is None else pattern(wanted),
-        types=tuple(kept["type"].split(",")) if "type" in kept else None,
-    )
+def _compiled(q: Any, context: Context) -> Query:
+    if not isinstance(q, str):
+        raise bad_request_data(f"q is text, not {shown(q)}")
+    return compiled(q, context)
 
 
-def _view(notification: Mapping[str, Any]) -> View:
+def _expanding(context: Context) -> Callable[[str], str]:
+    return lambda name: expand(name, context.terms)
+
+
+def _view(document: Mapping[str, Any], notification: Mapping[str, Any], context: Context) -> View:
     form = notification.get("format", "normalized")
     if not isinstance(form, str) or form not in _FORMS:
         raise bad_request_data(f"notification.format is one of {', '.join(_FORMS)}, not {shown(form)}")
     attributes = notification.get("attributes")
-    sys_attrs = notification.get("sysAttrs", False)
-    if not isinstance(sys_attrs, bool):
-        raise bad_request_data(f"notification.sysAttrs is true or false, not {shown(sys_attrs)}")
-    return View(_FORMS[form], sys_attrs, None if attributes is None else frozenset(attributes))
-
-
-def _endpoint(given: Any) -> Endpoint:
-    if not isinstance(given, dict) or "uri" not in given:
-        raise bad_request_data('notification.endpoint is an object with a "uri"; add it')
-    uri = require_uri(given["uri"], "notification.endpoint.uri")
-    if uri.startswith(("mqtt://", "mqtts://")):
-        raise not_supported("this broker does not notify over MQTT yet; give an http or https endpoint")
-    _check_http(uri)
-    accept = given.get("accept", JSON)
-    if accept not in (JSON, JSON_LD):
-        raise bad_request_data(f"notification.endpoint.accept is {JSON} or {JSON_LD}, not {shown(accept)}")
-    timeout_ms = given.get("timeout")
-    timeout_s = None if timeout_ms is None else _seconds(timeout_ms, "notification.endpoint.timeout") / 1000
-    return Endpoint(uri, accept, tuple(_headers(given.get("receiverInfo", []))), timeout_s or None)
-
-
-def _check_http(uri: str) -> None:
-    try:
-        parts = urlsplit(uri)
-        usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
-    except ValueError:
-        usable = False
-    if not usable or not uri.isascii():
+    projection = _projection(notification, context)
+    if attributes is not None and projection is not None:
         raise bad_request_data(
-            f"notification.endpoint.uri is an address such as http://127.0.0.1:9000/notify, not {shown(uri)}"
+            "notification has attributes as well as pick or omit; pick says all that attributes does"
         )
+    lang = document.get("lang")
+    if lang is not None and not isinstance(lang, str):
+        raise bad_request_data(f"lang is text such as fr,en;q=0.5, not {shown(lang)}")
+    return View(
+        _FORMS[form],
+        _flag(notification, "sysAttrs", default=False, what="notification.sysAttrs"),
+        None if attributes is None else frozenset(attributes),
+        projection,
+        None if lang is None else preferences(lang),
+        _datasets(document.get("datasetId")),
+    )
 
 
-def _headers(given: Any) -> list[tuple[str, str]]:
-    if not isinstance(given, list):
-        raise bad_request_data('receiverInfo is a list of objects such as {"key": "X-Cell", "value": "4"}')
-    headers: list[tuple[str, str]] = []
-    for pair in given:
-        key, value = (pair.get("key"), pair.get("value")) if isinstance(pair, dict) else (None, None)
-        if not isinstance(key, str) or not isinstance(value, str):
-            raise bad_request_data(f'each receiverInfo has a "key" and a "value" of text, not {shown(pair)}')
-        is_token = bool(key) and key.isascii() and key.replace("-", "").replace("_", "").isalnum()
-        if not is_token or not (value.isascii() and value.isprintable()):
+def _projection(notification: Mapping[str, Any], context: Context) -> Projection | None:
+    texts: list[str | None] = []
+    for name in ("pick", "omit"):
+        given = notification.get(name)
+        if given is not None and (
+            not isinstance(given, list) or not given or not all(isinstance(one, str) for one in given)
+        ):
             raise bad_request_data(
-                f"receiverInfo {shown(key)} cannot be an HTTP header; use plain characters"
+                f"notification.{name} is a list with at least one name of an attribute or member, "
+                f"not {shown(given)}"
             )
-        headers.append((key, value))
-    return headers
+        texts.append(None if given is None else ",".join(given))
+    return read_projection(texts[0], texts[1], context.terms)
+
+
+def _datasets(given: Any) -> frozenset[str | None] | None:
+    if given is None:
+        return None
+    datasets = given if isinstance(given, list) and given else [given]
+    return frozenset(None if one == "@none" else require_uri(one, "a datasetId") for one in datasets)
+
+
+def _join(notification: Mapping[str, Any]) -> tuple[str | None, int]:
+    join, level = notification.get("join"), notification.get("joinLevel")
+    if join not in (None, "@none", "flat", "inline"):
+        raise bad_request_data(f"notification.join is flat, inline or @none, not {shown(join)}")
+    if level is None:
+        level = 1
+    elif join in (None, "@none"):
+        raise bad_request_data("notification.joinLevel says how far to join; add join, or leave it out")
+    if not isinstance(level, int) or isinstance(level, bool) or not 1 <= level <= DEEPEST_JOIN:
+        raise bad_request_data(
+            f"notification.joinLevel is a whole number from 1 to {DEEPEST_JOIN}, not {shown(level)}"
+        )
+    return (None if join == "@none" else join), level
+
+
+def _interval(document: Mapping[str, Any]) -> float | None:
+    if "timeInterval" not in document:
+        return None
+    for other in ("watchedAttributes", "throttling", "notificationTrigger"):
+        if other in document:
+            raise bad_request_data(
+                f'a subscription with "timeInterval" is told periodically and has no "{other}"; leave one out'
+            )
+    interval_s = _seconds(document["timeInterval"], '"timeInterval"')
+    if interval_s < 1:
+        raise bad_request_data(f'"timeInterval" is at least 1 second, not {shown(interval_s)}')
+    return interval_s
+
+
+def _flag(document: Mapping[str, Any], name: str, *, default: bool, what: str) -> bool:
+    given = document.get(name, default)
+    if not isinstance(given, bool):
+        raise bad_request_data(f"{what} is true or false, not {shown(given)}")
+    return given
 
 
 def _seconds(given: Any, what: str) -> float:
-    if not isinstance(given, int | float) or isinstance(given, bool) or given < 0:
-        raise bad_request_data(f"{what} is a number from 0 on, not {shown(given)}")
+    if not isinstance(given, int | float) or isinstance(given, bool) or not 0 <= given < 1e12:
+        raise bad_request_data(f"{what} is a number of seconds from 0 on, not {shown(given)}")
     return float(given)

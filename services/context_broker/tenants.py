@@ -10,6 +10,7 @@ from typing import Final
 from uuid import uuid4
 
 from services.context_broker.commits import CommitQueue, Commits, Failed, stored
+from services.context_broker.courier_office import CourierOffice
 from services.context_broker.entity import Entity
 from services.context_broker.entity_maps import EntityMaps
 from services.context_broker.following import Following
@@ -17,7 +18,9 @@ from services.context_broker.history import Recorder
 from services.context_broker.http_sender import HttpSender
 from services.context_broker.journal import Entries, Journal, Kind
 from services.context_broker.leadership import Leadership
-from services.context_broker.notifier import Notifier, Outbound
+from services.context_broker.mqtt_sender import MqttSender
+from services.context_broker.notifier import Notifier
+from services.context_broker.outbound import Outbound
 from services.context_broker.places import SLOTS, Places
 from services.context_broker.problems import bad_request_data, no_such_tenant
 from services.context_broker.registry import Registry
@@ -52,9 +55,8 @@ class Tenant:
         self.notifier.store = self.store
         self.registry = Registry(name, self.commits)
         self.entity_maps = EntityMaps(name, self.commits)
-        self.source_notifier = Notifier(name, self.commits, tenants.outbound)
+        self.source_notifier = CourierOffice(name, self.commits, tenants.outbound)
         """Tells of registrations that come, change and go; it hears of no entity."""
-        self.source_notifier.store = self.store
 
     @property
     def is_kept(self) -> bool:
@@ -122,15 +124,17 @@ class Tenants:
         """Take what the journal holds."""
         journal, settings = self._journal, self._settings
         self._identity = f"handover-{settings.factory}-{self._kept_identity()}"
-        destinations = settings.destinations()
+        destinations, ca_file = settings.destinations(), settings.broker_notification_ca_file
         self.places = Places(journal.last_place(), secrets.randbelow(SLOTS) if self._shares else None)
         self.outbound = Outbound(
             journal,
-            HttpSender(destinations, settings.broker_notification_ca_file),
+            HttpSender(destinations, ca_file),
+            MqttSender(destinations, ca_file),
             destinations,
             self.leadership,
             timeout_s=settings.broker_notification_timeout_s,
             keep_s=settings.broker_notification_keep_h * 3600,
+            keep_bytes=settings.broker_notification_keep_mb * 1024 * 1024,
         )
         self._tenants[DEFAULT] = Tenant(DEFAULT, self, is_kept=True)
         for _, name, _ in journal.documents(Kind.TENANT):

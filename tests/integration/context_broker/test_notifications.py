@@ -1,6 +1,7 @@
 """Notifications: who is told what, in which order, and what happens when somebody does not listen."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import httpx
@@ -148,7 +149,9 @@ def test_the_paused_the_expired_and_the_deleted_are_not_told(
 ) -> None:
     subscribe(http, "Quiet", subscriber.url, isActive=False)
     other = {"entities": [{"type": "Quiet"}]}
-    subscribe(http, "QuietExpired", subscriber.url, expiresAt="2020-01-01T00:00:00Z", **other)
+    soon = (datetime.now(UTC) + timedelta(seconds=1)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    expired = subscribe(http, "QuietExpired", subscriber.url, expiresAt=soon, **other)
+    eventually(lambda: http.get(f"/subscriptions/{expired}").json()["status"] == "expired")
     deleted = subscribe(http, "QuietDeleted", subscriber.url, **other)
     assert http.delete(f"/subscriptions/{deleted}").status_code == 204
     entity = create(http, "Quiet", n=1)
@@ -226,7 +229,7 @@ def test_throttled_changes_are_told_together_and_the_last_state_is_never_lost(
 def test_a_changed_endpoint_counts_at_once_also_for_what_waits(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
-    subscription = subscribe(http, "Moved", "http://127.0.0.1:9/notify")
+    subscription = subscribe(http, "Moved", "http://127.0.0.1:9/moved")
     create(http, "Moved", n=0)
     path = f"/subscriptions/{subscription}"
     eventually(lambda: http.get(path).json()["notification"]["timesFailed"] >= 4)

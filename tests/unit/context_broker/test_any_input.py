@@ -12,12 +12,8 @@ from services.context_broker.changes import appended, created, merged
 from services.context_broker.contexts import Context
 from services.context_broker.intake import read_change, read_entity
 from services.context_broker.rendering import Form, View, render
-from services.context_broker.subscriptions import (
-    kept_document,
-    shown_document,
-    subscription,
-    updated_document,
-)
+from services.context_broker.subscription_documents import kept_document, shown_document, updated_document
+from services.context_broker.subscriptions import subscription
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
 TERMS = CONTEXT.terms

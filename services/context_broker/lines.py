@@ -1,0 +1,158 @@
+"""A line: the way to one endpoint, shared by all subscriptions that notify it.
+
+While notifications arrive, every subscription sends at its own pace. When one does not, the line rests,
+longer each time, and then a single one is sent to see whether anybody is there again: a hundred subscriptions
+to a dead endpoint cost one attempt at a time. What waits is bounded here, in memory and on disk.
+"""
+
+import random
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from prometheus_client import Gauge
+
+WINDOW: Final = 256
+"""Notifications to one endpoint that are held in memory; the others wait on disk."""
+MOST_HELD_BYTES: Final = 64 * 1024 * 1024
+"""Bytes of all notifications together that are held in memory."""
+FIRST_REST_S: Final = 0.1
+LAST_REST_S: Final = 15.0
+SHED: Final = 0.05
+"""Part of what may wait for an endpoint that is given up at once when there is too much."""
+
+WAITING: Final = Gauge(
+    "handover_broker_notifications_waiting",
+    "Notifications that wait: in memory to be sent next, on disk, or for their throttling to end",
+    ["state"],
+)
+
+
+class Waiting(Protocol):
+    """Somebody with notifications for a line: the courier of a subscription."""
+
+    owed_bytes: int
+    """How much is owed, on disk and in memory."""
+
+    @property
+    def held(self) -> int:
+        """How many notifications are held in memory."""
+
+    @property
+    def on_disk(self) -> int:
+        """How many notifications wait on disk only."""
+
+    @property
+    def throttled(self) -> int:
+        """How many entities wait for their throttling to end."""
+
+    def wake(self) -> None:
+        """Look again whether it is your turn."""
+
+
+@dataclass(slots=True)
+class Hold:
+    """How many bytes of notifications are in memory, on all lines together."""
+
+    held_bytes: int = 0
+
+
+@dataclass(eq=False)
+class Line:
+    """The way to one endpoint. Times are those of the monotonic clock."""
+
+    hold: Hold
+    most_owed_bytes: int
+    """How much may wait, on disk and in memory."""
+    couriers: set[Waiting] = field(default_factory=set)
+    failures: int = 0
+    """Attempts that failed since the last that did not."""
+    held: int = 0
+    owed_bytes: int = 0
+    is_shedding: bool = False
+    _rests_until_s: float = 0.0
+    _last_failure_s: float = float("-inf")
+    _prober: Waiting | None = None
+    _queue: deque[Waiting] = field(default_factory=deque)
+
+    def take(self, size: int) -> None:
+        """Note a notification of `size` bytes that is in memory now."""
+        self.held += 1
+        self.hold.held_bytes += size
+
+    def release(self, size: int) -> None:
+        """Note that it no longer is."""
+        self.held -= 1
+        self.hold.held_bytes -= size
+
+    @property
+    def room(self) -> int:
+        """How many more notifications may be held in memory."""
+        return WINDOW - self.held if self.hold.held_bytes < MOST_HELD_BYTES else 0
+
+    @property
+    def has_too_much(self) -> bool:
+        """Say whether more waits than may."""
+        return self.owed_bytes > self.most_owed_bytes
+
+    def join(self, courier: Waiting) -> None:
+        """Note a courier that goes this way from now on, with all that it has to deliver."""
+        self.couriers.add(courier)
+        self.owed_bytes += courier.owed_bytes
+
+    def part(self, courier: Waiting) -> None:
+        """Note that a courier no longer goes this way."""
+        self.couriers.discard(courier)
+        self.owed_bytes -= courier.owed_bytes
+        self.leave(courier)
+
+    # Turns
+
+    def wait_s(self, courier: Waiting) -> float | None:
+        """Return how long a courier has to wait before it sends; None until it is woken."""
+        if not self.failures:
+            return 0.0
+        if self._prober is None:
+            self._prober = courier
+        if self._prober is not courier:
+            if courier not in self._queue:
+                self._queue.append(courier)
+            return None
+        return max(0.0, self._rests_until_s - time.monotonic())
+
+    def succeeded(self) -> None:
+        """Note that somebody is there: all may send."""
+        if self.failures:
+            self.failures = 0
+            self._prober = None
+            waiting, self._queue = self._queue, deque()
+            for one in waiting:
+                one.wake()
+
+    def failed(self, courier: Waiting, started_s: float, at_least_s: float) -> None:
+        """Note an attempt of `courier`, begun at `started_s`, that failed; the next comes after a rest.
+
+        Attempts that were under way together count once.
+        """
+        now_s = time.monotonic()
+        if started_s >= self._last_failure_s:
+            self.failures += 1
+            self._last_failure_s = now_s
+            self._rests_until_s = now_s + max(rest_s(self.failures), at_least_s)
+        self.leave(courier)
+
+    def leave(self, courier: Waiting) -> None:
+        """Let the next have its turn: this one is gone, or goes to the end of the queue."""
+        if courier in self._queue:
+            self._queue.remove(courier)
+        if self._prober is courier:
+            self._prober = self._queue.popleft() if self._queue else None
+            if self._prober is not None:
+                self._prober.wake()
+
+
+def rest_s(failures: int) -> float:
+    """Return how long to wait after so many failures, some more or less so that not all come together."""
+    longest_s: float = min(FIRST_REST_S * 2 ** min(failures - 1, 20), LAST_REST_S)
+    return longest_s * random.uniform(0.8, 1.2)  # noqa: S311 - jitter

@@ -1,0 +1,164 @@
+"""What a subscriber is told: the notification around entities as they are, were, or no longer are.
+
+Clauses 5.3.1 and 5.8.6. What is gone is told as `urn:ngsi-ld:null`, in the form that the subscriber reads.
+"""
+
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from typing import Any, Final
+from uuid import uuid4
+
+import orjson
+
+from services.context_broker.contexts import Context
+from services.context_broker.endpoints import GEO_JSON, JSON_LD
+from services.context_broker.entity import NULL, SAYS, Attributes, Entity, Instance, dataset_of
+from services.context_broker.rendering import Form, View, render, rendered, with_context
+from services.context_broker.subscriptions import Subscription
+from services.context_broker.triggers import ATTRIBUTE_DELETED, Happened, lost_instances
+from services.context_broker.words import timestamp
+
+_PREVIOUS: Final = {kind: f"previous{says[0].upper()}{says[1:]}" for kind, says in SAYS.items()}
+
+
+def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes:
+    """Return the notification that tells of `entities`, each a JSON object."""
+    head: dict[str, str] = {
+        "id": f"urn:ngsi-ld:Notification:{uuid4()}",
+        "type": "Notification",
+        "subscriptionId": subscription.id,
+        "notifiedAt": timestamp(datetime.now(UTC)),
+    }
+    accept = subscription.endpoint.accept
+    data = b"[" + b",".join(entities) + b"]"
+    if accept == GEO_JSON:
+        data = b'{"type":"FeatureCollection","features":' + data + b"}"
+        if not _prefers_plain_json(subscription):
+            data = with_context(data, subscription.context)
+    body = orjson.dumps(head)[:-1] + b',"data":' + data + b"}"
+    return with_context(body, subscription.context) if accept == JSON_LD else body
+
+
+def as_it_is(subscription: Subscription, entity: Entity) -> bytes:
+    """Return what a subscriber is told of an entity as it is, a JSON object."""
+    if subscription.endpoint.accept == GEO_JSON:
+        document = render(entity, subscription.context.terms, subscription.view)
+        return orjson.dumps(_feature(subscription, entity, document))
+    return rendered(entity, subscription.context, subscription.view)
+
+
+def told_of(subscription: Subscription, change: Happened) -> bytes:
+    """Return what a subscriber is told of a change of one entity, a JSON object."""
+    after = change.after
+    if after is not None and not subscription.shows_changes:
+        gone = change.lost if subscription.triggers.tells_lost else frozenset()
+        if not gone:
+            return as_it_is(subscription, after)
+    document = _with_changes(subscription, change, subscription.context, subscription.view)
+    if subscription.endpoint.accept == GEO_JSON:
+        document = _feature(subscription, change.entity, document)
+    return orjson.dumps(document)
+
+
+def headers(subscription: Subscription, tenant: str, taken: bytes | None = None) -> list[tuple[str, str]]:
+    """Return the headers of a notification; `taken` (JSON) are those of the request that made the change."""
+    endpoint = subscription.endpoint
+    own = [*endpoint.headers, *(orjson.loads(taken) if taken else ())]
+    asked = {name.lower() for name, _ in own}
+    result = [("Content-Type", endpoint.accept)]
+    if tenant and "ngsild-tenant" not in asked:
+        result.append(("NGSILD-Tenant", tenant))
+    if endpoint.accept != JSON_LD and subscription.context.link and "link" not in asked:
+        result.append(("Link", link(subscription.context.link)))
+    return [*result, *((name, value) for name, value in own)]
+
+
+def mqtt_message(subscription: Subscription, tenant: str, body: bytes, taken: bytes | None) -> bytes:
+    """Return a notification as MQTT carries it: what are headers in HTTP stands in `metadata`."""
+    metadata = dict(headers(subscription, tenant, taken))
+    return b'{"metadata":' + orjson.dumps(metadata) + b',"body":' + body + b"}"
+
+
+def link(url: str) -> str:
+    """Return the Link header that names an @context."""
+    return f'<{url}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
+
+
+def _feature(subscription: Subscription, entity: Entity, document: dict[str, Any]) -> dict[str, Any]:
+    """Return an entity that is rendered already as GeoJSON (clause 4.5.16)."""
+    from services.context_broker import geojson  # noqa: PLC0415 - it knows requests, which know of us
+
+    place = subscription.context.terms.expand(geojson.LOCATION)
+    return geojson.feature_of(document, geojson.geometry(entity, place))
+
+
+def _prefers_plain_json(subscription: Subscription) -> bool:
+    """Say whether a subscriber to GeoJSON wants it without @context (clause 5.3.1)."""
+    return any(
+        name.lower() == "prefer" and value.replace(" ", "") == "body=json"
+        for name, value in subscription.endpoint.headers
+    )
+
+
+def _with_changes(
+    subscription: Subscription, change: Happened, context: Context, view: View
+) -> dict[str, Any]:
+    """Return the entity with what it has lost, and with what was before if the subscriber wants that."""
+    entity, shows = change.entity, subscription.shows_changes
+    deleted_at = timestamp(datetime.now(UTC))
+    attributes = dict(change.after.attributes) if change.after is not None else {}
+    if change.before is not None:
+        old = change.before.attributes
+        if shows:
+            for name in change.updated:
+                attributes[name] = _with_previous(attributes[name], old[name])
+        if _tells_what_is_gone(subscription, change):
+            watched = subscription.triggers.watched if change.after is None else None
+            for name in change.lost:
+                if watched is None or name in watched:
+                    _add_gone(attributes, name, old[name], view, deleted_at, shows=shows)
+    told = Entity(
+        entity.id, entity.types, attributes, entity.created_at, entity.modified_at, scopes=entity.scopes
+    )
+    result = render(told, context.terms, view)
+    if change.after is None and (view.projection is None or view.projection.wants("deletedAt")):
+        head: dict[str, Any] = {member: result[member] for member in ("id", "type") if member in result}
+        result = {**head, "deletedAt": deleted_at, **result}
+    return result
+
+
+def _tells_what_is_gone(subscription: Subscription, change: Happened) -> bool:
+    """Say whether attributes that are gone are told one by one: with the entity, only if it was asked for."""
+    if change.after is None and subscription.shows_changes:
+        return True
+    return ATTRIBUTE_DELETED in subscription.triggers.kinds
+
+
+def _with_previous(new: list[Instance], old: list[Instance]) -> list[Instance]:
+    before = {dataset_of(one): one for one in old}
+    return [
+        one
+        if (was := before.get(dataset_of(one))) is None or was is one
+        else {**one, _PREVIOUS[was["type"]]: was[SAYS[was["type"]]]}
+        for one in new
+    ]
+
+
+def _add_gone(
+    attributes: Attributes, name: str, old: list[Instance], view: View, deleted_at: str, *, shows: bool
+) -> None:
+    kept = attributes.get(name, [])
+    gone = [_gone(one, view, deleted_at, shows=shows) for one in lost_instances(old, kept)]
+    attributes[name] = [*kept, *gone]
+
+
+def _gone(instance: Instance, view: View, deleted_at: str, *, shows: bool) -> Instance:
+    kind = instance["type"] if view.form is not Form.KEY_VALUES else "Property"
+    gone: Instance = {"type": kind, SAYS[kind]: {"@none": NULL} if kind == "LanguageProperty" else NULL}
+    if shows:
+        gone[_PREVIOUS[kind]] = instance[SAYS[instance["type"]]]
+    for member in ("datasetId", "createdAt", "modifiedAt"):
+        if member in instance:
+            gone[member] = instance[member]
+    gone["deletedAt"] = deleted_at
+    return gone
