@@ -30,9 +30,7 @@ _FROM_THE_BROKER: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"}) | 
 """Members that only the broker writes; a subscriber that sends back what it read is not refused."""
 
 
-def kept_document(
-    given: Any, context: Context, besides: frozenset[str] = frozenset()
-) -> dict[str, Any]:
+def kept_document(given: Any, context: Context, besides: frozenset[str] = frozenset()) -> dict[str, Any]:
     """Return the document to keep for a subscription, or a part of one, that was sent: its names expanded.
 
     `besides` are members that it may have and others have not.
