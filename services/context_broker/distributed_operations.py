@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Final
 
+from services.context_broker import distributed_discovery as discovery
+from services.context_broker import distributed_history as history
 from services.context_broker import distributed_reading as reading
 from services.context_broker import distributed_writing as writing
 from services.context_broker.distributed_batches import batch
@@ -17,6 +19,13 @@ HANDLINGS: Final[Mapping[str, Handling]] = {
         name: batch(name)
         for name in ("createBatch", "upsertBatch", "updateBatch", "mergeBatch", "deleteBatch")
     },
+    "retrieveTemporal": history.retrieve,
+    "queryTemporal": history.query,
+    "queryTemporalBatch": history.query_batch,
+    "retrieveEntityTypes": discovery.types,
+    "retrieveEntityTypeInfo": discovery.type_details,
+    "retrieveAttrTypes": discovery.attributes,
+    "retrieveAttrTypeInfo": discovery.attribute_details,
     "createEntity": writing.create,
     "replaceEntity": writing.change_entity,
     "mergeEntity": writing.change_entity,

@@ -21,7 +21,7 @@ from services.context_broker.forwarding import SILENT, Question, Tongue, Unheard
 from services.context_broker.gathering import Gathering
 from services.context_broker.intake import expand
 from services.context_broker.patterns import pattern
-from services.context_broker.registration import Asked, Match, Registration
+from services.context_broker.registration import Asked, Match, Registration, Where
 from services.context_broker.selection import compiled
 from services.context_broker.source_answers import heard, read_entities
 from services.context_broker.words import require_uri
@@ -103,10 +103,12 @@ async def query_batch(sources: Sources, exchange: Exchange, perform: Performing)
     document, context = await exchange.body()
     if not isinstance(document, dict):
         return await perform(exchange)
-    return await _query(sources, exchange, perform, context, list(_questions(document, exchange.parameters)))
+    return await _query(
+        sources, exchange, perform, context, list(questions_in(document, exchange.parameters))
+    )
 
 
-def _questions(document: Mapping[str, Any], parameters: Mapping[str, str]) -> Iterable[dict[str, str]]:
+def questions_in(document: Mapping[str, Any], parameters: Mapping[str, str]) -> Iterable[dict[str, str]]:
     """Yield the parameters that a GET for the same, or for one of its selectors, would have."""
     plain = {name: said for name, said in {**parameters, **document}.items() if isinstance(said, str)}
     for name in ("attrs", "pick", "omit"):
@@ -145,12 +147,10 @@ async def _query(
     gathering = Gathering()
     proxied: dict[str, Registration] = {}
     asked_of: list[Any] = []
-    wanted = [_asked(one, context) for one in questions]
-    for asked, parameters in zip(wanted, questions, strict=True):
-        where = None
-        if csf := parameters.get("csf"):
-            holds = compiled(csf, context).holds
-            where = lambda registration, holds=holds: holds(registration.described)  # noqa: E731
+    wanted: list[Asked] = []
+    for parameters in questions:
+        asked, where = asked_by(parameters, context, _names_of(parameters, context))
+        wanted.append(asked)
         matches = sources.unasked(sources.registry.matching("queryEntity", asked, where))
         is_split = _is_split(parameters, matches)
         for match in matches:
@@ -254,14 +254,21 @@ def _is_split(parameters: Mapping[str, str], matches: list[Match]) -> bool:
     return any(piece.attributes is not None for one in matches for piece in one.registration.information)
 
 
-def _asked(parameters: Mapping[str, str], context: Context) -> Asked:
-    ids, wanted = parameters.get("id"), parameters.get("idPattern")
-    return Asked(
+def asked_by(
+    parameters: Mapping[str, str], context: Context, names: frozenset[str] | None
+) -> tuple[Asked, Where | None]:
+    """Return what query parameters ask for, of which the attributes `names` (None for all), and of whom."""
+    ids, wanted, csf = parameters.get("id"), parameters.get("idPattern"), parameters.get("csf")
+    asked = Asked(
         tuple(dict.fromkeys(ids.split(","))) if ids else None,
         pattern(wanted) if wanted else None,
         _types_of(parameters.get("type"), context),
-        _names_of(parameters, context),
+        names,
     )
+    if not csf:
+        return asked, None
+    holds = compiled(csf, context).holds
+    return asked, lambda registration: holds(registration.described)
 
 
 def _types_of(given: str | None, context: Context) -> frozenset[str] | None:

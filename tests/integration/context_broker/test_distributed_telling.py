@@ -1,0 +1,136 @@
+"""What several brokers tell together: the past, and which types and attributes there are."""
+
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.context_sources import ScriptedSource, put, register
+
+TEMPORAL = ["retrieveTemporal", "queryTemporal"]
+DISCOVERY = [
+    "retrieveEntityTypes", "retrieveEntityTypeDetails", "retrieveEntityTypeInfo", "retrieveAttrTypes",
+    "retrieveAttrTypeDetails", "retrieveAttrTypeInfo",
+]  # fmt: skip
+
+
+def tell(client: httpx.Client, entity_id: str, kind: str, **evolutions: dict[int, int]) -> None:
+    """Tell how attributes have been: values by the second at which they were observed."""
+    document: dict[str, Any] = {"id": entity_id, "type": kind}
+    for name, values in evolutions.items():
+        document[name] = [
+            {"type": "Property", "value": value, "observedAt": f"2026-01-01T00:00:{second:02}Z"}
+            for second, value in values.items()
+        ]
+    answer = client.post("/temporal/entities?local=true", json=document)
+    assert answer.status_code == 201, answer.text
+
+
+def told(document: dict[str, Any], name: str) -> list[Any]:
+    said = document.get(name, [])
+    return [one["value"] for one in (said if isinstance(said, list) else [said])]
+
+
+def test_evolutions_are_put_together(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
+    tell(near, entity_id, kind, a={1: 1, 3: 3}, b={1: 7})
+    tell(far, entity_id, kind, a={2: 2, 3: 3, 4: 4}, c={9: 9})
+    document = near.get(f"/temporal/entities/{entity_id}").json()
+    assert told(document, "a") == [1, 2, 3, 4]
+    assert told(document, "b") == [7]
+    assert told(document, "c") == [9]
+    document = near.get(f"/temporal/entities/{entity_id}?lastN=2").json()
+    assert told(document, "a") == [3, 4]
+    values = near.get(f"/temporal/entities/{entity_id}?options=temporalValues").json()["a"]["values"]
+    assert [value for value, _ in values] == [1, 2, 3, 4]
+    between = {"timerel": "between", "timeAt": "2026-01-01T00:00:02Z", "endTimeAt": "2026-01-01T00:00:04Z"}
+    document = near.get(f"/temporal/entities/{entity_id}", params=between).json()
+    assert told(document, "a") == [2, 3]
+    assert told(near.get(f"/temporal/entities/{entity_id}?local=true").json(), "a") == [1, 3]
+
+
+def test_pages_of_the_past_are_over_all(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
+    for number in range(3):
+        tell(near, f"urn:ngsi-ld:{kind}:near{number}", kind, a={1: 1})
+        tell(far, f"urn:ngsi-ld:{kind}:far{number}", kind, a={1: 1})
+    tell(far, f"urn:ngsi-ld:{kind}:near0", kind, a={2: 2})
+    time = {"timerel": "after", "timeAt": "2025-01-01T00:00:00Z"}
+    found: list[str] = []
+    for offset in range(0, 8, 2):
+        answer = near.get("/temporal/entities", params={"type": kind, "limit": 2, "offset": offset, **time})
+        found += [one["id"].rpartition(":")[2] for one in answer.json()]
+        assert ("next" in answer.links) == (offset < 4)
+    assert found == ["near0", "near1", "near2", "far0", "far1", "far2"]
+    query = {"type": "Query", "entities": [{"type": kind}], "temporalQ": time}
+    answer = near.post("/temporal/entityOperations/query", json=query)
+    assert len(answer.json()) == 6, answer.text
+
+
+def test_who_alone_has_the_past_tells_it_alone(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    tell(near, entity_id, kind, a={1: 1}, b={1: 1})
+    tell(far, entity_id, kind, b={2: 2})
+    register(
+        near, brokers[1].url, {"type": kind, "id": entity_id}, ["b"], mode="exclusive", operations=TEMPORAL
+    )
+    document = near.get(f"/temporal/entities/{entity_id}").json()
+    assert told(document, "a") == [1]
+    assert told(document, "b") == [2]
+
+
+def test_a_past_that_is_not_told_is_warned_of(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+    path = register(near, source.url, {"type": kind}, operations=TEMPORAL)
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    tell(near, entity_id, kind, a={1: 1})
+    source.answers["GET", f"/ngsi-ld/v1/temporal/entities/{entity_id}"] = 200, b"nonsense"
+    assert near.get(f"/temporal/entities/{entity_id}").headers["ngsild-warning"].startswith("111")
+    near.delete(path)
+    register(near, source.url, {"type": f"{kind}x"}, operations=TEMPORAL, mode="redirect")
+    source.answers["GET", f"/ngsi-ld/v1/temporal/entities/{entity_id}x"] = 500, {}
+    assert near.get(f"/temporal/entities/{entity_id}x").status_code == 502
+
+
+def test_types_and_attributes_of_all_are_told(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    name, other = f"a{kind}", f"b{kind}"
+    put(near, f"urn:ngsi-ld:{kind}:1", kind, **{name: 1})
+    put(far, f"urn:ngsi-ld:{kind}:1", kind, **{other: 1})
+    put(far, f"urn:ngsi-ld:{kind}:2", kind, **{other: {"type": "Relationship", "object": "urn:x:y"}})
+    put(far, f"urn:ngsi-ld:{kind}:3", f"{kind}Other", c=1)
+    register(near, brokers[1].url, {"type": kind}, operations=DISCOVERY)
+    assert kind in near.get("/types").json()["typeList"]
+    assert f"{kind}Other" not in near.get("/types").json()["typeList"]  # it is not registered
+    (details,) = [one for one in near.get("/types?details=true").json() if one["typeName"] == kind]
+    assert details["attributeNames"] == [name, other]
+    info = near.get(f"/types/{kind}").json()
+    assert info["entityCount"] == 3
+    types = {one["attributeName"]: one["attributeTypes"] for one in info["attributeDetails"]}
+    assert types == {name: ["Property"], other: ["Property", "Relationship"]}
+    assert other in near.get("/attributes").json()["attributeList"]
+    (details,) = [one for one in near.get("/attributes?details=true").json() if one["attributeName"] == other]
+    assert details["typeNames"] == [kind]
+    info = near.get(f"/attributes/{other}").json()
+    assert (info["attributeCount"], info["typeNames"]) == (2, [kind])
+    assert near.get(f"/attributes/{other}?local=true").status_code == 404
+
+
+@pytest.mark.parametrize(
+    "path", ["/types", "/types?details=true", "/types/Any", "/attributes", "/attributes/any"]
+)
+def test_a_source_that_answers_nonsense_is_warned_of(
+    near: httpx.Client, source: ScriptedSource, path: str
+) -> None:
+    register(near, source.url, {"type": "Any"}, ["any"], operations=DISCOVERY)
+    source.answers["GET", f"/ngsi-ld/v1{path.partition('?')[0]}"] = 200, "nonsense"
+    answer = near.get(path)
+    assert answer.status_code in {200, 404}
+    assert answer.headers["ngsild-warning"].startswith("111")
