@@ -51,6 +51,8 @@ from services.context_broker.registration_operations import RegistrationOperatio
 from services.context_broker.replica import TRIMMING, Overtaken, Replica
 from services.context_broker.retention import Retention
 from services.context_broker.settings import BrokerSettings
+from services.context_broker.snapshot_operations import HEADER as SNAPSHOT
+from services.context_broker.snapshot_operations import OUTSIDE_SNAPSHOTS, SnapshotOperations
 from services.context_broker.source_subscription_operations import SourceSubscriptionOperations
 from services.context_broker.subscription_operations import SubscriptionOperations
 from services.context_broker.subscriptions import Counts
@@ -93,6 +95,7 @@ class Broker:
         self.registrations = RegistrationOperations(self.contexts)
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
         self.entity_maps = EntityMapOperations(self._by_name)
+        self.snapshots = SnapshotOperations(self.tenants, self._answered)
         self.directory = Directory(
             operation
             for room in (
@@ -103,6 +106,7 @@ class Broker:
                 self.registrations,
                 self.source_subscriptions,
                 self.entity_maps,
+                self.snapshots,
                 ContextOperations(self.contexts),
                 TemporalOperations(journal),
                 TemporalProvision(journal, self.tenants.recorder),
@@ -130,6 +134,7 @@ class Broker:
         await self._take_up_subscriptions()
         await self.contexts.tidy()
         self._follow_others()
+        self.snapshots.start()
         self.tenants.ends.start()
         self.leadership.start(self.tenants.turn, self.tenants.commits.look)
         self.retention.start()
@@ -141,6 +146,7 @@ class Broker:
     async def stop(self) -> None:
         """Commit what is on its way, and close."""
         self.tenants.ends.stop()
+        self.snapshots.stop()
         for tenant in self.tenants:
             tenant.notifier.stop()
             tenant.source_notifier.stop()
@@ -185,11 +191,22 @@ class Broker:
             exchange.require_known(operation.parameters)
             if tenant.notifier.passes_headers_on:
                 REQUEST_HEADERS.set(request.headers)
+            if SNAPSHOT in request.headers and operation.name not in OUTSIDE_SNAPSHOTS:
+                return await self._inside_snapshot(operation, exchange)
             if wants_map(operation, exchange):
                 return await self.entity_maps.answer(operation, exchange, partial(self._answered, operation))
             return await self._answered(operation, exchange)
         finally:
             self.tenants.leave(tenant)
+
+    async def _inside_snapshot(self, operation: Operation, exchange: Exchange) -> Answer:
+        named = exchange.headers[SNAPSHOT]
+        exchange.tenant = self.snapshots.inside(exchange)
+        if wants_map(operation, exchange):
+            answer = await self.entity_maps.answer(operation, exchange, operation.answer)
+        else:
+            answer = await operation.answer(exchange)
+        return Answer(answer.status, answer.body, [*answer.headers, (SNAPSHOT, named)])
 
     async def _answered(self, operation: Operation, exchange: Exchange) -> Answer:
         if exchange.tenant.registry.is_empty:
@@ -216,6 +233,7 @@ class Broker:
         following.on(Kind.COUNTS, self._follow_counts)
         following.on(Kind.REGISTRATION, self._follow_registration)
         following.on(Kind.ENTITY_MAP, self._follow_entity_map)
+        following.on(Kind.SNAPSHOT, self._follow_snapshot)
         following.on(Kind.ATTEMPTS, self._follow_attempts)
 
     async def _follow_context(self, tenant: str, key: str, body: bytes | None) -> None:
@@ -240,6 +258,9 @@ class Broker:
     async def _follow_entity_map(self, tenant: str, one: str, body: bytes | None) -> None:
         maps = self.tenants.kept(tenant).entity_maps
         maps.forget(one) if body is None else maps.take(body)
+
+    async def _follow_snapshot(self, tenant: str, one: str, body: bytes | None) -> None:
+        self.snapshots.follow(self.tenants.kept(tenant), one, body)
 
     async def _follow_attempts(self, tenant: str, one: str, body: bytes | None) -> None:
         if body is not None:

@@ -6,7 +6,7 @@ by page, however entities change meanwhile; and of sources only what a page need
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -63,6 +63,10 @@ class EntityMaps:
         self._tenant = tenant
         self._commits = commits
         self._all: dict[str, EntityMap] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the ids of all maps."""
+        return iter(list(self._all))
 
     def take(self, body: bytes) -> None:
         """Take up what was kept."""

@@ -63,6 +63,8 @@ class Following:
     async def _follow_tenant(self, _: str, name: str, body: bytes | None) -> None:
         if body is not None:
             self._tenants.kept(name)
+        else:  # only what belongs to snapshots ever goes
+            self._tenants.drop(name)
 
 
 def _needed_first(key: DocumentKey) -> tuple[int, DocumentKey]:

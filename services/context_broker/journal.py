@@ -75,6 +75,7 @@ class Kind(StrEnum):
     """What tells this broker from all others, made at its first start."""
     SOURCE_SUBSCRIPTION = "source subscription"
     """To registrations of context sources; its counts are kept as those of other subscriptions."""
+    SNAPSHOT = "snapshot"
     REGISTRATION = "registration"
     ATTEMPTS = "attempts"
     """What became of the operations passed on to the source of the registration of the same id."""

@@ -16,7 +16,7 @@ from services.context_broker.entity import NULL, SAYS, Attributes, Entity, Insta
 from services.context_broker.rendering import Form, View, render, rendered, with_context
 from services.context_broker.subscriptions import Subscription
 from services.context_broker.triggers import ATTRIBUTE_DELETED, Happened, lost_instances
-from services.context_broker.words import timestamp
+from services.context_broker.words import tenant_headers, timestamp
 
 _PREVIOUS: Final = {kind: f"previous{says[0].upper()}{says[1:]}" for kind, says in SAYS.items()}
 
@@ -66,8 +66,8 @@ def headers(subscription: Subscription, tenant: str, taken: bytes | None = None)
     own = [*endpoint.headers, *(orjson.loads(taken) if taken else ())]
     asked = {name.lower() for name, _ in own}
     result = [("Content-Type", endpoint.accept)]
-    if tenant and "ngsild-tenant" not in asked:
-        result.append(("NGSILD-Tenant", tenant))
+    if tenant:
+        result += [one for one in tenant_headers(tenant) if one[0].lower() not in asked]
     if endpoint.accept != JSON_LD and subscription.context.link and "link" not in asked:
         result.append(("Link", link(subscription.context.link)))
     return [*result, *((name, value) for name, value in own)]

@@ -16,7 +16,7 @@ from services.context_broker.problems import bad_request_data
 from services.context_broker.reading import names_of
 from services.context_broker.registration import Asked, Interval, Registration
 from services.context_broker.scope_query import ScopeQuery, scope_query
-from services.context_broker.selection import Query, compiled
+from services.context_broker.selection import Selection, compiled
 from services.context_broker.type_selection import type_selection
 from services.context_broker.words import moment, require_time, require_uri, shown
 
@@ -45,7 +45,7 @@ class Search:
     """What is looked for: registrations that any of the `questions` concerns and for which the rest holds."""
 
     questions: tuple[Asked, ...]
-    filters: tuple[Query, ...] = ()
+    filters: tuple[Selection, ...] = ()
     period: Period | None = None
     place: GeoQuery | None = None
     scope: ScopeQuery | None = None
@@ -58,7 +58,7 @@ class Search:
         elif not self.period.meets(one):
             return False
         return (
-            all(condition.holds(one.described) for condition in self.filters)
+            all(condition.wants(one.described) for condition in self.filters)
             and (self.place is None or self.place.wants(one.described))
             and (self.scope is None or self.scope.wants(one.scopes))
         )
@@ -82,7 +82,7 @@ def search_of(parameters: Mapping[str, str], context: Context) -> Search:
     names = names_of(given.get("attrs"), context)
     return Search(
         (Asked(asked.ids, asked.id_pattern, asked.types, names),),
-        tuple(compiled(given[name], context) for name in ("csf", "q") if name in given),
+        tuple(Selection(query=compiled(given[name], context)) for name in ("csf", "q") if name in given),
         period_of(given),
         geo_query.geo_query(given, context.terms.expand),
         scope_query(given["scopeQ"]) if "scopeQ" in given else None,

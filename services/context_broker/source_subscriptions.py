@@ -20,7 +20,7 @@ from services.context_broker.registration_search import Search, asked_of, period
 from services.context_broker.registry import Registry
 from services.context_broker.rendering import with_context
 from services.context_broker.scope_query import scope_query
-from services.context_broker.selection import compiled
+from services.context_broker.selection import Selection, compiled
 from services.context_broker.subscriptions import JSON_LD, Subscription
 from services.context_broker.words import timestamp_now
 
@@ -57,7 +57,7 @@ def search_of(subscription: Subscription) -> Search:
     place = document.get("geoQ")
     return Search(
         tuple(Asked(one.ids, one.id_pattern, one.types, names) for one in questions),
-        (compiled(document["csf"], context),) if "csf" in document else (),
+        (Selection(query=compiled(document["csf"], context)),) if "csf" in document else (),
         period_of(document.get("temporalQ") or {}),
         None if place is None else geo_query_document(place, context.terms.expand),
         scope_query(document["scopeQ"]) if "scopeQ" in document else None,

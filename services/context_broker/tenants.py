@@ -26,9 +26,10 @@ from services.context_broker.problems import bad_request_data, no_such_tenant
 from services.context_broker.registry import Registry
 from services.context_broker.replica import Replica
 from services.context_broker.settings import BrokerSettings
+from services.context_broker.snapshots import Snapshot, restored
 from services.context_broker.store import Store
 from services.context_broker.transient import Ends
-from services.context_broker.words import LONGEST_TENANT, TENANT, shown
+from services.context_broker.words import LONGEST_TENANT, TENANT, inside, outside, shown
 
 DEFAULT: Final = ""
 
@@ -39,7 +40,7 @@ class Tenant:
     def __init__(self, name: str, tenants: "Tenants", *, is_kept: bool) -> None:
         self.name = name
         self.guests = 0
-        self.alias = tenants.alias_of(name)
+        self.alias = tenants.alias_of(outside(name)[0])
         """What this broker calls itself in Via when it asks on behalf of the tenant (clause 5.2.40)."""
         self.commits = _TenantCommits(name, tenants.commits, is_kept=is_kept)
         self.notifier = Notifier(name, self.commits, tenants.outbound)
@@ -55,6 +56,7 @@ class Tenant:
         self.notifier.store = self.store
         self.registry = Registry(name, self.commits)
         self.entity_maps = EntityMaps(name, self.commits)
+        self.snapshots: dict[str, Snapshot] = {}
         self.source_notifier = CourierOffice(name, self.commits, tenants.outbound)
         """Tells of registrations that come, change and go; it hears of no entity."""
 
@@ -139,6 +141,8 @@ class Tenants:
         self._tenants[DEFAULT] = Tenant(DEFAULT, self, is_kept=True)
         for _, name, _ in journal.documents(Kind.TENANT):
             self._tenants[name] = Tenant(name, self, is_kept=True)
+        for tenant, _, body in journal.documents(Kind.SNAPSHOT):
+            self._tenants[tenant].snapshots.update(restored(body))
         for tenant, _, body in journal.documents(Kind.ENTITY_MAP):
             self._tenants[tenant].entity_maps.take(body)
         for tenant, body in journal.entities():
@@ -179,6 +183,21 @@ class Tenants:
         tenant = self._tenants[name] = Tenant(name, self, is_kept=False)
         tenant.guests = 1
         return tenant
+
+    def inside(self, tenant: Tenant, snapshot_id: str) -> Tenant:
+        """Return what keeps the content of a snapshot, as a tenant keeps its own; made if need be."""
+        name = inside(tenant.name, snapshot_id)
+        found = self._tenants.get(name)
+        if found is None:
+            found = self._tenants[name] = Tenant(name, self, is_kept=False)
+        return found
+
+    def drop(self, name: str) -> None:
+        """Forget what belonged to a snapshot that is gone."""
+        gone = self._tenants.pop(name, None)
+        if gone is not None:
+            gone.notifier.stop()
+            gone.source_notifier.stop()
 
     def commits_of(self, name: str) -> Commits:
         """Return where the writes of a tenant go; those of one that is not there go where all go."""

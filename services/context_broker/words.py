@@ -14,6 +14,9 @@ LONGEST_TENANT = 128
 
 TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{LONGEST_TENANT}}}")
 
+_INSIDE = "\u2234"
+"""Begins the name of what belongs to a snapshot: no header can say it, so no asker can name it."""
+
 _DURATION = re.compile(
     r"P(?:(\d+)Y)?(?:(\d+)M)?(?:(\d+)W)?(?:(\d+)D)?(?:T(?:(\d+)H)?(?:(\d+)M)?(?:(\d+(?:[.,]\d+)?)S)?)?"
 )
@@ -28,6 +31,26 @@ _URI = re.compile(rf'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{{}}|\\^`\x00-\x20\x7f-\xa0
 _UNFIT_IN_NAMES = re.compile(r"[\s<>\"'=;,|(){}\[\]\\^`\x00-\x1f\x7f]")
 _SHORT_NAME = re.compile(r"[^\W\d_][\w\-]*")
 _SCOPE = re.compile(r"/?[^\W\d_]\w*(?:/[^\W\d_]\w*)*")
+
+
+def inside(tenant: str, snapshot_id: str) -> str:
+    """Return the name under which what belongs to a snapshot of a tenant is kept, as if it were a tenant."""
+    return f"{_INSIDE}{tenant}{_INSIDE}{snapshot_id}"
+
+
+def outside(name: str) -> tuple[str, str | None]:
+    """Return the tenant that a name means to others, and the snapshot if it is that of one."""
+    if not name.startswith(_INSIDE):
+        return name, None
+    _, tenant, snapshot_id = name.split(_INSIDE, 2)
+    return tenant, snapshot_id
+
+
+def tenant_headers(name: str) -> list[tuple[str, str]]:
+    """Return the headers by which others learn of which tenant, and which snapshot of it, something is."""
+    tenant, snapshot_id = outside(name)
+    told = [("NGSILD-Tenant", tenant)] if tenant else []
+    return told if snapshot_id is None else [*told, ("NGSILD-Snapshot", snapshot_id)]
 
 
 def timestamp(moment: datetime) -> str:

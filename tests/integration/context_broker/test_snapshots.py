@@ -1,0 +1,209 @@
+"""Snapshots: entities as they were, apart from the others; made, cloned, changed, purged, ended, kept."""
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+from .conftest import BrokerProcess, Subscriber, wait_for
+
+PATH = "/snapshots"
+
+
+def create(http: httpx.Client, one: str, kind: str, speed: int, **kept: Any) -> None:
+    entity = {"id": one, "type": kind, "speed": {"type": "Property", "value": speed}}
+    assert http.post("/entities", json=entity, **kept).status_code == 201
+
+
+def query(kind: str, **members: Any) -> dict[str, Any]:
+    return {"type": "Query", "entities": [{"type": kind}], **members}
+
+
+def snapshot(http: httpx.Client, *queries: dict[str, Any], **members: Any) -> dict[str, Any]:
+    answer = http.post(PATH, json={"type": "Snapshot", "snapshotQueries": list(queries), **members})
+    assert answer.status_code == 201, answer.text
+    return made(http, answer)
+
+
+def made(http: httpx.Client, answer: httpx.Response) -> dict[str, Any]:
+    at = answer.headers["location"].removeprefix("/ngsi-ld/v1")
+
+    def ready() -> Any:
+        document = http.get(at).json()
+        return document if document["snapshotStatus"] != "preparing" else None
+
+    found: dict[str, Any] = wait_for(ready)
+    return found
+
+
+def inside(one: dict[str, Any]) -> dict[str, str]:
+    return {"NGSILD-Snapshot": one["id"]}
+
+
+def test_a_snapshot_holds_what_its_queries_find_as_it_was(http: httpx.Client) -> None:
+    create(http, "urn:ngsi-ld:Frozen:fast", "Frozen", 80)
+    create(http, "urn:ngsi-ld:Frozen:slow", "Frozen", 30)
+    one = snapshot(http, query("Frozen", q="speed>50"))
+    assert (one["snapshotStatus"], one["snapshotPriority"]) == ("success", 5)
+    assert one["snapshotQueriesDetails"] == [{"resultStatus": "success"}]
+    assert one["lastUsedAt"] == one["createdAt"] < one["expiresAt"]
+    answer = http.get("/entities", params={"type": "Frozen"}, headers=inside(one))
+    assert [each["id"] for each in answer.json()] == ["urn:ngsi-ld:Frozen:fast"]
+    assert answer.headers["ngsild-snapshot"] == one["id"]
+    change = {"speed": {"type": "Property", "value": 1}}
+    assert http.patch("/entities/urn:ngsi-ld:Frozen:fast/attrs", json=change).status_code == 204
+    frozen = http.get("/entities/urn:ngsi-ld:Frozen:fast", headers=inside(one)).json()
+    assert frozen["speed"]["value"] == 80
+    assert http.get(f"{PATH}/{one['id']}").json()["lastUsedAt"] > one["lastUsedAt"]
+
+
+def test_what_happens_inside_a_snapshot_stays_there(
+    http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    create(http, "urn:ngsi-ld:Inside:1", "Inside", 80)
+    one = snapshot(http, query("Inside"))
+    subscription = {
+        "type": "Subscription",
+        "entities": [{"type": "Inside"}],
+        "notification": {"endpoint": {"uri": subscriber.url}},
+    }
+    assert http.post("/subscriptions", json=subscription, headers=inside(one)).status_code == 201
+    change = {"speed": {"type": "Property", "value": 5}}
+    assert http.patch("/entities/urn:ngsi-ld:Inside:1", json=change).status_code == 204
+    change = {"speed": {"type": "Property", "value": 10}}
+    answer = http.patch("/entities/urn:ngsi-ld:Inside:1", json=change, headers=inside(one))
+    assert answer.status_code == 204
+    eventually(lambda: subscriber.received)
+    assert [each["speed"]["value"] for each in subscriber.entities()] == [10]
+    assert subscriber.headers[0]["ngsild-snapshot"] == one["id"]
+    assert "ngsild-tenant" not in subscriber.headers[0]
+    assert http.get("/entities/urn:ngsi-ld:Inside:1").json()["speed"]["value"] == 5
+    create(http, "urn:ngsi-ld:Inside:2", "Inside", 1, headers=inside(one))
+    assert http.get("/entities/urn:ngsi-ld:Inside:2").status_code == 404
+    assert http.get("/types", headers=inside(one)).json()["typeList"] == ["Inside"]
+
+
+def test_a_clone_changes_and_ends_by_itself(http: httpx.Client) -> None:
+    create(http, "urn:ngsi-ld:Cloned:1", "Cloned", 80)
+    one = snapshot(http, query("Cloned"), snapshotPriority=2)
+    answer = http.post(f"{PATH}/{one['id']}/clone", json={"type": "Snapshot", "snapshotPriority": 9})
+    assert answer.status_code == 201
+    clone = made(http, answer)
+    assert (clone["snapshotStatus"], clone["snapshotPriority"]) == ("success", 9)
+    assert clone["snapshotQueries"] == one["snapshotQueries"]
+    assert http.delete("/entities/urn:ngsi-ld:Cloned:1", headers=inside(clone)).status_code == 204
+    assert http.get("/entities/urn:ngsi-ld:Cloned:1", headers=inside(one)).status_code == 200
+    assert http.delete(f"{PATH}/{one['id']}").status_code == 204
+    assert http.get("/entities/urn:ngsi-ld:Cloned:1", headers=inside(one)).status_code == 404
+    assert http.get("/entities", params={"type": "Cloned"}, headers=inside(clone)).json() == []
+    assert http.post(f"{PATH}/{clone['id']}/clone", json={"snapshotQueries": []}).status_code == 400
+
+
+def test_snapshots_are_purged_by_what_they_are(http: httpx.Client) -> None:
+    low, high = (snapshot(http, query("Nothing"), snapshotPriority=each) for each in (1, 8))
+    assert low["snapshotStatus"] == "empty"
+    assert http.delete(PATH).status_code == 400
+    refused = http.delete(PATH, params={"q": "speed>50"})
+    assert refused.status_code == 400
+    assert refused.json()["type"].endswith("BadRequestData")
+    assert http.delete(PATH, params={"q": 'snapshotPriority<2;snapshotStatus=="empty"'}).status_code == 204
+    assert http.get(f"{PATH}/{low['id']}").status_code == 404
+    assert http.get(f"{PATH}/{high['id']}").status_code == 200
+
+
+def test_a_change_of_a_snapshot_is_about_its_keeping(http: httpx.Client) -> None:
+    one = snapshot(http, query("Nothing"), snapshotLifetime="PT1H")
+    at = f"{PATH}/{one['id']}"
+    changed = http.patch(at, json={"snapshotPriority": 9, "snapshotLifetime": "PT2H"})
+    assert changed.status_code == 200
+    assert changed.json()["snapshotPriority"] == 9
+    assert changed.json()["expiresAt"] > one["expiresAt"]
+    assert http.patch(at, json={"snapshotQueries": []}).status_code == 400
+    assert http.patch(at, json={"snapshotPriority": 11}).status_code == 400
+    assert http.patch(f"{PATH}/urn:ngsi-ld:Snapshot:absent", json={}).status_code == 404
+
+
+def test_who_asked_is_told_when_a_snapshot_is_made_and_gone(
+    http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    create(http, "urn:ngsi-ld:Announced:1", "Announced", 80)
+    info = [{"key": "X-Cell", "value": "4"}]
+    one = snapshot(http, query("Announced"), endpoint=subscriber.url, receiverInfo=info)
+    eventually(lambda: subscriber.received)
+    told = subscriber.received[0]
+    assert (told["type"], told["snapshotId"]) == ("SnapshotNotification", one["id"])
+    assert told["snapshotStatus"] == "success"
+    assert told["notifiedAt"] < told["expiresAt"]
+    assert subscriber.headers[0]["x-cell"] == "4"
+    http.delete(f"{PATH}/{one['id']}")
+    eventually(lambda: len(subscriber.received) == 2)
+    assert subscriber.received[1]["expiresAt"] <= subscriber.received[1]["notifiedAt"]
+
+
+@pytest.mark.parametrize(
+    "members",
+    [
+        {},
+        {"snapshotQueries": []},
+        {"snapshotQueries": 3},
+        {"snapshotQueries": [query("A", temporalQ={"timerel": "after", "timeAt": "2020-01-01T00:00:00Z"})]},
+        {"snapshotTemporalQueries": [query("A")]},
+        {"snapshotQueries": [query("A")], "type": "Task"},
+        {"snapshotQueries": [query("A")], "snapshotPriority": 11},
+        {"snapshotQueries": [query("A")], "snapshotLifetime": "soon"},
+        {"snapshotQueries": [query("A")], "snapshotStatus": "success"},
+        {"snapshotQueries": [query("A")], "endpoint": "nowhere"},
+        {"snapshotQueries": [query("A")], "receiverInfo": 3},
+        {"snapshotQueries": [query("A")], "colour": "red"},
+        {"snapshotQueries": [query("A")], "id": "no uri"},
+    ],
+)
+def test_what_makes_no_snapshot_is_refused(http: httpx.Client, members: dict[str, Any]) -> None:
+    assert http.post(PATH, json=members).status_code == 400
+
+
+def test_a_query_that_cannot_be_carried_out_is_told(http: httpx.Client) -> None:
+    create(http, "urn:ngsi-ld:Half:1", "Half", 80)
+    one = snapshot(http, query("Half"), query("Half", q="((("))
+    assert one["snapshotStatus"] == "partial"
+    assert one["snapshotQueriesDetails"][1]["problemDetails"]["status"] == 400
+
+
+def test_snapshots_belong_to_their_tenant(http: httpx.Client) -> None:
+    tenant = {"NGSILD-Tenant": "cell9"}
+    create(http, "urn:ngsi-ld:Owned:1", "Owned", 80, headers=tenant)
+    answer = http.post(PATH, json={"snapshotQueries": [query("Owned")]}, headers=tenant)
+    at = answer.headers["location"].removeprefix("/ngsi-ld/v1")
+    one = wait_for(
+        lambda: next(
+            (told for told in [http.get(at, headers=tenant).json()] if told["snapshotStatus"] == "success"),
+            None,
+        )
+    )
+    assert len(http.get("/entities", params={"type": "Owned"}, headers={**tenant, **inside(one)}).json()) == 1
+    assert http.get("/entities", params={"type": "Owned"}, headers=inside(one)).status_code == 404
+    assert http.get(at).status_code == 404
+    assert (
+        http.get("/entities", params={"type": "Owned"}, headers={"NGSILD-Snapshot": "x"}).status_code == 400
+    )
+
+
+def test_snapshots_are_there_after_a_power_cut_and_end_in_time(
+    own_broker: BrokerProcess, eventually: Callable[..., Any]
+) -> None:
+    own_broker.start()
+    with own_broker.client() as http:
+        create(http, "urn:ngsi-ld:Kept:1", "Kept", 80)
+        stays = snapshot(http, query("Kept"))
+        goes = snapshot(http, query("Kept"), snapshotLifetime="PT4S")
+        http.delete("/entities/urn:ngsi-ld:Kept:1")
+    own_broker.kill()
+    own_broker.start()
+    with own_broker.client() as http:
+        assert http.get("/entities/urn:ngsi-ld:Kept:1").status_code == 404
+        assert http.get("/entities/urn:ngsi-ld:Kept:1", headers=inside(stays)).status_code == 200
+        eventually(lambda: http.get(f"{PATH}/{goes['id']}").status_code == 404)
+        eventually(lambda: own_broker.metric("handover_broker_entities") == 1)
+        assert http.delete(f"{PATH}/{stays['id']}").status_code == 204
+        assert own_broker.metric("handover_broker_entities") == 0
