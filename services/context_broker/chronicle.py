@@ -6,11 +6,12 @@ holds nobody up. What is kept in memory at a time is bounded, however long the h
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any, Final
 
 from services.context_broker.aggregation import Aggregation, Total, periods, totals
 from services.context_broker.entity import SAYS, Entity, Instance
-from services.context_broker.history import SCOPE, Change, Departed
+from services.context_broker.history import SCOPE, Change, Departed, instance_id
 from services.context_broker.journal import Journal
 from services.context_broker.problems import too_many_results
 from services.context_broker.temporal_query import TemporalQuery
@@ -27,8 +28,8 @@ CHUNK: Final = 100
 """Entities whose history is read with one question to the database."""
 
 Predicate = Callable[[Entity], bool]
-Point = tuple[int, Any]
-"""A time in microseconds since 1970, and an instance or what it says."""
+Point = tuple[int, int, Any]
+"""A time in microseconds since 1970, the seq of the change, and an instance or what it says."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +61,15 @@ class Series:
         self.totals: list[Total] = []
         """What the points come to, period by period, if that was asked for; then the points are gone."""
 
-    def add(self, at: int, said: Any) -> None:
+    def takes(self, at: int) -> bool:
+        """Say whether a point of that time is among those that are kept."""
+        return self.edge is None or (at >= self.edge if self.latest else at <= self.edge)
+
+    def add(self, point: Point) -> None:
         """Add a point."""
-        if self.edge is None or (at >= self.edge if self.latest else at <= self.edge):
-            self.points.append((at, said))
-            if len(self.points) > 2 * self.most:
-                self.trim()
+        self.points.append(point)
+        if len(self.points) > 2 * self.most:
+            self.trim()
 
     def trim(self) -> None:
         """Sort by time and keep `most` points, and those of the same time as the last of them."""
@@ -102,7 +106,7 @@ class Evolution:
     def as_entity(self) -> Entity:
         """Return an entity that holds all instances at once, for questions to be put to it."""
         attributes: dict[str, list[Instance]] = {
-            name: [one for series in named.values() for _, one in series.points if "deletedAt" not in one]
+            name: [one for series in named.values() for _, _, one in series.points if "deletedAt" not in one]
             for name, named in self.series.items()
             if name != SCOPE
         }
@@ -211,38 +215,55 @@ def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
 def _read(journal: Journal, run: Sequence[Subject], question: Question) -> Iterator[Evolution]:
     """Yield the evolution of each subject as soon as its rows are read: only one is in memory at a time."""
     rest = iter(run)
+    query = question.query
     evolution = Evolution(next(rest))
     places = [place for subject in run for place in subject.places]
-    for place, seq, body in journal.history(places, *question.query.condition()):
+    condition, values = query.condition()
+    bare = query.aggregation is not None and question.wants is None
+    # The latest first where they are wanted: those before them are then told apart by their time alone.
+    rows = journal.history(places, condition, values, latest_first=query.last is not None)
+    ends_early = query.last is None and question.wants is None and query.aggregation is None
+    edge: int | None = None
+    for place, seq, observed_from, body in rows:
         while place not in evolution.subject.places:
             yield _sorted(evolution)
-            evolution = Evolution(next(rest))
-        for name, instance in Change.restored(body).instances(place, seq):
-            _take(evolution, name, instance, question)
+            evolution, edge = Evolution(next(rest)), None
+        if edge is not None and query.is_later(edge, seq, observed_from):
+            continue  # an answer ends at the same time for all attributes
+        for name, position, instance in Change.restored(body).instances(seq):
+            at = query.time_of(instance)
+            if at is None or (series := _series_for(evolution, name, instance, question)) is None:
+                continue
+            if series.takes(at):
+                instance["instanceId"] = instance_id(place, seq, position)
+                series.add((at, seq, instance[SAYS[instance["type"]]] if bare else instance))
+                if ends_early and series.edge is not None:
+                    edge = series.edge if edge is None else min(edge, series.edge)
     yield _sorted(evolution)
     for subject in rest:
         yield Evolution(subject)
 
 
-def _take(evolution: Evolution, name: str, instance: Instance, question: Question) -> None:
+def _series_for(evolution: Evolution, name: str, instance: Instance, question: Question) -> Series | None:
+    """Return the series that an instance belongs to, None if it is not wanted."""
     dataset: str | None = instance.get("datasetId")
     if question.datasets is not None and name != SCOPE and dataset not in question.datasets:
-        return
-    at = question.query.time_of(instance)
-    if at is None or (question.query.aggregation is not None and "deletedAt" in instance):
-        return
+        return None
+    if question.query.aggregation is not None and "deletedAt" in instance:
+        return None
     if question.requires is None or name in question.requires:
         evolution.is_hit = True
     if question.wants is None and not question.shows(name):
-        return
-    named = evolution.series.setdefault(name, {})
+        return None
+    named = evolution.series.get(name)
+    if named is None:
+        named = evolution.series[name] = {}
     series = named.get(dataset)
     if series is None:
         most, latest = _bound(question)
         series = named[dataset] = Series(instance["type"], dataset, most, latest=latest)
-    kind = series.kind = instance["type"]
-    bare = question.query.aggregation is not None and question.wants is None
-    series.add(at, instance[SAYS[kind]] if bare else instance)
+    series.kind = instance["type"]
+    return series
 
 
 def _sorted(evolution: Evolution) -> Evolution:
@@ -274,12 +295,14 @@ def _finish(found: Found, question: Question) -> None:
     for series in evolution.all():
         series.most = min(MOST_OF_ATTRIBUTE, last or MOST_OF_ATTRIBUTE)
         series.trim()
-        if series.edge is not None and (last is None or last > MOST_OF_ATTRIBUTE):
+        if last is not None and last <= MOST_OF_ATTRIBUTE:
+            series.points = series.points[-last:]
+        elif series.edge is not None:
             _narrow(found, series.edge, latest=latest)
     all_series = [series for one in found.evolutions for series in one.all()]
     _keep(all_series, found.edge)
     if sum(len(series.points) for series in all_series) > MOST_IN_ANSWER:
-        times = sorted(at for series in all_series for at, _ in series.points)
+        times = sorted(at for series in all_series for at, _, _ in series.points)
         _narrow(found, times[-MOST_IN_ANSWER] if latest else times[MOST_IN_ANSWER - 1], latest=latest)
         _keep(all_series, found.edge)
 
@@ -291,7 +314,7 @@ def _aggregate(found: Found, evolution: Evolution, question: Question, wanted: A
     left out.
     """
     evolution.series.pop(SCOPE, None)
-    query = question.query
+    query, last = question.query, question.query.last
     _require_all(evolution, question)
     times = [series.points[end][0] for series in evolution.all() if series.points for end in (0, -1)]
     if not times:
@@ -299,9 +322,8 @@ def _aggregate(found: Found, evolution: Evolution, question: Question, wanted: A
     origin = min(times) if query.start is None else query.start
     until = max(times) if query.end is None else query.end
     for series in evolution.all():
-        said = series.points
-        if question.wants is not None:
-            said = [(at, one[SAYS[one["type"]]]) for at, one in said]
+        points = series.points if last is None else series.points[-last:]
+        said = [(at, one[SAYS[one["type"]]] if question.wants is not None else one) for at, _, one in points]
         series.points = []
         found_periods = periods(said, wanted.period, origin, until)
         if len(found_periods) > MOST_OF_ATTRIBUTE:
@@ -336,5 +358,4 @@ def _require_all(evolution: Evolution, question: Question) -> None:
             )
 
 
-def _by_time(point: Point) -> int:
-    return point[0]
+_by_time = itemgetter(0, 1)

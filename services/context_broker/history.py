@@ -66,8 +66,8 @@ class Change:
             times.append(at_s)
         return (min(times), max(times)) if times else (None, None)
 
-    def instances(self, place: int, seq: int) -> Iterator[tuple[str, Instance]]:
-        """Yield each instance with its attribute (IRI, or `SCOPE`) and its instanceId.
+    def instances(self, seq: int) -> Iterator[tuple[str, int, Instance]]:
+        """Yield each instance with its attribute (IRI, or `SCOPE`) and its position.
 
         A deletion is an instance that says `NULL` and has a deletedAt (clauses 4.5.7 and 4.5.8).
         """
@@ -75,17 +75,17 @@ class Change:
         for name, instances in self.attributes.items():
             for one in instances:
                 if one is not None:
-                    one["instanceId"] = instance_id(place, seq, position)
-                    yield name, one
+                    yield name, position, one
                 position += 1
-        at = time_of(seq)
-        for name, deletions in self.deleted.items():
-            for gone in deletions:
-                if gone is not None:
-                    yield name, _deletion(*gone, instance_id(place, seq, position), at)
-                position += 1
+        if self.deleted:
+            at = time_of(seq)
+            for name, deletions in self.deleted.items():
+                for gone in deletions:
+                    if gone is not None:
+                        yield name, position, _deletion(*gone, at)
+                    position += 1
         if self.scopes is not None:
-            yield SCOPE, _scope_instance(self.scopes, instance_id(place, seq, position), at)
+            yield SCOPE, position, _scope_instance(self.scopes, time_of(seq))
 
     def without(self, attribute: str, position: int) -> bool:
         """Take the instance at `position` out; return whether `attribute` has one there."""
@@ -229,7 +229,10 @@ def place_of(instance: str) -> tuple[int, int, int] | None:
 
 
 def micros_of(at: str) -> int:
-    """Return the microseconds from 1970 to `at`, a time as the broker writes it."""
+    """Return the microseconds from 1970 to `at`, a date-time in UTC.
+
+    Raises `ValueError` or `TypeError` for what is none.
+    """
     since = datetime.fromisoformat(at) - _EPOCH
     return (since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds
 
@@ -249,17 +252,20 @@ def _kinds(instances: Iterable[Instance]) -> list[tuple[str, str | None] | None]
     return [(one["type"], dataset_of(one)) for one in instances]
 
 
-def _deletion(kind: str, dataset: str | None, name: str, at: str) -> Instance:
+def _deletion(kind: str, dataset: str | None, at: str) -> Instance:
     said = {"@none": NULL} if kind == "LanguageProperty" else NULL
-    instance: Instance = {"type": kind, SAYS[kind]: said, "instanceId": name, "deletedAt": at}
+    instance: Instance = {"type": kind, SAYS[kind]: said, "deletedAt": at}
     if dataset is not None:
         instance["datasetId"] = dataset
     return instance
 
 
-def _scope_instance(scopes: list[str], name: str, at: str) -> Instance:
+def _scope_instance(scopes: list[str], at: str) -> Instance:
     if not scopes:
-        return {"type": "Property", "value": [], "instanceId": name, "deletedAt": at}
+        return {"type": "Property", "value": [], "deletedAt": at}
     value = scopes[0] if len(scopes) == 1 else scopes
-    times = dict.fromkeys(("createdAt", "modifiedAt", "observedAt"), at)
-    return {"type": "Property", "value": value, "instanceId": name, **times}
+    return {
+        "type": "Property",
+        "value": value,
+        **dict.fromkeys(("createdAt", "modifiedAt", "observedAt"), at),
+    }

@@ -281,16 +281,22 @@ class Journal:
             yield from self._database.scan(f"{asked} AND id = ? ORDER BY place", (tenant, entity_id))
 
     def history(
-        self, places: Sequence[int], condition: str = "", values: Sequence[float] = ()
-    ) -> Iterator[tuple[int, int, bytes]]:
-        """Yield place, seq and body of the changes at `places`, in the order of places and of time.
+        self,
+        places: Sequence[int],
+        condition: str = "",
+        values: Sequence[float] = (),
+        *,
+        latest_first: bool = False,
+    ) -> Iterator[tuple[int, int, float | None, bytes]]:
+        """Yield place, seq, first observedAt and body of the changes at `places`, in order.
 
         `condition` is SQL about seq, observed_from, observed_to and rewritten. From any thread.
         """
         marks = ", ".join("?" * len(places))
         narrowed = f" AND {condition}" if condition else ""
-        asked = f"SELECT entity, seq, body FROM history WHERE entity IN ({marks}){narrowed}"  # noqa: S608 - ours
-        yield from self._database.scan(f"{asked} ORDER BY entity, seq", (*places, *values))
+        order = "entity, seq DESC" if latest_first else "entity, seq"
+        asked = f"SELECT entity, seq, observed_from, body FROM history WHERE entity IN ({marks})"  # noqa: S608 - ours
+        yield from self._database.scan(f"{asked}{narrowed} ORDER BY {order}", (*places, *values))
 
     def bound_of(self, place: int, most: int, before: int | None = None) -> int | None:
         """Return the seq after the first `most` changes at `place` (below `before`), None at their end."""

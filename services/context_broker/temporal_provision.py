@@ -235,12 +235,12 @@ class TemporalProvision:
         rows = await asyncio.to_thread(lambda: list(self._journal.history([place], "seq = ?", (seq,))))
         if not rows:
             raise _absent_instance(exchange)
-        return place, seq, position, Change.restored(rows[0][2])
+        return place, seq, position, Change.restored(rows[0][-1])
 
     def _rewritten(self, subject: Subject, cut: Callable[[Change], bool]) -> Iterator[list[HistoryRow]]:
         """Yield the rows that `cut` has changed, in pieces; in a thread."""
         rows: list[HistoryRow] = []
-        for place, seq, body in self._journal.history(subject.places):
+        for place, seq, _, body in self._journal.history(subject.places):
             change = Change.restored(body)
             if cut(change):
                 rows.append(_row(place, seq, change))

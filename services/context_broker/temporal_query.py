@@ -13,7 +13,7 @@ from services.context_broker.contexts import Context
 from services.context_broker.durations import MICROS, read_duration
 from services.context_broker.entity import Instance
 from services.context_broker.exchange import Exchange
-from services.context_broker.history import DRIFT_S
+from services.context_broker.history import DRIFT_S, micros_of
 from services.context_broker.language import preferences
 from services.context_broker.problems import bad_request_data, invalid_request
 from services.context_broker.projection import read_projection
@@ -26,6 +26,9 @@ TIME_PROPERTIES: Final = (OBSERVED, "createdAt", "modifiedAt", "deletedAt")
 TIME_PARAMETERS: Final = frozenset({"timerel", "timeAt", "endTimeAt", "timeproperty", "lastN"})
 AGGREGATION_PARAMETERS: Final = frozenset({"aggrMethods", "aggrPeriodDuration"})
 LARGEST_LAST_N: Final = 10**9
+
+
+_DRIFT: Final = int(DRIFT_S * MICROS)
 
 
 class Telling(StrEnum):
@@ -66,18 +69,33 @@ class TemporalQuery:
             text = instance.get(OBSERVED) or instance.get("modifiedAt")
         else:
             text = instance.get(name)
-        at_s = moment(text) if isinstance(text, str) else None
-        if at_s is None:
+        if text is None:
             return None
-        at = round(at_s * MICROS)
+        try:
+            at = micros_of(text)
+        except (TypeError, ValueError):  # a time without a zone, from before these were refused
+            at_s = moment(text)
+            if at_s is None:
+                return None
+            at = round(at_s * MICROS)
         if self.start is not None and (at < self.start or (at == self.start and self.relation == "after")):
             return None
         return None if self.end is not None and at >= self.end else at
 
+    def is_later(self, edge: int, seq: int, observed_from: float | None) -> bool:
+        """Say whether nothing in a row of history has a time up to `edge`."""
+        name = self.time_property
+        if name in {"modifiedAt", "deletedAt"}:
+            return seq > edge + _DRIFT
+        if name == OBSERVED:
+            return observed_from is not None and observed_from * MICROS > edge + 1
+        if name is None:
+            return seq > edge + _DRIFT and (observed_from is None or observed_from * MICROS > edge + 1)
+        return False
+
     def condition(self) -> tuple[str, tuple[float, ...]]:
         """Return SQL for the rows of history that may hold such instances, and its parameters."""
         name, start, end = self.time_property, self.start, self.end
-        drift = int(DRIFT_S * MICROS)
         terms: list[str] = []
         values: list[float] = []
         if name == OBSERVED:
@@ -91,10 +109,10 @@ class TemporalQuery:
         elif name is not None:
             if start is not None:
                 terms.append("seq >= ?" if name != "modifiedAt" else "(seq >= ? OR rewritten > 0)")
-                values.append(start - drift)
+                values.append(start - _DRIFT)
             if end is not None and name != "createdAt":
                 terms.append("seq <= ?")
-                values.append(end + drift)
+                values.append(end + _DRIFT)
         return " AND ".join(terms), tuple(values)
 
 

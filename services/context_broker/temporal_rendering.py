@@ -52,7 +52,7 @@ def told(evolution: Evolution, query: TemporalQuery, view: TemporalView, terms: 
 
 
 def _instance(point: Point, query: TemporalQuery, view: TemporalView, terms: Terms) -> dict[str, Any]:
-    instance: dict[str, Any] = point[1]
+    instance: dict[str, Any] = point[-1]
     if view.view.languages is not None:
         instance = in_language(instance, view.view.languages)
     result: dict[str, Any] = written(instance, terms, view.view.form, sys_attrs=view.view.sys_attrs)
@@ -71,7 +71,7 @@ def _pairs(series: Series, query: TemporalQuery, view: TemporalView, terms: Term
         assert query.aggregation is not None  # noqa: S101 - asked for with this form
         return result | written_totals(series.totals, query.aggregation.methods)
     pairs: list[list[Any]] = []
-    for at, instance in series.points:
+    for at, _, instance in series.points:
         shown = instance if view.view.languages is None else in_language(instance, view.view.languages)
         kind = shown["type"]
         pairs.append([written(shown, terms, Form.KEY_VALUES, sys_attrs=False), written_time(at)])
@@ -90,7 +90,7 @@ def content_range(found: Found, query: TemporalQuery) -> bytes | None:
     """
     if found.edge is None:
         return None
-    times = [at for one in found.evolutions for series in one.all() for at, _ in series.points]
+    times = [at for one in found.evolutions for series in one.all() for at, _, _ in series.points]
     if query.last is None:
         start = query.start if query.start is not None else min(times, default=found.edge)
         size = "*"

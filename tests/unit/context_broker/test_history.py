@@ -117,7 +117,7 @@ def points_of(found: Found) -> list[tuple[str, int, Instance]]:
         (name, at, one)
         for name, named in evolution.series.items()
         for series in named.values()
-        for at, one in series.points
+        for at, _, one in series.points
     ]
 
 
