@@ -1,0 +1,168 @@
+"""Notifications over MQTT, to a real Mosquitto (clause 7.2)."""
+
+import json
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
+
+Eventually = Callable[..., Any]
+
+
+class Mosquitto:
+    """An MQTT server on a port of its own, and somebody who listens to everything there."""
+
+    def __init__(self, folder: Path, port: int) -> None:
+        program = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
+        if not Path(program).exists():
+            pytest.skip("mosquitto is not installed; apt-get install mosquitto")
+        self.port = port
+        self.received: list[tuple[str, int, dict[str, Any]]] = []
+        self._command = [program, "-c", str(folder / "mosquitto.conf")]
+        (folder / "mosquitto.conf").write_text(
+            f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n"
+        )
+        self.process: subprocess.Popen[bytes] | None = None
+        self._client = Client(CallbackAPIVersion.VERSION2)
+        self._client.on_message = self._take
+        self._client.on_connect = lambda client, *_: client.subscribe("#", 2)
+        self.is_listening = threading.Event()
+        self._client.on_subscribe = lambda *_: self.is_listening.set()
+
+    def start(self) -> None:
+        self.is_listening.clear()
+        self.process = subprocess.Popen(
+            self._command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+
+    def listen(self) -> None:
+        self._client.reconnect_delay_set(1, 1)
+        self._client.connect_async("127.0.0.1", self.port)
+        self._client.loop_start()
+        assert self.is_listening.wait(20), "nobody could listen to Mosquitto"
+
+    def stop(self) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait(10)
+            self.process = None
+
+    def close(self) -> None:
+        self._client.loop_stop()
+        self._client.disconnect()
+        self.stop()
+
+    def of(self, topic: str) -> list[dict[str, Any]]:
+        return [message for at, _, message in list(self.received) if at == topic]
+
+    def _take(self, _: Client, __: Any, message: MQTTMessage) -> None:
+        self.received.append((message.topic, message.qos, json.loads(message.payload)))
+
+
+@pytest.fixture(scope="module")
+def mosquitto(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    made = Mosquitto(tmp_path_factory.mktemp("mosquitto"), port)
+    made.start()
+    made.listen()
+    yield made
+    made.close()
+
+
+def subscribe(http: httpx.Client, kind: str, uri: str, **endpoint: Any) -> str:
+    answer = http.post(
+        "/subscriptions",
+        json={
+            "id": f"urn:ngsi-ld:Subscription:demo:{kind}",
+            "type": "Subscription",
+            "entities": [{"type": kind}],
+            "notification": {"endpoint": {"uri": uri, **endpoint}},
+        },
+    )
+    assert answer.status_code == 201, answer.text
+    return f"/subscriptions/urn:ngsi-ld:Subscription:demo:{kind}"
+
+
+def create(http: httpx.Client, kind: str, name: str = "1", **attributes: Any) -> str:
+    entity_id = f"urn:ngsi-ld:{kind}:demo:{name}"
+    assert http.post("/entities", json={"id": entity_id, "type": kind, **attributes}).status_code == 201
+    return entity_id
+
+
+@pytest.mark.parametrize("version", ["mqtt3.1.1", "mqtt5.0"])
+@pytest.mark.parametrize("qos", [0, 1, 2])
+def test_a_notification_is_published_with_its_metadata(
+    http: httpx.Client, mosquitto: Mosquitto, eventually: Eventually, version: str, qos: int
+) -> None:
+    kind = f"Mqtt{version[4]}{qos}"
+    path = subscribe(
+        http,
+        kind,
+        f"mqtt://somebody@127.0.0.1:{mosquitto.port}/cell/{kind}",
+        receiverInfo=[{"key": "X-Cell", "value": "4"}],
+        notifierInfo=[{"key": "MQTT-Version", "value": version}, {"key": "MQTT-QoS", "value": str(qos)}],
+    )
+    entity = create(http, kind, a=1)
+    (message,) = eventually(lambda: mosquitto.of(f"cell/{kind}"))
+    assert message["metadata"]["Content-Type"] == "application/json"
+    assert "json-ld#context" in message["metadata"]["Link"]
+    assert message["metadata"]["X-Cell"] == "4"
+    assert message["body"]["type"] == "Notification"
+    assert message["body"]["data"] == [{"id": entity, "type": kind, "a": {"type": "Property", "value": 1}}]
+    assert [quality for topic, quality, _ in mosquitto.received if topic == f"cell/{kind}"] == [qos]
+    eventually(lambda: http.get(path).json()["notification"]["timesSent"] == 1)
+
+
+def test_json_ld_has_its_context_in_the_body(
+    http: httpx.Client, mosquitto: Mosquitto, eventually: Eventually
+) -> None:
+    uri = f"mqtt://127.0.0.1:{mosquitto.port}/cell/ld"
+    subscribe(http, "MqttLd", uri, accept="application/ld+json")
+    create(http, "MqttLd", a=1)
+    (message,) = eventually(lambda: mosquitto.of("cell/ld"))
+    assert message["metadata"] == {"Content-Type": "application/ld+json"}
+    assert "@context" in message["body"]
+
+
+def test_what_could_not_be_published_comes_in_order_when_the_server_is_back(
+    http: httpx.Client, mosquitto: Mosquitto, eventually: Eventually
+) -> None:
+    quality = [{"key": "MQTT-QoS", "value": "1"}]
+    path = subscribe(http, "MqttBack", f"mqtt://127.0.0.1:{mosquitto.port}/cell/back", notifierInfo=quality)
+    entity = create(http, "MqttBack", n=0)
+    eventually(lambda: mosquitto.of("cell/back"))
+    mosquitto.stop()
+    for number in range(1, 20):
+        assert http.patch(f"/entities/{entity}/attrs", json={"n": number}).status_code == 204
+    told = eventually(
+        lambda: (found := http.get(path).json()["notification"])["timesFailed"] and found,
+        why="nothing failed",
+    )
+    assert told["status"] == "failed"
+    assert http.patch(path, json={"isActive": False}).status_code == 204  # until somebody listens again
+    mosquitto.start()
+    assert mosquitto.is_listening.wait(20)
+    assert http.patch(path, json={"isActive": True}).status_code == 204
+    eventually(lambda: len({one["body"]["data"][0]["n"]["value"] for one in mosquitto.of("cell/back")}) == 20)
+    values = [one["body"]["data"][0]["n"]["value"] for one in mosquitto.of("cell/back")]
+    assert list(dict.fromkeys(values)) == list(range(20))
+
+
+def test_a_server_that_is_not_there_is_a_failure_that_is_told(
+    http: httpx.Client, eventually: Eventually
+) -> None:
+    path = subscribe(http, "MqttNobody", "mqtt://127.0.0.1:9/topic")
+    create(http, "MqttNobody", a=1)
+    eventually(lambda: http.get(path).json()["notification"].get("status") == "failed")
+    assert http.delete(path).status_code == 204

@@ -1,0 +1,219 @@
+"""Triggers: which changes concern which subscriptions, and what is told of them."""
+
+import asyncio
+from typing import Any
+
+import orjson
+import pytest
+
+from datamodels.contexts import HANDOVER_URL, TermMap
+from handover.errors import Problem
+from services.context_broker.contexts import Context
+from services.context_broker.entity import NULL, Entity, Event
+from services.context_broker.lines import Hold, Line, rest_s
+from services.context_broker.notification import told_of
+from services.context_broker.subscription_documents import kept_document
+from services.context_broker.subscriptions import Subscription, subscription
+from services.context_broker.triggers import ALL, DEFAULT, Triggers, happened, read_kinds
+
+CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
+AT, LATER = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"
+
+
+def iri(name: str) -> str:
+    return CONTEXT.terms.expand(name)
+
+
+def instance(value: Any, dataset: str | None = None, kind: str = "Property", says: str = "value") -> Any:
+    named = {} if dataset is None else {"datasetId": dataset}
+    return {"type": kind, says: value, **named, "createdAt": AT, "modifiedAt": AT}
+
+
+def entity(**attributes: Any) -> Entity:
+    given = {
+        iri(name): value if isinstance(value, list) else [instance(value)]
+        for name, value in attributes.items()
+    }
+    return Entity("urn:ngsi-ld:Task:demo:1", (iri("Task"),), given, AT, AT)
+
+
+def changed(before: Entity | None, after: Entity | None, *written: str) -> Event:
+    return Event(before, after, frozenset(map(iri, written)))
+
+
+CREATED = changed(None, entity(a=1, b=1), "a", "b")
+DELETED = changed(entity(a=1, b=1), None)
+UPDATED = changed(entity(a=1, b=1), entity(a=2, b=1), "a")
+APPENDED = changed(entity(a=1), entity(a=1, b=1), "b")
+ATTRIBUTE_GONE = changed(entity(a=1, b=1), entity(a=1))
+RETYPED = changed(entity(a=1), entity(a=1))
+_KEPT = instance(1)
+INSTANCE_GONE = changed(entity(a=[_KEPT, instance(2, "urn:x:d")]), entity(a=[_KEPT]), "a")
+INSTANCE_ADDED = changed(entity(a=[_KEPT]), entity(a=[_KEPT, instance(2, "urn:x:d")]), "a")
+
+
+@pytest.mark.parametrize(
+    ("event", "kinds"),
+    [
+        (CREATED, {"entityCreated", "entityUpdated", "attributeCreated"}),
+        (DELETED, {"entityDeleted", "entityUpdated", "attributeDeleted"}),
+        (UPDATED, {"entityUpdated", "attributeUpdated"}),
+        (APPENDED, {"entityUpdated", "attributeCreated"}),
+        (ATTRIBUTE_GONE, {"entityUpdated", "attributeDeleted"}),
+        (INSTANCE_GONE, {"entityUpdated", "attributeDeleted"}),
+        (INSTANCE_ADDED, {"entityUpdated", "attributeUpdated"}),
+        (RETYPED, set()),
+    ],
+)
+def test_each_kind_of_change_has_its_triggers(event: Event, kinds: set[str]) -> None:
+    heeded = {kind for kind in ALL if Triggers(read_kinds([kind])).heed(happened(event))}
+    assert heeded == kinds
+
+
+def test_without_triggers_attributes_that_are_made_or_changed_count() -> None:
+    assert read_kinds(None) is DEFAULT
+    assert read_kinds(["attributeUpdated", "attributeCreated"]) is DEFAULT
+    heeded = [
+        Triggers().heed(happened(event)) for event in (CREATED, UPDATED, APPENDED, ATTRIBUTE_GONE, DELETED)
+    ]
+    assert heeded == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize("kinds", [None, ["entityUpdated"], list(ALL)])
+def test_only_watched_attributes_count(kinds: list[str] | None) -> None:
+    watching = {name: Triggers(read_kinds(kinds), frozenset({iri(name)})) for name in ("a", "b", "c")}
+    assert watching["a"].heed(happened(UPDATED))
+    assert not watching["b"].heed(happened(UPDATED))
+    assert watching["b"].heed(happened(CREATED))
+    assert not watching["c"].heed(happened(CREATED))
+    assert not watching["c"].heed(happened(DELETED))
+
+
+@pytest.mark.parametrize("given", [[], "entityCreated", ["created"], [4], [["entityCreated"]], {}])
+def test_other_triggers_are_refused(given: Any) -> None:
+    with pytest.raises(Problem, match="notificationTrigger"):
+        read_kinds(given)
+
+
+def subscribed(**members: Any) -> Subscription:
+    notification = {"endpoint": {"uri": "http://127.0.0.1/"}, **members.pop("notification", {})}
+    given = {"id": "urn:x:s", "entities": [{"type": "Task"}], "notification": notification, **members}
+    return subscription({**kept_document(given, CONTEXT), "context": HANDOVER_URL}, CONTEXT)
+
+
+def told(event: Event, **members: Any) -> Any:
+    return orjson.loads(told_of(subscribed(**members), happened(event)))
+
+
+def test_the_end_of_an_entity_is_told_by_its_time_alone() -> None:
+    said = told(DELETED, notificationTrigger=["entityDeleted"])
+    assert list(said) == ["id", "type", "deletedAt"]
+
+
+def test_the_end_of_watched_attributes_with_their_entity_is_told_one_by_one() -> None:
+    members = {"notificationTrigger": ["attributeDeleted"], "watchedAttributes": ["a"]}
+    said = told(DELETED, **members)
+    assert {name: said[name] for name in said if name not in {"id", "type", "deletedAt"}} == {
+        "a": {"type": "Property", "value": NULL}
+    }
+    with_times = told(DELETED, notification={"sysAttrs": True}, **members)["a"]
+    assert with_times["createdAt"] == AT
+    assert set(with_times) == {"type", "value", "createdAt", "modifiedAt", "deletedAt"}
+
+
+def test_what_was_there_is_told_to_who_wants_changes() -> None:
+    changes = {"notification": {"showChanges": True}}
+    assert told(UPDATED, **changes)["a"] == {"type": "Property", "value": 2, "previousValue": 1}
+    assert told(UPDATED, **changes)["b"] == {"type": "Property", "value": 1}
+    assert told(CREATED, **changes)["a"] == {"type": "Property", "value": 1}
+    gone = told(DELETED, notificationTrigger=["entityDeleted"], **changes)
+    assert gone["a"] == {"type": "Property", "value": NULL, "previousValue": 1}
+
+
+@pytest.mark.parametrize(
+    ("form", "gone"),
+    [
+        ("normalized", {"type": "Property", "value": NULL}),
+        ("concise", NULL),
+        ("keyValues", NULL),
+    ],
+)
+def test_an_attribute_that_is_gone_is_null_in_every_form(form: str, gone: Any) -> None:
+    said = told(ATTRIBUTE_GONE, notificationTrigger=["attributeDeleted"], notification={"format": form})
+    assert said["b"] == gone
+    assert "a" in said
+
+
+def test_an_instance_that_is_gone_is_told_beside_those_that_stay() -> None:
+    said = told(INSTANCE_GONE, notificationTrigger=["attributeDeleted"])
+    assert said["a"] == [
+        {"type": "Property", "value": 1},
+        {"type": "Property", "value": NULL, "datasetId": "urn:x:d"},
+    ]
+    plain = told(
+        INSTANCE_GONE, notificationTrigger=["attributeDeleted"], notification={"format": "keyValues"}
+    )
+    assert plain["a"] == {"dataset": {"@none": 1, "urn:x:d": NULL}}
+
+
+@pytest.mark.parametrize(
+    ("kind", "says", "value", "previous", "null"),
+    [
+        ("Relationship", "object", "urn:x:1", "previousObject", NULL),
+        ("LanguageProperty", "languageMap", {"en": "x"}, "previousLanguageMap", {"@none": NULL}),
+        ("VocabProperty", "vocab", "urn:x:word", "previousVocab", NULL),
+        ("JsonProperty", "json", {"x": None}, "previousJson", NULL),
+        ("ListProperty", "valueList", [1, 2], "previousValueList", NULL),
+        ("ListRelationship", "objectList", [{"object": "urn:x:1"}], "previousObjectList", NULL),
+    ],
+)
+def test_every_kind_of_attribute_has_its_null_and_its_previous(
+    kind: str, says: str, value: Any, previous: str, null: Any
+) -> None:
+    event = changed(entity(a=[instance(value, kind=kind, says=says)], b=1), entity(b=1))
+    for form in ("normalized", "concise"):
+        view = {"showChanges": True, "format": form}
+        said = told(event, notificationTrigger=["attributeDeleted"], notification=view)["a"]
+        assert {name: said[name] for name in (says, previous)} == {says: null, previous: value}
+    simple = told(event, notificationTrigger=["attributeDeleted"], notification={"format": "keyValues"})
+    assert simple["a"] == NULL
+
+
+class Somebody:
+    """Somebody who waits for a turn."""
+
+    owed_bytes = held = on_disk = throttled = 0
+
+    def __init__(self) -> None:
+        self.was_woken = asyncio.Event()
+
+    def wake(self) -> None:
+        self.was_woken.set()
+
+
+async def test_while_a_line_fails_one_at_a_time_has_its_turn() -> None:
+    line, crowd = Line(Hold(), 1000), [Somebody() for _ in range(3)]
+    assert [line.wait_s(one) for one in crowd] == [0.0, 0.0, 0.0]
+    line.failed(crowd[0], 0.0, 0.0)
+    assert line.failures == 1
+    waits = [line.wait_s(one) for one in crowd]
+    assert waits[0] is not None
+    assert waits[1:] == [None, None]
+    line.failed(crowd[0], float("inf"), 5.0)
+    assert crowd[1].was_woken.is_set()
+    wait_s = line.wait_s(crowd[1])
+    assert wait_s is not None
+    assert 4.0 < wait_s <= 6.0
+    assert line.wait_s(crowd[0]) is None
+    line.succeeded()
+    assert all(one.was_woken.is_set() for one in (crowd[0], crowd[2]))
+    assert [line.wait_s(one) for one in crowd] == [0.0, 0.0, 0.0]
+
+
+def test_attempts_that_failed_together_count_once_and_rests_grow_to_a_bound() -> None:
+    line, crowd = Line(Hold(), 1000), [Somebody() for _ in range(50)]
+    for one in crowd:
+        line.failed(one, 0.0, 0.0)
+    assert line.failures == 1
+    assert rest_s(1) < 0.2 < rest_s(4) < 1.2
+    assert rest_s(1000) <= 18
