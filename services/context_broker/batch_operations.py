@@ -10,6 +10,7 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker import changes
+from services.context_broker.asking import answered, asking_of
 from services.context_broker.attempts import made_again
 from services.context_broker.changes import Outcome
 from services.context_broker.contexts import Context
@@ -27,18 +28,10 @@ from services.context_broker.exchange import Answer, Exchange
 from services.context_broker.geojson import OFFERED
 from services.context_broker.intake import Nulls, read_change, read_entity
 from services.context_broker.operation import Operation
-from services.context_broker.problems import bad_request_data, not_supported
-from services.context_broker.reading import (
-    PAGE_PARAMETERS,
-    VIEW_PARAMETERS,
-    entities_answer,
-    options_of,
-    selection_of,
-    view_of,
-    window_of,
-)
+from services.context_broker.problems import bad_request_data
+from services.context_broker.query_document import query_parameters, selectors_of
+from services.context_broker.reading import LINK_PARAMETERS, VIEW_PARAMETERS, WALK_PARAMETERS, options_of
 from services.context_broker.replica import Overtaken
-from services.context_broker.selection import search
 from services.context_broker.store import Store
 from services.context_broker.words import require_uri, shown, timestamp_now
 
@@ -122,7 +115,7 @@ class BatchOperations:
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
         at = "entityOperations"
-        asking = VIEW_PARAMETERS | PAGE_PARAMETERS
+        asking = VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS
         return (
             Operation(
                 "POST", f"{at}/create", "createBatch", "6.14.3.1", self.create, _WRITE, makes_tenant=True
@@ -185,14 +178,13 @@ class BatchOperations:
         """POST entityOperations/query with a Query document (clause 5.2.23)."""
         exchange.accept(OFFERED)
         document, context = await exchange.body()
-        parameters = query_parameters(document)
-        exchange.parameters = {
-            **exchange.parameters, **{name: parameters[name] for name in ("attrs",) if name in parameters}
-        }  # fmt: skip
-        view, window = view_of(exchange, context), window_of(exchange)
-        selection = selection_of(parameters, context)
-        page = await search(exchange.tenant.store, selection, window.offset, window.limit, count=window.count)
-        return entities_answer(exchange, page, window, context, view)
+        given = {**exchange.parameters, **query_parameters(document)}
+        asked, exchange.parameters = exchange.parameters, given
+        asking = asking_of(exchange, given, context, selectors_of(document, context))
+        exchange.parameters = (
+            asked  # the links to other pages repeat what the URL had; the body is sent again
+        )
+        return await answered(exchange, exchange.tenant.store, asking)
 
     async def _each(
         self,
@@ -298,41 +290,3 @@ def _as_list(document: Any, what: str) -> list[Any]:
     if None in document:
         raise bad_request_data(f"the list of {what} has null in it; nothing was done, send it without")
     return document
-
-
-def query_parameters(document: Any) -> dict[str, str]:
-    """Return the query parameters that say the same as a Query document (clause 5.2.23)."""
-    if not isinstance(document, dict) or document.get("type", "Query") != "Query":
-        raise bad_request_data('the body is an object with "type": "Query"')
-    parameters: dict[str, str] = {}
-    for name, value in document.items():
-        if name == "attrs":
-            if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
-                raise bad_request_data(f'"attrs" is a list of attribute names, not {shown(value)}')
-            parameters["attrs"] = ",".join(value)
-        elif name == "q":
-            if not isinstance(value, str):
-                raise bad_request_data(f'"q" is text, not {shown(value)}')
-            parameters["q"] = value
-        elif name == "entities":
-            parameters.update(_selector_parameters(value))
-        elif name not in {"type", "@context"}:
-            raise not_supported(f"this broker does not heed {shown(name)} in a Query yet; leave it out")
-    return parameters
-
-
-def _selector_parameters(given: Any) -> dict[str, str]:
-    if not isinstance(given, list) or not given or not all(isinstance(one, dict) for one in given):
-        raise bad_request_data('"entities" is a list of selectors such as {"type": "Task"}')
-    if len(given) == 1:
-        selector = given[0]
-        if set(selector) - {"id", "idPattern", "type"} or not all(
-            isinstance(v, str) for v in selector.values()
-        ):
-            raise bad_request_data('an entity selector has "id", "idPattern" and "type", all text')
-        return dict(selector)
-    if all(set(one) == {"type"} and isinstance(one["type"], str) for one in given):
-        return {"type": ",".join(one["type"] for one in given)}
-    raise not_supported(
-        "this broker takes several selectors only when each has just a type; ask once for each"
-    )

@@ -24,7 +24,8 @@ from services.context_broker.exchange import JSON_LD, Answer, Exchange, problem_
 from services.context_broker.forwarding import INVALID, SILENT, Question, Unheard, quoted
 from services.context_broker.http_sender import Reply
 from services.context_broker.intake import expand
-from services.context_broker.reading import DEFAULT_LIMIT, LARGEST_LIMIT, Window, json_headers, page_links
+from services.context_broker.pages import Window
+from services.context_broker.reading import DEFAULT_LIMIT, LARGEST_LIMIT, json_headers, page_links
 from services.context_broker.registration import Asked, Match, Registration
 from services.context_broker.source_answers import answered_context, heard
 from services.context_broker.translation import translated

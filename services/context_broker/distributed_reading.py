@@ -24,6 +24,7 @@ from services.context_broker.patterns import pattern
 from services.context_broker.registration import Asked, Match, Registration, Where
 from services.context_broker.selection import compiled
 from services.context_broker.source_answers import heard, read_entities
+from services.context_broker.type_selection import of_types
 from services.context_broker.words import require_uri
 
 PAGE: Final = 1000
@@ -50,7 +51,7 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Performing) ->
         types = frozenset(own.types)
     asked = Asked((entity_id,), None, types, _names_of(exchange.parameters, context))
     matches = sources.unasked(sources.registry.matching("retrieveEntity", asked))
-    if not matches:
+    if not matches and (own is None or not _wants_links(exchange)):
         return await perform(exchange)
     gathering = Gathering()
     await all_of(*(_retrieve_from(sources, one, entity_id, context, gathering) for one in matches))
@@ -157,7 +158,8 @@ async def _query(
             if match.registration.mode.is_proxied:
                 proxied[match.registration.id] = match.registration
             asked_of.append(_query_from(sources, match, parameters, context, gathering, is_split=is_split))
-    if not asked_of:
+    wants_links = _wants_links(exchange)
+    if not asked_of and not wants_links:
         return await perform(exchange)
     await all_of(*asked_of)
     ids = None if any(one.ids is None for one in wanted) else [i for one in wanted for i in one.ids or ()]
@@ -167,8 +169,9 @@ async def _query(
     store = exchange.tenant.store
     claims = list(proxied.values())
     touched = set(gathering.fragments)
-    if claims:
-        touched |= {one.id for one in store.candidates(ids, types, None)}
+    if claims or wants_links:
+        own = store.candidates(ids, None if types is None else of_types(types))
+        touched |= {one.id for one in (own if claims else own[:PAGE])}
     others = {one: gathering.entity(store.get(one), one, claims) for one in touched}
     await _add_linked(sources, exchange, context, others)
     mix = store.mixed(ids, None if ids is not None else types, others)
@@ -288,11 +291,15 @@ def _names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str]
 _PLAIN_NAMES: Final = re.compile(r"[^{}()\[\].|;]+")
 
 
+def _wants_links(exchange: Exchange) -> bool:
+    return exchange.parameter("join") in {"inline", "flat"}
+
+
 async def _add_linked(
     sources: Sources, exchange: Exchange, context: Context, others: dict[str, Entity | None]
 ) -> None:
     """Add the entities that a reader wants to have joined and that other sources may know (clause 4.5.23)."""
-    if exchange.parameter("join") not in {"inline", "flat"}:
+    if not _wants_links(exchange):
         return
     given = exchange.parameter("joinLevel") or "1"
     levels = min(int(given), MOST_LEVELS) if given.isascii() and given.isdecimal() else 1

@@ -6,16 +6,16 @@ from urllib.parse import quote, unquote
 
 import orjson
 
-from services.context_broker.batch_operations import query_parameters
 from services.context_broker.distribution import in_place_of
 from services.context_broker.entity_maps import MAP_PARAMETERS, MOST_ENTITIES, OWN, EntityMap
 from services.context_broker.exchange import PREFIX, Answer, Exchange
 from services.context_broker.journal import NotStored
 from services.context_broker.operation import Operation
 from services.context_broker.problems import not_stored
+from services.context_broker.query_document import query_parameters, selectors_of
 from services.context_broker.reading import QUERY_PARAMETERS, selection_of, window_of
 from services.context_broker.registration_operations import answer, with_context
-from services.context_broker.selection import search
+from services.context_broker.selection import Selection, hits_of
 from services.context_broker.store import Mix, Store
 from services.context_broker.temporal_operations import QUERYING
 
@@ -77,30 +77,31 @@ class EntityMapOperations:
     async def create(self, exchange: Exchange) -> Answer:
         """GET or POST entityMaps (clause 5.14.4): the map of what a query finds."""
         exchange.accept()
+        any_of: tuple[Selection, ...] = ()
         if exchange.method == "GET":
             context, parameters = await exchange.reader_context(), exchange.parameters
         else:
             document, context = await exchange.body()
-            parameters = query_parameters(document)
+            parameters, any_of = query_parameters(document), selectors_of(document, context)
         store = exchange.tenant.store
-        page = await search(store, selection_of(parameters, context), 0, MOST_ENTITIES + 1, count=False)
-        return await self._kept(exchange, {one.id: _origins(store, one.id) for one in page.entities})
+        hits = await hits_of(store, selection_of(parameters, context, any_of), MOST_ENTITIES + 1)
+        return await self._kept(exchange, {one.id: _origins(store, one.id) for one in hits})
 
     async def create_temporal(self, exchange: Exchange) -> Answer:
         """GET or POST temporal/entityMaps (clause 5.14.5)."""
         exchange.accept()
         name = "queryTemporal" if exchange.method == "GET" else "queryTemporalBatch"
-        found: dict[str, list[str]] = {}
+        mapped: dict[str, list[str]] = {}
         plain = _without(exchange.parameters, MAP_PARAMETERS | {"options", "format", "count"})
         while True:
-            parameters = {**plain, "limit": str(_PAGE), "offset": str(len(found)), "lastN": "1"}
+            parameters = {**plain, "limit": str(_PAGE), "offset": str(len(mapped)), "lastN": "1"}
             told = await self._perform(name, _plainly(exchange, parameters))
             page = [one["id"] for one in orjson.loads(told.body)] if told.status < 300 else []
-            before = len(found)
-            found.update((one, [OWN]) for one in page)
-            if len(page) < _PAGE or len(found) == before:
+            before = len(mapped)
+            mapped.update((one, [OWN]) for one in page)
+            if len(page) < _PAGE or len(mapped) == before:
                 break
-        return await self._kept(exchange, found)
+        return await self._kept(exchange, mapped)
 
     async def answer(self, operation: Operation, exchange: Exchange, perform: Performing) -> Answer:
         """Answer a query that names a map, or wants one made (clauses 5.5.14 and 6.4.3.2)."""

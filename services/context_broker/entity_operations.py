@@ -7,6 +7,8 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker import changes
+from services.context_broker.answers import Showing, entity_answer
+from services.context_broker.asking import answered, asking_of, join_of
 from services.context_broker.changes import Outcome
 from services.context_broker.completion import completed, completed_part, instance_for, normalized
 from services.context_broker.contexts import Context
@@ -28,16 +30,12 @@ from services.context_broker.operation import Operation
 from services.context_broker.problems import already_exists, bad_request_data, invalid_request, not_found
 from services.context_broker.purge import PURGE_PARAMETERS, purge
 from services.context_broker.reading import (
+    LINK_PARAMETERS,
     QUERY_PARAMETERS,
     VIEW_PARAMETERS,
-    entities_answer,
-    entity_answer,
     options_of,
-    selection_of,
     view_of,
-    window_of,
 )
-from services.context_broker.selection import search
 from services.context_broker.store import Store
 from services.context_broker.type_selection import type_selection
 from services.context_broker.words import require_name, require_time, require_uri, shown, timestamp_now
@@ -45,6 +43,7 @@ from services.context_broker.words import require_name, require_time, require_ur
 DONE: Final = Answer(204)
 _FORM: Final = frozenset({"options", "format"})
 _CREATE: Final = _FORM | {"local"}
+_RETRIEVE: Final = VIEW_PARAMETERS | LINK_PARAMETERS | {"local", "type"}
 _ONE: Final = frozenset({"type", "local"})
 _WRITE: Final = _ONE | _FORM
 _DELETE_ATTR: Final = _ONE | {"datasetId", "deleteAll"}
@@ -65,7 +64,7 @@ class EntityOperations:
                 "GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS | MAP_PARAMETERS
             ),
             Operation("DELETE", "entities", "purgeEntity", "6.4.3.3", self.purge, PURGE_PARAMETERS),
-            Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, VIEW_PARAMETERS | _ONE),
+            Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, _RETRIEVE),
             Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _ONE),
             Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _WRITE),
             Operation("PATCH", one, "mergeEntity", "6.5.3.4", self.merge, _MERGE),
@@ -90,10 +89,8 @@ class EntityOperations:
         """GET entities."""
         exchange.accept(OFFERED)
         context = await exchange.reader_context()
-        view, window = view_of(exchange, context), window_of(exchange)
-        selection = selection_of(exchange.parameters, context)
-        page = await search(exchange.tenant.store, selection, window.offset, window.limit, count=window.count)
-        return entities_answer(exchange, page, window, context, view)
+        asking = asking_of(exchange, exchange.parameters, context)
+        return await answered(exchange, exchange.tenant.store, asking)
 
     async def purge(self, exchange: Exchange) -> Answer:
         """DELETE entities."""
@@ -104,6 +101,7 @@ class EntityOperations:
         exchange.accept(OFFERED)
         context = await exchange.reader_context()
         view = view_of(exchange, context)
+        join = join_of(exchange.parameters, view)
         entity_id = require_uri(exchange.names[0], "the entity id in the path")
         entity = exchange.tenant.store.get(entity_id)
         if entity is None:
@@ -111,7 +109,8 @@ class EntityOperations:
         _require_type(exchange, entity, context)
         if view.attributes is not None and view.attributes.isdisjoint(entity.attributes):
             raise not_found(f"entity {entity_id} has none of the attributes {exchange.parameter('attrs')}")
-        return entity_answer(exchange, entity, context, view)
+        store = exchange.tenant.store
+        return entity_answer(exchange, entity, Showing(context, view, join, store.get))
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}."""

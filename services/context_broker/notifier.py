@@ -25,6 +25,7 @@ from services.context_broker.periodic import Rounds
 from services.context_broker.store import Store
 from services.context_broker.subscriptions import Subscription
 from services.context_broker.triggers import Happened, happened
+from services.context_broker.type_selection import of_types
 
 __all__ = ["REQUEST_HEADERS", "Notifier", "link"]
 
@@ -151,9 +152,9 @@ class Notifier(CourierOffice):
             elif (of := selector.kinds()) is not None:
                 kinds.update(dict.fromkeys(of))
             else:
-                return self.store.candidates(None, None, None)
-        by_id = self.store.candidates(ids, None, None) if ids else []
-        by_type = self.store.candidates(None, kinds, None) if kinds else []
+                return self.store.candidates()
+        by_id = self.store.candidates(ids) if ids else []
+        by_type = self.store.candidates(types=of_types(kinds)) if kinds else []
         return dict.fromkeys([*by_id, *by_type])
 
 

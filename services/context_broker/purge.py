@@ -14,8 +14,7 @@ from services.context_broker.journal import NotStored
 from services.context_broker.problems import bad_request_data
 from services.context_broker.q_grammar import And, Or, Term, parse
 from services.context_broker.reading import QUERY_PARAMETERS, names_of, selection_of
-from services.context_broker.selection import Selection, search
-from services.context_broker.store import Store
+from services.context_broker.selection import Selection, hits_of
 from services.context_broker.words import timestamp_now
 
 PURGE_PARAMETERS: Final = (
@@ -48,7 +47,7 @@ async def purge(exchange: Exchange) -> Answer:
     selection = _selection(exchange, context)
     names, keep = _named(exchange, context)
     store = exchange.tenant.store
-    ids = [entity.id for entity in await _hits(store, selection)]
+    ids = [entity.id for entity in await hits_of(store, selection)]
     succeeded: list[str] = []
     errors: list[dict[str, Any]] = []
     for start in range(0, len(ids), AT_ONCE):
@@ -82,10 +81,6 @@ def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | 
         return Event(entity, None)
     outcome = changes.pruned(entity, names, timestamp_now(), keep=keep)
     return None if outcome.entity is entity else Event(entity, outcome.entity, outcome.touched)
-
-
-async def _hits(store: Store, selection: Selection) -> list[Entity]:
-    return (await search(store, selection, 0, len(store) + 1, count=False)).entities
 
 
 def _named(exchange: Exchange, context: Context) -> tuple[frozenset[str] | None, bool]:

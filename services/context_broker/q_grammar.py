@@ -1,10 +1,12 @@
 """The query language `q`, read into a tree: who asks for Tasks in progress writes `status=="inProgress"`.
 
-Grammar of ETSI GS CIM 009, clause 4.9. `;` is and, `|` is or; and binds tighter. The tree holds short names;
-`q_match` gives them a meaning.
+Grammar of ETSI GS CIM 009, clause 4.9. `;` is and, `|` is or; and binds tighter. `sensor{humidity}` is the
+humidity of the entity that the relationship `sensor` leads to. The tree holds short names; `q_match` gives
+them a meaning.
 """
 
 import re
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NoReturn
@@ -19,7 +21,7 @@ from services.context_broker.words import moment, shown
 LONGEST: Final = 20_000
 """Characters of a query that are read."""
 DEEPEST: Final = 50
-"""Brackets within brackets that are read."""
+"""Brackets within brackets, and links after links, that are read."""
 
 
 class Kind(Enum):
@@ -30,6 +32,8 @@ class Kind(Enum):
     TRUTH = "truth"
     TIME = "time"
     URI = "uri"
+    TERM = "term"
+    """A word that stands for an IRI of the @context (expandValues)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +54,27 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Where a value is: `names` lead to an attribute (of an attribute …), `trail` into its value."""
+    """Where a value is: `names` lead to an attribute (of an attribute …), `trail` into its value.
+
+    With a `link` they lead to a relationship, and the way goes on in the entities that it leads to.
+    """
 
     names: tuple[str, ...]
     trail: tuple[str, ...] = ()
+    link: "Link | None" = None
+
+    @property
+    def hops(self) -> int:
+        """Return how many relationships are followed."""
+        return 0 if self.link is None else 1 + self.link.path.hops
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """The way on in a linked entity that has any of `types` (short names); without types in any."""
+
+    types: tuple[str, ...]
+    path: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +119,8 @@ class Or:
 Term = Exists | Compare | Matches | And | Or
 
 _OPERATOR = re.compile(r"!~=|~=|==|!=|>=|<=|>|<")
-_NAME = re.compile(r"[A-Za-z_@][A-Za-z0-9_\-:@]*")
-_IRI = re.compile(r"(?:https?://|urn:)[^\s\[\]()=!<>~;|\"]+")
+_NAME = re.compile(r"(?:[^\W\d]|@)[\w\-:@]*")
+_IRI = re.compile(r"(?:https?://|urn:)[^\s\[\]{}()=!<>~;|\"]+")
 _TRAIL = re.compile(r"[^\]\[\"]+")
 _QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
 _BARE = re.compile(r"[^;|(),\"\s]+?(?=\.\.|[;|(),\"\s]|$)")
@@ -108,16 +129,42 @@ _TIME_OF_DAY = re.compile(r"\d{2}:\d{2}:\d{2}(?:[.,]\d+)?Z?")
 _URI = re.compile(r"[A-Za-z][A-Za-z0-9+.\-]*:\S+")
 
 
-def parse(text: str) -> Term:
-    """Return the tree of a query; raise a problem that says where and why it cannot be read."""
+def parse(text: str, expanded: Collection[str] = (), what: str = "q") -> Term:
+    """Return the tree of a query; raise a problem (400) that says where and why it cannot be read.
+
+    `expanded` are the attributes whose values are terms of the @context (expandValues): what they are
+    compared with needs no quotes. `what` is the name of the query in problems.
+    """
     if len(text) > LONGEST:
-        raise bad_request_data(f"q has {len(text)} characters; {LONGEST} are allowed")
-    return _Parser(text).whole()
+        raise bad_request_data(f"{what} has {len(text)} characters; {LONGEST} are allowed")
+    return _Parser(text, expanded, what).whole()
+
+
+def path_of(text: str, what: str) -> Path:
+    """Return a path that stands by itself, such as `name` or `address[city]`; raise a problem (400)."""
+    if len(text) > LONGEST:
+        raise bad_request_data(f"{what} has {len(text)} characters; {LONGEST} are allowed")
+    parser = _Parser(text, (), what)
+    path = parser.path()
+    if parser.at < len(text) or path.link is not None:
+        parser.fail("expected the name of an attribute, such as name, name.observedAt or address[city]")
+    return path
+
+
+def paths(term: Term) -> Iterator[Path]:
+    """Yield every path in a query."""
+    if isinstance(term, And | Or):
+        for part in term.terms:
+            yield from paths(part)
+    else:
+        yield term.path
 
 
 class _Parser:
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, expanded: Collection[str], what: str) -> None:
         self.text = text
+        self.expanded = expanded
+        self.what = what
         self.at = 0
 
     def whole(self) -> Term:
@@ -155,10 +202,15 @@ class _Parser:
             return Exists(path)
         if operator in {"~=", "!~="}:
             return Matches(path, self.pattern(), operator == "!~=")
-        values = self.values()
+        values = self.values(is_term=bool(self.expanded) and self.is_expanded(path))
         if operator not in {"==", "!="} and (len(values) > 1 or isinstance(values[0], Span)):
             self.fail(f"{operator} takes one value; lists and ranges go with == and !=")
         return Compare(path, operator, values)
+
+    def is_expanded(self, path: Path) -> bool:
+        while path.link is not None:
+            path = path.link.path
+        return path.names[0] in self.expanded or path.names[-1] in self.expanded
 
     def path(self) -> Path:
         iri = self.match(_IRI)
@@ -168,10 +220,37 @@ class _Parser:
             names = [self.name()]
             while self.take("."):
                 names.append(self.name())
-        trail: list[str] = []
+        return self.rest_of_path(names, 0)
+
+    def rest_of_path(self, names: list[str], depth: int) -> Path:
         if self.take("["):
-            trail = self.trail()
-        return Path(tuple(names), tuple(trail))
+            return Path(tuple(names), tuple(self.trail()))
+        if self.take("{"):
+            return Path(tuple(names), (), self.link(depth + 1))
+        return Path(tuple(names))
+
+    def link(self, depth: int) -> Link:
+        """Take what stands in braces after a relationship: `humidity`, or `Device:humidity` with a type."""
+        if depth > DEEPEST:
+            self.fail(f"links follow each other deeper than {DEEPEST}")
+        types: list[str] = []
+        names = [self.name()]
+        while self.take(","):
+            types.append(names.pop())
+            names.append(self.name())
+        # In braces a colon ends the types, so a name there has none (clause 4.9, LinkedEntityPath).
+        of_type, _, name = names[0].rpartition(":")
+        names = [name or self.fail("expected the name of an attribute")]
+        if of_type:
+            types.append(of_type)
+        elif types:
+            self.fail("expected : and the name of an attribute after the types")
+        while self.take("."):
+            names.append(self.name())
+        path = self.rest_of_path(names, depth)
+        if not self.take("}"):
+            self.fail("expected }")
+        return Link(tuple(types), path)
 
     def trail(self) -> list[str]:
         if quoted := self.match(_QUOTED):
@@ -187,11 +266,28 @@ class _Parser:
     def name(self) -> str:
         return self.match(_NAME) or self.fail("expected the name of an attribute")
 
-    def values(self) -> tuple[Literal | Span, ...]:
-        values = [self.value_or_span()]
+    def values(self, *, is_term: bool) -> tuple[Literal | Span, ...]:
+        take = self.term if is_term else self.value_or_span
+        values = [take()]
         while self.take(","):
-            values.append(self.value_or_span())
+            values.append(take())
         return tuple(values)
+
+    def term(self) -> Literal | Span:
+        """Take a term, in quotes or without; what cannot be one is taken as for any other attribute."""
+        quoted = self.match(_QUOTED)
+        if quoted is not None:
+            return Literal(Kind.TERM, self.unquoted(quoted))
+        start = self.at
+        bare = self.match(_BARE) or ""
+        if (
+            bare not in {"true", "false"}
+            and _NAME.fullmatch(bare)
+            and not self.text.startswith("..", self.at)
+        ):
+            return Literal(Kind.TERM, bare)
+        self.at = start
+        return self.value_or_span()
 
     def value_or_span(self) -> Literal | Span:
         low = self.value()
@@ -262,7 +358,9 @@ class _Parser:
         return found.group()
 
     def fail(self, why: str) -> NoReturn:
-        raise bad_request_data(f"q cannot be read at character {self.at + 1} of {shown(self.text)}: {why}")
+        raise bad_request_data(
+            f"{self.what} cannot be read at character {self.at + 1} of {shown(self.text)}: {why}"
+        )
 
 
 def _literal(bare: str) -> Literal | None:

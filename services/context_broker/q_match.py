@@ -1,9 +1,11 @@
-"""A query made into a question that can be put to an entity, and the plain equalities an index can answer."""
+"""A query made into a question that can be put to an entity (clause 4.9 of ETSI GS CIM 009).
+
+What an index can answer of it is told by `q_index`.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from services.context_broker.entity import SAYS, Entity, Instance
 from services.context_broker.patterns import fits
@@ -12,6 +14,7 @@ from services.context_broker.q_grammar import (
     Compare,
     Exists,
     Kind,
+    Link,
     Literal,
     Matches,
     Or,
@@ -21,101 +24,128 @@ from services.context_broker.q_grammar import (
 )
 from services.context_broker.words import moment
 
-Predicate = Callable[[Entity], bool]
-Scalar = str | float | bool
-_METADATA: Final = frozenset(
+METADATA: Final = frozenset(
     {"observedAt", "unitCode", "datasetId", "createdAt", "modifiedAt", "valueType", "objectType", "lang"}
 )
+"""What an instance of an attribute has beside its value and its attributes."""
+ENTITY_TIMES: Final = {
+    "createdAt": "created_at",
+    "modifiedAt": "modified_at",
+    "expiresAt": "expires_at",
+}
+"""Times of an entity that a query may ask for, and where an entity has them."""
+
+_PLAIN: Final = (str, int, float, bool)
+_TIME_OF_DAY: Final = re.compile(r"\d{2}:\d{2}:\d{2}(?:[.,]\d+)?Z?")
+
+Lookup = Callable[[str], Entity | None]
+"""Finds the entity that a relationship leads to, by its id."""
+Expand = Callable[[str], str]
 
 
-class _Wordings(dict[str, Any]):
+def nobody(_: str) -> Entity | None:
+    """Find no entity: for those who follow no relationships."""
+    return None
+
+
+class Predicate(Protocol):
+    """A question that is put to an entity; `lookup` finds the entities that its relationships lead to."""
+
+    def __call__(self, entity: Entity, lookup: Lookup = nobody, /) -> bool:
+        """Say whether the answer is yes."""
+
+
+class _Find(Protocol):
+    def __call__(self, entity: Entity, lookup: Lookup, /) -> Iterator[Any]: ...
+
+
+class Wordings(dict[str, Any]):
     """What a LanguageProperty says: any of its wordings may be what is asked for."""
 
 
-@dataclass(frozen=True, slots=True)
-class Equality:
-    """What must hold of every hit: the attribute (IRI) has, or holds in its list, one of `values`."""
-
-    attribute: str
-    values: frozenset[Scalar]
+class _Objects(list[Any]):
+    """What a Relationship leads to: these are the same or not, but never greater, and fit no pattern."""
 
 
-def predicate(term: Term, expand: Callable[[str], str]) -> Predicate:
+def predicate(term: Term, expand: Expand) -> Predicate:
     """Return the question that `term` puts to an entity; `expand` gives names their IRIs."""
-    if isinstance(term, And):
-        parts = tuple(predicate(part, expand) for part in term.terms)
-        return lambda entity: all(part(entity) for part in parts)
-    if isinstance(term, Or):
-        parts = tuple(predicate(part, expand) for part in term.terms)
-        return lambda entity: any(part(entity) for part in parts)
+    if isinstance(term, And | Or):
+        return _combined(term, expand)
     if isinstance(term, Exists):
-        find = _finder(term.path, expand)
-        return lambda entity: any(True for _ in find(entity))
+        find = finder(term.path, expand)
+        return lambda entity, lookup=nobody: any(True for _ in find(entity, lookup))
     if isinstance(term, Matches):
         return _matching(term, expand)
     return _comparing(term, expand)
 
 
-def equality(term: Term, expand: Callable[[str], str]) -> Equality | None:
-    """Return an equality that every hit of `term` fulfils, None when an index cannot help."""
-    if isinstance(term, And):
-        return next((found for part in term.terms if (found := equality(part, expand))), None)
-    if not isinstance(term, Compare) or term.operator != "==":
-        return None
-    if len(term.path.names) != 1 or term.path.trail or term.path.names[0] in _METADATA:
-        return None
-    values: set[Scalar] = set()
-    for value in term.values:
-        if isinstance(value, Span) or value.kind is Kind.TIME:
-            return None
-        values.add(value.value)
-        if isinstance(value.value, str):
-            values.add(expand(value.value))
-    return Equality(expand(term.path.names[0]), frozenset(values))
+def finder(path: Path, expand: Expand) -> _Find:
+    """Return what finds all values at `path`: of every instance, along every list and every link."""
+    first, *below = path.names
+    trail, link = path.trail, path.link
+    if first in ENTITY_TIMES and not below and link is None:
+        member = ENTITY_TIMES[first]
+        return lambda entity, _: iter(() if (at := getattr(entity, member)) is None else (at,))
+    attribute = expand(first)
+    steps = [(name, expand(name)) for name in below]
+    if link is not None:
+        return _linked_finder(attribute, steps, link, expand)
+    if not below and not trail:
+        return lambda entity, _: map(_said, entity.attributes.get(attribute, ()))
+
+    def find(entity: Entity, _: Lookup) -> Iterator[Any]:
+        for value in _descend(entity.attributes.get(attribute, ()), steps):
+            yield from _along(value, trail)
+
+    return find
 
 
-def scalars(instances: Iterable[Instance]) -> Iterator[Scalar]:
-    """Yield every plain value that an equality may be looking for."""
-    for instance in instances:
-        for said in _leaves(instance[SAYS[instance["type"]]]):
-            yield from _scalars_of(said)
-
-
-def _scalars_of(said: Any) -> Iterator[Scalar]:
-    if isinstance(said, str | int | float):
-        yield said
-    elif isinstance(said, dict):
-        for value in said.values():
-            for leaf in _leaves(value):
-                if isinstance(leaf, str | int | float):
-                    yield leaf
-
-
-def _leaves(said: Any) -> Iterator[Any]:
+def leaves(said: Any) -> Iterator[Any]:
     """Yield a value, or the values in its list."""
     if isinstance(said, list):
         for one in said:
-            yield from _leaves(one)
+            yield from leaves(one)
     else:
         yield said
 
 
-def _finder(path: Path, expand: Callable[[str], str]) -> Callable[[Entity], Iterator[Any]]:
-    """Return what finds all values at `path`: of every instance, and along every list."""
-    first, *below = path.names
-    trail = path.trail
-    steps = [(name, expand(name)) for name in below]
-    if first in {"createdAt", "modifiedAt"} and not below:
-        at_entity = "created_at" if first == "createdAt" else "modified_at"
-        return lambda entity: iter((getattr(entity, at_entity),))
-    attribute = expand(first)
+def comparable(value: Any) -> Iterator[Any]:
+    """Yield what of a value can be compared: itself, the items of a list, a typed value, wordings."""
+    for leaf in leaves(value):
+        if isinstance(leaf, Wordings):
+            yield from leaves(list(leaf.values()))
+        elif isinstance(leaf, dict):
+            yield from leaves(leaf.get("@value", []))
+        else:
+            yield leaf
 
-    def find(entity: Entity) -> Iterator[Any]:
-        found = _descend(entity.attributes.get(attribute, ()), steps)
-        for value in found:
-            yield from _along(value, trail)
 
-    return find
+def _combined(term: And | Or, expand: Expand) -> Predicate:
+    parts = tuple(predicate(part, expand) for part in term.terms)
+    wanted = isinstance(term, Or)
+
+    def holds(entity: Entity, lookup: Lookup = nobody) -> bool:
+        for part in parts:  # written out, since this is asked of every candidate
+            if part(entity, lookup) is wanted:
+                return wanted
+        return not wanted
+
+    return holds
+
+
+def _linked_finder(attribute: str, steps: list[tuple[str, str]], link: Link, expand: Expand) -> _Find:
+    types = frozenset(map(expand, link.types))
+    find = finder(link.path, expand)
+
+    def follow(entity: Entity, lookup: Lookup) -> Iterator[Any]:
+        for value in _descend(entity.attributes.get(attribute, ()), steps):
+            if isinstance(value, _Objects):
+                for target in dict.fromkeys(leaves(value)):
+                    linked = lookup(target)
+                    if linked is not None and (not types or not types.isdisjoint(linked.types)):
+                        yield from find(linked, lookup)
+
+    return follow
 
 
 def _descend(instances: Iterable[Instance], steps: list[tuple[str, str]]) -> Iterator[Any]:
@@ -125,7 +155,7 @@ def _descend(instances: Iterable[Instance], steps: list[tuple[str, str]]) -> Ite
         return
     (name, iri), *rest = steps
     for instance in instances:
-        if name in _METADATA and not rest:
+        if name in METADATA and not rest:
             if name in instance:
                 yield instance[name]
         else:
@@ -135,69 +165,74 @@ def _descend(instances: Iterable[Instance], steps: list[tuple[str, str]]) -> Ite
 def _said(instance: Instance) -> Any:
     kind = instance["type"]
     said = instance[SAYS[kind]]
+    if kind in {"Property", "GeoProperty"}:
+        return said
+    if kind == "Relationship":
+        return _Objects(said if isinstance(said, list) else (said,))
     if kind == "ListRelationship":
-        return [one["object"] for one in said]
-    return _Wordings(said) if kind == "LanguageProperty" else said
+        return _Objects(one["object"] for one in said)
+    return Wordings(said) if kind == "LanguageProperty" and isinstance(said, dict) else said
 
 
 def _along(value: Any, trail: tuple[str, ...]) -> Iterator[Any]:
     if not trail:
         yield value
-    elif isinstance(value, list):
+        return
+    step, rest = trail[0], trail[1:]
+    if isinstance(value, list):
+        if step.isdecimal():
+            yield from _along(value[int(step)], rest) if len(step) < 10 and int(step) < len(value) else ()
+            return
         for one in value:
             yield from _along(one, trail)
     elif isinstance(value, dict):
-        if trail[0] == "*":
+        if step in value:
+            yield from _along(value[step], rest)
+        elif step == "*":
             for one in value.values():
-                yield from _along(one, trail[1:])
-        elif trail[0] in value:
-            yield from _along(value[trail[0]], trail[1:])
+                yield from _along(one, rest)
 
 
-def _matching(term: Matches, expand: Callable[[str], str]) -> Predicate:
-    find = _finder(term.path, expand)
+def _matching(term: Matches, expand: Expand) -> Predicate:
+    find = finder(term.path, expand)
     expected, negated = term.pattern, term.negated
 
-    def matches(entity: Entity) -> bool:
-        found = list(find(entity))
-        if not found:
-            return False
-        return any(_any_text_fits(expected, value) for value in found) is not negated
+    def matches(entity: Entity, lookup: Lookup = nobody) -> bool:
+        texts = [
+            leaf
+            for value in find(entity, lookup)
+            if not isinstance(value, _Objects)
+            for leaf in comparable(value)
+            if isinstance(leaf, str)
+        ]
+        return bool(texts) and any(fits(expected, text) for text in texts) is not negated
 
     return matches
 
 
-def _any_text_fits(expected: re.Pattern[str], value: Any) -> bool:
-    return any(isinstance(leaf, str) and fits(expected, leaf) for leaf in _comparable(value))
-
-
-def _comparing(term: Compare, expand: Callable[[str], str]) -> Predicate:
-    find = _finder(term.path, expand)
+def _comparing(term: Compare, expand: Expand) -> Predicate:
+    find = finder(term.path, expand)
     tests = tuple(_test(term.operator, value, expand) for value in term.values)
     negated = term.operator == "!="
+    of_objects = term.operator in {"==", "!="}
 
-    def compares(entity: Entity) -> bool:
-        found = list(find(entity))
-        if not found:
-            return False
-        held = any(test(leaf) for value in found for leaf in _comparable(value) for test in tests)
-        return held is not negated
+    def compares(entity: Entity, lookup: Lookup = nobody) -> bool:
+        found = False
+        for value in find(entity, lookup):
+            found = True
+            if isinstance(value, _PLAIN):
+                if any(test(value) for test in tests):
+                    return not negated
+            elif (of_objects or not isinstance(value, _Objects)) and any(
+                test(leaf) for leaf in comparable(value) for test in tests
+            ):
+                return not negated
+        return found and negated
 
     return compares
 
 
-def _comparable(value: Any) -> Iterator[Any]:
-    """Yield what of a value can be compared: itself, the items of a list, a typed value, wordings."""
-    for leaf in _leaves(value):
-        if isinstance(leaf, _Wordings):
-            yield from _leaves(list(leaf.values()))
-        elif isinstance(leaf, dict):
-            yield from _leaves(leaf.get("@value", []))
-        else:
-            yield leaf
-
-
-def _test(operator: str, value: Literal | Span, expand: Callable[[str], str]) -> Callable[[Any], bool]:
+def _test(operator: str, value: Literal | Span, expand: Expand) -> Callable[[Any], bool]:
     if isinstance(value, Span):
         low, high = _test(">=", value.low, expand), _test("<=", value.high, expand)
         return lambda leaf: low(leaf) and high(leaf)
@@ -209,12 +244,26 @@ def _test(operator: str, value: Literal | Span, expand: Callable[[str], str]) ->
         return lambda leaf: (
             isinstance(leaf, int | float) and not isinstance(leaf, bool) and relation(leaf, wanted)
         )
-    if value.kind is Kind.TIME and not isinstance(wanted, str):
+    if value.kind is Kind.TIME:
+        return _time_test(relation, wanted)
+    if value.kind is Kind.TERM:
+        wanted = expand(str(wanted))
+    return lambda leaf: isinstance(leaf, str) and relation(leaf, wanted)
+
+
+def _time_test(relation: Callable[[Any, Any], bool], wanted: str | float) -> Callable[[Any], bool]:
+    if isinstance(wanted, str):
+        of_day = _of_day(wanted)
         return lambda leaf: (
-            isinstance(leaf, str) and (at := moment(leaf)) is not None and relation(at, wanted)
+            isinstance(leaf, str)
+            and _TIME_OF_DAY.fullmatch(leaf) is not None
+            and relation(_of_day(leaf), of_day)
         )
-    also = expand(wanted) if isinstance(wanted, str) and operator in {"==", "!="} else wanted
-    return lambda leaf: isinstance(leaf, str) and (relation(leaf, wanted) or leaf == also)
+    return lambda leaf: isinstance(leaf, str) and (at := moment(leaf)) is not None and relation(at, wanted)
+
+
+def _of_day(text: str) -> str:
+    return text.rstrip("Z").replace(",", ".")
 
 
 _RELATIONS: Final[dict[str, Callable[[Any, Any], bool]]] = {

@@ -3,31 +3,25 @@
 Clauses 6.3.7 (representation), 6.3.10 (pagination) and 6.4.3.2 (query parameters).
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Final
 from urllib.parse import quote
 
+from services.context_broker import geo_query, linked, ordering, pages
 from services.context_broker.contexts import Context
-from services.context_broker.entity import Entity
-from services.context_broker.exchange import GEO_JSON, JSON_LD, Answer, Exchange
-from services.context_broker.geojson import (
-    OFFERED,
-    collection_body,
-    feature,
-    feature_body,
-    has_context_in_body,
-    place_of,
-)
+from services.context_broker.exchange import Exchange
+from services.context_broker.geojson import place_of
 from services.context_broker.intake import DEFAULT_INSTANCE, expand
 from services.context_broker.language import preferences
 from services.context_broker.notifier import link
+from services.context_broker.pages import PLACE, Window
 from services.context_broker.patterns import pattern
 from services.context_broker.problems import bad_request_data, invalid_request, too_many_results
 from services.context_broker.projection import read_projection
-from services.context_broker.rendering import Form, View, rendered, with_context
-from services.context_broker.selection import Page, Selection, compiled
-from services.context_broker.subscriptions import type_names
+from services.context_broker.rendering import Form, View
+from services.context_broker.scope_query import scope_query
+from services.context_broker.selection import Selection, compiled
+from services.context_broker.type_selection import type_selection
 from services.context_broker.words import require_name, require_uri, shown
 
 DEFAULT_LIMIT: Final = 20
@@ -36,9 +30,15 @@ VIEW_PARAMETERS: Final = frozenset(
     {"options", "format", "attrs", "pick", "omit", "lang", "datasetId", "geometryProperty", "local"}
 )
 PAGE_PARAMETERS: Final = frozenset({"limit", "offset", "count", "options", "local"})
+WALK_PARAMETERS: Final = PAGE_PARAMETERS | {PLACE}
+"""Those of pages that are walked through by places in an order."""
+LINK_PARAMETERS: Final = linked.PARAMETERS
 QUERY_PARAMETERS: Final = (
-    VIEW_PARAMETERS | PAGE_PARAMETERS | {"id", "idPattern", "type", "q", "csf", "splitEntities"}
-)
+    VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS | ordering.PARAMETERS | geo_query.PARAMETERS
+    | {"id", "idPattern", "type", "q", "expandValues", "jsonKeys", "scopeQ", "csf", "splitEntities"}
+)  # fmt: skip
+_SYSTEM: Final = frozenset({"id", "type", "scope", "createdAt", "modifiedAt", "deletedAt", "expiresAt"})
+"""What every entity has: to ask for it narrows nothing down (clause 5.7.2.4)."""
 
 _FORMS: Final = {
     "normalized": Form.NORMALIZED,
@@ -47,15 +47,6 @@ _FORMS: Final = {
     "simplified": Form.KEY_VALUES,
 }
 _OPTIONS: Final = frozenset({*_FORMS, "sysAttrs", "count"})
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """Which piece of the hits is wanted."""
-
-    offset: int
-    limit: int
-    count: bool
 
 
 def options_of(exchange: Exchange, known: frozenset[str] = _OPTIONS) -> set[str]:
@@ -117,8 +108,8 @@ def datasets_of(given: str | None) -> frozenset[str | None] | None:
     )
 
 
-def window_of(exchange: Exchange, options: frozenset[str] = _OPTIONS) -> Window:
-    """Return which page the asker wants."""
+def window_of(exchange: Exchange, options: frozenset[str] = _OPTIONS, mark: int = 0) -> Window:
+    """Return which page the asker wants; `mark` tells the order in which its place is one."""
     offset = _whole_number(exchange, "offset", 0)
     limit = _whole_number(exchange, "limit", DEFAULT_LIMIT)
     if limit > LARGEST_LIMIT:
@@ -126,67 +117,65 @@ def window_of(exchange: Exchange, options: frozenset[str] = _OPTIONS) -> Window:
     count = exchange.flag("count") or "count" in options_of(exchange, options)
     if limit == 0 and not count:
         raise bad_request_data("limit=0 asks for nothing; add count=true to learn how many there are")
-    return Window(offset, limit, count)
+    place = exchange.parameter(PLACE)
+    return Window(offset, limit, count, None if place is None else pages.place_of(place, mark))
 
 
-def selection_of(parameters: Mapping[str, str], context: Context) -> Selection:
-    """Return which entities are asked for by query parameters."""
-    if not any(parameters.get(name) for name in ("type", "id", "attrs", "q")):
-        raise bad_request_data("a query is too broad without type, id, attrs or q; add one of them")
-    ids, wanted, types = parameters.get("id"), parameters.get("idPattern"), parameters.get("type")
-    q = parameters.get("q")
-    return Selection(
+def selection_of(
+    parameters: Mapping[str, str], context: Context, any_of: tuple[Selection, ...] = ()
+) -> Selection:
+    """Return which entities are asked for by query parameters (clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2.4).
+
+    If there are any in `any_of`, the entities fit one of these, too. Raises a problem (400) for what cannot
+    be read, and for a query that would be about everything. Ids alone are enough here, as in other brokers,
+    though the standard wants a type or the like with them.
+    """
+    ids, wanted, types, q = (parameters.get(name) for name in ("id", "idPattern", "type", "q"))
+    expand_name = context.terms.expand
+    scopes, expanded = parameters.get("scopeQ"), _short_names(parameters, "expandValues")
+    selection = Selection(
         ids=None if ids is None else tuple(require_uri(one, "an id in the query") for one in ids.split(",")),
         id_pattern=None if wanted is None else pattern(wanted),
-        types=None if types is None else tuple(type_names(types, context)),
+        types=None if types is None else type_selection(types, expand_name),
         attributes=names_of(parameters.get("attrs"), context),
-        query=None if q is None else compiled(q, context),
+        query=None if q is None else compiled(q, context, expanded),
+        scopes=None if scopes is None else scope_query(scopes),
+        places=geo_query.geo_query(parameters, expand_name),
+        any_of=any_of,
     )
+    _short_names(parameters, "jsonKeys")  # values are compared as they are, so that there is nothing to do
+    if (csf := parameters.get("csf")) is not None:
+        compiled(csf, context, what="csf")
+    refuse_too_broad(selection, parameters)
+    return selection
 
 
-def entity_answer(exchange: Exchange, entity: Entity, context: Context, view: View) -> Answer:
-    """Return one entity as an answer."""
-    accept = exchange.accept(OFFERED)
-    if accept == GEO_JSON:
-        one = feature(entity, context.terms, view, place_of(exchange, context))
-        in_body = has_context_in_body(exchange)
-        return Answer(200, feature_body(one, context, with_context=in_body), _geo_headers(context, in_body))
-    text = rendered(entity, context, view)
-    if accept == JSON_LD:
-        return Answer(200, with_context(text, context), [(b"content-type", JSON_LD.encode())])
-    return Answer(200, text, json_headers(context))
-
-
-def entities_answer(exchange: Exchange, page: Page, window: Window, context: Context, view: View) -> Answer:
-    """Return a page of entities as an answer, with links to its neighbours."""
-    accept = exchange.accept(OFFERED)
-    if accept == GEO_JSON:
-        place, in_body = place_of(exchange, context), has_context_in_body(exchange)
-        features = (feature(entity, context.terms, view, place) for entity in page.entities)
-        body, headers = (
-            collection_body(features, context, with_context=in_body),
-            _geo_headers(context, in_body),
+def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> None:
+    """Raise a problem (400) if the query is about everything, unless it asks for all that is here."""
+    local = parameters.get("local")
+    if selection.types is not None and selection.types.is_every and local == "false":
+        raise bad_request_data("type=* asks for all that is here: local=false contradicts it, leave it out")
+    attributes = parameters.get("attrs", "").split(",")
+    narrows = (
+        selection.types is not None
+        or selection.ids is not None
+        or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
+        or (selection.query is not None and selection.query.names_attributes)
+        or selection.places is not None
+        or bool(selection.any_of)
+    )
+    if not narrows and local != "true":
+        raise bad_request_data(
+            "the query is too broad: add type, id, attrs, q or georel to narrow it down, or local=true to "
+            "ask for all that this broker holds"
         )
-    else:
-        texts: Iterable[bytes] = (rendered(entity, context, view) for entity in page.entities)
-        if accept == JSON_LD:
-            texts = (with_context(text, context) for text in texts)
-            headers = [(b"content-type", JSON_LD.encode())]
-        else:
-            headers = json_headers(context)
-        body = b"[" + b",".join(texts) + b"]"
-    if page.total is not None:
-        headers.append((b"ngsild-results-count", str(page.total).encode()))
-    if exchange.method == "GET":
-        headers += page_links(exchange, window, accept, more=page.more)
-    return Answer(200, body, headers)
 
 
-def _geo_headers(context: Context, in_body: bool) -> list[tuple[bytes, bytes]]:
-    headers = [(b"content-type", GEO_JSON.encode())]
-    if not in_body and context.link is not None:
-        headers.append((b"link", link(context.link).encode()))
-    return headers
+def _short_names(parameters: Mapping[str, str], name: str) -> frozenset[str]:
+    given = parameters.get(name)
+    if given is None:
+        return frozenset()
+    return frozenset(require_name(one, f"a name in {name}") for one in given.split(","))
 
 
 def json_headers(context: Context) -> list[tuple[bytes, bytes]]:
@@ -205,14 +194,20 @@ def page_links(
     if window.limit == 0:
         return links
     if window.offset > 0:
-        links.append(_page_link(exchange, max(0, window.offset - window.limit), "prev", media_type))
+        links.append(page_link(exchange, max(0, window.offset - window.limit), "prev", media_type))
     if more:
-        links.append(_page_link(exchange, window.offset + window.limit, "next", media_type))
+        links.append(page_link(exchange, window.offset + window.limit, "next", media_type))
     return links
 
 
-def _page_link(exchange: Exchange, offset: int, relation: str, media_type: str) -> tuple[bytes, bytes]:
-    parameters = {**exchange.parameters, "offset": str(offset)}
+def page_link(
+    exchange: Exchange, offset: int, relation: str, media_type: str, place: str | None = None
+) -> tuple[bytes, bytes]:
+    """Return the Link header to another page of what was asked for; `place` is where it starts or ends."""
+    parameters = {name: value for name, value in exchange.parameters.items() if name != PLACE}
+    parameters["offset"] = str(offset)
+    if place is not None:
+        parameters[PLACE] = place
     query = "&".join(
         f"{quote(name, safe='')}={quote(value, safe=':,')}" for name, value in parameters.items()
     )
@@ -220,6 +215,7 @@ def _page_link(exchange: Exchange, offset: int, relation: str, media_type: str) 
 
 
 def _whole_number(exchange: Exchange, name: str, default: int) -> int:
+    """Return a query parameter that is a whole number from 0 on."""
     given = exchange.parameter(name)
     if given is None:
         return default

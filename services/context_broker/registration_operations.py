@@ -37,6 +37,7 @@ from services.context_broker.registration_search import SEARCH_PARAMETERS, searc
 from services.context_broker.registry import claims
 from services.context_broker.source_subscriptions import notices_of_change
 from services.context_broker.tenants import Tenant
+from services.context_broker.type_selection import of_types
 from services.context_broker.words import require_uri, timestamp_now
 
 DONE: Final = Answer(204)
@@ -229,7 +230,9 @@ def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
         ids = [one.id for one in piece.entities if one.id is not None]
         types = {kind for one in piece.entities for kind in one.types}
         has_groups = not piece.entities or len(ids) < len(piece.entities)
-        for entity in tenant.store.candidates(None if has_groups else ids, types or None, None):
+        for entity in tenant.store.candidates(
+            None if has_groups else ids, of_types(types) if types else None
+        ):
             if claims(made, entity):
                 has = "entity" if made.mode is Mode.REDIRECT else "one of these attributes of entity"
                 raise conflict(

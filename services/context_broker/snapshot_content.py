@@ -42,7 +42,7 @@ async def written(inner: Tenant, content: Content) -> None:
 
 def end_of(inner: Tenant) -> Iterator[Entries]:
     """Yield what takes all that belongs to a snapshot off the disk."""
-    entities = inner.store.candidates(None, None, None)
+    entities = inner.store.candidates()
     for start in range(0, len(entities), AT_ONCE):
         some = entities[start : start + AT_ONCE]
         yield Entries(

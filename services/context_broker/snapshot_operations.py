@@ -16,7 +16,6 @@ import orjson
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from services.context_broker.batch_operations import query_parameters
 from services.context_broker.distribution import in_place_of
 from services.context_broker.exchange import PREFIX, Answer, Exchange
 from services.context_broker.journal import Entries, Kind, NotStored
@@ -28,9 +27,10 @@ from services.context_broker.problems import (
     not_supported,
     too_many_results,
 )
+from services.context_broker.query_document import query_parameters, selectors_of
 from services.context_broker.reading import selection_of
 from services.context_broker.registration_operations import answer, with_context
-from services.context_broker.selection import search
+from services.context_broker.selection import hits_of
 from services.context_broker.snapshot_content import Content, end_of, written
 from services.context_broker.snapshot_purge import purged
 from services.context_broker.snapshot_telling import tell
@@ -224,10 +224,11 @@ class SnapshotOperations:
         async def collect(over: Exchange) -> Answer:
             nonlocal found
             document, context = await over.body()
-            selection = selection_of(query_parameters(document), context)
-            page = await search(over.tenant.store, selection, 0, MOST_ENTITIES + 1, count=False)
-            found = len(page.entities)
-            content.add(page.entities, selection.attributes)
+            any_of = selectors_of(document, context)
+            selection = selection_of(query_parameters(document), context, any_of)
+            hits = await hits_of(over.tenant.store, selection, MOST_ENTITIES + 1)
+            found = len(hits)
+            content.add(hits, selection.attributes)
             return Answer(200)
 
         try:
@@ -248,7 +249,7 @@ class SnapshotOperations:
 
     async def _copy(self, tenant: Tenant, original: Snapshot, made: Snapshot) -> None:
         content = Content()
-        content.add(self._tenants.inside(tenant, original.id).store.candidates(None, None, None), None)
+        content.add(self._tenants.inside(tenant, original.id).store.candidates(), None)
         names = [f"{name}Details" for name in QUERIES]
         results = {name: original.document[name] for name in names if name in original.document}
         await self._finish(tenant, made, content, results)

@@ -7,21 +7,26 @@ disk refuses, everything staged is forgotten, so that memory never says more tha
 import asyncio
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import orjson
 
+from services.context_broker.attribute_index import AttributeIndex, ids_of
 from services.context_broker.census import Census
 from services.context_broker.commits import Commits
 from services.context_broker.entity import Entity, Event
+from services.context_broker.geo_query import GeoQuery
 from services.context_broker.history import Recorder
 from services.context_broker.journal import EntityRow, Entries, Notice, NotStored
+from services.context_broker.place_index import PlaceIndex
 from services.context_broker.problems import bad_request_data, not_stored
-from services.context_broker.q_match import Equality, Scalar, scalars
+from services.context_broker.q_index import Condition
 from services.context_broker.replica import Overtaken
 from services.context_broker.transient import Ends
+from services.context_broker.type_selection import TypeSelection, of_types
 
 MOST_INDEXES: Final = 64
+"""Attributes, and attributes with places, for which there is an index."""
 
 
 @dataclass(slots=True, eq=False)
@@ -65,10 +70,11 @@ class Store:
         self._ends = ends
         self._committed: dict[str, Entity] = {}
         self._by_type: dict[str, dict[str, None]] = {}
-        self._indexes: dict[str, dict[Scalar, dict[str, None]]] = {}
+        self._is_in_order = True
+        self._types_out_of_order: set[str] = set()
+        self._indexes: dict[str, AttributeIndex] = {}
+        self._place_indexes: dict[str, PlaceIndex] = {}
         self._staged: dict[str, Staged] = {}
-        self._last_place = 0
-        self._in_order = True
 
     def take(self, entity: Entity) -> None:
         """Take an entity that the journal has kept."""
@@ -84,27 +90,60 @@ class Store:
         return self._committed.get(entity_id)
 
     def candidates(
-        self, ids: Iterable[str] | None, types: Iterable[str] | None, equality: Equality | None
+        self,
+        ids: Iterable[str] | None = None,
+        types: TypeSelection | None = None,
+        conditions: Iterable[Condition] = (),
+        places: GeoQuery | None = None,
     ) -> list[Entity]:
-        """Return the entities among which all hits are, in the order of their creation."""
-        if not self._in_order:
-            self._restore_order()
+        """Return entities among which all hits are, as few as the indexes know, in the order of creation.
+
+        What is None does not limit them.
+        """
         if ids is not None:
             found = [entity for one in dict.fromkeys(ids) if (entity := self._committed.get(one))]
             return sorted(found, key=_by_seq)
-        if equality is not None and (index := self._index(equality.attribute)) is not None:
-            hits: dict[str, None] = {}
-            for value in equality.values:
-                hits.update(index.get(value, {}))
-            return sorted((self._committed[one] for one in hits), key=_by_seq)
-        if types is not None:
-            return self._of_types(list(types))
+        count = len(self._committed)
+        chosen: Iterable[str] | None = None
+        for condition in conditions:
+            index = self._index(condition.attribute)
+            if index is not None:
+                filed = index.found(condition)
+                if (size := sum(map(len, filed))) < count:
+                    count, chosen = size, ids_of(filed)
+        if places is not None and places.box is not None and count:
+            place_index = self._place_index(places.attribute)
+            if place_index is not None and len(touched := place_index.found(places.box)) < count:
+                count, chosen = len(touched), touched
+        if types is not None and not types.is_every and self._count_of(types) <= count:
+            return self._of_types(types)
+        if chosen is not None:
+            return sorted((self._committed[one] for one in chosen), key=_by_seq)
+        return self._all()
+
+    def _all(self) -> list[Entity]:
+        if not self._is_in_order:
+            self._committed = {one.id: one for one in sorted(self._committed.values(), key=_by_seq)}
+            self._is_in_order = True
         return list(self._committed.values())
 
-    def _of_types(self, types: list[str]) -> list[Entity]:
-        if len(types) == 1:
-            return [self._committed[one] for one in self._by_type.get(types[0], ())]
-        hits = {one: None for kind in types for one in self._by_type.get(kind, ())}
+    def _count_of(self, types: TypeSelection) -> int:
+        return sum(len(self._rarest(one)) for one in types.alternatives)
+
+    def _rarest(self, kinds: frozenset[str]) -> dict[str, None]:
+        """Return the ids of the type of which there are fewest."""
+        return min((self._by_type.get(kind, {}) for kind in kinds), key=len)
+
+    def _of_types(self, types: TypeSelection) -> list[Entity]:
+        if len(types.alternatives) == 1 and len(types.alternatives[0]) == 1:
+            (kind,) = types.alternatives[0]
+            if kind in self._types_out_of_order:
+                entities = sorted((self._committed[one] for one in self._by_type[kind]), key=_by_seq)
+                self._by_type[kind] = {one.id: None for one in entities}
+                self._types_out_of_order.discard(kind)
+                return entities
+            return [self._committed[one] for one in self._by_type.get(kind, ())]
+        hits = {one: None for kinds in types.alternatives for one in self._rarest(kinds)}
         return sorted((self._committed[one] for one in hits), key=_by_seq)
 
     def mixed(
@@ -116,7 +155,7 @@ class Store:
         be shown. Nothing may be written to it.
         """
         mix = Mix(self, others)
-        for one in self.candidates(ids, types, None):
+        for one in self.candidates(ids, None if types is None else of_types(tuple(types))):
             if one.id not in others:
                 mix.take(one)
         for entity in sorted((one for one in others.values() if one is not None), key=_by_seq):
@@ -200,43 +239,56 @@ class Store:
         if before is not None and (after is None or after.seq != before.seq):
             del self._committed[before.id]  # a new entity of the same id goes to the end of the order
         if after is not None:
+            if after.id not in self._committed and self._is_overtaken(self._committed, after):
+                self._is_in_order = False
             self._committed[after.id] = after
             if after.ends_at is not None and self._ends is not None:
                 self._ends.watch(self, after)
-            if after.seq >= self._last_place:
-                self._last_place = after.seq
-            elif before is None or before.seq != after.seq:
-                self._in_order = False
         self.census.note(before, after)
         self._file_by_type(before, after)
-        for attribute, index in self._indexes.items():
-            _refile(index, attribute, before, after)
+        for index in self._indexes.values():
+            index.refile(before, after)
+        for place_index in self._place_indexes.values():
+            place_index.refile(before, after)
 
-    def _restore_order(self) -> None:
-        """Put all into the order of their places: news of other brokers come in the order of commits."""
-        entities = self._committed
-        self._committed = {one.id: one for one in sorted(entities.values(), key=_by_seq)}
-        for kind, ids in self._by_type.items():
-            self._by_type[kind] = dict.fromkeys(sorted(ids, key=lambda one: entities[one].seq))
-        self._in_order = True
+    def _is_overtaken(self, ids: dict[str, Any], entity: Entity) -> bool:
+        """Say whether the last of `ids` was created after `entity`.
+
+        That happens when an entity gets another type, and when news of other brokers come in the order of
+        their commits.
+        """
+        last = next(reversed(ids), None)
+        return last is not None and self._committed[last].seq > entity.seq
 
     def _file_by_type(self, before: Entity | None, after: Entity | None) -> None:
         if before and after and before.types == after.types and before.seq == after.seq:
             return
         for kind in before.types if before else ():
             del self._by_type[kind][before.id]  # type: ignore[union-attr]
-        for kind in after.types if after else ():
-            self._by_type.setdefault(kind, {})[after.id] = None  # type: ignore[union-attr]
+        if after is None:
+            return
+        for kind in after.types:
+            ids = self._by_type.setdefault(kind, {})
+            if self._is_overtaken(ids, after):
+                self._types_out_of_order.add(kind)
+            ids[after.id] = None
 
-    def _index(self, attribute: str) -> dict[Scalar, dict[str, None]] | None:
+    def _index(self, attribute: str) -> AttributeIndex | None:
         """Return the index of an attribute, made when it is first asked for."""
         index = self._indexes.get(attribute)
         if index is None and len(self._indexes) < MOST_INDEXES:
-            index = {}
-            for entity in self._committed.values():
-                _refile(index, attribute, None, entity)
-            if index:  # nobody's attribute must not take the place of somebody's
+            index = AttributeIndex(attribute, self._committed.values())
+            if len(index):  # nobody's attribute must not take the place of somebody's
                 self._indexes[attribute] = index
+        return index
+
+    def _place_index(self, attribute: str) -> PlaceIndex | None:
+        """Return the index of the places of an attribute, made when it is first asked for."""
+        index = self._place_indexes.get(attribute)
+        if index is None and len(self._place_indexes) < MOST_INDEXES:
+            index = PlaceIndex(attribute, self._committed.values())
+            if len(index):
+                self._place_indexes[attribute] = index
         return index
 
 
@@ -258,23 +310,3 @@ class Mix(Store):
 
 def _by_seq(entity: Entity) -> int:
     return entity.seq
-
-
-def _refile(
-    index: dict[Scalar, dict[str, None]], attribute: str, before: Entity | None, after: Entity | None
-) -> None:
-    old = _filed(before, attribute)
-    new = _filed(after, attribute)
-    if old == new:
-        return
-    for value in old - new:
-        ids = index[value]
-        del ids[before.id]  # type: ignore[union-attr]
-        if not ids:
-            del index[value]
-    for value in new - old:
-        index.setdefault(value, {})[after.id] = None  # type: ignore[union-attr]
-
-
-def _filed(entity: Entity | None, attribute: str) -> set[Scalar]:
-    return set() if entity is None else set(scalars(entity.attributes.get(attribute, ())))

@@ -15,15 +15,15 @@ from services.context_broker.entity_selector import EntitySelector, entity_selec
 from services.context_broker.geo_query import GeoQuery, geo_query_document
 from services.context_broker.intake import expand
 from services.context_broker.language import preferences
-from services.context_broker.problems import bad_request_data, not_supported
+from services.context_broker.problems import bad_request_data
 from services.context_broker.projection import Projection, read_projection
 from services.context_broker.rendering import Form, View
 from services.context_broker.scope_query import ScopeQuery, scope_query
 from services.context_broker.selection import Query, compiled
 from services.context_broker.triggers import Happened, Triggers, read_kinds
-from services.context_broker.words import moment, require_name, require_time, require_uri, shown
+from services.context_broker.words import moment, require_time, require_uri, shown
 
-__all__ = ["GEO_JSON", "JSON", "JSON_LD", "Counts", "Endpoint", "Subscription", "subscription", "type_names"]
+__all__ = ["GEO_JSON", "JSON", "JSON_LD", "Counts", "Endpoint", "Subscription", "subscription"]
 
 MOST_SELECTORS: Final = 1000
 """Entity selectors of one subscription: each is tried on each change of its types."""
@@ -171,18 +171,6 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         join=join,
         join_level=join_level,
     )
-
-
-def type_names(given: Any, context: Context) -> list[str]:
-    """Return the IRIs of a type selection: one type, or several of which any will do (`A,B` or `A|B`)."""
-    if not isinstance(given, str) or not given:
-        raise bad_request_data(f"a type selection is text such as Task,Alert, not {shown(given)}")
-    if any(sign in given for sign in ";()"):
-        raise not_supported(
-            "this broker does not combine types with ; and brackets yet; list them with commas"
-        )
-    names = given.replace("|", ",").split(",")
-    return [expand(require_name(name, "the type"), context.terms) for name in names]
 
 
 def _check_plain_members(document: Mapping[str, Any]) -> None:

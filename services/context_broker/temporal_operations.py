@@ -7,7 +7,6 @@ from typing import Any, Final, TypeVar
 
 import orjson
 
-from services.context_broker.batch_operations import query_parameters
 from services.context_broker.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity
@@ -17,6 +16,7 @@ from services.context_broker.exchange import JSON_LD, Answer, Exchange
 from services.context_broker.journal import Journal, NotStored
 from services.context_broker.operation import Operation
 from services.context_broker.problems import bad_request_data, not_read
+from services.context_broker.query_document import query_parameters
 from services.context_broker.reading import (
     QUERY_PARAMETERS,
     VIEW_PARAMETERS,
@@ -127,7 +127,7 @@ class TemporalOperations:
             wish.view.view.datasets,
             selection.wants if by_values else None,
         )
-        live = exchange.tenant.store.candidates(narrowing.ids, narrowing.types, None)
+        live = exchange.tenant.store.candidates(narrowing.ids, narrowing.types)
         name = exchange.tenant.name
 
         def look() -> tuple[Found, list[bytes]]:

@@ -15,9 +15,10 @@ from services.context_broker.entity import Instance
 from services.context_broker.exchange import Exchange
 from services.context_broker.history import DRIFT_S, micros_of
 from services.context_broker.language import preferences
+from services.context_broker.pages import Window
 from services.context_broker.problems import bad_request_data, invalid_request
 from services.context_broker.projection import read_projection
-from services.context_broker.reading import Window, datasets_of, names_of, options_of, window_of
+from services.context_broker.reading import datasets_of, names_of, options_of, window_of
 from services.context_broker.rendering import Form, View
 from services.context_broker.words import moment, require_time, shown
 
