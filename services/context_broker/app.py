@@ -130,6 +130,7 @@ class Broker:
             self.contexts.remember_usage(key, stored)
         self.tenants.load()
         self.tenants.commits.start()
+        await self.tenants.keep_identity()
         await self._take_up_registrations()
         await self._take_up_subscriptions()
         await self.contexts.tidy()
@@ -234,6 +235,7 @@ class Broker:
         following.on(Kind.REGISTRATION, self._follow_registration)
         following.on(Kind.ENTITY_MAP, self._follow_entity_map)
         following.on(Kind.SNAPSHOT, self._follow_snapshot)
+        following.on(Kind.IDENTITY, self._follow_identity)
         following.on(Kind.ATTEMPTS, self._follow_attempts)
 
     async def _follow_context(self, tenant: str, key: str, body: bytes | None) -> None:
@@ -261,6 +263,10 @@ class Broker:
 
     async def _follow_snapshot(self, tenant: str, one: str, body: bytes | None) -> None:
         self.snapshots.follow(self.tenants.kept(tenant), one, body)
+
+    async def _follow_identity(self, _: str, __: str, body: bytes | None) -> None:
+        if body is not None:
+            self.tenants.identify(body)
 
     async def _follow_attempts(self, tenant: str, one: str, body: bytes | None) -> None:
         if body is not None:

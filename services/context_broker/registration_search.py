@@ -11,14 +11,14 @@ from typing import Any, Final
 from services.context_broker import geo_query
 from services.context_broker.contexts import Context
 from services.context_broker.geo_query import GeoQuery
+from services.context_broker.intake import expand
 from services.context_broker.patterns import pattern
 from services.context_broker.problems import bad_request_data
-from services.context_broker.reading import names_of
 from services.context_broker.registration import Asked, Interval, Registration
 from services.context_broker.scope_query import ScopeQuery, scope_query
 from services.context_broker.selection import Selection, compiled
 from services.context_broker.type_selection import type_selection
-from services.context_broker.words import moment, require_time, require_uri, shown
+from services.context_broker.words import moment, require_name, require_time, require_uri, shown
 
 SEARCH_PARAMETERS: Final = geo_query.PARAMETERS | {
     "id", "type", "idPattern", "attrs", "q", "csf", "timerel", "timeAt", "endTimeAt", "timeproperty", "scopeQ"
@@ -79,7 +79,8 @@ def search_of(parameters: Mapping[str, str], context: Context) -> Search:
     asked = asked_of(
         None if ids is None else ids.split(","), given.get("idPattern"), given.get("type"), context
     )
-    names = names_of(given.get("attrs"), context)
+    attrs = given.get("attrs")
+    names = None if attrs is None else frozenset(_expanded(attrs.split(","), context))
     return Search(
         (Asked(asked.ids, asked.id_pattern, asked.types, names),),
         tuple(Selection(query=compiled(given[name], context)) for name in ("csf", "q") if name in given),
@@ -99,6 +100,10 @@ def asked_of(ids: list[str] | None, id_pattern: Any, types: Any, context: Contex
         id_pattern=None if id_pattern is None else pattern(id_pattern),
         types=None if chosen is None or chosen.is_every else frozenset(chosen.names()),
     )
+
+
+def _expanded(names: list[str], context: Context) -> list[str]:
+    return [expand(require_name(name, "a name in attrs"), context.terms) for name in names]
 
 
 def period_of(given: Mapping[str, Any]) -> Period | None:

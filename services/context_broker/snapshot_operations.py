@@ -6,7 +6,7 @@ what they find is written as the content of a tenant of its own, which becomes v
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 from urllib.parse import quote, urlsplit
@@ -36,6 +36,7 @@ from services.context_broker.snapshot_purge import purged
 from services.context_broker.snapshot_telling import tell
 from services.context_broker.snapshots import (
     MOST_ENTITIES,
+    MOST_HELD,
     MOST_SNAPSHOTS,
     QUERIES,
     Snapshot,
@@ -194,7 +195,7 @@ class SnapshotOperations:
         async with self._one_at_a_time:
             if made.id in tenant.snapshots:
                 raise already_exists(f"there is a snapshot {made.id} already; choose another id")
-            for one in _in_excess(tenant):
+            for one in _by_worth(tenant)[: max(0, len(tenant.snapshots) + 1 - MOST_SNAPSHOTS)]:
                 await self._take_away(tenant, one)
             await self._keep(tenant, made)
 
@@ -258,6 +259,9 @@ class SnapshotOperations:
         self, tenant: Tenant, made: Snapshot, content: Content, results: Mapping[str, list[dict[str, Any]]]
     ) -> None:
         status = status_of([one for several in results.values() for one in several])
+        async with self._one_at_a_time:
+            for one in self._crowded_out(tenant, made, len(content.entities)):
+                await self._take_away(tenant, one)
         try:
             await written(self._tenants.inside(tenant, made.id), content)
         except NotStored as error:
@@ -271,6 +275,16 @@ class SnapshotOperations:
             done = now.changed(snapshotStatus=status.value, **results)
             await self._keep(tenant, done)
         await tell(tenant, done)
+
+    def _crowded_out(self, tenant: Tenant, made: Snapshot, more: int) -> list[Snapshot]:
+        """Return the snapshots that have to go so that there is room for more entities in another."""
+        others = [one for one in _by_worth(tenant) if one is not made]
+        sizes = [len(self._tenants.inside(tenant, one.id).store) for one in others]
+        held, gone = more + sum(sizes), 0
+        while held > MOST_HELD and gone < len(others):
+            held -= sizes[gone]
+            gone += 1
+        return others[:gone]
 
     # Keeping
 
@@ -333,13 +347,12 @@ def _existing(tenant: Tenant, snapshot_id: str) -> Snapshot:
     return found
 
 
-def _in_excess(tenant: Tenant) -> Iterable[Snapshot]:
-    """Return the snapshots that have to go so that there is room for another."""
-    kept = sorted(
+def _by_worth(tenant: Tenant) -> list[Snapshot]:
+    """Return the snapshots, those first that have to go first when there are too many."""
+    return sorted(
         tenant.snapshots.values(),
         key=lambda one: (one.document["snapshotPriority"], one.document["lastUsedAt"]),
     )
-    return kept[: max(0, len(kept) + 1 - MOST_SNAPSHOTS)]
 
 
 def _entries(tenant: Tenant, one: Snapshot) -> Entries:

@@ -33,6 +33,8 @@ MOST_SNAPSHOTS: Final = 64
 MOST_ENTITIES: Final = 200_000
 """Entities in one snapshot."""
 DEFAULT_PRIORITY: Final = 5
+MOST_HELD: Final = 1_000_000
+"""Entities in all snapshots of a tenant, after the same rule."""
 QUERIES: Final = ("snapshotQueries", "snapshotTemporalQueries")
 SETTABLE: Final = frozenset({"snapshotPriority", "snapshotLifetime", "endpoint", "receiverInfo"})
 MEMBERS: Final = SETTABLE | {

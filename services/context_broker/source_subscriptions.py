@@ -12,9 +12,12 @@ from uuid import uuid4
 
 import orjson
 
+from services.context_broker.commits import Commits
 from services.context_broker.courier_office import CourierOffice
 from services.context_broker.geo_query import geo_query_document
 from services.context_broker.journal import Notice
+from services.context_broker.outbound import Outbound
+from services.context_broker.periodic import Rounds
 from services.context_broker.registration import Asked, Registration, shown_document
 from services.context_broker.registration_search import Search, asked_of, period_of
 from services.context_broker.registry import Registry
@@ -34,6 +37,39 @@ class Reason(StrEnum):
     NEWLY_MATCHING = "newlyMatching"
     UPDATED = "updated"
     NO_LONGER_MATCHING = "noLongerMatching"
+
+
+class SourceOffice(CourierOffice):
+    """Keeps a tenant's subscriptions to registrations; those with a timeInterval are told in rounds.
+
+    Registrations change so rarely that throttling is not heeded.
+    """
+
+    def __init__(self, tenant: str, commits: Commits, outbound: Outbound, registry: Registry) -> None:
+        super().__init__(tenant, commits, outbound)
+        self._registry = registry
+        self._rounds = Rounds(self._tell_all)
+
+    def stop(self) -> None:
+        """End; what is owed stays in the outbox."""
+        self._rounds.stop()
+        super().stop()
+
+    def turn(self, *, leads: bool) -> None:
+        """Begin with all that is owed, or leave it to another broker."""
+        super().turn(leads=leads)
+        self._rounds.heed(self.all() if leads else [])
+
+    def rearrange(self) -> None:
+        """Go the rounds of the subscriptions as they are now."""
+        if self.outbound.leadership.leads:
+            self._rounds.heed(self.all())
+
+    async def _tell_all(self, subscription: Subscription) -> None:
+        courier = self._couriers.get(subscription.id)
+        notices = notices_of_all(self, self._registry, subscription)
+        if courier is not None and notices:
+            courier.offer([one.body for one in notices if one.body is not None])
 
 
 def search_of(subscription: Subscription) -> Search:
@@ -71,7 +107,7 @@ def notices_of_change(
     now_s = time.time()
     owed: list[Notice] = []
     for subscription in book.all():
-        if not subscription.is_active(now_s):
+        if subscription.interval_s is not None or not subscription.is_active(now_s):
             continue
         search = search_of(subscription)
         matched = before is not None and search.finds(before)

@@ -10,7 +10,6 @@ from typing import Final
 from uuid import uuid4
 
 from services.context_broker.commits import CommitQueue, Commits, Failed, stored
-from services.context_broker.courier_office import CourierOffice
 from services.context_broker.entity import Entity
 from services.context_broker.entity_maps import EntityMaps
 from services.context_broker.following import Following
@@ -27,6 +26,7 @@ from services.context_broker.registry import Registry
 from services.context_broker.replica import Replica
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots import Snapshot, restored
+from services.context_broker.source_subscriptions import SourceOffice
 from services.context_broker.store import Store
 from services.context_broker.transient import Ends
 from services.context_broker.words import LONGEST_TENANT, TENANT, inside, outside, shown
@@ -40,8 +40,7 @@ class Tenant:
     def __init__(self, name: str, tenants: "Tenants", *, is_kept: bool) -> None:
         self.name = name
         self.guests = 0
-        self.alias = tenants.alias_of(outside(name)[0])
-        """What this broker calls itself in Via when it asks on behalf of the tenant (clause 5.2.40)."""
+        self._tenants = tenants
         self.commits = _TenantCommits(name, tenants.commits, is_kept=is_kept)
         self.notifier = Notifier(name, self.commits, tenants.outbound)
         self.store = Store(
@@ -57,8 +56,13 @@ class Tenant:
         self.registry = Registry(name, self.commits)
         self.entity_maps = EntityMaps(name, self.commits)
         self.snapshots: dict[str, Snapshot] = {}
-        self.source_notifier = CourierOffice(name, self.commits, tenants.outbound)
+        self.source_notifier = SourceOffice(name, self.commits, tenants.outbound, self.registry)
         """Tells of registrations that come, change and go; it hears of no entity."""
+
+    @property
+    def alias(self) -> str:
+        """Return what this broker calls itself in Via when it asks for the tenant (clause 5.2.40)."""
+        return self._tenants.alias_of(outside(self.name)[0])
 
     @property
     def is_kept(self) -> bool:
@@ -125,7 +129,8 @@ class Tenants:
     def load(self) -> None:
         """Take what the journal holds."""
         journal, settings = self._journal, self._settings
-        self._identity = f"handover-{settings.factory}-{self._kept_identity()}"
+        kept = [body for _, _, body in journal.documents(Kind.IDENTITY)]
+        self.identify(kept[0] if kept else uuid4().hex[:12].encode())
         destinations, ca_file = settings.destinations(), settings.broker_notification_ca_file
         self.places = Places(journal.last_place(), secrets.randbelow(SLOTS) if self._shares else None)
         self.outbound = Outbound(
@@ -148,13 +153,15 @@ class Tenants:
         for tenant, body in journal.entities():
             self._tenants[tenant].store.take(Entity.restored(body))
 
-    def _kept_identity(self) -> str:
-        """Return what tells this broker from others; made once, before anything else is written."""
-        for _, _, kept in self._journal.documents(Kind.IDENTITY):
-            return kept.decode()
-        made = uuid4().hex[:12]
-        self._journal.commit(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made.encode()}))
-        return made
+    async def keep_identity(self) -> None:
+        """Keep what tells this broker from others, if nothing does yet."""
+        if not any(self._journal.documents(Kind.IDENTITY)):
+            made = self._identity.rpartition("-")[2].encode()
+            await self.commits.store(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made}))
+
+    def identify(self, kept: bytes) -> None:
+        """Take what this broker, with all that share its database, is told from others by."""
+        self._identity = f"handover-{self._settings.factory}-{kept.decode()}"
 
     def __iter__(self) -> Iterator[Tenant]:
         """Yield all tenants."""

@@ -111,3 +111,12 @@ def test_a_subscription_that_asks_for_nonsense_is_refused(http: httpx.Client) ->
     assert http.post(PATH, json={**document, "notification": {}}).status_code == 400
     assert http.post(PATH, json=[]).status_code == 400
     assert http.get(f"{PATH}/urn:ngsi-ld:Subscription:absent").status_code == 404
+
+
+def test_a_subscription_with_an_interval_is_told_again_and_again(
+    http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    one = register(http, "round", "Round")
+    subscribe(http, subscriber.url, "Round", timeInterval=1)
+    eventually(lambda: len(told(subscriber)) >= 3)
+    assert set(map(str, told(subscriber))) == {str(("newlyMatching", [one]))}
