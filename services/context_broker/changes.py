@@ -84,7 +84,9 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
         if new:
             written[name] = new
             _write(attributes, name, new, at)
-    return _outcome(before, replace(change, attributes=written), attributes, at, refused)
+    if refused:
+        change = replace(change, attributes=written)
+    return _outcome(before, change, attributes, at, refused)
 
 
 def updated(before: Entity, change: Change, at: str) -> Outcome:
@@ -101,7 +103,9 @@ def updated(before: Entity, change: Change, at: str) -> Outcome:
             _write(attributes, name, instances, at)
         else:
             refused[name] = ABSENT
-    return _outcome(before, replace(change, attributes=written), attributes, at, refused)
+    if refused:
+        change = replace(change, attributes=written)
+    return _outcome(before, change, attributes, at, refused)
 
 
 def merged(before: Entity, change: Change, at: str, observed_at: str | None = None) -> Outcome:

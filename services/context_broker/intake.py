@@ -49,8 +49,10 @@ _PROOF: Final = "ngsildproof"
 _NO_NAMES: Final = (METADATA | SAYING | _FROM_THE_BROKER | _ONLY_SHOWN | _SEALED) - {"type", "expiresAt"}
 """Words of the core context that cannot name an attribute of an entity (clause 4.5.1)."""
 _CORE: Final = "https://uri.etsi.org/ngsi-ld/"
-_PLACES: Final = frozenset(_CORE + name for name in ("location", "observationSpace", "operationSpace"))
-"""Attributes that are GeoProperties by definition (clause 4.7.1)."""
+_PLACES: Final = frozenset(
+    base + name for base in ("", _CORE) for name in ("location", "observationSpace", "operationSpace")
+)
+"""Attributes that are GeoProperties by definition (clause 4.7.1); no context can give these names others."""
 _KINDS_WITH: Final = {
     "unitCode": frozenset({"Property", "GeoProperty", "ListProperty"}),
     "objectType": frozenset({"Relationship", "ListRelationship"}),
@@ -191,8 +193,11 @@ def read_attribute(name: str, given: Any, terms: Terms, depth: int = 0) -> list[
                 f"attribute {shown(name)} has two instances with the same datasetId or without one; "
                 'give each its own "datasetId", or put the list into the "value" of one Property'
             )
-        return instances
-    return [_read_instance(name, given, terms, depth)]
+    else:
+        instances = [_read_instance(name, given, terms, depth)]
+    if name in _PLACES and any(one["type"] != "GeoProperty" and not is_deletion(one) for one in instances):
+        raise bad_request_data(f"attribute {shown(name)} is a GeoProperty; give it a geometry as its value")
+    return instances
 
 
 def _entity_id(given: Any) -> str:
@@ -217,9 +222,7 @@ def _take_attribute(into: Attributes, name: str, given: Any, terms: Terms, depth
     iri = expand(require_name(name, "the attribute name"), terms)
     if iri in into:
         raise bad_request_data(f"attribute {shown(name)} is given twice, once by another name of {iri}")
-    instances = into[iri] = read_attribute(name, given, terms, depth)
-    if iri in _PLACES and any(one["type"] != "GeoProperty" and not is_deletion(one) for one in instances):
-        raise bad_request_data(f"attribute {shown(name)} is a GeoProperty; give it a geometry as its value")
+    into[iri] = read_attribute(name, given, terms, depth)
 
 
 def _are_instances(given: list[Any]) -> bool:

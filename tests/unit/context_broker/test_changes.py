@@ -6,9 +6,10 @@ import pytest
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from services.context_broker import changes
-from services.context_broker.entity import Entity
+from services.context_broker.entity import NULL, Entity
 from services.context_broker.intake import read_change, read_entity
 from services.context_broker.rendering import Form, View, render
+from services.context_broker.words import moment
 
 TERMS = TermMap(HANDOVER_URL)
 BEFORE, AFTER = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"
@@ -99,3 +100,54 @@ def test_instances_are_written_one_by_one() -> None:
     assert shown(changes.without(outcome.entity, name, None, AFTER, every=True).entity) == {}
     with pytest.raises(KeyError):
         changes.without(outcome.entity, name, "urn:x:radar", AFTER)
+
+
+def test_what_ends_first_is_known_of_every_entity() -> None:
+    early, late = "2100-01-01T00:00:00Z", "2200-01-01T00:00:00Z"
+    before = entity(expiresAt=late, a={"value": 1, "expiresAt": early}, b=1)
+    assert before.ends_at == early
+    assert changes.updated(before, change(b=2), AFTER).entity.ends_at == early
+    assert changes.updated(before, change(a=2), AFTER).entity.ends_at == late
+    assert changes.merged(before, change(expiresAt="urn:ngsi-ld:null", a=NULL), AFTER).entity.ends_at is None
+    assert (
+        changes.updated(entity(a=1), change(a={"value": 1, "expiresAt": late}), AFTER).entity.ends_at == late
+    )
+    assert changes.replaced(before, change(b=1), AFTER).entity.ends_at is None
+    outlived = changes.outlived(before, moment(early) or 0.0, AFTER)
+    assert shown(outlived) == {"b": 1}
+    assert (outlived.ends_at, outlived.modified_at) == (late, AFTER)
+
+
+def test_pruning_takes_attributes_or_leaves_them() -> None:
+    before = entity(a=1, b=2, c=3)
+    names_of = frozenset({TERMS.expand("a"), TERMS.expand("absent")})
+    assert shown(changes.pruned(before, names_of, AFTER, keep=False).entity) == {"b": 2, "c": 3}
+    assert shown(changes.pruned(before, names_of, AFTER, keep=True).entity) == {"a": 1}
+    assert changes.pruned(before, frozenset({"x:y"}), AFTER, keep=False).entity is before
+
+
+def test_a_merge_that_is_told_when_it_was_seen_renews_times_that_were_there() -> None:
+    old, new, own = (f"2026-01-0{day}T00:00:00Z" for day in (1, 2, 3))
+    before = entity(a={"value": 1, "observedAt": old}, b={"value": 1, "observedAt": old}, c=1)
+    part = change(a=2, b={"value": 2, "observedAt": own}, c=2)
+    told = shown(changes.merged(before, part, AFTER, new).entity, Form.CONCISE)
+    assert told == {"a": {"value": 2, "observedAt": new}, "b": {"value": 2, "observedAt": own}, "c": 2}
+
+
+def test_a_merge_leaves_no_null_in_what_is_new() -> None:
+    told = shown(
+        changes.merged(entity(), change(a={"value": {"x": NULL, "y": {"z": NULL, "w": 1}}}), AFTER).entity
+    )
+    assert told == {"a": {"y": {"w": 1}}}
+
+
+def test_scopes_are_overwritten_added_or_refused() -> None:
+    before = entity(scope="/A")
+    assert changes.appended(before, change(scope="/B"), AFTER).entity.scopes == ("/B",)
+    assert changes.appended(before, change(scope=["/B", "/A"]), AFTER, overwrite=False).entity.scopes == (
+        "/A",
+        "/B",
+    )
+    assert changes.updated(before, change(scope=["/B"]), AFTER).entity.scopes == ("/B",)
+    assert set(changes.updated(entity(), change(scope="/B"), AFTER).refused) == {"scope"}
+    assert changes.replaced(before, change(a=1), AFTER).entity.scopes == ()

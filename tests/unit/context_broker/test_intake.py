@@ -7,7 +7,7 @@ import pytest
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
 from services.context_broker.entity import NULL
-from services.context_broker.intake import Nulls, read_change, read_entity
+from services.context_broker.intake import Nulls, read_attribute, read_change, read_entity
 
 TERMS = TermMap(HANDOVER_URL)
 POINT = {"type": "Point", "coordinates": [1, 2]}
@@ -218,3 +218,10 @@ def test_a_whole_entity_has_an_id_and_a_type() -> None:
             read_entity(document, TERMS)
     change = read_entity({"@id": "urn:x:1", "@type": ["Task", "Chore", "Task"]}, TERMS)
     assert (change.id, len(change.types)) == ("urn:x:1", 2)
+
+
+def test_a_place_is_checked_wherever_it_is_written() -> None:
+    with pytest.raises(Problem):
+        read_attribute("location", {"type": "Property", "value": 7}, TERMS)
+    with pytest.raises(Problem):
+        read_attribute("https://uri.etsi.org/ngsi-ld/location", 7, TERMS)
