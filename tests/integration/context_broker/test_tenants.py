@@ -99,7 +99,7 @@ def test_hundreds_of_tenants_begin_at_once_and_are_there_after_a_power_cut(own_b
         def create(task: tuple[str, int]) -> int:
             name, number = task
             entity = {"id": f"urn:x:{number}", "type": "Thing", "owner": name}
-            return http.post("/entities", json=entity, headers=of(name)).status_code
+            return int(http.post("/entities", json=entity, headers=of(name)).status_code)
 
         tasks = [(name, number) for name in names for number in range(2)]
         assert set(pool.map(create, tasks)) == {201}
