@@ -1,0 +1,59 @@
+"""`operations.md` tells of every operation and parameter that the broker has, and of tests that are there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from services.context_broker.app import operations_of
+from services.context_broker.operation import Operation
+from services.context_broker.settings import BrokerSettings
+
+ROOT = Path(__file__).parents[3]
+PAGE = (ROOT / "services/context_broker/operations.md").read_text(encoding="utf-8")
+CLAUSE = re.compile(r"[4-7](\.\d+)+|RFC \d+")
+WRITTEN = re.compile(r"`([^`]+)`")
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> tuple[Operation, ...]:
+    return operations_of(BrokerSettings(data_dir=tmp_path_factory.mktemp("none")))
+
+
+def rows(heading: str) -> dict[str, list[str]]:
+    """Return the rows of the table under a heading by their first cell; a row may stand there once."""
+    section = PAGE.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+    cells = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("|")][2:]
+    found = {row[0].strip().strip("`"): [cell.strip() for cell in row[1:]] for row in cells}
+    assert len(found) == len(cells) > 0, heading
+    return found
+
+
+def test_every_operation_is_told_of_as_it_is(table: tuple[Operation, ...]) -> None:
+    told = rows("By path")
+    for one in table:
+        parameters = ", ".join(f"`{name}`" for name in sorted(one.parameters)) or "–"
+        expected = [one.name, one.clause, parameters]
+        path = f"{one.method} {one.path}"
+        row = f"| `{path}` | {' | '.join(expected)} | `test_file.py::test_that_shows_it` |"
+        assert told.get(path, [])[:3] == expected, f"operations.md needs the row {row}"
+    assert told.keys() == {f"{one.method} {one.path}" for one in table}, "and no others"
+
+
+def test_every_parameter_is_told_of(table: tuple[Operation, ...]) -> None:
+    there = {name for one in table for name in one.parameters}
+    told = rows("Parameters")
+    assert told.keys() == there, f"operations.md differs in {sorted(told.keys() ^ there)} under Parameters"
+
+
+@pytest.mark.parametrize("heading", ["By path", "Parameters", "Headers and methods"])
+def test_every_row_names_a_clause_and_tests_that_are_there(heading: str) -> None:
+    for what, cells in rows(heading).items():
+        assert any(CLAUSE.fullmatch(cell) for cell in cells[:2]), what
+        tests = WRITTEN.findall(cells[-1])
+        assert tests, f"{what} has no test"
+        for test in tests:
+            file, _, name = test.partition("::")
+            found = list((ROOT / "tests").glob(f"*/context_broker/{file}"))
+            assert found, f"{what}: there is no {file}"
+            assert f"def {name}(" in found[0].read_text(encoding="utf-8"), f"{what}: there is no {test}"
