@@ -26,6 +26,8 @@ HEADER: Final = b"ngsild-entitymap"
 THROUGH_A_MAP: Final = frozenset({"queryEntity", "queryTemporal"})
 """Operations that can be answered by a map."""
 _LOCAL: Final = frozenset({"local"})
+_SHAPING: Final = frozenset({"options", "format", "count", "pick", "omit", "lang", "datasetId"})
+"""Parameters that say how hits look, not which they are."""
 _DONE: Final = Answer(204)
 _PAGE: Final = 1000
 _NOBODY: Final = "urn:ngsi-ld:EntityMap:nobody"
@@ -92,11 +94,13 @@ class EntityMapOperations:
         exchange.accept()
         name = "queryTemporal" if exchange.method == "GET" else "queryTemporalBatch"
         mapped: dict[str, list[str]] = {}
-        plain = _without(exchange.parameters, MAP_PARAMETERS | {"options", "format", "count"})
+        plain = _without(exchange.parameters, MAP_PARAMETERS | _SHAPING)
         while True:
             parameters = {**plain, "limit": str(_PAGE), "offset": str(len(mapped)), "lastN": "1"}
             told = await self._perform(name, _plainly(exchange, parameters))
-            page = [one["id"] for one in orjson.loads(told.body)] if told.status < 300 else []
+            if told.status >= 300:
+                return told
+            page = [one["id"] for one in orjson.loads(told.body)]
             before = len(mapped)
             mapped.update((one, [OWN]) for one in page)
             if len(page) < _PAGE or len(mapped) == before:
