@@ -49,13 +49,17 @@ class View:
     @property
     def is_whole(self) -> bool:
         """Say whether all of an entity is wanted, as it is."""
-        return self.attributes is self.projection is self.languages is self.datasets is None
+        return (
+            self.attributes is None
+            and self.projection is None
+            and self.languages is None
+            and self.datasets is None
+        )
 
 
 def rendered(entity: Entity, context: Context, view: View) -> bytes:
     """Return the entity as JSON text; what is asked for often is kept with the entity."""
-    # Not `is_whole`, which says the same: this is asked for every entity of every answer.
-    if not view.attributes is view.projection is view.languages is view.datasets is None:
+    if not view.is_whole:
         return orjson.dumps(render(entity, context.terms, view))
     key = (context.key, view.form, view.sys_attrs)
     text = entity.rendered.get(key)
