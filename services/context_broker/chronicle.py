@@ -197,11 +197,11 @@ def tell(
 
 
 def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
-    """Yield subjects in pieces that one question can read: many of one place, or one of many places."""
+    """Yield subjects in pieces that one question can read: many of rising places, or one of many places."""
     run: list[Subject] = []
     for subject in subjects:
         alone = len(subject.places) > 1
-        if run and (alone or len(run) >= CHUNK):
+        if run and (alone or len(run) >= CHUNK or subject.places[0] < run[-1].places[0]):
             yield run
             run = []
         if alone:

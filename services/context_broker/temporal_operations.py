@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeVar
 
 import orjson
@@ -15,9 +15,12 @@ from services.context_broker.entity_operations import absent
 from services.context_broker.exchange import JSON_LD, Answer, Exchange
 from services.context_broker.journal import Journal, NotStored
 from services.context_broker.operation import Operation
+from services.context_broker.ordering import Ordering, ordering
+from services.context_broker.pages import PLACE
 from services.context_broker.problems import bad_request_data, not_read
-from services.context_broker.query_document import query_parameters
+from services.context_broker.query_document import query_parameters, selectors_of
 from services.context_broker.reading import (
+    LINK_PARAMETERS,
     QUERY_PARAMETERS,
     VIEW_PARAMETERS,
     json_headers,
@@ -39,12 +42,10 @@ from services.context_broker.temporal_query import (
 from services.context_broker.temporal_rendering import content_range, told
 from services.context_broker.words import require_uri, shown
 
-_TELLING: Final = VIEW_PARAMETERS | TIME_PARAMETERS | AGGREGATION_PARAMETERS
-QUERYING: Final = QUERY_PARAMETERS | _TELLING
-_WHO: Final = frozenset({"id", "idPattern", "type"})
-_BY_VALUES: Final = frozenset({"q", "georel", "geometry", "coordinates", "geoproperty", "scopeQ"})
-"""Parameters by which entities are chosen for what they say."""
-
+_OF_THE_PRESENT: Final = LINK_PARAMETERS | {PLACE, "geometryProperty", "orderFrom", "orderGeometry"}
+"""What can be asked of entities as they are, and not of how they have been."""
+_TELLING: Final = (VIEW_PARAMETERS - _OF_THE_PRESENT) | TIME_PARAMETERS | AGGREGATION_PARAMETERS
+QUERYING: Final = (QUERY_PARAMETERS - _OF_THE_PRESENT) | _TELLING
 
 Told = TypeVar("Told")
 
@@ -104,7 +105,7 @@ class TemporalOperations:
         """POST temporal/entityOperations/query with a Query document (clause 5.2.23)."""
         document, context = await exchange.body()
         exchange.parameters = {**exchange.parameters, **_parameters(document)}
-        return await self._queried(exchange, context)
+        return await self._queried(exchange, context, selectors_of(document, context))
 
     async def _wish(self, exchange: Exchange, context: Context) -> _Wish:
         accept = exchange.accept()
@@ -112,14 +113,18 @@ class TemporalOperations:
         query = temporal_query(exchange.parameters, aggregates=view.telling is Telling.AGGREGATED)
         return _Wish(context, query, view, accept)
 
-    async def _queried(self, exchange: Exchange, context: Context) -> Answer:
+    async def _queried(
+        self, exchange: Exchange, context: Context, any_of: tuple[Selection, ...] = ()
+    ) -> Answer:
         wish = await self._wish(exchange, context)
-        parameters = exchange.parameters
-        window = temporal_window(exchange)
-        selection = selection_of(parameters, context)
-        who = {name: given for name, given in parameters.items() if name in _WHO}
-        narrowing = selection_of(who, context) if who else Selection()
-        by_values = not _BY_VALUES.isdisjoint(parameters)
+        window, order = temporal_window(exchange), _order_of(exchange, context)
+        selection = selection_of(exchange.parameters, context, any_of)
+        if selection.query is not None and selection.query.hops:
+            raise bad_request_data(
+                "q follows a link to another entity, whose past is not looked at; leave it out"
+            )
+        narrowing = replace(selection, attributes=None, query=None, places=None)
+        by_values = selection.query is not None or selection.places is not None
         question = Question(
             wish.query,
             wish.view.wants,
@@ -127,12 +132,14 @@ class TemporalOperations:
             wish.view.view.datasets,
             selection.wants if by_values else None,
         )
-        live = exchange.tenant.store.candidates(narrowing.ids, narrowing.types)
+        live = exchange.tenant.store.candidates(selection.ids, selection.types)
         name = exchange.tenant.name
 
         def look() -> tuple[Found, list[bytes]]:
             known = subjects_of(live, self._journal.departed(name))
             wanted = [one for one in known if narrowing.wants(_as_entity(one))]
+            if order is not None:
+                wanted.sort(key=lambda one: order.place_of(_as_entity(one)))
             found = tell(self._journal, wanted, question, window.offset, window.limit, count=window.count)
             return found, _texts(found, wish)
 
@@ -165,6 +172,14 @@ def _answer(body: bytes, found: Found, wish: _Wish) -> Answer:
     if told_of is None:
         return Answer(200, body, headers)
     return Answer(206, body, [*headers, (b"content-range", told_of)])
+
+
+def _order_of(exchange: Exchange, context: Context) -> Ordering | None:
+    """Return the order that is asked for; how entities have been is ordered by their id alone (5.7.4.4)."""
+    order = ordering(exchange.parameters, context.terms.expand)
+    if order is not None and exchange.parameters["orderBy"].partition(";")[0] != "id":
+        raise bad_request_data("orderBy is id here: what an entity says changes in the time that is told of")
+    return order
 
 
 def _as_entity(subject: Subject) -> Entity:

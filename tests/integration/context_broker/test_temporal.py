@@ -183,6 +183,9 @@ def test_entities_are_found_by_what_they_were_in_the_window(http: httpx.Client) 
     assert found(idPattern="slow$") == ["slow"]
     assert found(attrs="speed") == ["fast", "slow"]
     assert found(attrs="colour") == []
+    assert found(orderBy="id;desc") == ["slow", "fast"]
+    assert found(type="Van;Boat") == []
+    assert found(type="Boat|Van") == ["fast", "slow"]
     answer = http.get(PAST, params={"type": "Van", **window, "limit": 1, "count": "true"})
     assert answer.headers["ngsild-results-count"] == "2"
     assert 'rel="next"' in answer.headers["link"]
@@ -200,6 +203,47 @@ def test_entities_are_found_by_what_they_were_in_the_window(http: httpx.Client) 
     body["temporalQ"] = {**window, "aggrMethods": ["max"], "aggrPeriodDuration": "PT1H"}
     aggregated = http.post("/temporal/entityOperations/query", json=body)
     assert aggregated.json()[0]["speed"]["max"] == [[90, at(0), at(60)]]
+
+
+def test_entities_are_found_by_where_they_were_in_the_window(http: httpx.Client) -> None:
+    for name, inside, outside in (
+        ("paris", [2.29, 48.85], [10.0, 50.0]),
+        ("far", [10.0, 50.0], [2.29, 48.85]),
+    ):
+        places = [
+            {
+                "type": "GeoProperty",
+                "value": {"type": "Point", "coordinates": place},
+                "observedAt": at(minute),
+            }
+            for place, minute in ((inside, 0), (outside, 120))
+        ]
+        body = {"id": f"urn:ngsi-ld:Bus:demo:{name}", "type": "Bus", "scope": f"/{name}", "location": places}
+        assert http.post(PAST, json=body).status_code == 201
+
+    def found(**parameters: Any) -> list[str]:
+        window = {"type": "Bus", "timerel": "before", "timeAt": at(60)}
+        answer = http.get(PAST, params={**window, **parameters})
+        assert answer.status_code == 200, answer.text
+        return [one["id"].rpartition(":")[2] for one in answer.json()]
+
+    point = {"geometry": "Point", "coordinates": "[2.29,48.85]"}
+    square = {
+        "geometry": "Polygon",
+        "coordinates": "[[[2.0,48.5],[2.6,48.5],[2.6,49.2],[2.0,49.2],[2.0,48.5]]]",
+    }
+    assert found(georel="near;maxDistance==2000", **point) == ["paris"]
+    assert found(georel="within", **square) == ["paris"]
+    assert found(georel="disjoint", **square) == ["far"]
+    assert found(georel="near;maxDistance==2000", geoproperty="observationSpace", **point) == []
+    assert found(scopeQ="/far") == ["far"]
+    query: dict[str, Any] = {
+        "type": "Query",
+        "entities": [{"type": "Bus", "idPattern": "paris$"}, {"type": "Tram"}],
+        "temporalQ": {"timerel": "before", "timeAt": at(60)},
+    }
+    answer = http.post("/temporal/entityOperations/query", json=query)
+    assert [one["id"] for one in answer.json()] == ["urn:ngsi-ld:Bus:demo:paris"]
 
 
 def test_more_than_fits_an_answer_is_told_in_parts(http: httpx.Client, entity_id: str) -> None:
@@ -325,6 +369,11 @@ def test_queries_that_are_too_broad_or_unknown_are_refused(http: httpx.Client) -
     assert fault(http.get(PAST, params={"timerel": "after", "timeAt": at(0)})) == (400, "BadRequestData")
     assert fault(http.get(PAST, params={"type": "Car", "format": "csv"})) == (400, "InvalidRequest")
     assert fault(http.get(PAST, params={"type": "Car", "fromTime": at(0)})) == (400, "InvalidRequest")
+    assert fault(http.get(PAST, params={"type": "Car", "join": "inline"})) == (400, "InvalidRequest")
+    for wrong in ({"orderBy": "speed"}, {"q": 'owner{name}=="x"'}, {"id": "no uri"}, {"csf": "))("}):
+        assert fault(http.get(PAST, params={"type": "Car", **wrong})) == (400, "BadRequestData")
+    system = {"attrs": "createdAt", "timerel": "after", "timeAt": at(0)}
+    assert fault(http.get(PAST, params=system)) == (400, "BadRequestData")
     queries: list[Any] = [
         {"lastN": 1.5},
         {"lastN": 0},
