@@ -24,6 +24,7 @@ from services.context_broker.database import Database, SqliteDatabase
 from services.context_broker.destinations import Destinations
 from services.context_broker.discovery_operations import DiscoveryOperations
 from services.context_broker.distributed_operations import HANDLINGS
+from services.context_broker.distributed_subscriptions import SubscriptionRelays
 from services.context_broker.distribution import Distribution
 from services.context_broker.entity_map_operations import EntityMapOperations, wants_map
 from services.context_broker.entity_operations import EntityOperations
@@ -96,6 +97,10 @@ class Broker:
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
         self.entity_maps = EntityMapOperations(self._by_name)
         self.snapshots = SnapshotOperations(self.tenants, self._answered)
+        asker = HttpAsker(settings.destinations(), settings.broker_notification_ca_file)
+        forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
+        self.relays = SubscriptionRelays(self.tenants, self.contexts, forwarder)
+        self.distribution = Distribution(forwarder, {**HANDLINGS, **self.relays.handlings()})
         self.directory = Directory(
             operation
             for room in (
@@ -105,6 +110,7 @@ class Broker:
                 self.subscriptions,
                 self.registrations,
                 self.source_subscriptions,
+                self.relays,
                 self.entity_maps,
                 self.snapshots,
                 ContextOperations(self.contexts),
@@ -113,9 +119,6 @@ class Broker:
             )
             for operation in room.operations()
         )
-        asker = HttpAsker(settings.destinations(), settings.broker_notification_ca_file)
-        forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
-        self.distribution = Distribution(forwarder, HANDLINGS)
         self.retention = Retention(
             journal, self.tenants.commits, settings.broker_history_keep_days, lambda: leadership.leads
         )
@@ -138,6 +141,7 @@ class Broker:
         self.snapshots.start()
         self.tenants.ends.start()
         self.leadership.start(self.tenants.turn, self.tenants.commits.look)
+        await self.relays.start(self.journal)
         self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
         LEADS.set_function(lambda: self.leadership.leads)
@@ -153,6 +157,7 @@ class Broker:
             tenant.source_notifier.stop()
         await self.tenants.outbound.close()
         self.contexts.write_usage()
+        self.relays.stop()
         self.distribution.forwarder.asker.close()
         await self.retention.stop()
         await self.tenants.commits.stop()
@@ -186,7 +191,8 @@ class Broker:
         return await made_again(lambda: self._carried_out(operation, request, names))
 
     async def _carried_out(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
-        tenant = self.tenants.of(request.headers.get(b"ngsild-tenant", b""), makes=operation.makes_tenant)
+        named = b"" if operation.of_no_tenant else request.headers.get(b"ngsild-tenant", b"")
+        tenant = self.tenants.of(named, makes=operation.makes_tenant)
         try:
             exchange = Exchange(request, names, self.contexts, tenant)
             exchange.require_known(operation.parameters)
@@ -234,6 +240,7 @@ class Broker:
         following.on(Kind.COUNTS, self._follow_counts)
         following.on(Kind.REGISTRATION, self._follow_registration)
         following.on(Kind.ENTITY_MAP, self._follow_entity_map)
+        following.on(Kind.RELAY, self.relays.follow)
         following.on(Kind.SNAPSHOT, self._follow_snapshot)
         following.on(Kind.IDENTITY, self._follow_identity)
         following.on(Kind.ATTEMPTS, self._follow_attempts)

@@ -68,6 +68,8 @@ class Kind(StrEnum):
     CONTEXT_USAGE = "contextUsage"
     """How the @context of the same id was used."""
     SUBSCRIPTION = "subscription"
+    RELAY = "relay"
+    """A subscription that was passed on to a context source."""
     COUNTS = "counts"
     """What became of the notifications of the subscription of the same id."""
     ENTITY_MAP = "entity map"

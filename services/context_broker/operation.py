@@ -21,7 +21,8 @@ class Operation:
     """One operation. `path` is what comes after /ngsi-ld/v1/, with the parts that name things in braces.
 
     `name` is the operation's name in the standard (table 4.20-1 where it has one there), `clause` where the
-    standard tells of its HTTP binding; `makes_tenant` says that it may be the first thing of a new tenant.
+    standard tells of its HTTP binding; `makes_tenant` says that it may be the first thing of a new tenant,
+    `of_no_tenant` that it finds out itself whose it is.
     """
 
     method: str
@@ -31,6 +32,7 @@ class Operation:
     answer: Answering
     parameters: frozenset[str] = frozenset()
     makes_tenant: bool = False
+    of_no_tenant: bool = False
 
 
 @dataclass(slots=True)

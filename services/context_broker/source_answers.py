@@ -50,7 +50,7 @@ async def read_entities(
                 continue
             inline = one.get("@context") if isinstance(one, dict) else None
             terms = (context if inline is None else await sources.forwarder.contexts.of(inline)).terms
-            entities.append(read_fragment(one, terms, _place(one)))
+            entities.append(read_fragment(one, terms, place_of(one)))
     except (orjson.JSONDecodeError, TypeError, Problem) as error:
         why = error.detail if isinstance(error, Problem) else str(error)
         invalid = f"{registration.endpoint} answers what is no NGSI-LD: {why}"
@@ -69,7 +69,8 @@ async def answered_context(sources: Sources, reply: Reply, tongue: Tongue) -> Co
 _CONTEXT_LINK: Final = re.compile(r'<([^>]*)>[^,<]*rel\s*=\s*"?http://www\.w3\.org/ns/json-ld#context"?')
 
 
-def _place(document: Any) -> int:
+def place_of(document: Any) -> int:
+    """Return the place in the order of an entity that was created elsewhere."""
     entity_id = document.get("id") if isinstance(document, dict) else None
     if not isinstance(entity_id, str):
         return _FROM_ELSEWHERE

@@ -15,6 +15,9 @@ NAMES_IN: Final = "namesIn"
 """In a kept document: the @context of the names in `q`, `geoQ`, `pick` and `omit`, where notifications have
 another."""
 
+CAME_BY: Final = "cameBy"
+"""In a kept document: the Via header that it came with, so that it is not passed on in circles."""
+
 _KNOWN: Final = frozenset(
     {"id", "type", "subscriptionName", "description", "entities", "watchedAttributes", "notificationTrigger",
      "timeInterval", "q", "geoQ", "scopeQ", "csf", "isActive", "expiresAt", "throttling", "lang", "datasetId",
@@ -83,6 +86,7 @@ def shown_document(one: Subscription, context: Context, now_s: float, *, sys_att
     document = {"id": one.id, "type": "Subscription", **one.document}
     context_document = document.pop("context")
     document.pop(NAMES_IN, None)
+    document.pop(CAME_BY, None)
     if not sys_attrs:
         document.pop("createdAt", None)
         document.pop("modifiedAt", None)

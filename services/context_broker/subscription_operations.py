@@ -26,6 +26,7 @@ from services.context_broker.reading import (
     window_of,
 )
 from services.context_broker.subscription_documents import (
+    CAME_BY,
     NAMES_IN,
     kept_document,
     names_things,
@@ -113,6 +114,10 @@ class SubscriptionOperations:
         document["id"] = require_uri(
             document.get("id", f"urn:ngsi-ld:Subscription:{uuid4()}"), "the subscription id"
         )
+        if exchange.flag("local"):
+            document["localOnly"] = True
+        if via := exchange.headers.get(b"via"):
+            document[CAME_BY] = via.decode("latin-1")
         at = timestamp_now()
         made = await self._made({**document, "createdAt": at, "modifiedAt": at}, context)
         await self._require_open(exchange.tenant, made)

@@ -54,6 +54,7 @@ class Tenant:
         )
         self.notifier.store = self.store
         self.registry = Registry(name, self.commits)
+        self.registry.watchers.append(lambda *_: tenants.on_registration(self))
         self.entity_maps = EntityMaps(name, self.commits)
         self.snapshots: dict[str, Snapshot] = {}
         self.source_notifier = SourceOffice(name, self.commits, tenants.outbound, self.registry)
@@ -117,6 +118,8 @@ class Tenants:
         self._journal = journal
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}
+        self.on_registration: Callable[[Tenant], None] = lambda _: None
+        """Is called when registrations of a tenant have changed."""
         self._identity = ""
 
     def alias_of(self, tenant: str) -> str:
