@@ -17,7 +17,7 @@ from handover.telemetry import get_logger
 from services.context_broker.backlog import Backlog
 from services.context_broker.delivery import Office, attempt
 from services.context_broker.journal import Notice, NotStored
-from services.context_broker.lines import FIRST_REST_S, SHED, WINDOW, rest_s
+from services.context_broker.lines import FIRST_REST_S, SHED, WINDOW, Line, rest_s
 from services.context_broker.subscriptions import Subscription
 from services.context_broker.words import timestamp_now
 
@@ -306,19 +306,22 @@ class Courier:
         await self._pause(FIRST_REST_S)
 
     def _shed_later(self) -> None:
-        """See that the one who owes most to the endpoint gives some of it up."""
+        """See that some of what waits for the endpoint is given up."""
         self._line.is_shedding = True
-        most = max(self._line.couriers, key=lambda one: one.owed_bytes)
-        assert isinstance(most, Courier)  # noqa: S101 - only couriers are put there
-        task = asyncio.get_running_loop().create_task(most.shed())
+        task = asyncio.get_running_loop().create_task(self._shed(self._line))
         task.add_done_callback(self._on_end)
 
-    async def shed(self) -> None:
-        """Give up the oldest, because more waits for the endpoint than may."""
-        line = self._line
+    async def _shed(self, line: Line) -> None:
+        """Give up the oldest of whoever owes most, for as long as more waits for the endpoint than may."""
         try:
-            wanted = int(line.most_owed_bytes * SHED)
-            await self._give_up_oldest(wanted, "too many", "more waits for the endpoint than is kept")
+            while line.has_too_much:
+                most = max(line.couriers, key=lambda one: one.owed_bytes)
+                assert isinstance(most, Courier)  # noqa: S101 - only couriers are put there
+                wanted_bytes = line.owed_bytes - int(line.most_owed_bytes * (1 - SHED))
+                if not await most._give_up_oldest(
+                    wanted_bytes, "too many", "more waits for the endpoint than is kept"
+                ):
+                    return
         finally:
             line.is_shedding = False
 
@@ -327,11 +330,11 @@ class Courier:
         self._line.leave(self)
         self._round.clear()
         self._more_on_disk = False
-        if not await self._give_up_oldest(None, "expired", "the subscription has expired"):
+        if await self._give_up_oldest(None, "expired", "the subscription has expired") is None:
             self._more_on_disk = True
 
-    async def _give_up_oldest(self, wanted_bytes: int | None, reason: str, why: str) -> bool:
-        """Give up the oldest, so many bytes of them or all; return whether they could be found."""
+    async def _give_up_oldest(self, wanted_bytes: int | None, reason: str, why: str) -> int | None:
+        """Give up the oldest, so many bytes of them or all; return how many, None if none could be read."""
         given_up, left_bytes = 0, float("inf") if wanted_bytes is None else wanted_bytes
         try:
             async for page in self._backlog.sizes():
@@ -346,14 +349,14 @@ class Courier:
                     break
         except NotStored as error:
             await self._cannot_read(error)
-            return False
+            return None
         finally:
             if given_up:
                 self.subscription.counts.failed += given_up
                 self.subscription.counts.last_failure = timestamp_now()
                 self._give_up(reason, why, given_up)
             self._office.settle(self.subscription, ())
-        return True
+        return given_up
 
     def _drop(self, gone: Mapping[int, int]) -> None:
         """Forget notices by number, with their sizes in bytes."""

@@ -194,6 +194,7 @@ class Subscriber:
         self.received: list[dict[str, Any]] = []
         self.headers: list[dict[str, str]] = []
         self.status = 200
+        self.refuses: Callable[[Any], bool] | None = None
         self.go_on = threading.Event()
         self.go_on.set()
         subscriber = self
@@ -205,6 +206,8 @@ class Subscriber:
                 body = self.rfile.read(int(self.headers["Content-Length"]))
                 subscriber.go_on.wait(60)
                 status = subscriber.status
+                if subscriber.refuses is not None and subscriber.refuses(json.loads(body)):
+                    status = 500
                 if status < 300:
                     subscriber.headers.append({name.lower(): value for name, value in self.headers.items()})
                     subscriber.received.append(json.loads(body))

@@ -1,0 +1,161 @@
+"""Endpoints that do not answer: what they cost, what is bounded, and what is given up."""
+
+import re
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+
+Eventually = Callable[..., Any]
+
+
+class Closing:
+    """Somebody who accepts connections, counts them and closes them at once."""
+
+    def __init__(self) -> None:
+        self.connections = 0
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._socket.getsockname()[1]}/notify"
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                return
+            self.connections += 1
+            connection.close()
+
+    def stop(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def closing() -> Iterator[Closing]:
+    made = Closing()
+    yield made
+    made.stop()
+
+
+def subscribe(http: httpx.Client, name: str, url: str, kind: str, **endpoint: Any) -> str:
+    answer = http.post(
+        "/subscriptions",
+        json={
+            "id": f"urn:ngsi-ld:Subscription:demo:{name}",
+            "type": "Subscription",
+            "entities": [{"type": kind}],
+            "notification": {"endpoint": {"uri": url, **endpoint}},
+        },
+    )
+    assert answer.status_code == 201, answer.text
+    return f"/subscriptions/urn:ngsi-ld:Subscription:demo:{name}"
+
+
+def create(http: httpx.Client, kind: str, **attributes: Any) -> str:
+    entity_id = f"urn:ngsi-ld:{kind}:demo:1"
+    assert http.post("/entities", json={"id": entity_id, "type": kind, **attributes}).status_code == 201
+    return entity_id
+
+
+def waiting(broker: Any, state: str) -> float:
+    found: float = broker.metric(rf'handover_broker_notifications_waiting\{{state="{state}"\}}')
+    return found
+
+
+def test_a_hundred_subscriptions_to_one_dead_endpoint_cost_one_attempt_at_a_time(
+    http: httpx.Client, shared_broker: Any, closing: Closing, eventually: Eventually
+) -> None:
+    paths = [subscribe(http, f"crowd-{number}", closing.url, "Crowd") for number in range(100)]
+    create(http, "Crowd", n=0)
+    eventually(lambda: closing.connections >= 100)  # all try once, before anybody knows
+    first = closing.connections
+    eventually(lambda: closing.connections >= first + 3)
+    retries = shared_broker.metric("handover_broker_notifications_retries_total")
+    assert 3 <= retries < 30
+    for path in paths:
+        assert http.delete(path).status_code == 204
+
+
+def test_one_that_is_not_taken_does_not_hold_up_others_at_the_same_endpoint(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscriber.refuses = lambda body: body["data"][0]["type"] == "Poison"
+    bad = subscribe(http, "poison", subscriber.url, "Poison")
+    subscribe(http, "wholesome", subscriber.url, "Wholesome")
+    create(http, "Poison", n=0)
+    eventually(lambda: http.get(bad).json()["notification"]["timesFailed"] >= 2)
+    entity = create(http, "Wholesome", n=0)
+    for number in range(1, 50):
+        assert http.patch(f"/entities/{entity}/attrs", json={"n": number}).status_code == 204
+    eventually(lambda: len(subscriber.received) == 50)
+    assert [one["n"]["value"] for one in subscriber.entities()] == list(range(50))
+    subscriber.refuses = None
+    eventually(lambda: len(subscriber.received) == 51, within_s=30)
+
+
+def test_after_a_failure_the_endpoint_has_the_rest_that_was_asked_for(
+    http: httpx.Client, closing: Closing, eventually: Eventually
+) -> None:
+    path = subscribe(http, "cooling", closing.url, "Cooling", cooldown=3_600_000)
+    entity = create(http, "Cooling", n=0)
+    eventually(lambda: http.get(path).json()["notification"]["timesFailed"] == 1)
+    for number in range(1, 20):
+        http.patch(f"/entities/{entity}/attrs", json={"n": number})
+    assert http.get(path).json()["notification"]["timesFailed"] == 1
+    assert closing.connections == 1
+
+
+def test_counts_are_true_after_a_power_cut(
+    own_broker: Any, subscriber: Any, closing: Closing, eventually: Eventually
+) -> None:
+    own_broker.start()
+    with own_broker.client() as http:
+        good = subscribe(http, "good", subscriber.url, "Counted")
+        bad = subscribe(http, "bad", closing.url, "Counted", cooldown=3_600_000)
+        create(http, "Counted", n=0)
+        eventually(lambda: http.get(good).json()["notification"]["timesSent"] == 1)
+        before = eventually(
+            lambda: (found := http.get(bad).json()["notification"])["timesFailed"] == 1 and found
+        )
+        for _ in range(20):  # each is a commit, and takes the counts along
+            create(http, f"Other{_}", n=0)
+        own_broker.kill()
+        own_broker.start()
+        told = http.get(good).json()["notification"]
+        assert (told["timesSent"], told["timesFailed"], told["status"]) == (1, 0, "ok")
+        after = http.get(bad).json()["notification"]
+        assert after["timesFailed"] >= before["timesFailed"]
+        assert after["lastFailure"] >= before["lastFailure"]
+        assert len(subscriber.received) == 1
+
+
+@pytest.mark.slow
+def test_what_a_dead_endpoint_is_owed_fills_neither_memory_nor_disk(
+    own_broker: Any, closing: Closing, eventually: Eventually
+) -> None:
+    """Fifteen megabytes of notifications are owed, of which one may wait."""
+    own_broker.extra = {"HANDOVER_BROKER_NOTIFICATION_KEEP_MB": "1"}
+    own_broker.start()
+    with own_broker.client() as http:
+        path = subscribe(http, "flood", closing.url, "Flood")
+        entity = create(http, "Flood", n=0)
+        memory = psutil.Process(own_broker.process.pid).memory_info
+        before = memory().rss
+        change = {"id": entity, "type": "Flood", "filling": "x" * 5000}
+        for start in range(0, 3000, 100):
+            batch = [{**change, "n": start + number} for number in range(100)]
+            answer = http.post("/entityOperations/upsert", params={"options": "update"}, json=batch)
+            assert answer.status_code in {201, 204}, answer.text
+        eventually(lambda: http.get(path).json()["notification"]["timesFailed"] > 2500)
+        given_up = own_broker.metric(r'handover_broker_notifications_given_up_total\{reason="too many"\}')
+        assert given_up > 2500
+        eventually(lambda: waiting(own_broker, "disk") + waiting(own_broker, "memory") < 400)
+        assert waiting(own_broker, "memory") <= 256
+        assert memory().rss - before < 40 * 1024 * 1024
+        assert http.get(f"/entities/{entity}").json()["n"]["value"] == 2999
+        assert re.search(r"given up", own_broker.log())

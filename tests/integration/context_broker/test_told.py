@@ -1,0 +1,207 @@
+"""What subscribers ask to be told: triggers, changes, places, scopes, periods, headers of requests."""
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+
+Eventually = Callable[..., Any]
+HERE = {"type": "Point", "coordinates": [8.0, 40.0]}
+FAR = {"type": "Point", "coordinates": [9.0, 41.0]}
+
+
+def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
+    notification = members.pop("notification", {})
+    endpoint = {"uri": url, **notification.pop("endpoint", {})}
+    answer = http.post(
+        "/subscriptions",
+        json={
+            "id": f"urn:ngsi-ld:Subscription:demo:{name}",
+            "type": "Subscription",
+            "entities": [{"type": name}],
+            "notification": {**notification, "endpoint": endpoint},
+            **members,
+        },
+    )
+    assert answer.status_code == 201, answer.text
+    return f"/subscriptions/urn:ngsi-ld:Subscription:demo:{name}"
+
+
+def create(http: httpx.Client, kind: str, name: str = "1", **attributes: Any) -> str:
+    entity_id = f"urn:ngsi-ld:{kind}:demo:{name}"
+    answer = http.post("/entities", json={"id": entity_id, "type": kind, **attributes})
+    assert answer.status_code == 201, answer.text
+    return entity_id
+
+
+def patch(http: httpx.Client, entity_id: str, **attributes: Any) -> None:
+    answer = http.patch(f"/entities/{entity_id}/attrs", json=attributes)
+    assert answer.status_code == 204, answer.text
+
+
+def test_the_end_of_an_entity_is_told_to_who_wants_it(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscribe(http, "End", subscriber.url, notificationTrigger=["entityDeleted"])
+    entity = create(http, "End", a=1)
+    patch(http, entity, a=2)
+    assert http.delete(f"/entities/{entity}").status_code == 204
+    (told,) = eventually(subscriber.entities)
+    assert told.pop("deletedAt").endswith("Z")
+    assert told == {"id": entity, "type": "End"}
+
+
+def test_what_was_before_is_told_to_who_wants_it(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    kinds = ["attributeUpdated", "attributeDeleted"]
+    view = {"showChanges": True, "format": "concise"}
+    subscribe(http, "Before", subscriber.url, notificationTrigger=kinds, notification=view)
+    entity = create(http, "Before", a=1, b=1)
+    patch(http, entity, a=2)
+    assert http.delete(f"/entities/{entity}/attrs/b").status_code == 204
+    eventually(lambda: len(subscriber.received) == 2)
+    told = subscriber.entities()
+    assert told[0]["a"] == {"value": 2, "previousValue": 1}
+    assert told[1]["b"] == {"value": "urn:ngsi-ld:null", "previousValue": 1}
+    assert told[1]["a"] == 2
+
+
+def test_places_and_scopes_choose_who_is_told_of(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    near = {"georel": "near;maxDistance==2000", "geometry": "Point", "coordinates": [8, 40]}
+    subscribe(http, "Place", subscriber.url, geoQ=near)
+    subscribe(http, "Scope", subscriber.url, scopeQ="/hall/#")
+    create(http, "Place", "far", location=FAR)
+    here = create(http, "Place", "here", location=HERE)
+    create(http, "Scope", "out", scope="/yard", a=1)
+    inside = create(http, "Scope", "in", scope=["/hall/a1"], a=1)
+    eventually(lambda: len(subscriber.received) >= 2)
+    assert {one["id"] for one in subscriber.entities()} == {here, inside}
+
+
+def test_types_may_be_combined(http: httpx.Client, subscriber: Any, eventually: Eventually) -> None:
+    subscribe(http, "Mixed", subscriber.url, entities=[{"type": "(Lamp;Signal),Siren"}])
+    create(http, "Lamp", a=1)
+    siren = create(http, "Siren", a=1)
+    both = {"id": "urn:ngsi-ld:Lamp:demo:both", "type": ["Lamp", "Signal"], "a": 1}
+    assert http.post("/entities", json=both).status_code == 201
+    eventually(lambda: len(subscriber.received) >= 2)
+    assert {one["id"] for one in subscriber.entities()} == {siren, both["id"]}
+
+
+def test_all_types_may_be_meant(http: httpx.Client, subscriber: Any, eventually: Eventually) -> None:
+    path = subscribe(http, "Every", subscriber.url, entities=[{"type": "*", "idPattern": "demo:every$"}])
+    entity = create(http, "Whatever", "every", a=1)
+    eventually(lambda: [one["id"] for one in subscriber.entities()] == [entity])
+    assert http.delete(path).status_code == 204
+
+
+def test_members_languages_and_instances_are_chosen(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscribe(
+        http,
+        "Choice",
+        subscriber.url,
+        lang="fr",
+        datasetId="@none",
+        notification={"pick": ["id", "word", "n"], "format": "keyValues"},
+    )
+    create(
+        http,
+        "Choice",
+        word={"type": "LanguageProperty", "languageMap": {"fr": "pince", "en": "gripper"}},
+        n=[{"type": "Property", "value": 1}, {"type": "Property", "value": 2, "datasetId": "urn:x:d"}],
+        other=3,
+    )
+    (told,) = eventually(subscriber.entities)
+    assert told == {"id": "urn:ngsi-ld:Choice:demo:1", "word": "pince", "n": 1}
+
+
+def test_places_are_told_as_geojson(http: httpx.Client, subscriber: Any, eventually: Eventually) -> None:
+    endpoint = {"accept": "application/geo+json", "receiverInfo": [{"key": "Prefer", "value": "body=json"}]}
+    subscribe(http, "Geo", subscriber.url, notification={"endpoint": endpoint, "format": "keyValues"})
+    entity = create(http, "Geo", location=HERE, a=1)
+    eventually(lambda: subscriber.received)
+    feature = {
+        "id": entity,
+        "type": "Feature",
+        "geometry": HERE,
+        "properties": {"type": "Geo", "location": HERE, "a": 1},
+    }
+    assert subscriber.received[0]["data"] == {"type": "FeatureCollection", "features": [feature]}
+    assert subscriber.headers[0]["content-type"] == "application/geo+json"
+
+
+def test_headers_of_the_request_are_passed_on_where_the_subscriber_wants_them(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    wanted = [
+        {"key": "Authorization", "value": "urn:ngsi-ld:request"},
+        {"key": "X-Absent", "value": "urn:ngsi-ld:request"},
+        {"key": "X-Cell", "value": "4"},
+    ]
+    subscribe(http, "Pass", subscriber.url, notification={"endpoint": {"receiverInfo": wanted}})
+    entity = {"id": "urn:ngsi-ld:Pass:demo:1", "type": "Pass", "a": 1}
+    http.post("/entities", json=entity, headers={"Authorization": "Bearer one"})
+    http.patch(f"/entities/{entity['id']}/attrs", json={"a": 2})
+    eventually(lambda: len(subscriber.received) == 2)
+    assert subscriber.headers[0]["authorization"] == "Bearer one"
+    assert subscriber.headers[0]["x-cell"] == "4"
+    assert "x-absent" not in subscriber.headers[0]
+    assert "authorization" not in subscriber.headers[1]
+
+
+def test_a_periodic_subscriber_is_told_of_all_whatever_changes(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    path = subscribe(http, "Round", subscriber.url, timeInterval=1, q="n>0")
+    entities = [create(http, "Round", str(number), n=number) for number in range(3)]
+    eventually(lambda: len(subscriber.received) >= 2)
+    for one in subscriber.received:
+        assert [entity["id"] for entity in one["data"]] == entities[1:]
+    assert http.patch(path, json={"isActive": False}).status_code == 204
+    assert http.get(path).json()["notification"]["timesSent"] >= 2
+
+
+def test_a_throttled_subscriber_hears_of_ends_too(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    kinds = ["entityCreated", "attributeUpdated", "entityDeleted"]
+    subscribe(http, "ThrottledEnd", subscriber.url, throttling=0.5, notificationTrigger=kinds)
+    entity = create(http, "ThrottledEnd", a=0)
+    eventually(lambda: subscriber.received)
+    for number in range(5):
+        patch(http, entity, a=number)
+    assert http.delete(f"/entities/{entity}").status_code == 204
+    eventually(lambda: "deletedAt" in subscriber.entities()[-1])
+    assert len(subscriber.received) == 2
+
+
+def test_the_context_of_notifications_is_told_and_need_not_be_that_of_the_names(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    context = "https://w3id.org/handover/context.jsonld"
+    core = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context-v1.8.jsonld"
+    link = {"Link": f'<{context}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'}
+    body = {
+        "id": "urn:ngsi-ld:Subscription:demo:names",
+        "type": "Subscription",
+        "entities": [{"type": "Device"}],
+        "q": 'deviceState=="busy"',
+        "jsonldContext": core,
+        "notification": {"endpoint": {"uri": subscriber.url}, "pick": ["id", "deviceState"]},
+    }
+    assert http.post("/subscriptions", json=body, headers=link).status_code == 201
+    for state in ("idle", "busy"):
+        entity = {"id": f"urn:ngsi-ld:Device:demo:{state}", "type": "Device", "deviceState": state}
+        assert http.post("/entities", json=entity, headers=link).status_code == 201
+    (told,) = eventually(subscriber.entities)
+    assert told["id"] == "urn:ngsi-ld:Device:demo:busy"
+    assert core in subscriber.headers[0]["link"]
+    kept = http.get(f"/subscriptions/{body['id']}", headers=link).json()
+    assert kept["jsonldContext"] == core
+    assert kept["entities"] == [{"type": "Device"}]
+    assert "namesIn" not in kept
