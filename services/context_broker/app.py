@@ -52,7 +52,7 @@ from services.context_broker.registration_operations import RegistrationOperatio
 from services.context_broker.replica import TRIMMING, Overtaken, Replica
 from services.context_broker.retention import Retention
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshot_operations import HEADER as SNAPSHOT
+from services.context_broker.snapshot_making import HEADER as SNAPSHOT
 from services.context_broker.snapshot_operations import OUTSIDE_SNAPSHOTS, SnapshotOperations
 from services.context_broker.source_subscription_operations import SourceSubscriptionOperations
 from services.context_broker.subscription_operations import SubscriptionOperations
@@ -96,7 +96,7 @@ class Broker:
         self.registrations = RegistrationOperations(self.contexts)
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
         self.entity_maps = EntityMapOperations(self._by_name)
-        self.snapshots = SnapshotOperations(self.tenants, self._answered)
+        self.snapshots = SnapshotOperations(self.tenants, self._answered, self._by_name)
         asker = HttpAsker(settings.destinations(), settings.broker_notification_ca_file)
         forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
         self.relays = SubscriptionRelays(self.tenants, self.contexts, forwarder)

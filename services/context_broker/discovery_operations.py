@@ -38,7 +38,14 @@ class DiscoveryOperations:
             Operation("GET", "types/{type}", "retrieveEntityTypeInfo", "6.26.3.1", self.type_details, _ONE),
             Operation("GET", "attributes", "retrieveAttrTypes", "6.27.3.1", self.attributes, _LIST),
             Operation("GET", attribute, "retrieveAttrTypeInfo", "6.28.3.1", self.attribute_details, _ONE),
-            Operation("GET", identity, "retrieveContextSourceIdentity", "6.33.3.1", self.source_identity),
+            Operation(
+                "GET",
+                identity,
+                "retrieveContextSourceIdentity",
+                "6.33.3.1",
+                self.source_identity,
+                makes_tenant=True,  # who wants to register a tenant here asks for its alias first
+            ),
         )
 
     async def types(self, exchange: Exchange) -> Answer:

@@ -1,11 +1,11 @@
 """What is in a snapshot: entities as they were, written as those of a tenant of its own, and taken away."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from services.context_broker.entity import Entity
 from services.context_broker.fragments import limited
-from services.context_broker.journal import DocumentKey, EntityRow, Entries, Kind
+from services.context_broker.journal import DepartedRow, DocumentKey, EntityRow, Entries, Kind
 from services.context_broker.tenants import Tenant
 
 AT_ONCE = 2000
@@ -40,8 +40,17 @@ async def written(inner: Tenant, content: Content) -> None:
         inner.store.take(one)
 
 
-def end_of(inner: Tenant) -> Iterator[Entries]:
-    """Yield what takes all that belongs to a snapshot off the disk."""
+def end_of(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iterator[Entries]:
+    """Yield what takes all that belongs to a snapshot off the disk.
+
+    `departed` are place and id of the entities that are only history there.
+    """
+    for start in range(0, len(departed), AT_ONCE):
+        gone_by = departed[start : start + AT_ONCE]
+        yield Entries(
+            departed={place: DepartedRow(inner.name, one, None) for place, one in gone_by},
+            cleared=[(place, _EVERYTHING) for place, _ in gone_by],
+        )
     entities = inner.store.candidates()
     for start in range(0, len(entities), AT_ONCE):
         some = entities[start : start + AT_ONCE]

@@ -6,7 +6,7 @@ what they find is written as the content of a tenant of its own, which becomes v
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 from urllib.parse import quote, urlsplit
@@ -24,20 +24,18 @@ from services.context_broker.problems import (
     already_exists,
     not_found,
     not_stored,
-    not_supported,
-    too_many_results,
 )
-from services.context_broker.query_document import query_parameters, selectors_of
-from services.context_broker.reading import selection_of
 from services.context_broker.registration_operations import answer, with_context
-from services.context_broker.selection import hits_of
 from services.context_broker.snapshot_content import Content, end_of, written
+from services.context_broker.snapshot_making import HEADER, Answering, asked, gathered
+from services.context_broker.snapshot_past import EVERYTHING, Perform, copied
 from services.context_broker.snapshot_purge import purged
 from services.context_broker.snapshot_telling import tell
 from services.context_broker.snapshots import (
-    MOST_ENTITIES,
     MOST_HELD,
     MOST_SNAPSHOTS,
+    PAST,
+    PRESENT,
     QUERIES,
     Snapshot,
     Status,
@@ -53,7 +51,6 @@ from services.context_broker.words import moment, require_uri, timestamp_now
 
 log = get_logger(__name__)
 
-HEADER: Final = b"ngsild-snapshot"
 USE_NOTED_S: Final = 10.0
 """How often the time of the last use is written, at most: it is not worth a write for each use."""
 LONGEST_NAP_S: Final = 86400.0
@@ -65,16 +62,14 @@ OUTSIDE_SNAPSHOTS: Final = frozenset(
 _DONE: Final = Answer(204)
 _PURGE: Final = frozenset({"q"})
 
-Answering = Callable[[Operation, Exchange], Awaitable[Answer]]
-"""Carries an operation out, sources included."""
-
 
 class SnapshotOperations:
     """What can be done to snapshots."""
 
-    def __init__(self, tenants: Tenants, carry_out: Answering) -> None:
+    def __init__(self, tenants: Tenants, carry_out: Answering, by_name: Perform) -> None:
         self._tenants = tenants
         self._carry_out = carry_out
+        self._by_name = by_name
         self._one_at_a_time = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -136,7 +131,7 @@ class SnapshotOperations:
         }
         made = new_snapshot(_named(given), {**given, **queries})
         await self._begin(exchange, made)
-        self._later(self._copy(exchange.tenant, original, made))
+        self._later(self._copy(exchange, original, made))
         return _created(made)
 
     async def retrieve(self, exchange: Exchange) -> Answer:
@@ -203,62 +198,41 @@ class SnapshotOperations:
         """Carry the queries out and keep what they find (clause 5.16.1.4)."""
         tenant, content = exchange.tenant, Content()
         results: dict[str, list[dict[str, Any]]] = {}
-        for name in QUERIES:
-            for query in made.document.get(name, ()):
-                document = query if context is None else {**query, "@context": context}
-                headers = {name: value for name, value in exchange.headers.items() if name != HEADER}
-                asking = in_place_of(exchange, raw=orjson.dumps(document), parameters={}, headers=headers)
-                result = await self._found(asking, content, is_past=name == QUERIES[1])
-                results.setdefault(f"{name}Details", []).append(result)
-        await self._finish(tenant, made, content, results)
-
-    async def _found(self, exchange: Exchange, content: Content, *, is_past: bool) -> dict[str, Any]:
-        """Add what a query finds to the content; return what became of the query."""
-        if is_past:
-            return details(
-                Status.FAILURE,
-                not_supported("this broker keeps no history in snapshots; leave snapshotTemporalQueries out"),
+        for query in made.document.get(PRESENT, ()):
+            asking = asked(exchange, query, context)
+            results.setdefault(f"{PRESENT}Details", []).append(
+                await gathered(self._carry_out, asking, content)
             )
-        before = len(content.entities)
-        found = 0
+        is_written = await self._written(tenant, made, content)
+        for query in made.document.get(PAST, ()):
+            asking = asked(exchange, query, context)
+            result = await self._past(asking, self._tenants.inside(tenant, made.id))
+            results.setdefault(f"{PAST}Details", []).append(result)
+        await self._finish(tenant, made, results, is_written=is_written)
 
-        async def collect(over: Exchange) -> Answer:
-            nonlocal found
-            document, context = await over.body()
-            any_of = selectors_of(document, context)
-            selection = selection_of(query_parameters(document), context, any_of)
-            hits = await hits_of(over.tenant.store, selection, MOST_ENTITIES + 1)
-            found = len(hits)
-            content.add(hits, selection.attributes)
-            return Answer(200)
-
+    async def _past(self, exchange: Exchange, inner: Tenant) -> dict[str, Any]:
         try:
-            told = await self._carry_out(Operation("POST", "", "queryBatch", "", collect), exchange)
+            return await copied(self._by_name, exchange, inner)
         except Problem as problem:
             return details(Status.FAILURE, problem)
-        if len(content.entities) > MOST_ENTITIES:
-            del content.entities[before:]
-            return details(
-                Status.FAILURE,
-                too_many_results(f"a snapshot has {MOST_ENTITIES} entities at most; ask for fewer"),
-            )
-        if told.status >= 300:
-            return {"resultStatus": Status.FAILURE.value, "problemDetails": orjson.loads(told.body)}
-        if any(name == b"ngsild-warning" for name, _ in told.headers):
-            return details(Status.PARTIAL)
-        return details(Status.SUCCESS if found else Status.EMPTY)
 
-    async def _copy(self, tenant: Tenant, original: Snapshot, made: Snapshot) -> None:
-        content = Content()
+    async def _copy(self, exchange: Exchange, original: Snapshot, made: Snapshot) -> None:
+        tenant, content = exchange.tenant, Content()
         content.add(self._tenants.inside(tenant, original.id).store.candidates(), None)
+        is_written = await self._written(tenant, made, content)
         names = [f"{name}Details" for name in QUERIES]
         results = {name: original.document[name] for name in names if name in original.document}
-        await self._finish(tenant, made, content, results)
+        if PAST in original.document:
+            everything = in_place_of(
+                asked(exchange, EVERYTHING, None),
+                tenant=self._tenants.inside(tenant, original.id),
+                parameters={"local": "true"},
+            )
+            await self._past(everything, self._tenants.inside(tenant, made.id))
+        await self._finish(tenant, made, results, is_written=is_written)
 
-    async def _finish(
-        self, tenant: Tenant, made: Snapshot, content: Content, results: Mapping[str, list[dict[str, Any]]]
-    ) -> None:
-        status = status_of([one for several in results.values() for one in several])
+    async def _written(self, tenant: Tenant, made: Snapshot, content: Content) -> bool:
+        """Write the entities of a snapshot, and make room for them; return whether that could be done."""
         async with self._one_at_a_time:
             for one in self._crowded_out(tenant, made, len(content.entities)):
                 await self._take_away(tenant, one)
@@ -266,7 +240,14 @@ class SnapshotOperations:
             await written(self._tenants.inside(tenant, made.id), content)
         except NotStored as error:
             log.warning("a snapshot was not stored", snapshot=made.id, error=str(error))
-            status = Status.FAILURE
+            return False
+        return True
+
+    async def _finish(
+        self, tenant: Tenant, made: Snapshot, results: Mapping[str, list[dict[str, Any]]], *, is_written: bool
+    ) -> None:
+        told = [one for several in results.values() for one in several]
+        status = status_of(told) if is_written else Status.FAILURE
         async with self._one_at_a_time:
             now = tenant.snapshots.get(made.id)
             if now is None:  # it was deleted while it was being made
@@ -308,7 +289,8 @@ class SnapshotOperations:
 
     async def _clear(self, tenant: Tenant, one: Snapshot) -> None:
         inner = self._tenants.inside(tenant, one.id)
-        for entries in end_of(inner):
+        departed = await asyncio.to_thread(lambda: list(inner.notifier.journal.departed(inner.name)))
+        for entries in end_of(inner, [(place, one) for place, one, _ in departed]):
             await _write(inner, entries)
         if inner.is_kept:
             await _write(tenant, Entries(documents={(Kind.TENANT, DEFAULT, inner.name): None}))

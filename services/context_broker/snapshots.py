@@ -35,7 +35,9 @@ MOST_ENTITIES: Final = 200_000
 DEFAULT_PRIORITY: Final = 5
 MOST_HELD: Final = 1_000_000
 """Entities in all snapshots of a tenant, after the same rule."""
-QUERIES: Final = ("snapshotQueries", "snapshotTemporalQueries")
+PRESENT: Final = "snapshotQueries"
+PAST: Final = "snapshotTemporalQueries"
+QUERIES: Final = (PRESENT, PAST)
 SETTABLE: Final = frozenset({"snapshotPriority", "snapshotLifetime", "endpoint", "receiverInfo"})
 MEMBERS: Final = SETTABLE | {
     "id", "type", *QUERIES, "snapshotStatus", "snapshotQueriesDetails", "snapshotTemporalQueriesDetails",

@@ -170,6 +170,26 @@ def test_a_query_that_cannot_be_carried_out_is_told(http: httpx.Client) -> None:
     assert one["snapshotQueriesDetails"][1]["problemDetails"]["status"] == 400
 
 
+def test_the_past_is_in_a_snapshot_where_it_is_asked_for(http: httpx.Client) -> None:
+    create(http, "urn:ngsi-ld:Passed:1", "Passed", 80)
+    change = {"speed": {"type": "Property", "value": 90}}
+    assert http.patch("/entities/urn:ngsi-ld:Passed:1/attrs", json=change).status_code == 204
+    when = {"timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "timeproperty": "createdAt"}
+    body = {
+        "snapshotQueries": [query("Passed")],
+        "snapshotTemporalQueries": [query("Passed", temporalQ=when)],
+    }
+    one = made(http, http.post(PATH, json=body))
+    assert one["snapshotStatus"] == "success", one
+    assert one["snapshotTemporalQueriesDetails"] == [{"resultStatus": "success"}]
+    http.patch("/entities/urn:ngsi-ld:Passed:1/attrs", json={"speed": {"type": "Property", "value": 100}})
+    clone = made(http, http.post(f"{PATH}/{one['id']}/clone", json={}))
+    for each in (one, clone):
+        told = http.get("/temporal/entities/urn:ngsi-ld:Passed:1", headers=inside(each)).json()
+        assert sorted(instance["value"] for instance in told["speed"]) == [80, 90]
+    assert len(http.get("/temporal/entities/urn:ngsi-ld:Passed:1").json()["speed"]) == 3
+
+
 def test_snapshots_belong_to_their_tenant(http: httpx.Client) -> None:
     tenant = {"NGSILD-Tenant": "cell9"}
     create(http, "urn:ngsi-ld:Owned:1", "Owned", 80, headers=tenant)
