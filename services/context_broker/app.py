@@ -132,12 +132,12 @@ class Broker:
         for _, key, stored in self.journal.documents(Kind.CONTEXT_USAGE):
             self.contexts.remember_usage(key, stored)
         self.tenants.load()
+        self._follow_others()
         self.tenants.commits.start()
         await self.tenants.keep_identity()
         await self._take_up_registrations()
         await self._take_up_subscriptions()
         await self.contexts.tidy()
-        self._follow_others()
         self.snapshots.start()
         self.tenants.ends.start()
         self.leadership.start(self.tenants.turn, self.tenants.commits.look)

@@ -22,6 +22,9 @@ log = get_logger(__name__)
 
 NOTICES_A_COMMIT: Final = 1 << 24
 """Numbers of the outbox that belong to one number of the feed."""
+WEIGHED: Final = frozenset({Kind.REGISTRATION, Kind.SOURCE_SUBSCRIPTION})
+"""Kinds of documents that are weighed against all others of the tenant when one is written."""
+SOURCES: Final = "sources"
 DEPARTED: Final = "departed"
 TRIMMING: Final = """
     DELETE FROM changes WHERE at < extract(epoch FROM clock_timestamp()) - 3600
@@ -81,7 +84,9 @@ class News:
             yield DEPARTED, tenant, entity_id
         for key in self.documents:
             if key[0] not in BOOKKEEPING:
-                yield key[:2]  # what is written may have been weighed against all others of its kind
+                yield key
+            if key[0] in WEIGHED:
+                yield SOURCES, key[1]
             if key[0] is Kind.SUBSCRIPTION:
                 yield key[1]  # who is to be told of a change is decided when it is made
 
@@ -218,8 +223,11 @@ class Unknown:
         numbers = self._numbers
         if not numbers:
             return False
-        if any(numbers.get(key[:2], 0) > known for key in entries.documents if key[0] not in BOOKKEEPING):
-            return True
+        for key in entries.documents:
+            if key[0] not in BOOKKEEPING and numbers.get(key, 0) > known:
+                return True
+            if key[0] in WEIGHED and numbers.get((SOURCES, key[1]), 0) > known:
+                return True
         if any(
             numbers.get(key, 0) > known
             for place, gone in entries.departed.items()

@@ -6,6 +6,7 @@ tenant without a name is always there.
 
 import secrets
 from collections.abc import Callable, Container, Iterator
+from contextlib import suppress
 from typing import Final
 from uuid import uuid4
 
@@ -23,7 +24,7 @@ from services.context_broker.outbound import Outbound
 from services.context_broker.places import SLOTS, Places
 from services.context_broker.problems import bad_request_data, no_such_tenant
 from services.context_broker.registry import Registry
-from services.context_broker.replica import Replica
+from services.context_broker.replica import Overtaken, Replica
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots import Snapshot, restored
 from services.context_broker.source_subscriptions import SourceOffice
@@ -160,7 +161,8 @@ class Tenants:
         """Keep what tells this broker from others, if nothing does yet."""
         if not any(self._journal.documents(Kind.IDENTITY)):
             made = self._identity.rpartition("-")[2].encode()
-            await self.commits.store(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made}))
+            with suppress(Overtaken):  # by another broker that starts: what it made has been taken then
+                await self.commits.store(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made}))
 
     def identify(self, kept: bytes) -> None:
         """Take what this broker, with all that share its database, is told from others by."""

@@ -181,12 +181,6 @@ def own_broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Broke
     broker.stop()
 
 
-@pytest.fixture
-def broker_kind() -> type[BrokerProcess]:
-    """For tests that make brokers themselves."""
-    return BrokerProcess
-
-
 class Subscriber:
     """A subscriber: notes what it is told, and answers as it is told to."""
 

@@ -179,6 +179,7 @@ def _compare(http: httpx.Client, writer: Writer) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
+@pytest.mark.parametrize("own_broker", ["sqlite", "postgresql"], indirect=True)
 def test_power_cuts_take_nothing_back_that_was_acknowledged(own_broker: Any) -> None:
     writers = [Writer(own_broker, number) for number in range(WRITERS)]
     for cut in range(CUTS):
