@@ -2,6 +2,7 @@
 
 import json
 import threading
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -12,10 +13,13 @@ REGISTRATION = "ContextSourceRegistration"
 
 
 class ScriptedSource:
-    """A context source that notes what it is asked and answers what `answers` says, by method and path."""
+    """A context source that notes what it is asked and answers what `answers` says, by method and path.
+
+    An answer is a status and a document (or bytes), or a function that makes these of the query.
+    """
 
     def __init__(self) -> None:
-        self.answers: dict[tuple[str, str], tuple[int, Any]] = {}
+        self.answers: dict[tuple[str, str], tuple[int, Any] | Callable[[dict[str, str]], Any]] = {}
         self.asked: list[tuple[str, str, dict[str, str], dict[str, str], Any]] = []
         self.go_on = threading.Event()
         self.go_on.set()
@@ -31,7 +35,8 @@ class ScriptedSource:
                 headers = {name.lower(): value for name, value in self.headers.items()}
                 source.asked.append((self.command, parts.path, query, headers, json.loads(body or b"null")))
                 source.go_on.wait(30)
-                status, said = source.answers.get((self.command, parts.path), (404, None))
+                answer = source.answers.get((self.command, parts.path), (404, None))
+                status, said = answer(query) if callable(answer) else answer
                 text = said if isinstance(said, bytes) else json.dumps(said).encode()
                 try:
                     self.send_response(status)

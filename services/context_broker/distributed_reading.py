@@ -7,7 +7,7 @@ whole entities.
 
 import copy
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
 from typing import Any, Final
 
 import orjson
@@ -29,8 +29,10 @@ from services.context_broker.words import require_uri
 
 PAGE: Final = 1000
 """Entities that a source is asked for at once."""
-MOST_PAGES: Final = 20
-"""Pages of one source that are read for one query; what goes beyond is warned of."""
+SMALL_PAGE: Final = 100
+"""The same for a source that refuses so many."""
+MOST_ENTITIES: Final = 20_000
+"""Entities of one source that are read for one query; what goes beyond is warned of."""
 MOST_IDS: Final = 50
 """Ids that fit into one question."""
 MOST_LEVELS: Final = 10
@@ -192,24 +194,38 @@ async def _query_from(
     try:
         tongue = await sources.forwarder.tongue(registration, context, has_body=False)
         for given in _narrowed(match, parameters, context, tongue, is_split=is_split):
-            for page in range(MOST_PAGES):
-                paged = [*given, ("limit", str(PAGE))] + ([("offset", str(page * PAGE))] if page else [])
-                question = Question("GET", "entities", tongue, tuple(paged))
-                reply = await heard(sources, registration, question)
-                if reply is None:
-                    break
-                entities = await read_entities(sources, registration, reply, tongue)
+            async for entities in _pages(sources, registration, tongue, given):
                 into.add(registration, entities)
-                if len(entities) < PAGE:
-                    break
-            else:
-                sources.warn(
-                    SILENT, f"{registration.endpoint} has more than {MOST_PAGES * PAGE} entities of these"
-                )
     except Unheard as unheard:
         sources.note(unheard)
     except Problem as problem:
         sources.note(Unheard(registration, SILENT, 502, problem.detail))
+
+
+async def _pages(
+    sources: Sources, registration: Registration, tongue: Tongue, given: list[tuple[str, str]]
+) -> AsyncIterator[list[Entity]]:
+    """Yield all that a source answers to one question, page by page."""
+    small = sources.forwarder.small_pages
+    offset = 0
+    while offset < MOST_ENTITIES:
+        limit = SMALL_PAGE if registration.id in small else PAGE
+        paged = [*given, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
+        try:
+            reply = await heard(sources, registration, Question("GET", "entities", tongue, tuple(paged)))
+        except Unheard as unheard:
+            if unheard.answered not in {400, 403} or offset or limit == SMALL_PAGE:
+                raise
+            small.add(registration.id)
+            continue
+        if reply is None:
+            return
+        entities = await read_entities(sources, registration, reply, tongue)
+        yield entities
+        if len(entities) < limit:
+            return
+        offset += limit
+    sources.warn(SILENT, f"{registration.endpoint} has more than {MOST_ENTITIES} entities of these")
 
 
 def _narrowed(

@@ -42,14 +42,20 @@ time or a loop, an answer that is an error."""
 
 
 class Unheard(Exception):
-    """A source did not answer the question: `warning` for those who read, `status` for those who write."""
+    """A source did not answer the question: `warning` for those who read, `status` for those who write.
 
-    def __init__(self, registration: Registration, warning: int, status: int, why: str) -> None:
+    `answered` is the status of an answer that was a refusal.
+    """
+
+    def __init__(
+        self, registration: Registration, warning: int, status: int, why: str, answered: int | None = None
+    ) -> None:
         super().__init__(why)
         self.registration = registration
         self.warning = warning
         self.status = status
         self.why = why
+        self.answered = answered
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +105,8 @@ class Forwarder:
     contexts: ContextBook
     timeout_s: float
     asker: HttpAsker = field(default_factory=HttpAsker)
+    small_pages: set[str] = field(default_factory=set)
+    """Registrations (by id) whose sources refuse large pages."""
     _hung: dict[str, float] = field(default_factory=dict)
     _remembered: OrderedDict[tuple[Any, ...], _Remembered] = field(default_factory=OrderedDict)
 

@@ -30,7 +30,9 @@ async def heard(sources: Sources, registration: Registration, question: Question
     if reply.status == 508:
         raise Unheard(registration, SILENT, 508, f"{registration.endpoint} sees a loop of registrations")
     if not 200 <= reply.status < 300:
-        raise Unheard(registration, REFUSED, 502, f"{registration.endpoint} answers {reply.status}")
+        raise Unheard(
+            registration, REFUSED, 502, f"{registration.endpoint} answers {reply.status}", reply.status
+        )
     return reply
 
 

@@ -1,0 +1,135 @@
+"""One entity told by several sources: the newest counts, and the order of answers never matters."""
+
+import itertools
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from datamodels.contexts import TermMap, resolve
+from services.context_broker.entity import Attributes, Entity
+from services.context_broker.fragments import Fragment, limited, merged, read_fragment
+
+TERMS = TermMap(None, resolve)
+DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"
+EARLY, LATE = "2026-01-01T00:00:00Z", "2026-01-02T00:00:00Z"
+
+
+def entity(**attributes: Any) -> Entity:
+    named: Attributes = {f"urn:x:{name}": instances for name, instances in attributes.items()}
+    return Entity("urn:x:1", ("urn:x:T",), named, EARLY, EARLY, 1)
+
+
+def one(value: Any, **times: str) -> list[dict[str, Any]]:
+    return [{"type": "Property", "value": value, **times}]
+
+
+def value_of(found: Entity, name: str) -> Any:
+    return found.attributes[f"urn:x:{name}"][0]["value"]
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "winner"),
+    [
+        ({"observedAt": EARLY}, {"observedAt": LATE}, "theirs"),
+        ({"observedAt": LATE}, {"observedAt": EARLY}, "ours"),
+        ({"observedAt": EARLY, "modifiedAt": LATE}, {"observedAt": LATE, "modifiedAt": EARLY}, "theirs"),
+        ({"observedAt": EARLY, "modifiedAt": EARLY}, {"observedAt": EARLY, "modifiedAt": LATE}, "theirs"),
+        ({"modifiedAt": EARLY}, {"modifiedAt": LATE}, "theirs"),
+        ({"modifiedAt": LATE}, {"observedAt": EARLY}, "theirs"),
+        ({}, {"modifiedAt": EARLY}, "theirs"),
+        ({}, {}, "ours"),
+        ({"observedAt": "2026-01-02T01:00:00+02:00"}, {"observedAt": LATE}, "theirs"),
+    ],
+)
+def test_what_was_observed_last_counts_then_what_was_written_last_then_our_own(
+    ours: dict[str, str], theirs: dict[str, str], winner: str
+) -> None:
+    fragments = [
+        Fragment(entity(a=one("ours", **ours)), (0, "")),
+        Fragment(entity(a=one("theirs", **theirs)), (3, "urn:r")),
+    ]
+    assert value_of(merged(fragments), "a") == winner
+
+
+def test_an_auxiliary_source_only_fills_gaps() -> None:
+    fragments = [
+        Fragment(entity(a=one(1, observedAt=EARLY)), (0, "")),
+        Fragment(entity(a=one(2, observedAt=LATE), b=one(3)), (4, "urn:r"), fills_gaps=True),
+    ]
+    found = merged(fragments)
+    assert (value_of(found, "a"), value_of(found, "b")) == (1, 3)
+
+
+def test_instances_of_several_datasets_stand_side_by_side() -> None:
+    first = entity(
+        a=[{"type": "Property", "value": 1}, {"type": "Property", "value": 2, "datasetId": "urn:d:1"}]
+    )
+    second = entity(a=[{"type": "Property", "value": 3, "datasetId": "urn:d:2"}])
+    found = merged([Fragment(first, (0, "")), Fragment(second, (3, "urn:r"))])
+    assert [instance["value"] for instance in found.attributes["urn:x:a"]] == [1, 2, 3]
+
+
+_TIMES = st.sampled_from([None, EARLY, LATE])
+_INSTANCES = st.builds(
+    lambda value, observed, written, dataset: {
+        "type": "Property",
+        "value": value,
+        **({"observedAt": observed} if observed else {}),
+        **({"modifiedAt": written} if written else {}),
+        **({"datasetId": dataset} if dataset else {}),
+    },
+    st.integers(0, 3),
+    _TIMES,
+    _TIMES,
+    st.sampled_from([None, "urn:d:1"]),
+)
+_FRAGMENTS = st.lists(
+    st.builds(
+        lambda attributes, rank, fills_gaps: Fragment(entity(**attributes), rank, fills_gaps),
+        st.dictionaries(st.sampled_from("abc"), st.lists(_INSTANCES, min_size=1, max_size=1)),
+        st.tuples(st.integers(0, 4), st.sampled_from(["", "urn:r:1", "urn:r:2"])),
+        st.booleans(),
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(_FRAGMENTS)
+def test_the_order_of_answers_does_not_matter(fragments: list[Fragment]) -> None:
+    expected = merged(fragments).stored()
+    assert all(merged(some).stored() == expected for some in itertools.permutations(fragments))
+
+
+@given(_FRAGMENTS)
+def test_nothing_is_made_up_and_no_attribute_is_lost(fragments: list[Fragment]) -> None:
+    found = merged(fragments)
+    told = {name for one in fragments for name in one.entity.attributes}
+    assert found.attributes.keys() == told
+    for name, instances in found.attributes.items():
+        everything = [one for each in fragments for one in each.entity.attributes.get(name, ())]
+        assert all(instance in everything for instance in instances)
+
+
+def test_an_entity_is_limited_to_some_attributes() -> None:
+    whole = entity(a=one(1), b=one(2), c=one(3))
+    assert limited(whole, None) is whole
+    assert limited(whole, frozenset({"urn:x:a", "urn:x:b"}), frozenset({"urn:x:b"})).attributes.keys() == {
+        "urn:x:a"
+    }
+
+
+def test_the_times_that_a_source_gives_are_kept() -> None:
+    document = {
+        "id": "urn:x:1",
+        "type": "T",
+        "createdAt": EARLY,
+        "modifiedAt": LATE,
+        "a": {"type": "Property", "value": 1, "createdAt": EARLY, "modifiedAt": LATE, "b": {"value": 2}},
+    }
+    found = read_fragment(document, TERMS, 7)
+    assert (found.created_at, found.modified_at, found.seq) == (EARLY, LATE, 7)
+    (instance,) = found.attributes[f"{DEFAULT}a"]
+    assert (instance["createdAt"], instance["modifiedAt"]) == (EARLY, LATE)

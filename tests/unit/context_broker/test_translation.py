@@ -1,0 +1,85 @@
+"""The words of a source: names of another @context, kinds of an older version, and the chain in Via."""
+
+from typing import Any
+
+import pytest
+
+from datamodels.contexts import TermMap, resolve
+from services.context_broker.translation import older, translated
+from services.context_broker.via import chain, lengthened
+
+CORE = TermMap(None, resolve)
+DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"
+OTHER = TermMap(
+    {
+        "Auto": DEFAULT + "Car",
+        "tempo": DEFAULT + "speed",
+        "quelle": DEFAULT + "source",
+        "rot": DEFAULT + "red",
+    },
+    resolve,
+)
+ENTITY: dict[str, Any] = {
+    "id": "urn:x:1",
+    "type": "Car",
+    "scope": "/a",
+    "speed": {
+        "type": "Property",
+        "value": {"speed": 1},
+        "observedAt": "2026-01-01T00:00:00Z",
+        "source": {"type": "Relationship", "object": "urn:x:2", "objectType": "Car"},
+    },
+    "colour": {"type": "VocabProperty", "vocab": ["red", "blue"]},
+    "many": [
+        {"type": "Property", "value": 1, "datasetId": "urn:d:1"},
+        {"type": "Property", "value": 2, "datasetId": "urn:d:2", "source": {"value": "x"}},
+    ],
+}
+
+
+def test_names_change_and_what_is_said_does_not() -> None:
+    there = translated(ENTITY, CORE, OTHER)
+    assert there["type"] == "Auto"
+    assert there["tempo"]["value"] == {"speed": 1}
+    assert there["tempo"]["quelle"] == {"type": "Relationship", "object": "urn:x:2", "objectType": "Auto"}
+    assert there["colour"]["vocab"] == ["rot", "blue"]
+    assert there["many"][1]["quelle"] == {"value": "x"}
+
+
+def test_there_and_back_is_the_same() -> None:
+    assert translated(translated(ENTITY, CORE, OTHER), OTHER, CORE) == ENTITY
+
+
+@pytest.mark.parametrize(
+    ("document", "expected"),
+    [
+        ({"id": "urn:x:1", "type": "T", "a": {"type": "JsonProperty", "json": {}}}, "entity"),
+        ({"a": {"type": "JsonProperty", "json": {}}}, "part"),
+        ({"type": "JsonProperty", "json": {}}, "attribute"),
+    ],
+)
+def test_an_older_source_is_told_in_kinds_that_it_knows(document: dict[str, Any], expected: str) -> None:
+    told = older(document, "1.6")
+    attribute = told if expected == "attribute" else told["a"]
+    assert attribute == {"type": "Property", "value": {}}
+    assert told.keys() == document.keys() or expected == "attribute"
+    assert older([document], "v1.6") == [told]
+    assert older(document, "1.9") is document
+    assert older(document, "newest") is document
+
+
+@pytest.mark.parametrize(
+    ("via", "names"),
+    [
+        (b"1.1 a, 1.0 b (a comment, with a comma), HTTP/1.1 c", ("a", "b", "c")),
+        (b"", ()),
+        (b", ,  1.1, ;;; (x)", ()),
+    ],
+)
+def test_whom_a_request_has_passed_is_read_with_care(via: bytes, names: tuple[str, ...]) -> None:
+    assert chain(via) == names
+
+
+def test_a_broker_puts_itself_at_the_end_of_the_chain() -> None:
+    assert lengthened(b"", "me") == "1.1 me"
+    assert lengthened(b"1.1 a", "me") == "1.1 a, 1.1 me"
