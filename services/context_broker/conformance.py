@@ -84,11 +84,18 @@ def _attribute(said: Any, version: Version) -> Any:
     for member, (since, instead, kind) in _FALLBACKS.items():
         if version < since and member in kept:
             kept = {instead if name == member else name: value for name, value in kept.items()}
+            if member == "objectList" and isinstance(kept["object"], list):
+                kept["object"] = [_object_of(one) for one in kept["object"]]
             if "type" in kept:
                 kept["type"] = kind
     for name in [name for name in kept if name not in _OPAQUE]:
         kept = _with(kept, name, _attribute(kept[name], version))
     return kept
+
+
+def _object_of(one: Any) -> Any:
+    """Return the URI that a member of an objectList holds."""
+    return one.get("object", one) if isinstance(one, dict) else one
 
 
 def _without(document: dict[str, Any], since: dict[str, Version], version: Version) -> dict[str, Any]:

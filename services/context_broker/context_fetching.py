@@ -4,8 +4,11 @@ A failure is remembered for twice as long as it took to find out, so that ten re
 """
 
 import asyncio
+import re
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
+from email.utils import parsedate_to_datetime
 from typing import Any, Final
 
 import orjson
@@ -21,7 +24,21 @@ LEAST_PAUSE_S: Final = 1.0
 """How long a URL that failed at once is left alone."""
 MOST_FAILURES: Final = 1000
 """URLs whose failure is remembered; more are asked again at once."""
+SHORTEST_KEPT_S: Final = 60.0
+"""How long a context is kept at least, whatever its server says: nobody is asked at every request."""
+USUALLY_KEPT_S: Final = 86_400.0
+"""How long a context is kept whose server says nothing."""
+LONGEST_KEPT_S: Final = 30 * 86_400.0
+_MAX_AGE: Final = re.compile(r"(?:^|[\s,])max-age=\"?([0-9]{1,10})")
 _ACCEPT: Final = {"Accept": "application/ld+json, application/json;q=0.9"}
+
+
+@dataclass(frozen=True, slots=True)
+class Fetched:
+    """A document, and how long it may be kept."""
+
+    document: Mapping[str, Any]
+    kept_s: float
 
 
 class Fetcher:
@@ -30,11 +47,11 @@ class Fetcher:
     def __init__(self, timeout_s: float, destinations: Destinations) -> None:
         self._timeout_s = timeout_s
         self._destinations = destinations
-        self._on_their_way: dict[str, asyncio.Task[Mapping[str, Any]]] = {}
+        self._on_their_way: dict[str, asyncio.Task[Fetched]] = {}
         self._failed: dict[str, tuple[float, Problem]] = {}
 
-    async def fetch(self, url: str, *, again: bool = False) -> Mapping[str, Any]:
-        """Return the document at `url`, an object with an "@context".
+    async def fetch(self, url: str, *, again: bool = False) -> Fetched:
+        """Return what is at `url`, an object with an "@context".
 
         Raises a problem: 504 when it cannot be had (for a while without asking, unless `again`), 400 when it
         is no context (clause 5.5.6).
@@ -60,10 +77,11 @@ class Fetcher:
             return
         raise Problem(problem.status, problem.title, problem.detail, problem.type)
 
-    async def _attempt(self, url: str) -> Mapping[str, Any]:
+    async def _attempt(self, url: str) -> Fetched:
         began_s = time.monotonic()
         try:
-            document = _context_in(await self._download(url), url)
+            text, kept_s = await self._download(url)
+            document = _context_in(text, url)
         except Problem as problem:
             took_s = time.monotonic() - began_s
             if len(self._failed) >= MOST_FAILURES:
@@ -71,9 +89,10 @@ class Fetcher:
             self._failed[url] = time.monotonic() + max(LEAST_PAUSE_S, 2 * took_s), problem
             raise
         self._failed.pop(url, None)
-        return document
+        return Fetched(document, kept_s)
 
-    async def _download(self, url: str) -> bytes:
+    async def _download(self, url: str) -> tuple[bytes, float]:
+        """Return the text at `url`, and for how many seconds it may be kept."""
         import httpx  # noqa: PLC0415 - takes time to load, and most brokers never fetch a context
 
         async def require_open(request: httpx.Request) -> None:
@@ -97,11 +116,27 @@ class Fetcher:
                     text += chunk
                     if len(text) > LARGEST_CONTEXT:
                         raise unavailable(url, f"it is larger than {LARGEST_CONTEXT} bytes")
-                return bytes(text)
+                return bytes(text), kept_for_s(answer.headers)
         except TimeoutError:
             raise unavailable(url, f"no answer within {self._timeout_s:g} s") from None
         except (httpx.HTTPError, httpx.InvalidURL, Refused, OSError, UnicodeError) as error:
             raise unavailable(url, str(error) or type(error).__name__) from None
+
+
+def kept_for_s(headers: Mapping[str, str]) -> float:
+    """Return for how many seconds an answer with these headers may be kept (RFC 9111, clauses 4.2, 5.2)."""
+    wanted: float | None = None
+    control = headers.get("cache-control", "").lower()
+    if found := _MAX_AGE.search(control):
+        wanted = float(found[1])
+    elif "no-cache" in control or "no-store" in control:
+        wanted = 0.0
+    elif (expires := headers.get("expires")) is not None:
+        try:
+            wanted = parsedate_to_datetime(expires).timestamp() - time.time()
+        except (ValueError, OverflowError):
+            wanted = 0.0  # as RFC 9111 has it: a time that is none is past
+    return min(max(USUALLY_KEPT_S if wanted is None else wanted, SHORTEST_KEPT_S), LONGEST_KEPT_S)
 
 
 def _context_in(text: bytes, url: str) -> Mapping[str, Any]:

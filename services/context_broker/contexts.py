@@ -1,11 +1,13 @@
 """The @contexts that readers and writers name their things by, looked up without the network where possible.
 
 What we ship is answered from the package; any other URL is fetched once, kept in the journal, and asked for
-again only when somebody has it reloaded. One that cannot be fetched is an error, and is tried again later.
+again when its time is over, beside the requests that use what there is. One that cannot be fetched is an
+error, and is tried again later.
 """
 
 import asyncio
 import re
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -40,6 +42,8 @@ MOST_CONTEXTS: Final = 1000
 """Contexts kept parsed; the least recently made are forgotten first."""
 MOST_FETCHED: Final = 5000
 """Contexts that were fetched and are kept; beyond it the one not used for longest makes room."""
+PUT_OFF_S: Final = 600.0
+"""When a context whose time is over is asked for again if it could not be fetched anew."""
 USAGE_KEPT_S: Final = 5.0
 """How often it is written how contexts were used; what a crash may take back of the counts."""
 
@@ -94,6 +98,7 @@ class ContextBook:
         self._shipped: dict[str, KeptContext] = {}
         self._ready: dict[str | bytes, Context] = {}
         self._made = 0
+        self._refreshing: set[asyncio.Task[None]] = set()
         self._usage_due: asyncio.TimerHandle | None = None
 
     def base(self, headers: Mapping[bytes, bytes]) -> str:
@@ -226,16 +231,55 @@ class ContextBook:
         return one
 
     async def _fetch(self, url: str) -> None:
-        document = await self._fetcher.fetch(url)
+        fetched = await self._fetcher.fetch(url)
         if self._at(url) is not None:  # others waited for the same
             return
-        fetched = [one for one in self._shelf if one.url is not None]
-        if len(fetched) >= MOST_FETCHED:
-            oldest = min(fetched, key=lambda one: one.last_usage or one.created_at)
+        others = [one for one in self._shelf if one.url is not None]
+        if len(others) >= MOST_FETCHED:
+            oldest = min(others, key=lambda one: one.last_usage or one.created_at)
             await self._keep(_erasing([oldest]))
             self._unready(oldest)
             self._shelf.remove(oldest)
-        await self._keep_one(cached(url, document))
+        await self._keep_one(cached(url, fetched.document, time.time() + fetched.kept_s))
+
+    def _refresh(self, one: KeptContext) -> None:
+        """Fetch a context anew whose time is over, beside the requests that use what there is."""
+        one.expires_s = time.time() + PUT_OFF_S
+        task = asyncio.get_running_loop().create_task(self._refreshed(one))
+        self._refreshing.add(task)
+        task.add_done_callback(self._refreshing.discard)
+
+    async def _refreshed(self, one: KeptContext) -> None:
+        url = one.url or ""
+        try:
+            fresh = await self._fetched(url)
+            if self._shelf.at(url) is not one or one.gone:
+                return
+            if fresh.document == one.document:
+                one.expires_s = fresh.expires_s
+                await self._keep({(Kind.CONTEXT, one.tenant, one.key): one.stored()})
+            else:
+                await self._replace(one, fresh)
+        except Problem as problem:
+            log.info("a context is kept beyond its time", url=url, why=problem.detail)
+        except Exception:
+            log.exception("a context was not fetched anew", url=url)
+
+    async def _fetched(self, url: str) -> KeptContext:
+        """Return what is published at `url` now; raise a problem (504) if it is no context."""
+        try:
+            fetched = await self._fetcher.fetch(url, again=True)
+            TermMap(fetched.document, lambda _: {"@context": {}})
+        except ValueError as error:
+            raise unavailable(url, str(error)) from None
+        except Problem as problem:
+            raise unavailable(url, problem.detail) if problem.status == 400 else problem from None
+        return cached(url, fetched.document, time.time() + fetched.kept_s)
+
+    async def _replace(self, one: KeptContext, fresh: KeptContext) -> None:
+        fresh.hits, fresh.last_usage = one.hits, one.last_usage
+        await self._keep_one(fresh)
+        self._unready(one)
 
     async def _keep_one(self, one: KeptContext) -> None:
         await self._keep({(Kind.CONTEXT, one.tenant, one.key): one.stored()})
@@ -254,9 +298,12 @@ class ContextBook:
 
     def _note(self, uses: tuple[KeptContext, ...]) -> None:
         at = timestamp_now()
+        now_s = time.time()
         for one in uses:
             one.hits += 1
             one.last_usage = at
+            if one.expires_s <= now_s:
+                self._refresh(one)
         if self._usage_due is None:
             self._usage_due = asyncio.get_running_loop().call_later(USAGE_KEPT_S, self.write_usage)
 
@@ -324,18 +371,7 @@ class ContextBook:
 
     async def reload(self, one: KeptContext) -> None:
         """Fetch a cached context anew; what there is stays if that fails (problem 504, clause 5.13.5.4)."""
-        url = one.url or ""
-        try:
-            document = await self._fetcher.fetch(url, again=True)
-            TermMap(document, lambda _: {"@context": {}})
-        except ValueError as error:
-            raise unavailable(url, str(error)) from None
-        except Problem as problem:
-            raise unavailable(url, problem.detail) if problem.status == 400 else problem from None
-        fresh = cached(url, document)
-        fresh.hits, fresh.last_usage = one.hits, one.last_usage
-        self._unready(one)
-        await self._keep_one(fresh)
+        await self._replace(one, await self._fetched(one.url or ""))
 
     def is_shipped(self, one: KeptContext) -> bool:
         """Say whether a context comes with the broker, and is not kept in another version."""

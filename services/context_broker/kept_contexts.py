@@ -3,9 +3,11 @@
 Clauses 5.13.1 and 5.13.3: each has a local identifier, and tells how often and when it was last used.
 """
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any, Final
 from urllib.parse import quote, unquote
@@ -13,7 +15,7 @@ from uuid import NAMESPACE_URL, uuid4, uuid5
 
 import orjson
 
-from services.context_broker.words import timestamp_now
+from services.context_broker.words import timestamp, timestamp_now
 
 PATH: Final = "/ngsi-ld/v1/jsonldContexts/"
 _OURS: Final = re.compile(rf"https?://[^/?#]+{PATH}([^/?#]+)")
@@ -41,6 +43,8 @@ class KeptContext:
     url: str | None
     document: Mapping[str, Any]
     created_at: str
+    expires_s: float = math.inf
+    """When a cached one is to be fetched anew, in seconds since 1970."""
     hits: int = 0
     last_usage: str | None = None
     gone: bool = False
@@ -54,7 +58,8 @@ class KeptContext:
 
     def stored(self) -> bytes:
         """Return the context as the journal keeps it."""
-        return orjson.dumps([self.kind.value, self.created_at, self.document, self.gone])
+        expires_s = None if math.isinf(self.expires_s) else self.expires_s
+        return orjson.dumps([self.kind.value, self.created_at, self.document, self.gone, expires_s])
 
     def stored_usage(self) -> bytes:
         """Return how it was used, as the journal keeps that."""
@@ -73,13 +78,18 @@ class KeptContext:
             "createdAt": self.created_at,
             "numberOfHits": self.hits,
         }
+        if not math.isinf(self.expires_s):
+            told["expiresAt"] = timestamp(datetime.fromtimestamp(self.expires_s, UTC))
         return told if self.last_usage is None else {**told, "lastUsage": self.last_usage}
 
 
-def cached(url: str, document: Mapping[str, Any], created_at: str | None = None) -> KeptContext:
+def cached(
+    url: str, document: Mapping[str, Any], expires_s: float = math.inf, created_at: str | None = None
+) -> KeptContext:
     """Return a context that was fetched from `url`."""
     own_id = str(uuid5(NAMESPACE_URL, url))
-    return KeptContext(ContextKind.CACHED, "", own_id, url, document, created_at or timestamp_now())
+    created_at = created_at or timestamp_now()
+    return KeptContext(ContextKind.CACHED, "", own_id, url, document, created_at, expires_s)
 
 
 def hosted(tenant: str, document: Mapping[str, Any]) -> KeptContext:
@@ -97,10 +107,10 @@ def restored(tenant: str, key: str, stored: bytes) -> KeptContext:
     """Return the context that `stored` had been."""
     said = orjson.loads(stored)
     if isinstance(said, dict):  # the first release kept the document and nothing else
-        return cached(key, said)
-    kind, created_at, document, gone = said
+        return cached(key, said, expires_s=0.0)
+    kind, created_at, document, gone, expires_s = said
     if kind == ContextKind.CACHED:
-        one = cached(key, document, created_at)
+        one = cached(key, document, math.inf if expires_s is None else expires_s, created_at)
     else:
         one = KeptContext(ContextKind(kind), tenant, key, None, document, created_at)
     one.gone = gone

@@ -37,7 +37,7 @@ def test_kinds_that_came_later_are_said_in_earlier_ones() -> None:
     assert shown["category"] == {"type": "Property", "value": "food"}
     assert shown["raw"] == {"type": "Property", "value": {"vocab": 1}}
     assert shown["stock"] == {"type": "Property", "value": [1, 2]}
-    assert shown["owners"] == {"type": "Relationship", "object": [{"object": "urn:x:1"}]}
+    assert shown["owners"] == {"type": "Relationship", "object": ["urn:x:1"]}
     assert shown["name"] == ENTITY["name"]
     assert "expiresAt" not in shown
     assert "objectType" not in shown["place"]

@@ -1,0 +1,175 @@
+"""Contexts that are kept: for how long, what is fetched anew, what a restart finds."""
+
+import asyncio
+from collections.abc import Mapping
+from email.utils import formatdate
+from typing import Any
+
+import pytest
+
+from handover.errors import Problem
+from services.context_broker.context_fetching import (
+    LONGEST_KEPT_S,
+    SHORTEST_KEPT_S,
+    USUALLY_KEPT_S,
+    Fetched,
+    Fetcher,
+    kept_for_s,
+)
+from services.context_broker.contexts import CORE, ContextBook, OwnAddress
+from services.context_broker.destinations import Destinations
+from services.context_broker.journal import DocumentKey, Kind
+from services.context_broker.problems import context_not_available
+
+URL = "https://a.example/context.jsonld"
+
+
+class Published(Fetcher):
+    """What is published, without a network; `kept_s` below zero is over as soon as it is fetched."""
+
+    def __init__(self, document: Mapping[str, Any] | None, kept_s: float) -> None:
+        super().__init__(1.0, Destinations())
+        self.document, self.kept_s, self.asked = document, kept_s, 0
+
+    async def fetch(self, url: str, *, again: bool = False) -> Fetched:
+        self.asked += 1
+        if self.document is None:
+            raise context_not_available(f"{url} is not there")
+        return Fetched(self.document, self.kept_s)
+
+
+class Shelf:
+    """A book of contexts over a journal that is a dictionary."""
+
+    def __init__(self, published: Published) -> None:
+        self.published = published
+        self.kept: dict[DocumentKey, bytes] = {}
+        self.book = self.opened()
+
+    def opened(self) -> ContextBook:
+        async def keep(documents: Mapping[DocumentKey, bytes | None]) -> None:
+            note(documents)
+
+        def note(documents: Mapping[DocumentKey, bytes | None]) -> None:
+            for key, body in documents.items():
+                if body is None:
+                    self.kept.pop(key, None)
+                else:
+                    self.kept[key] = body
+
+        book = ContextBook(keep, note, self.published, OwnAddress(None, "http://127.0.0.1:1026"))
+        for (kind, tenant, key), body in list(self.kept.items()):
+            if kind is Kind.CONTEXT:
+                book.remember(tenant, key, body)
+        for (kind, _, key), body in list(self.kept.items()):
+            if kind is Kind.CONTEXT_USAGE:
+                book.remember_usage(key, body)
+        return book
+
+
+def context(**terms: str) -> dict[str, Any]:
+    return {"@context": {term: f"https://a.example/{iri}" for term, iri in terms.items()}}
+
+
+async def settled() -> None:
+    """Let what was begun beside come to its end."""
+    for _ in range(20):
+        await asyncio.sleep(0)
+
+
+@pytest.mark.parametrize(
+    ("headers", "kept_s"),
+    [
+        ({}, USUALLY_KEPT_S),
+        ({"cache-control": "public, max-age=3600"}, 3600),
+        ({"cache-control": 'MAX-AGE="7200"'}, 7200),
+        ({"cache-control": "s-maxage=9000"}, USUALLY_KEPT_S),
+        ({"cache-control": "max-age=1"}, SHORTEST_KEPT_S),
+        ({"cache-control": "max-age=9999999999"}, LONGEST_KEPT_S),
+        ({"cache-control": "no-cache"}, SHORTEST_KEPT_S),
+        ({"cache-control": "no-store", "expires": formatdate(4_000_000_000, usegmt=True)}, SHORTEST_KEPT_S),
+        ({"expires": formatdate(4_000_000_000, usegmt=True)}, LONGEST_KEPT_S),
+        ({"expires": formatdate(0, usegmt=True)}, SHORTEST_KEPT_S),
+        ({"expires": "0"}, SHORTEST_KEPT_S),
+    ],
+)
+def test_a_server_says_how_long_its_context_is_kept(headers: dict[str, str], kept_s: float) -> None:
+    assert kept_for_s(headers) == kept_s
+
+
+async def test_a_context_is_fetched_once_while_its_time_lasts() -> None:
+    shelf = Shelf(Published(context(speed="speed"), 3600))
+    for _ in range(3):
+        assert (await shelf.book.of(URL)).terms.expand("speed") == "https://a.example/speed"
+    shelf.book = shelf.opened()
+    assert (await shelf.book.of([URL, CORE])).link == URL
+    assert shelf.published.asked == 1
+    (one,) = [one for one in shelf.book.all("") if one.url == URL]
+    assert "expiresAt" in one.details("http://x")
+
+
+async def test_a_context_whose_time_is_over_is_fetched_anew_beside_its_use() -> None:
+    shelf = Shelf(Published(context(speed="old"), -1))
+    before = await shelf.book.of(URL)
+    shelf.published.document = context(speed="new")
+    shelf.published.kept_s = 3600
+    await settled()
+    assert before.terms.expand("speed") == "https://a.example/old", "what is in use stays what it was"
+    assert (await shelf.book.of(URL)).terms.expand("speed") in {
+        "https://a.example/old",
+        "https://a.example/new",
+    }
+    await settled()
+    assert (await shelf.book.of(URL)).terms.expand("speed") == "https://a.example/new"
+    assert shelf.published.asked == 2
+    assert (await shelf.opened().as_before(URL)).terms.expand("speed") == "https://a.example/new"
+
+
+async def test_a_context_that_cannot_be_fetched_anew_is_kept_beyond_its_time() -> None:
+    shelf = Shelf(Published(context(speed="old"), -1))
+    for document in (context(speed="old"), None, {"@context": 5}):
+        await shelf.book.of(URL)
+        shelf.published.document = document
+        await settled()
+    for _ in range(3):
+        assert (await shelf.book.of(URL)).terms.expand("speed") == "https://a.example/old"
+        await settled()
+    assert shelf.published.asked <= 4, "and not asked for at every request"
+
+
+async def test_a_context_that_is_not_there_is_no_context_after_a_restart_either() -> None:
+    shelf = Shelf(Published(None, 3600))
+    with pytest.raises(Problem, match=URL):
+        await shelf.book.of(URL)
+    assert (await shelf.book.as_before(URL)).document == CORE
+    assert shelf.published.asked == 1, "a start asks nobody"
+    with pytest.raises(Problem, match=URL):
+        await shelf.book.of(URL)
+
+
+async def test_contexts_of_the_first_release_are_taken_over() -> None:
+    shelf = Shelf(Published(context(speed="new"), 3600))
+    shelf.kept[Kind.CONTEXT, "", URL] = b'{"@context": {"speed": "https://a.example/speed"}}'
+    shelf.book = shelf.opened()
+    assert (await shelf.book.of(URL)).terms.expand("speed") == "https://a.example/speed"
+
+
+async def test_what_was_deleted_serves_those_who_had_it_and_then_is_erased() -> None:
+    shelf = Shelf(Published(None, 3600))
+    one = await shelf.book.add("", {"speed": "https://a.example/speed"})
+    url = one.address("http://127.0.0.1:1026")
+    await shelf.book.of(url)
+    shelf.book.write_usage()
+    assert {kind for kind, _, _ in shelf.kept} == {Kind.CONTEXT, Kind.CONTEXT_USAGE}
+    await shelf.book.delete(one)
+    with pytest.raises(Problem):
+        await shelf.book.of(url)
+    shelf.book = shelf.opened()
+    assert (await shelf.book.as_before(url)).terms.expand("speed") == "https://a.example/speed"
+    await shelf.book.tidy()
+    assert shelf.kept, "a subscription has it"
+    with pytest.raises(Problem):
+        await shelf.book.of(url)
+    shelf.book = shelf.opened()
+    await shelf.book.tidy()
+    assert not shelf.kept
