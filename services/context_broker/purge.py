@@ -12,28 +12,14 @@ from services.context_broker.entity import Entity, Event
 from services.context_broker.exchange import Answer, Exchange
 from services.context_broker.journal import NotStored
 from services.context_broker.problems import bad_request_data
-from services.context_broker.q_grammar import And, Or, Term, parse
-from services.context_broker.reading import QUERY_PARAMETERS, names_of, selection_of
+from services.context_broker.reading import names_of, selection_of
 from services.context_broker.selection import Selection, hits_of
 from services.context_broker.words import timestamp_now
 
-PURGE_PARAMETERS: Final = (
-    QUERY_PARAMETERS
-    & {
-        "type",
-        "id",
-        "idPattern",
-        "attrs",
-        "q",
-        "csf",
-        "geometry",
-        "georel",
-        "coordinates",
-        "geoproperty",
-        "scopeQ",
-        "local",
-    }
-) | {"keep", "drop"}
+PURGE_PARAMETERS: Final = frozenset(
+    {"type", "id", "idPattern", "attrs", "q", "csf", "scopeQ", "geometry", "georel", "coordinates",
+     "geoproperty", "expandValues", "jsonKeys", "local", "keep", "drop"}
+)  # fmt: skip
 AT_ONCE: Final = 500
 """Entities whose fate is waited for together; so many may be on their way to disk."""
 
@@ -43,7 +29,6 @@ _SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt",
 async def purge(exchange: Exchange) -> Answer:
     """DELETE entities: 204 when all are purged, 207 with what was not."""
     context = await exchange.reader_context()
-    _require_narrow(exchange)
     selection = _selection(exchange, context)
     names, keep = _named(exchange, context)
     store = exchange.tenant.store
@@ -92,29 +77,26 @@ def _named(exchange: Exchange, context: Context) -> tuple[frozenset[str] | None,
 
 
 def _selection(exchange: Exchange, context: Context) -> Selection:
-    chosen = {
-        name: value for name, value in exchange.parameters.items() if name not in {"keep", "drop", "local"}
-    }
-    return selection_of(chosen, context) if chosen else Selection()
+    """Return what is to be purged; raise a problem (400) if that is whatever is there.
 
-
-def _require_narrow(exchange: Exchange) -> None:
-    """Raise a problem (400) for a purge of whatever is there: ids and system attributes choose nothing."""
-    given = exchange.parameter
-    attrs, q = given("attrs"), given("q")
-    if exchange.flag("local") or any(given(name) for name in ("type", "georel", "scopeQ", "keep", "drop")):
-        return
-    if attrs is not None and not _SYSTEM.issuperset(attrs.split(",")):
-        return
-    if q is not None and _asks_for_attributes(parse(q)):
-        return
-    raise bad_request_data(
-        "the purge is too wide: say which entities by type, by an attribute in attrs or q, or by place; "
-        "local=true purges whatever is in this broker"
+    Ids and system attributes alone choose nothing, unless only attributes are to go (clause 5.6.21.4).
+    """
+    given = exchange.parameters
+    attributes = given.get("attrs", "").split(",")
+    selection = selection_of({**given, "local": "true"}, context)
+    if selection.query is not None and selection.query.hops:
+        raise bad_request_data("a purge looks at the entities themselves; leave linked entities out of q")
+    narrows = (
+        selection.types is not None
+        or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
+        or (selection.query is not None and selection.query.names_attributes)
+        or selection.places is not None
+        or "keep" in given
+        or "drop" in given
     )
-
-
-def _asks_for_attributes(term: Term) -> bool:
-    if isinstance(term, And | Or):
-        return any(_asks_for_attributes(part) for part in term.terms)
-    return term.path.names[0] not in _SYSTEM
+    if not narrows and not exchange.flag("local"):
+        raise bad_request_data(
+            "the purge is too wide: say which entities by type, by an attribute in attrs or q, or by place; "
+            "local=true purges whatever is in this broker"
+        )
+    return selection

@@ -83,3 +83,45 @@ def test_each_entity_of_a_batch_may_bring_its_own_context(http: httpx.Client) ->
     assert answer.json()["success"] == [lamp("own")["id"]]
     assert "@context" in answer.json()["errors"][0]["error"]["detail"]
     assert read(http, "own")["https://a.example/size"] == 1
+
+
+def test_a_batch_with_null_in_it_is_refused_as_a_whole(http: httpx.Client) -> None:
+    for operation in ("create", "upsert", "update", "merge"):
+        assert post(http, operation, [lamp("sibling"), None]).status_code == 400
+        assert http.get("/entities/urn:ngsi-ld:Lamp:demo:sibling").status_code == 404
+    assert post(http, "delete", [None]).status_code == 400
+
+
+def test_batches_may_be_in_simplified_form(http: httpx.Client) -> None:
+    simple = lamp(
+        "simple", at={"type": "Relationship", "object": "urn:x:1"}, label={"languageMap": {"en": "a"}}
+    )
+    assert post(http, "create", [simple]).status_code == 201
+    change = lamp("simple", at="urn:x:2", label={"languageMap": {"fi": "b"}})
+    assert post(http, "merge", [change], options="keyValues").status_code == 204
+    entity = http.get(f"/entities/{simple['id']}").json()
+    assert entity["at"] == {"type": "Relationship", "object": "urn:x:2"}
+    assert entity["label"]["languageMap"] == {"en": "a", "fi": "b"}
+    assert post(http, "update", [lamp("simple", at="urn:x:3")], options="keyValues").status_code == 204
+    assert (
+        post(http, "upsert", [lamp("simple", c=1)], options="update", format="simplified").status_code == 204
+    )
+    assert read(http, "simple") == lamp(
+        "simple", at="urn:x:3", label={"languageMap": {"en": "a", "fi": "b"}}, c=1
+    )
+    assert post(http, "upsert", [lamp("new", c={"json": {"d": 1}})], options="keyValues").status_code == 201
+    assert http.get("/entities/urn:ngsi-ld:Lamp:demo:new").json()["c"]["type"] == "JsonProperty"
+    assert post(http, "merge", [change], options="odd").status_code == 400
+
+
+def test_a_batch_merge_deletes_what_is_null_and_leaves_the_rest(http: httpx.Client) -> None:
+    null = "urn:ngsi-ld:null"
+    assert post(http, "create", [lamp("null", a=1, b={"value": {"x": 1, "y": 2}})]).status_code == 201
+    answer = post(http, "merge", [lamp("null", a=null, b={"value": {"x": null}}), lamp("nowhere", a=1)])
+    assert answer.status_code == 207
+    assert answer.json()["success"] == [lamp("null")["id"]]
+    assert [one["entityId"] for one in answer.json()["errors"]] == [lamp("nowhere")["id"]]
+    assert read(http, "null") == lamp("null", b={"y": 2})
+    answer = post(http, "create", [lamp("never", a=null)])
+    assert answer.status_code == 207
+    assert answer.json()["success"] == []

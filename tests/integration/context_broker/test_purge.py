@@ -32,6 +32,20 @@ def test_all_entities_of_a_type_are_purged_and_no_others(http: httpx.Client) -> 
     assert purge(http, type="Crate") == 204
 
 
+def test_entities_are_purged_by_place_and_scope(http: httpx.Client) -> None:
+    here, there = (
+        made(http, name, "Buoy", location={"type": "Point", "coordinates": [x, 0]}, scope=f"/Sea/{name}")
+        for name, x in (("here", 0), ("there", 50))
+    )
+    near = {"georel": "near;maxDistance==1000", "geometry": "Point", "coordinates": "[0,0]"}
+    assert purge(http, **near, scopeQ="/Sea/there") == 204
+    assert read(http, here) != 404
+    assert purge(http, **near, scopeQ="/Sea/#") == 204
+    assert (read(http, here), read(http, there) != 404) == (404, True)
+    assert purge(http, type="Buoy", scopeQ="/Sea/#") == 204
+    assert read(http, there) == 404
+
+
 def test_attributes_are_dropped_or_kept(http: httpx.Client) -> None:
     first = made(http, "first", "Bottle", a=1, b=2, c=3)
     second = made(http, "second", "Bottle", b=2)
@@ -52,6 +66,8 @@ def test_attributes_are_dropped_or_kept(http: httpx.Client) -> None:
         {"q": 'modifiedAt>"2020-01-01T00:00:00Z"'},
         {"type": "Jar", "keep": "a", "drop": "b"},
         {"type": "Jar", "attrs": "owner{name}"},
+        {"type": "Jar", "q": 'owner{name}=="x"'},
+        {"scopeQ": "/#"},
         {"type": "Jar", "pick": "a"},
     ],
 )
