@@ -4,19 +4,25 @@ Clauses 5.3.1 and 5.8.6. What is gone is told as `urn:ngsi-ld:null`, in the form
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Final
 from uuid import uuid4
 
 import orjson
 
-from services.context_broker.contexts import Context
+from handover.errors import Problem
+from handover.telemetry import get_logger
 from services.context_broker.endpoints import GEO_JSON, JSON_LD
 from services.context_broker.entity import NULL, SAYS, Attributes, Entity, Instance, dataset_of
+from services.context_broker.linked import Shown, joined
+from services.context_broker.q_match import Lookup, nobody
 from services.context_broker.rendering import Form, View, render, rendered, with_context
 from services.context_broker.subscriptions import Subscription
 from services.context_broker.triggers import ATTRIBUTE_DELETED, Happened, lost_instances
 from services.context_broker.words import tenant_headers, timestamp
+
+log = get_logger(__name__)
 
 _PREVIOUS: Final = {kind: f"previous{says[0].upper()}{says[1:]}" for kind, says in SAYS.items()}
 
@@ -39,25 +45,29 @@ def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes
     return with_context(body, subscription.context) if accept == JSON_LD else body
 
 
-def as_it_is(subscription: Subscription, entity: Entity) -> bytes:
-    """Return what a subscriber is told of an entity as it is, a JSON object."""
-    if subscription.endpoint.accept == GEO_JSON:
-        document = render(entity, subscription.context.terms, subscription.view)
-        return orjson.dumps(_feature(subscription, entity, document))
-    return rendered(entity, subscription.context, subscription.view)
+def as_it_is(subscription: Subscription, entity: Entity, lookup: Lookup = nobody) -> bytes:
+    """Return what a subscriber is told of an entity as it is: JSON objects with commas between them.
+
+    One, or more with the entities it links to, which `lookup` finds.
+    """
+    if subscription.join is None and subscription.endpoint.accept != GEO_JSON:
+        return rendered(entity, subscription.context, subscription.view)
+    return _written(subscription, _documents(subscription, entity, lookup))
 
 
-def told_of(subscription: Subscription, change: Happened) -> bytes:
-    """Return what a subscriber is told of a change of one entity, a JSON object."""
+def told_of(subscription: Subscription, change: Happened, lookup: Lookup = nobody) -> bytes:
+    """Return what a subscriber is told of a change of one entity, as `as_it_is`."""
     after = change.after
     if after is not None and not subscription.shows_changes:
         gone = change.lost if subscription.triggers.tells_lost else frozenset()
         if not gone:
-            return as_it_is(subscription, after)
-    document = _with_changes(subscription, change, subscription.context, subscription.view)
-    if subscription.endpoint.accept == GEO_JSON:
-        document = _feature(subscription, change.entity, document)
-    return orjson.dumps(document)
+            return as_it_is(subscription, after, lookup)
+    deleted_at = timestamp(datetime.now(UTC))
+    entity = _with_changes(subscription, change, deleted_at)
+    documents = _documents(subscription, entity, lookup if after is not None else nobody)
+    if after is None:
+        documents[0] = (entity, _with_end(documents[0][1], subscription.view, deleted_at))
+    return _written(subscription, documents)
 
 
 def headers(subscription: Subscription, tenant: str, taken: bytes | None = None) -> list[tuple[str, str]]:
@@ -84,12 +94,26 @@ def link(url: str) -> str:
     return f'<{url}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
 
 
-def _feature(subscription: Subscription, entity: Entity, document: dict[str, Any]) -> dict[str, Any]:
-    """Return an entity that is rendered already as GeoJSON (clause 4.5.16)."""
+def _documents(subscription: Subscription, entity: Entity, lookup: Lookup) -> list[Shown]:
+    """Return an entity as the subscriber reads it, with those it links to if these are wanted."""
+    terms, view, join = subscription.context.terms, subscription.view, subscription.join
+    if join is not None:
+        try:
+            return joined([entity], terms, view, join, lookup)
+        except Problem as problem:  # a web of too many links; the entity itself is told all the same
+            log.warning("links cannot be told", subscription=subscription.id, why=problem.detail)
+    return [(entity, render(entity, terms, view))]
+
+
+def _written(subscription: Subscription, documents: list[Shown]) -> bytes:
+    if subscription.endpoint.accept != GEO_JSON:
+        return b",".join(orjson.dumps(one) for _, one in documents)
     from services.context_broker import geojson  # noqa: PLC0415 - it knows requests, which know of us
 
     place = subscription.context.terms.expand(geojson.LOCATION)
-    return geojson.feature_of(document, geojson.geometry(entity, place))
+    return b",".join(
+        orjson.dumps(geojson.feature_of(one, geojson.geometry(entity, place))) for entity, one in documents
+    )
 
 
 def _prefers_plain_json(subscription: Subscription) -> bool:
@@ -100,12 +124,9 @@ def _prefers_plain_json(subscription: Subscription) -> bool:
     )
 
 
-def _with_changes(
-    subscription: Subscription, change: Happened, context: Context, view: View
-) -> dict[str, Any]:
+def _with_changes(subscription: Subscription, change: Happened, deleted_at: str) -> Entity:
     """Return the entity with what it has lost, and with what was before if the subscriber wants that."""
-    entity, shows = change.entity, subscription.shows_changes
-    deleted_at = timestamp(datetime.now(UTC))
+    entity, shows, view = change.entity, subscription.shows_changes, subscription.view
     attributes = dict(change.after.attributes) if change.after is not None else {}
     if change.before is not None:
         old = change.before.attributes
@@ -117,14 +138,14 @@ def _with_changes(
             for name in change.lost:
                 if watched is None or name in watched:
                     _add_gone(attributes, name, old[name], view, deleted_at, shows=shows)
-    told = Entity(
-        entity.id, entity.types, attributes, entity.created_at, entity.modified_at, scopes=entity.scopes
-    )
-    result = render(told, context.terms, view)
-    if change.after is None and (view.projection is None or view.projection.wants("deletedAt")):
-        head: dict[str, Any] = {member: result[member] for member in ("id", "type") if member in result}
-        result = {**head, "deletedAt": deleted_at, **result}
-    return result
+    return replace(entity, attributes=attributes, rendered={})
+
+
+def _with_end(document: dict[str, Any], view: View, deleted_at: str) -> dict[str, Any]:
+    if view.projection is not None and not view.projection.wants("deletedAt"):
+        return document
+    head: dict[str, Any] = {member: document[member] for member in ("id", "type") if member in document}
+    return {**head, "deletedAt": deleted_at, **document}
 
 
 def _tells_what_is_gone(subscription: Subscription, change: Happened) -> bool:

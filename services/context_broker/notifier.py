@@ -89,11 +89,12 @@ class Notifier(CourierOffice):
         if len(entity.types) > 1:
             interested = list(dict.fromkeys(interested))
         change, now_s = happened(event), time.time()
-        return [
-            notice
+        notices = [
+            self._notice(one, change, now_s)
             for one in interested
-            if one.wants(change, now_s) and (notice := self._notice(one, change, now_s)) is not None
+            if one.wants(change, now_s, self.store.latest)
         ]
+        return [one for one in notices if one is not None]
 
     def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
         """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
@@ -103,18 +104,18 @@ class Notifier(CourierOffice):
                 told.append(notice.body[1:-1])
                 continue
             entity = self.store.get(entity_id)
-            if entity is not None and subscription.admits(entity):
-                told.append(as_it_is(subscription, entity))
+            if entity is not None and subscription.admits(entity, self.store.get):
+                told.append(as_it_is(subscription, entity, self.store.get))
         return notification(subscription, told) if told else None
 
     def _notice(self, subscription: Subscription, change: Happened, now_s: float) -> Notice | None:
-        entity_id = change.entity.id
+        entity_id, lookup = change.entity.id, self.store.latest
         try:
             body: bytes | None
             if not subscription.throttling_s:
-                body = notification(subscription, [told_of(subscription, change)])
+                body = notification(subscription, [told_of(subscription, change, lookup)])
             elif change.after is None or subscription.shows_changes or change.lost:
-                body = b"[" + told_of(subscription, change) + b"]"
+                body = b"[" + told_of(subscription, change, lookup) + b"]"
             else:
                 body = None
             taken = _taken(subscription.endpoint.taken) if subscription.endpoint.taken else None
@@ -132,7 +133,11 @@ class Notifier(CourierOffice):
         bodies: list[bytes] = []
         candidates = iter(self._candidates(subscription))
         while some := list(islice(candidates, CHUNK)):
-            told += [as_it_is(subscription, one) for one in some if subscription.selects(one)]
+            told += [
+                as_it_is(subscription, one, self.store.get)
+                for one in some
+                if subscription.selects(one, self.store.get)
+            ]
             if len(told) >= MOST_TOLD_AT_ONCE:
                 bodies.append(notification(subscription, told))
                 told = []

@@ -15,8 +15,10 @@ from services.context_broker.entity_selector import EntitySelector, entity_selec
 from services.context_broker.geo_query import GeoQuery, geo_query_document
 from services.context_broker.intake import expand
 from services.context_broker.language import preferences
+from services.context_broker.linked import Join, check_depth, join_of
 from services.context_broker.problems import bad_request_data
 from services.context_broker.projection import Projection, read_projection
+from services.context_broker.q_match import Lookup, nobody
 from services.context_broker.rendering import Form, View
 from services.context_broker.scope_query import ScopeQuery, scope_query
 from services.context_broker.selection import Query, compiled
@@ -27,8 +29,6 @@ __all__ = ["GEO_JSON", "JSON", "JSON_LD", "Counts", "Endpoint", "Subscription", 
 
 MOST_SELECTORS: Final = 1000
 """Entity selectors of one subscription: each is tried on each change of its types."""
-DEEPEST_JOIN: Final = 10
-"""As far as relationships are followed."""
 _FORMS: Final = {
     "normalized": Form.NORMALIZED,
     "concise": Form.CONCISE,
@@ -71,7 +71,7 @@ class Subscription:
 
     Notifications are written in `context`; what the subscriber wrote itself is in the names of `names`.
     `interval_s` is there for one that is told periodically, `expires_s` (seconds since 1970) for one that
-    ends; `join` (flat or inline) says that linked entities, as far as `join_level`, are told too.
+    ends; `join` says that linked entities are told too.
     """
 
     id: str
@@ -90,8 +90,7 @@ class Subscription:
     expires_s: float = math.inf
     is_on: bool = True
     shows_changes: bool = False
-    join: str | None = None
-    join_level: int = 1
+    join: Join | None = None
     counts: Counts = field(default_factory=Counts)
 
     def is_active(self, now_s: float) -> bool:
@@ -104,23 +103,23 @@ class Subscription:
             return "expired"
         return "active" if self.is_on else "paused"
 
-    def selects(self, entity: Entity) -> bool:
-        """Say whether an entity is among those it is about."""
+    def selects(self, entity: Entity, lookup: Lookup = nobody) -> bool:
+        """Say whether an entity is among those it is about; `lookup` finds those that it links to."""
         return (not self.selectors or any(one.wants(entity) for one in self.selectors)) and self.admits(
-            entity
+            entity, lookup
         )
 
-    def admits(self, entity: Entity) -> bool:
+    def admits(self, entity: Entity, lookup: Lookup = nobody) -> bool:
         """Say whether an entity is as it is to be: by its attributes, its places and its scopes."""
         return (
-            (self.query is None or self.query.holds(entity))
+            (self.query is None or self.query.holds(entity, lookup))
             and (self.scopes is None or self.scopes.wants(entity.scopes))
             and (self.places is None or self.places.wants(entity))
         )
 
-    def wants(self, change: Happened, now_s: float) -> bool:
-        """Say whether a change is to be told."""
-        return self.triggers.heed(change) and self.is_active(now_s) and self.selects(change.entity)
+    def wants(self, change: Happened, now_s: float, lookup: Lookup = nobody) -> bool:
+        """Say whether a change is to be told; `lookup` finds entities that the changed one links to."""
+        return self.triggers.heed(change) and self.is_active(now_s) and self.selects(change.entity, lookup)
 
 
 def subscription(document: dict[str, Any], context: Context, names: Context | None = None) -> Subscription:
@@ -148,7 +147,9 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         raise bad_request_data(
             "notification.showChanges has no place in the format keyValues; choose normalized or concise"
         )
-    join, join_level = _join(notification)
+    query = None if "q" not in document else _compiled(document["q"], names)
+    join = join_of({name: notification.get(name) for name in ("join", "joinLevel")})
+    check_depth(join, view.projection, 0)
     return Subscription(
         id=document["id"],
         document=document,
@@ -158,7 +159,7 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         triggers=Triggers(
             read_kinds(document.get("notificationTrigger")), None if watched is None else frozenset(watched)
         ),
-        query=None if "q" not in document else _compiled(document["q"], names),
+        query=query,
         places=None if "geoQ" not in document else geo_query_document(document["geoQ"], _expanding(names)),
         scopes=None if "scopeQ" not in document else scope_query(document["scopeQ"]),
         view=view,
@@ -169,7 +170,6 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         is_on=_flag(document, "isActive", default=True, what='"isActive"'),
         shows_changes=shows_changes,
         join=join,
-        join_level=join_level,
     )
 
 
@@ -235,21 +235,6 @@ def _datasets(given: Any) -> frozenset[str | None] | None:
         return None
     datasets = given if isinstance(given, list) and given else [given]
     return frozenset(None if one == "@none" else require_uri(one, "a datasetId") for one in datasets)
-
-
-def _join(notification: Mapping[str, Any]) -> tuple[str | None, int]:
-    join, level = notification.get("join"), notification.get("joinLevel")
-    if join not in (None, "@none", "flat", "inline"):
-        raise bad_request_data(f"notification.join is flat, inline or @none, not {shown(join)}")
-    if level is None:
-        level = 1
-    elif join in (None, "@none"):
-        raise bad_request_data("notification.joinLevel says how far to join; add join, or leave it out")
-    if not isinstance(level, int) or isinstance(level, bool) or not 1 <= level <= DEEPEST_JOIN:
-        raise bad_request_data(
-            f"notification.joinLevel is a whole number from 1 to {DEEPEST_JOIN}, not {shown(level)}"
-        )
-    return (None if join == "@none" else join), level
 
 
 def _interval(document: Mapping[str, Any]) -> float | None:

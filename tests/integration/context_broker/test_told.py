@@ -135,6 +135,32 @@ def test_places_are_told_as_geojson(http: httpx.Client, subscriber: Any, eventua
     assert subscriber.headers[0]["content-type"] == "application/geo+json"
 
 
+def test_linked_entities_are_told_along(
+    http: httpx.Client, subscriber: Any, new_subscriber: Callable[..., Any], eventually: Eventually
+) -> None:
+    inside = new_subscriber()
+    subscribe(http, "Flat", subscriber.url, entities=[{"type": "Trip"}], notification={"join": "flat"})
+    view = {"join": "inline", "joinLevel": 2, "format": "keyValues"}
+    subscribe(http, "Inline", inside.url, entities=[{"type": "Trip"}], notification=view)
+    city = create(http, "City", title="Paris")
+    trip = create(http, "Trip", goesTo={"type": "Relationship", "object": city})
+    eventually(lambda: subscriber.received and inside.received)
+    assert [one["id"] for one in subscriber.received[0]["data"]] == [trip, city]
+    assert inside.entities()[0]["goesTo"] == {"id": city, "type": "City", "title": "Paris"}
+
+
+def test_what_linked_entities_say_chooses_too(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscribe(http, "Linked", subscriber.url, entities=[{"type": "Ride"}], q='goesTo{title}=="Rome"')
+    rome = create(http, "City", "rome", title="Rome")
+    oslo = create(http, "City", "oslo", title="Oslo")
+    create(http, "Ride", "north", goesTo={"type": "Relationship", "object": oslo})
+    south = create(http, "Ride", "south", goesTo={"type": "Relationship", "object": rome})
+    (told,) = eventually(subscriber.entities)
+    assert told["id"] == south
+
+
 def test_headers_of_the_request_are_passed_on_where_the_subscriber_wants_them(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
