@@ -37,6 +37,8 @@ _AS_ROOT: Final = frozenset({"und", "de", "en", "fr", "ga", "id", "it", "ms", "n
 """Languages that are ordered as the root collation has it."""
 _PHONE_BOOK: Final = {"ä": "ae", "ö": "oe", "ü": "ue"}
 _STRENGTHS: Final = {"level1": 1, "level2": 2, "level3": 3, "level4": 3, "identic": 4}
+_LOW: Final = {ord(sign): place for place, sign in enumerate("\t\n _-,;:!?.'\"()[]{}@*/\\&#%`^+<=>|~$", 1)}
+"""Spaces and punctuation come before digits, digits before letters."""
 _DIGITS: Final = re.compile(r"\d+")
 
 
@@ -67,6 +69,7 @@ def _collation(tag: str) -> Key:
     if options:
         raise _unknown(tag)
 
+    @lru_cache(maxsize=4096)
     def key(text: str) -> Any:
         composed = unicodedata.normalize("NFC", text)
         letters = _letters(composed.casefold(), own, as_letters)
@@ -74,7 +77,7 @@ def _collation(tag: str) -> Key:
             letters = _DIGITS.sub(
                 lambda found: f"{len(found[0].lstrip('0')):05}{found[0].lstrip('0')}", letters
             )
-        primary = tuple(map(_class_of, letters))
+        primary = letters.translate(_LOW)
         if strength == 1:
             return (primary,)
         accents = unicodedata.normalize("NFD", composed.casefold())
@@ -118,15 +121,6 @@ def _letters(text: str, own: dict[str, str], as_letters: dict[str, str]) -> str:
                 "".join(c for c in unicodedata.normalize("NFD", sign) if not unicodedata.combining(c))
             )
     return "".join(found)
-
-
-def _class_of(sign: str) -> tuple[int, str]:
-    """Return what a sign is ordered by: spaces and punctuation, then digits, then letters."""
-    if sign.isalpha():
-        return 3, sign
-    if sign.isdigit():
-        return 2, sign
-    return (0, sign) if sign.isspace() else (1, sign)
 
 
 def _unknown(tag: str) -> Exception:

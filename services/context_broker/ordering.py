@@ -36,6 +36,8 @@ _HELD: Final[dict[Any, Any]] = {
     _PLACE: int | float, _NUMBER: int | float, _TEXT: str, _OBJECT: str, _LIST: str, _TRUTH: bool, _TIME: str,
     _DATE: int | float, _DATE_TIME: int | float, _NULL: NoneType, _ABSENT: NoneType,
 }  # fmt: skip
+_COUNTED: Final = frozenset({_PLACE, _NUMBER, _TRUTH, _DATE, _DATE_TIME})
+"""Kinds of values that are turned round by their sign."""
 _TYPED: Final = {"Time": _TIME, "Date": _DATE, "DateTime": _DATE_TIME}
 
 Told = list[Any]
@@ -86,15 +88,25 @@ class Ordering:
         for key, (kind, value) in zip(self.keys, told, strict=True):
             if not isinstance(value, _HELD[kind]):
                 raise TypeError
-            what = (kind, (self.collated(value), value) if kind == _TEXT else value)
-            # Nothing comes last, in whichever direction (clause 4.23.2).
-            is_missing = value is None
-            places.append((is_missing, _Downwards(what) if key.is_descending and not is_missing else what))
+            places.append(self._ranked(kind, value, key.is_descending))
         return (*places, seq)
 
     def place_of(self, entity: Entity) -> tuple[Any, ...]:
         """Return the entity's place in the order."""
+        if len(self.keys) == 1:
+            key = self.keys[0]
+            kind, value = key.tell(entity)
+            return self._ranked(kind, value, key.is_descending), entity.seq
         return self.place(self.told(entity), entity.seq)
+
+    def _ranked(self, kind: int, value: Any, is_descending: bool) -> tuple[int, Any]:
+        if kind == _TEXT:
+            value = (self.collated(value), value)
+        if not is_descending:
+            return kind, value
+        if value is None:  # nothing comes last, in whichever direction (clause 4.23.2)
+            return kind, None
+        return -kind, -value if kind in _COUNTED else _Downwards(value)
 
 
 def ordering(parameters: Mapping[str, str], expand: Expand) -> Ordering | None:

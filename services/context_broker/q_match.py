@@ -41,6 +41,8 @@ _TIME_OF_DAY: Final = re.compile(r"\d{2}:\d{2}:\d{2}(?:[.,]\d+)?Z?")
 Lookup = Callable[[str], Entity | None]
 """Finds the entity that a relationship leads to, by its id."""
 Expand = Callable[[str], str]
+Test = Callable[[Any], bool]
+"""What a single value is compared by."""
 
 
 def nobody(_: str) -> Entity | None:
@@ -212,7 +214,7 @@ def _matching(term: Matches, expand: Expand) -> Predicate:
 
 def _comparing(term: Compare, expand: Expand) -> Predicate:
     find = finder(term.path, expand)
-    tests = tuple(_test(term.operator, value, expand) for value in term.values)
+    test = _any_of([_test(term.operator, value, expand) for value in term.values])
     negated = term.operator == "!="
     of_objects = term.operator in {"==", "!="}
 
@@ -221,37 +223,51 @@ def _comparing(term: Compare, expand: Expand) -> Predicate:
         for value in find(entity, lookup):
             found = True
             if isinstance(value, _PLAIN):
-                if any(test(value) for test in tests):
+                if test(value):
                     return not negated
-            elif (of_objects or not isinstance(value, _Objects)) and any(
-                test(leaf) for leaf in comparable(value) for test in tests
-            ):
+            elif (of_objects or not isinstance(value, _Objects)) and any(map(test, comparable(value))):
                 return not negated
         return found and negated
 
     return compares
 
 
-def _test(operator: str, value: Literal | Span, expand: Expand) -> Callable[[Any], bool]:
+def _any_of(tests: list[Test]) -> Test:
+    if len(tests) == 1:
+        return tests[0]
+    return lambda leaf: any(test(leaf) for test in tests)
+
+
+def _test(operator: str, value: Literal | Span, expand: Expand) -> Test:
+    """Return what a single value is compared by; whoever asks for != turns the answer round for them all."""
     if isinstance(value, Span):
         low, high = _test(">=", value.low, expand), _test("<=", value.high, expand)
         return lambda leaf: low(leaf) and high(leaf)
+    wanted = expand(str(value.value)) if value.kind is Kind.TERM else value.value
+    if value.kind is Kind.TIME:
+        return _time_test(_RELATIONS[operator], wanted)
+    if operator in {"==", "!="}:
+        return _equality_test(value.kind, wanted)
     relation = _RELATIONS[operator]
-    wanted = value.value
     if value.kind is Kind.TRUTH:
         return lambda leaf: isinstance(leaf, bool) and relation(leaf, wanted)
     if value.kind is Kind.NUMBER:
         return lambda leaf: (
             isinstance(leaf, int | float) and not isinstance(leaf, bool) and relation(leaf, wanted)
         )
-    if value.kind is Kind.TIME:
-        return _time_test(relation, wanted)
-    if value.kind is Kind.TERM:
-        wanted = expand(str(wanted))
     return lambda leaf: isinstance(leaf, str) and relation(leaf, wanted)
 
 
-def _time_test(relation: Callable[[Any, Any], bool], wanted: str | float) -> Callable[[Any], bool]:
+def _equality_test(kind: Kind, wanted: str | float | bool) -> Test:
+    """Return the test that most queries are made of, as plain as can be. True is not 1 here."""
+    if kind is Kind.TRUTH:
+        return lambda leaf: leaf is wanted
+    if kind is Kind.NUMBER:
+        return lambda leaf: leaf == wanted and not isinstance(leaf, bool)
+    return lambda leaf: bool(leaf == wanted)
+
+
+def _time_test(relation: Callable[[Any, Any], bool], wanted: str | float) -> Test:
     if isinstance(wanted, str):
         of_day = _of_day(wanted)
         return lambda leaf: (
@@ -268,7 +284,7 @@ def _of_day(text: str) -> str:
 
 _RELATIONS: Final[dict[str, Callable[[Any, Any], bool]]] = {
     "==": lambda a, b: a == b,
-    "!=": lambda a, b: a == b,  # whoever uses it turns the answer round, over all values at once
+    "!=": lambda a, b: a == b,
     ">": lambda a, b: a > b,
     "<": lambda a, b: a < b,
     ">=": lambda a, b: a >= b,

@@ -63,16 +63,31 @@ class Selection:
 
     def wants(self, entity: Entity, lookup: Lookup = nobody) -> bool:
         """Say whether the entity is among those wanted; `lookup` finds those that it links to."""
-        return (
-            (self.ids is None or entity.id in self.ids)
-            and (self.types is None or self.types.wants(entity.types))
-            and (self.attributes is None or not self.attributes.isdisjoint(entity.attributes))
-            and (self.id_pattern is None or fits(self.id_pattern, entity.id))
-            and (self.query is None or self.query.holds(entity, lookup))
-            and (self.scopes is None or self.scopes.wants(entity.scopes))
-            and (self.places is None or self.places.wants(entity))
-            and (not self.any_of or any(one.wants(entity, lookup) for one in self.any_of))
-        )
+        return all(question(entity, lookup) for question in self.questions())
+
+    def questions(self) -> list[Predicate]:
+        """Return the questions that all are to be answered with yes, those soon answered first."""
+        asked: list[Predicate] = []
+        ids, types, names, wanted = self.ids, self.types, self.attributes, self.id_pattern
+        scopes, places, any_of = self.scopes, self.places, self.any_of
+        if ids is not None:
+            known = frozenset(ids)
+            asked.append(lambda entity, _=nobody: entity.id in known)
+        if types is not None and not types.is_every:
+            asked.append(lambda entity, _=nobody: types.wants(entity.types))
+        if names is not None:
+            asked.append(lambda entity, _=nobody: not names.isdisjoint(entity.attributes))
+        if wanted is not None:
+            asked.append(lambda entity, _=nobody: fits(wanted, entity.id))
+        if self.query is not None:
+            asked.append(self.query.holds)
+        if scopes is not None:
+            asked.append(lambda entity, _=nobody: scopes.wants(entity.scopes))
+        if places is not None:
+            asked.append(lambda entity, _=nobody: places.wants(entity))
+        if any_of:
+            asked.append(lambda entity, lookup=nobody: any(one.wants(entity, lookup) for one in any_of))
+        return asked
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,13 +223,16 @@ async def _hits(
     store: Store, selection: Selection, candidates: Sequence[Entity], most: int | None = None
 ) -> list[Entity]:
     """Return the candidates that are wanted, the first `most` of them if that is given."""
-    lookup, wants = store.get, selection.wants
+    lookup, questions = store.get, selection.questions()
     hits: list[Entity] = []
     for start in range(0, len(candidates), CHUNK):
         if start:
             await asyncio.sleep(0)
         for entity in candidates[start : start + CHUNK]:
-            if wants(entity, lookup):
+            for question in questions:  # written out, since this is the innermost of a query
+                if not question(entity, lookup):
+                    break
+            else:
                 hits.append(entity)
                 if len(hits) == most:
                     return hits

@@ -7,7 +7,7 @@ disk refuses, everything staged is forgotten, so that memory never says more tha
 import asyncio
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import orjson
 
@@ -69,7 +69,7 @@ class Store:
         self.census = Census()
         self._ends = ends
         self._committed: dict[str, Entity] = {}
-        self._by_type: dict[str, dict[str, None]] = {}
+        self._by_type: dict[str, dict[str, Entity]] = {}
         self._is_in_order = True
         self._types_out_of_order: set[str] = set()
         self._indexes: dict[str, AttributeIndex] = {}
@@ -123,28 +123,28 @@ class Store:
 
     def _all(self) -> list[Entity]:
         if not self._is_in_order:
-            self._committed = {one.id: one for one in sorted(self._committed.values(), key=_by_seq)}
+            self._committed = _in_order(self._committed)
             self._is_in_order = True
         return list(self._committed.values())
 
     def _count_of(self, types: TypeSelection) -> int:
         return sum(len(self._rarest(one)) for one in types.alternatives)
 
-    def _rarest(self, kinds: frozenset[str]) -> dict[str, None]:
-        """Return the ids of the type of which there are fewest."""
+    def _rarest(self, kinds: frozenset[str]) -> dict[str, Entity]:
+        """Return the entities of the type of which there are fewest."""
         return min((self._by_type.get(kind, {}) for kind in kinds), key=len)
 
     def _of_types(self, types: TypeSelection) -> list[Entity]:
         if len(types.alternatives) == 1 and len(types.alternatives[0]) == 1:
             (kind,) = types.alternatives[0]
             if kind in self._types_out_of_order:
-                entities = sorted((self._committed[one] for one in self._by_type[kind]), key=_by_seq)
-                self._by_type[kind] = {one.id: None for one in entities}
+                self._by_type[kind] = _in_order(self._by_type[kind])
                 self._types_out_of_order.discard(kind)
-                return entities
-            return [self._committed[one] for one in self._by_type.get(kind, ())]
-        hits = {one: None for kinds in types.alternatives for one in self._rarest(kinds)}
-        return sorted((self._committed[one] for one in hits), key=_by_seq)
+            return list(self._by_type.get(kind, {}).values())
+        hits: dict[str, Entity] = {}
+        for kinds in types.alternatives:
+            hits.update(self._rarest(kinds))
+        return sorted(hits.values(), key=_by_seq)
 
     def mixed(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
@@ -251,27 +251,29 @@ class Store:
         for place_index in self._place_indexes.values():
             place_index.refile(before, after)
 
-    def _is_overtaken(self, ids: dict[str, Any], entity: Entity) -> bool:
-        """Say whether the last of `ids` was created after `entity`.
+    def _is_overtaken(self, entities: dict[str, Entity], entity: Entity) -> bool:
+        """Say whether the last of `entities` was created after `entity`.
 
         That happens when an entity gets another type, and when news of other brokers come in the order of
         their commits.
         """
-        last = next(reversed(ids), None)
-        return last is not None and self._committed[last].seq > entity.seq
+        last = next(reversed(entities), None)
+        return last is not None and entities[last].seq > entity.seq
 
     def _file_by_type(self, before: Entity | None, after: Entity | None) -> None:
         if before and after and before.types == after.types and before.seq == after.seq:
+            for kind in after.types:
+                self._by_type[kind][after.id] = after
             return
         for kind in before.types if before else ():
             del self._by_type[kind][before.id]  # type: ignore[union-attr]
         if after is None:
             return
         for kind in after.types:
-            ids = self._by_type.setdefault(kind, {})
-            if self._is_overtaken(ids, after):
+            entities = self._by_type.setdefault(kind, {})
+            if self._is_overtaken(entities, after):
                 self._types_out_of_order.add(kind)
-            ids[after.id] = None
+            entities[after.id] = after
 
     def _index(self, attribute: str) -> AttributeIndex | None:
         """Return the index of an attribute, made when it is first asked for."""
@@ -306,6 +308,10 @@ class Mix(Store):
         """Return an entity of the mix, or the committed one."""
         found = super().get(entity_id)
         return self._store.get(entity_id) if found is None and entity_id not in self._others else found
+
+
+def _in_order(entities: dict[str, Entity]) -> dict[str, Entity]:
+    return {one.id: one for one in sorted(entities.values(), key=_by_seq)}
 
 
 def _by_seq(entity: Entity) -> int:

@@ -25,6 +25,8 @@ class TypeSelection:
 
     def wants(self, types: Collection[str]) -> bool:
         """Say whether an entity of `types` is wanted."""
+        if len(self.alternatives) == 1:
+            return self.alternatives[0].issubset(types)
         return any(one.issubset(types) for one in self.alternatives)
 
     @property
