@@ -114,13 +114,13 @@ class Broker:
                 self.entity_maps,
                 self.snapshots,
                 ContextOperations(self.contexts),
-                TemporalOperations(journal),
-                TemporalProvision(journal, self.tenants.recorder),
+                TemporalOperations(journal.archive),
+                TemporalProvision(journal.archive, self.tenants.recorder),
             )
             for operation in room.operations()
         )
         self.retention = Retention(
-            journal, self.tenants.commits, settings.broker_history_keep_days, lambda: leadership.leads
+            journal.archive, self.tenants.commits, settings.broker_history_keep_days, lambda: leadership.leads
         )
         self._seen: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
 

@@ -10,9 +10,9 @@ from operator import itemgetter
 from typing import Any, Final
 
 from services.context_broker.aggregation import Aggregation, Total, periods, totals
+from services.context_broker.archive import Archive
 from services.context_broker.entity import SAYS, Entity, Instance
 from services.context_broker.history import SCOPE, Change, Departed, instance_id
-from services.context_broker.journal import Journal
 from services.context_broker.problems import too_many_results
 from services.context_broker.temporal_query import TemporalQuery
 
@@ -165,16 +165,16 @@ def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, b
     return sorted(found.values(), key=lambda subject: subject.places[0])
 
 
-def tell_one(journal: Journal, subject: Subject, question: Question) -> Found:
+def tell_one(archive: Archive, subject: Subject, question: Question) -> Found:
     """Return how one subject has been. Raises `NotStored` when the disk cannot be read."""
-    (evolution,) = _read(journal, [subject], question)
+    (evolution,) = _read(archive, [subject], question)
     found = Found([evolution], total=1)
     _finish(found, question)
     return found
 
 
 def tell(
-    journal: Journal, subjects: Sequence[Subject], question: Question, offset: int, limit: int, *, count: bool
+    archive: Archive, subjects: Sequence[Subject], question: Question, offset: int, limit: int, *, count: bool
 ) -> Found:
     """Return how those of `subjects` have been that the question wants, a page of them.
 
@@ -182,7 +182,7 @@ def tell(
     """
     found = Found()
     for run in _runs(subjects):
-        for evolution in _read(journal, run, question):
+        for evolution in _read(archive, run, question):
             if not evolution.is_hit or not (question.wants is None or question.wants(evolution.as_entity())):
                 continue
             found.total += 1
@@ -212,7 +212,7 @@ def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
         yield run
 
 
-def _read(journal: Journal, run: Sequence[Subject], question: Question) -> Iterator[Evolution]:
+def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Iterator[Evolution]:
     """Yield the evolution of each subject as soon as its rows are read: only one is in memory at a time."""
     rest = iter(run)
     query = question.query
@@ -221,7 +221,7 @@ def _read(journal: Journal, run: Sequence[Subject], question: Question) -> Itera
     condition, values = query.condition()
     bare = query.aggregation is not None and question.wants is None
     # The latest first where they are wanted: those before them are then told apart by their time alone.
-    rows = journal.history(places, condition, values, latest_first=query.last is not None)
+    rows = archive.history(places, condition, values, latest_first=query.last is not None)
     ends_early = query.last is None and question.wants is None and query.aggregation is None
     edge: int | None = None
     for place, seq, observed_from, body in rows:

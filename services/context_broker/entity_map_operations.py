@@ -18,6 +18,7 @@ from services.context_broker.registration_operations import answer, with_context
 from services.context_broker.selection import Selection, hits_of
 from services.context_broker.store import Mix, Store
 from services.context_broker.temporal_operations import QUERYING
+from services.context_broker.temporal_query import temporal_window
 
 Performing = Callable[[Exchange], Awaitable[Answer]]
 """Carries a query out, sources included."""
@@ -128,7 +129,7 @@ class EntityMapOperations:
     async def _page(self, exchange: Exchange, one: EntityMap, perform: Performing) -> Answer:
         """Answer with the piece of a map that is asked for; what no longer fits the query is left out."""
         wanted = in_place_of(exchange, parameters=_without(exchange.parameters, MAP_PARAMETERS))
-        window = window_of(wanted)
+        window = (temporal_window if "/temporal/" in wanted.path else window_of)(wanted)
         ids = list(one.entities)
         some = ids[window.offset : window.offset + window.limit] or [_NOBODY]
         parameters = {

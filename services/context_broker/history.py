@@ -13,8 +13,9 @@ from typing import Any, Final
 
 import orjson
 
+from services.context_broker.archive import DepartedRow, HistoryRow
 from services.context_broker.entity import NULL, SAYS, Attributes, Entity, Event, Instance, dataset_of
-from services.context_broker.journal import DepartedRow, Entries, HistoryRow
+from services.context_broker.journal import Entries
 from services.context_broker.words import moment, timestamp, timestamp_now
 
 SCOPE: Final = "scope"

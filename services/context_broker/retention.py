@@ -9,9 +9,10 @@ from contextlib import suppress
 from typing import Final
 
 from handover.telemetry import get_logger
+from services.context_broker.archive import Archive, DepartedRow
 from services.context_broker.commits import Commits
 from services.context_broker.history import seq_before
-from services.context_broker.journal import DepartedRow, Entries, Journal, NotStored
+from services.context_broker.journal import Entries, NotStored
 
 log = get_logger(__name__)
 
@@ -30,9 +31,9 @@ class Retention:
     """Clears history away. `is_due` says whether this broker is the one to do it."""
 
     def __init__(
-        self, journal: Journal, commits: Commits, keep_days: float, is_due: Callable[[], bool] = lambda: True
+        self, archive: Archive, commits: Commits, keep_days: float, is_due: Callable[[], bool] = lambda: True
     ) -> None:
-        self._journal = journal
+        self._archive = archive
         self._commits = commits
         self._keep_days = keep_days
         self._is_due = is_due
@@ -76,7 +77,7 @@ class Retention:
                 continue
             bound: int | None = 0
             while bound is not None:
-                bound = await asyncio.to_thread(self._journal.bound_of, place, PIECE, before)
+                bound = await asyncio.to_thread(self._archive.bound_of, place, PIECE, before)
                 await self._commits.store(Entries(cleared=[(place, before if bound is None else bound)]))
                 pieces += 1
                 await asyncio.sleep(PAUSE_S)
@@ -86,7 +87,7 @@ class Retention:
         """Return the next place with something to clear, else how far has been looked, -1 at the end."""
         place = after
         for _ in range(PLACES_A_LOOK):
-            found = self._journal.first_change(place)
+            found = self._archive.first_change(place)
             if found is None:
                 return -1, False
             place, seq = found
@@ -95,7 +96,7 @@ class Retention:
         return place, False
 
     async def _forget_if_empty(self, place: int) -> None:
-        gone = await asyncio.to_thread(self._journal.departed_without_history, place)
+        gone = await asyncio.to_thread(self._archive.departed_without_history, place)
         if gone is not None:
             tenant, entity_id = gone
             await self._commits.store(Entries(departed={place: DepartedRow(tenant, entity_id, None)}))

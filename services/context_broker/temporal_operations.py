@@ -2,18 +2,21 @@
 
 import asyncio
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Final, TypeVar
 
 import orjson
 
+from services.context_broker.archive import Archive
 from services.context_broker.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity
 from services.context_broker.entity_maps import MAP_PARAMETERS
 from services.context_broker.entity_operations import absent
 from services.context_broker.exchange import JSON_LD, Answer, Exchange
-from services.context_broker.journal import Journal, NotStored
+from services.context_broker.journal import NotStored
 from services.context_broker.operation import Operation
 from services.context_broker.ordering import Ordering, ordering
 from services.context_broker.pages import PLACE
@@ -42,6 +45,9 @@ from services.context_broker.temporal_query import (
 from services.context_broker.temporal_rendering import content_range, told
 from services.context_broker.words import require_uri, shown
 
+READERS: Final = 2
+"""Threads that look into the past: long looks wait for one another, and keep nothing else waiting."""
+
 _OF_THE_PRESENT: Final = LINK_PARAMETERS | {PLACE, "geometryProperty", "orderFrom", "orderGeometry"}
 """What can be asked of entities as they are, and not of how they have been."""
 _TELLING: Final = (VIEW_PARAMETERS - _OF_THE_PRESENT) | TIME_PARAMETERS | AGGREGATION_PARAMETERS
@@ -63,8 +69,9 @@ class _Wish:
 class TemporalOperations:
     """What readers can learn about how things have been."""
 
-    def __init__(self, journal: Journal) -> None:
-        self._journal = journal
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self._readers = ThreadPoolExecutor(READERS, "past")
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
@@ -84,14 +91,14 @@ class TemporalOperations:
         question = Question(wish.query, wish.view.wants, None, wish.view.view.datasets)
 
         def look() -> tuple[Found, list[bytes]] | None:
-            departed = self._journal.departed(exchange.tenant.name, entity_id)
+            departed = self._archive.departed(exchange.tenant.name, entity_id)
             subjects = subjects_of(() if live is None else (live,), departed)
             if not subjects:
                 return None
-            found = tell_one(self._journal, subjects[0], question)
+            found = tell_one(self._archive, subjects[0], question)
             return found, _texts(found, wish)
 
-        answered = await _in_thread(look)
+        answered = await self._looked(look)
         if answered is None:
             raise absent(entity_id)
         found, (text,) = answered
@@ -136,14 +143,17 @@ class TemporalOperations:
         name = exchange.tenant.name
 
         def look() -> tuple[Found, list[bytes]]:
-            known = subjects_of(live, self._journal.departed(name))
+            ids: tuple[str | None, ...] = (
+                (None,) if selection.ids is None else tuple(dict.fromkeys(selection.ids))
+            )
+            known = subjects_of(live, chain.from_iterable(self._archive.departed(name, one) for one in ids))
             wanted = [one for one in known if narrowing.wants(_as_entity(one))]
             if order is not None:
                 wanted.sort(key=lambda one: order.place_of(_as_entity(one)))
-            found = tell(self._journal, wanted, question, window.offset, window.limit, count=window.count)
+            found = tell(self._archive, wanted, question, window.offset, window.limit, count=window.count)
             return found, _texts(found, wish)
 
-        found, texts = await _in_thread(look)
+        found, texts = await self._looked(look)
         answer = _answer(b"[" + b",".join(texts) + b"]", found, wish)
         if window.count:
             answer.headers.append((b"ngsild-results-count", str(found.total).encode()))
@@ -151,13 +161,12 @@ class TemporalOperations:
             answer.headers += page_links(exchange, window, wish.accept, more=found.more)
         return answer
 
-
-async def _in_thread(look: Callable[[], Told]) -> Told:
-    """Look into the database in a thread; raise a problem (503) when it cannot be read."""
-    try:
-        return await asyncio.to_thread(look)
-    except NotStored as error:
-        raise not_read(str(error)) from error
+    async def _looked(self, look: Callable[[], Told]) -> Told:
+        """Look into the database in a thread; raise a problem (503) when it cannot be read."""
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._readers, look)
+        except NotStored as error:
+            raise not_read(str(error)) from error
 
 
 def _texts(found: Found, wish: _Wish) -> list[bytes]:

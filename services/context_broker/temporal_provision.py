@@ -13,6 +13,7 @@ from urllib.parse import quote
 import orjson
 
 from handover.errors import Problem
+from services.context_broker.archive import Archive, DepartedRow, HistoryRow
 from services.context_broker.chronicle import Subject, subjects_of
 from services.context_broker.completion import completed_part
 from services.context_broker.entity import NULL, Attributes, Instance, Terms, dataset_of, is_deletion
@@ -20,7 +21,7 @@ from services.context_broker.entity_operations import DONE, absent
 from services.context_broker.exchange import PREFIX, Answer, Exchange
 from services.context_broker.history import SCOPE, Change, Departed, Recorder, place_of
 from services.context_broker.intake import DEFAULT_INSTANCE, expand, read_attribute
-from services.context_broker.journal import DepartedRow, Entries, HistoryRow, Journal, NotStored
+from services.context_broker.journal import Entries, NotStored
 from services.context_broker.operation import Operation
 from services.context_broker.problems import bad_request_data, not_found, not_stored
 from services.context_broker.temporal_intake import Past, read_past
@@ -39,8 +40,8 @@ _END_OF_TIME: Final = 2**62
 class TemporalProvision:
     """What can be done to the past."""
 
-    def __init__(self, journal: Journal, recorder: Recorder | None) -> None:
-        self._journal = journal
+    def __init__(self, archive: Archive, recorder: Recorder | None) -> None:
+        self._archive = archive
         self._recorder = recorder or Recorder()
         self._turns: dict[tuple[str, str], tuple[asyncio.Lock, int]] = {}
 
@@ -108,7 +109,7 @@ class TemporalProvision:
             subject = await self._existing(tenant, entity_id)
             for place in subject.places:
                 while True:
-                    bound = await asyncio.to_thread(self._journal.bound_of, place, ROWS_A_COMMIT)
+                    bound = await asyncio.to_thread(self._archive.bound_of, place, ROWS_A_COMMIT)
                     await _commit(
                         tenant, Entries(cleared=[(place, _END_OF_TIME if bound is None else bound)])
                     )
@@ -132,10 +133,13 @@ class TemporalProvision:
         async with self._turn(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
             found = 0
-            pieces = self._rewritten(subject, cut)
-            while rows := await asyncio.to_thread(next, pieces, None):
-                found += len(rows)
-                await _commit(tenant, Entries(history=rows))
+            for place in subject.places:
+                after: int | None = -1
+                while after is not None:
+                    rows, after = await asyncio.to_thread(self._rewritten, place, after, cut)
+                    if rows:
+                        found += len(rows)
+                        await _commit(tenant, Entries(history=rows))
         if not found:
             which = "no instance" if every else f"no instance with {_dataset_shown(dataset)}"
             raise not_found(
@@ -213,7 +217,7 @@ class TemporalProvision:
         await _commit(tenant, entries)
 
     async def _subject(self, tenant: Tenant, entity_id: str) -> Subject | None:
-        departed = await asyncio.to_thread(lambda: list(self._journal.departed(tenant.name, entity_id)))
+        departed = await asyncio.to_thread(lambda: list(self._archive.departed(tenant.name, entity_id)))
         live = tenant.store.latest(entity_id)
         found = subjects_of(() if live is None else (live,), departed)
         return found[0] if found else None
@@ -232,23 +236,19 @@ class TemporalProvision:
         if where is None or where[0] not in subject.places:
             raise _absent_instance(exchange)
         place, seq, position = where
-        rows = await asyncio.to_thread(lambda: list(self._journal.history([place], "seq = ?", (seq,))))
-        if not rows:
+        rows = await asyncio.to_thread(self._archive.changes_after, place, seq - 1, 1)
+        if not rows or rows[0][0] != seq:
             raise _absent_instance(exchange)
-        return place, seq, position, Change.restored(rows[0][-1])
+        return place, seq, position, Change.restored(rows[0][1])
 
-    def _rewritten(self, subject: Subject, cut: Callable[[Change], bool]) -> Iterator[list[HistoryRow]]:
-        """Yield the rows that `cut` has changed, in pieces; in a thread."""
-        rows: list[HistoryRow] = []
-        for place, seq, _, body in self._journal.history(subject.places):
-            change = Change.restored(body)
-            if cut(change):
-                rows.append(_row(place, seq, change))
-                if len(rows) >= ROWS_A_COMMIT:
-                    yield rows
-                    rows = []
-        if rows:
-            yield rows
+    def _rewritten(
+        self, place: int, after: int, cut: Callable[[Change], bool]
+    ) -> tuple[list[HistoryRow], int | None]:
+        """Return those of the next rows that `cut` has changed, and the seq to go on after, if any."""
+        found = self._archive.changes_after(place, after, ROWS_A_COMMIT)
+        changed = [(seq, change) for seq, body in found if cut(change := Change.restored(body))]
+        rows = [_row(place, seq, change) for seq, change in changed]
+        return rows, found[-1][0] if len(found) == ROWS_A_COMMIT else None
 
     @asynccontextmanager
     async def _turn(self, tenant: Tenant, entity_id: str) -> AsyncIterator[None]:

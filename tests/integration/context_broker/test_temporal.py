@@ -479,3 +479,21 @@ def test_a_power_cut_takes_nothing_acknowledged_out_of_the_past(own_broker: Any,
             told_of = values(told(http, writer.entity_id, timeproperty="modifiedAt"), "n")
             assert told_of == list(range(len(told_of)))
             assert len(told_of) - 1 in {writer.acknowledged, writer.acknowledged + 1}
+
+
+def test_a_map_of_entities_also_serves_looks_into_the_past(http: httpx.Client) -> None:
+    for number in range(3):
+        body = {"id": f"urn:ngsi-ld:Tram:demo:{number}", "type": "Tram", "speed": readings([number, number])}
+        assert http.post(PAST, json=body).status_code == 201
+    asked = {
+        "type": "Tram",
+        "timerel": "after",
+        "timeAt": "2025-01-01T00:00:00Z",
+        "options": "temporalValues",
+    }
+    first = http.get(PAST, params={**asked, "entityMap": "true", "limit": 2})
+    assert first.status_code == 201, first.text
+    named = {"NGSILD-EntityMap": first.headers["NGSILD-EntityMap"]}
+    second = http.get(PAST, params={**asked, "limit": 2, "offset": 2}, headers=named)
+    assert second.status_code == 200, second.text
+    assert [one["speed"]["values"][0][0] for one in (*first.json(), *second.json())] == [0, 1, 2]

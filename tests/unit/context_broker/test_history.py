@@ -99,12 +99,12 @@ class Life:
 
     def subject(self) -> Subject:
         self.commit()
-        departed = self.journal.departed("", f"urn:x:{self.place}")
+        departed = self.journal.archive.departed("", f"urn:x:{self.place}")
         (found,) = subjects_of(() if self.entity is None else (self.entity,), departed)
         return found
 
     def told(self, query: TemporalQuery) -> Found:
-        return tell_one(self.journal, self.subject(), Question(query, lambda _: True))
+        return tell_one(self.journal.archive, self.subject(), Question(query, lambda _: True))
 
 
 def without_id(instance: Instance) -> Instance:
@@ -254,7 +254,7 @@ def test_an_answer_over_many_entities_ends_at_one_time_for_all(
             seen = timestamp(START + timedelta(minutes=minute))
             life.change({"speed": {"type": "Property", "value": minute, "observedAt": seen}})
     question = Question(TemporalQuery(time_property="observedAt"), lambda _: True)
-    found = tell(journal, [life.subject() for life in lives], question, 0, 10, count=True)
+    found = tell(journal.archive, [life.subject() for life in lives], question, 0, 10, count=True)
     assert found.total == 3
     assert found.edge is not None
     counts = [sum(len(series.points) for series in one.all()) for one in found.evolutions]
@@ -267,7 +267,7 @@ def test_pages_of_entities_hold_each_once(journal: Journal) -> None:
         life.create({"speed": number} if number % 2 else {"heading": number})
     subjects = [life.subject() for life in lives]
     question = Question(TemporalQuery(), lambda _: True, requires=frozenset({TERMS.expand("speed")}))
-    pages = [tell(journal, subjects, question, offset, 2, count=False) for offset in (0, 2)]
+    pages = [tell(journal.archive, subjects, question, offset, 2, count=False) for offset in (0, 2)]
     assert [one.subject.id for page in pages for one in page.evolutions] == [
         f"urn:x:{life.place}" for life in lives[1::2]
     ]
@@ -287,10 +287,12 @@ def test_an_entity_that_was_made_again_has_one_past(journal: Journal) -> None:
     life.take(changes.created(again, at, life.place), at)
     assert life.entity is not None
     life.commit()
-    (subject,) = subjects_of((life.entity,), journal.departed("", entity_id))
+    (subject,) = subjects_of((life.entity,), journal.archive.departed("", entity_id))
     assert subject.places == (first, life.place)
     assert subject.deleted_at is None
-    found = tell_one(journal, subject, Question(TemporalQuery(time_property="modifiedAt"), lambda _: True))
+    found = tell_one(
+        journal.archive, subject, Question(TemporalQuery(time_property="modifiedAt"), lambda _: True)
+    )
     assert [one["value"] for _, _, one in points_of(found)] == [1, 2]
 
 
@@ -354,15 +356,15 @@ async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
         life.commit()
     # A deletion is stamped by the clock on the wall; everything else here is of January 2026.
     before = micros_of(timestamp(START + timedelta(days=1)))
-    retention = Retention(own, Straight(own), 1)  # type: ignore[arg-type]  # all that it needs of them
+    retention = Retention(own.archive, Straight(own), 1)  # type: ignore[arg-type]  # all that it needs of them
     assert await retention.clear(before) == 6
-    assert list(own.history([living.place])) == []
-    assert [one for one, _, _ in own.departed("")] == [gone.place, young.place]
-    assert len(list(own.history([gone.place]))) == 1
-    assert len(list(own.history([young.place]))) == 10
+    assert list(own.archive.history([living.place])) == []
+    assert [one for one, _, _ in own.archive.departed("")] == [gone.place, young.place]
+    assert len(list(own.archive.history([gone.place]))) == 1
+    assert len(list(own.archive.history([young.place]))) == 10
     assert await retention.clear(micros_of(timestamp(datetime.now(UTC) + timedelta(days=1)))) > 0
-    assert list(own.departed("")) == []
+    assert list(own.archive.departed("")) == []
     assert await retention.clear(2**62) == 0
     own.close()
     with pytest.raises(NotStored):
-        Journal(SqliteDatabase(tmp_path / "none" / "broker.db")).first_change(0)
+        Journal(SqliteDatabase(tmp_path / "none" / "broker.db")).archive.first_change(0)
