@@ -3,9 +3,10 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
+from services.context_broker.archive import DepartedRow
 from services.context_broker.entity import Entity
 from services.context_broker.fragments import limited
-from services.context_broker.journal import DepartedRow, DocumentKey, EntityRow, Entries, Kind
+from services.context_broker.journal import DocumentKey, EntityRow, Entries, Kind
 from services.context_broker.tenants import Tenant
 
 AT_ONCE = 2000

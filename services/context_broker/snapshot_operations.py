@@ -289,7 +289,7 @@ class SnapshotOperations:
 
     async def _clear(self, tenant: Tenant, one: Snapshot) -> None:
         inner = self._tenants.inside(tenant, one.id)
-        departed = await asyncio.to_thread(lambda: list(inner.notifier.journal.departed(inner.name)))
+        departed = await asyncio.to_thread(lambda: list(inner.notifier.journal.archive.departed(inner.name)))
         for entries in end_of(inner, [(place, one) for place, one, _ in departed]):
             await _write(inner, entries)
         if inner.is_kept:
