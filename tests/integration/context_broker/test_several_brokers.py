@@ -146,6 +146,34 @@ def test_what_one_broker_has_the_other_has_too(
         assert len(http.get("/entities", params={"type": "Seen"}, headers=mine).json()) == 1
 
 
+def test_registrations_maps_and_snapshots_of_one_broker_are_known_to_the_other(
+    two: list[httpx.Client], eventually: Callable[..., Any]
+) -> None:
+    one, other = two
+    one.post("/entities", json=entity("shared", "Shared"))
+    identities = [client.get("/info/sourceIdentity").json()["contextSourceAlias"] for client in two]
+    assert identities[0] == identities[1]
+    registration = {"endpoint": "http://127.0.0.1:9", "information": [{"entities": [{"type": "Shared2"}]}]}
+    at = one.post("/csourceRegistrations", json=registration).headers["location"]
+    at = at.removeprefix("/ngsi-ld/v1")
+    eventually(lambda: other.get(at).status_code == 200)
+    assert len(other.get("/csourceRegistrations", params={"type": "Shared2"}).json()) == 1
+    assert other.delete(at).status_code == 204
+    eventually(lambda: one.get(at).status_code == 404)
+    made = one.get("/entityMaps", params={"type": "Shared"}).json()
+    eventually(lambda: other.get(f"/entityMaps/{made['id']}").status_code == 200)
+    query = {"type": "Query", "entities": [{"type": "Shared"}]}
+    at = one.post("/snapshots", json={"snapshotQueries": [query]}).headers["location"]
+    at = at.removeprefix("/ngsi-ld/v1")
+    eventually(lambda: other.get(at).status_code == 200)
+    eventually(lambda: other.get(at).json()["snapshotStatus"] == "success")
+    inside = {"NGSILD-Snapshot": other.get(at).json()["id"]}
+    found = other.get("/entities", params={"type": "Shared"}, headers=inside)
+    assert len(found.json()) == 1
+    assert other.delete(at).status_code == 204
+    eventually(lambda: one.get("/entities", params={"type": "Shared"}, headers=inside).status_code == 404)
+
+
 def test_no_update_is_lost_when_several_clients_write_one_entity_at_two_brokers(
     two: list[httpx.Client], shared: Brokers, eventually: Eventually
 ) -> None:
