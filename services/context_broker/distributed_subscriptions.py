@@ -157,7 +157,7 @@ class SubscriptionRelays:
         for one in tenant.notifier.all():
             if not one.is_active(time.time()) or one.document.get("localOnly"):
                 continue
-            for source in _sources_of(tenant, one):
+            for source in self._sources_of(tenant, one):
                 try:
                     tongue = await self._forwarder.tongue(source, one.names, has_body=True)
                 except Problem as problem:
@@ -166,6 +166,20 @@ class SubscriptionRelays:
                 document = passed_on(one, source, tongue)
                 found[one.id, source.id] = one, source, document, digest(document, self._base)
         return found
+
+    def _sources_of(self, tenant: Tenant, one: Subscription) -> Iterable[Registration]:
+        """Return the registrations by which a subscription is to be passed on."""
+        where = None
+        if csf := one.document.get("csf"):
+            holds = compiled(csf, one.names).holds
+            where = partial(_described_so, holds)
+        passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
+        found: dict[str, Registration] = {}
+        for asked in questions(one):
+            for match in tenant.registry.matching("createSubscription", asked, where):
+                if self._forwarder.alias_of(match.registration) not in passed:
+                    found[match.registration.id] = match.registration
+        return found.values()
 
     async def _pass_on(
         self, tenant: Tenant, one: Subscription, source: Registration, document: dict[str, Any], said: str
@@ -275,21 +289,6 @@ class SubscriptionRelays:
         if own is not None:
             entity = merged([Fragment(fragment, (1, relay.registration.id)), Fragment(own, (0, ""))])
         return as_it_is(one, entity) if one.selects(entity) else None
-
-
-def _sources_of(tenant: Tenant, one: Subscription) -> Iterable[Registration]:
-    """Return the registrations by which a subscription is to be passed on."""
-    where = None
-    if csf := one.document.get("csf"):
-        holds = compiled(csf, one.names).holds
-        where = partial(_described_so, holds)
-    passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
-    found: dict[str, Registration] = {}
-    for asked in questions(one):
-        for match in tenant.registry.matching("createSubscription", asked, where):
-            if match.registration.alias not in passed:
-                found[match.registration.id] = match.registration
-    return found.values()
 
 
 def _described_so(holds: Any, registration: Registration) -> bool:

@@ -46,7 +46,7 @@ class Sources:
 
     def has_passed(self, registration: Registration) -> bool:
         """Say whether the request has passed a source already."""
-        return registration.alias is not None and registration.alias in self._passed
+        return self.forwarder.alias_of(registration) in self._passed
 
     def warn(self, code: int, why: str) -> None:
         """Note something to warn of."""
@@ -84,14 +84,17 @@ class Distribution:
             return await operation.answer(exchange)
         sources = Sources(exchange, self.forwarder)
         passed = chain(exchange.headers.get(b"via", b""))
-        if sources.asking.name in passed or len(passed) > LONGEST_CHAIN:
-            raise loop_detected(sources.asking.name)
+        name = sources.asking.name
         try:
+            if name in passed or len(passed) > LONGEST_CHAIN:
+                raise loop_detected(name)
             answer = await handling(sources, exchange, operation.answer)
         except Problem as problem:
             if problem.__cause__ is not None:  # another broker was quicker: all is done again
                 raise
             answer = problem_answer(problem)
+        if passed:  # who asks learns our name, and need not ask us another time for what has passed us
+            answer = Answer(answer.status, answer.body, [*answer.headers, (b"via", f"1.1 {name}".encode())])
         return sources.with_warnings(answer) if sources.warnings else answer
 
 

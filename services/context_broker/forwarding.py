@@ -19,7 +19,7 @@ from services.context_broker.http_sender import HttpAsker, Reply, SendError, Too
 from services.context_broker.registration import Registration
 from services.context_broker.registry import Registry
 from services.context_broker.translation import older, translated
-from services.context_broker.via import lengthened
+from services.context_broker.via import chain, lengthened
 
 log = get_logger(__name__)
 
@@ -27,6 +27,8 @@ FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
 """Stands in contextSourceInfo for the value of the same header in the request (clause 4.3.6.5)."""
 MOST_REMEMBERED: Final = 256
 """Answers that are kept for sources whose registration allows it (localCache)."""
+MOST_ALIASES: Final = 10_000
+"""Sources whose own names are remembered."""
 LARGEST_REMEMBERED: Final = 1024 * 1024
 """Bytes of such an answer."""
 _PROCESSED: Final = frozenset({"jsonldcontext", "accept", "contenttype", "ngsildconformance"})
@@ -107,8 +109,15 @@ class Forwarder:
     asker: HttpAsker = field(default_factory=HttpAsker)
     small_pages: set[str] = field(default_factory=set)
     """Registrations (by id) whose sources refuse large pages."""
+    _aliases: dict[tuple[str, str], str] = field(default_factory=dict)
     _hung: dict[str, float] = field(default_factory=dict)
     _remembered: OrderedDict[tuple[Any, ...], _Remembered] = field(default_factory=OrderedDict)
+
+    def alias_of(self, registration: Registration) -> str | None:
+        """Return what a source calls itself in Via: as it is registered, or as it has answered once."""
+        if registration.alias is not None:
+            return registration.alias
+        return self._aliases.get((registration.endpoint, registration.tenant))
 
     async def tongue(self, registration: Registration, context: Context, *, has_body: bool) -> Tongue:
         """Return how to speak to a source when the request was made in `context`; raise a problem (504)
@@ -167,7 +176,11 @@ class Forwarder:
             why = f"{registration.endpoint}: {error}"
             log.info("context source failed", registration=registration.id, why=why)
             raise Unheard(registration, warning, 504 if isinstance(error, TooSlow) else 502, why) from None
-        registry.note(registration, succeeded=reply.status < 500)
+        registry.note(registration, succeeded=reply.status < 500 or reply.status == 508)
+        if names := chain(reply.headers.get("via", "").encode("latin-1", "replace")):
+            if len(self._aliases) >= MOST_ALIASES:
+                self._aliases.clear()
+            self._aliases[registration.endpoint, registration.tenant] = names[0]
         return reply
 
     def _refuse_at_rest(self, registration: Registration, registry: Registry) -> None:

@@ -285,7 +285,7 @@ def brokers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[BrokerPro
     """Three brokers that can be registered with each other."""
     made = [BrokerProcess(tmp_path_factory.mktemp(name)) for name in ("near", "far", "third")]
     for one in made:
-        one.extra = {"HANDOVER_BROKER_SOURCE_TIMEOUT_S": "2"}
+        one.extra = {"HANDOVER_BROKER_SOURCE_TIMEOUT_S": "15"}
         one.start()
     yield made
     for one in made:

@@ -114,6 +114,33 @@ def test_a_chain_of_brokers_and_a_circle(brokers: list[Any], kind: str) -> None:
             client.delete(path)
 
 
+def test_brokers_that_know_each_other_learn_their_names(brokers: list[Any], kind: str) -> None:
+    with brokers[0].client() as first, brokers[1].client() as second:
+        paths = [
+            (first, register(first, brokers[1].url, {"type": kind})),
+            (second, register(second, brokers[0].url, {"type": kind})),
+        ]
+        put(second, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+        for _ in range(3):
+            assert values(first.get(f"/entities/urn:ngsi-ld:{kind}:1")) == {"a": 1}
+        (here, there) = (client.get(path).json() for client, path in paths)
+        assert (here["timesSent"], here["timesFailed"]) == (3, 0)
+        assert there["timesSent"] == 1  # which was answered by 508: the others were not sent
+        for client, path in paths:
+            client.delete(path)
+
+
+def test_a_broker_can_be_a_source_of_itself_for_another_tenant(
+    near: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    there = {"NGSILD-Tenant": f"tenant-{kind}"}
+    entity = {"id": f"urn:ngsi-ld:{kind}:1", "type": kind, "a": 1}
+    assert near.post("/entities", json=entity, headers=there).status_code == 201
+    assert near.get(f"/entities/{entity['id']}").status_code == 404
+    register(near, brokers[0].url, {"type": kind}, tenant=there["NGSILD-Tenant"])
+    assert values(near.get(f"/entities/{entity['id']}")) == {"a": 1}
+
+
 def test_a_request_that_comes_round_is_a_loop(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     register(near, source.url, {"type": kind})
     near.get(f"/entities/urn:ngsi-ld:{kind}:1")

@@ -331,3 +331,19 @@ def test_an_inline_context_goes_along(
     assert headers["content-type"] == "application/ld+json"
     assert body["@context"] == entity["@context"]
     assert "link" not in headers
+
+
+def test_a_change_goes_all_the_way_down_a_chain(brokers: list[Any], kind: str) -> None:
+    with brokers[0].client() as first, brokers[1].client() as second, brokers[2].client() as third:
+        paths = [
+            (first, register(first, brokers[1].api, {"type": kind}, mode="redirect")),
+            (second, register(second, brokers[2].url, {"type": kind}, mode="redirect")),
+        ]
+        entity_id = f"urn:ngsi-ld:{kind}:1"
+        assert create(first, entity_id, kind).status_code == 201
+        assert [held(one, entity_id) for one in (first, second, third)] == [None, None, {"a": 2, "b": 2}]
+        assert merge(first, entity_id, kind).status_code == 204
+        assert delete(first, entity_id, kind).status_code == 204
+        assert held(third, entity_id) is None
+        for client, path in paths:
+            client.delete(path)
