@@ -1,8 +1,9 @@
 """Term maps: from the short words of an @context to IRIs, and back.
 
 Not a JSON-LD processor: terms, prefixes and `@vocab` are all that NGSI-LD needs for names of types and
-attributes. The core context comes last and cannot be overridden (ETSI GS CIM 009, clause 4.4). Lookups are
-dictionary lookups, for the broker asks several a request.
+attributes. The core context comes last and cannot be overridden (ETSI GS CIM 009, clause 4.4), which is why
+scoped contexts are refused (clause 5.5.7). Lookups are dictionary lookups, for the broker asks several a
+request.
 """
 
 import json
@@ -198,6 +199,11 @@ class _Reading:
         self.terms.pop(term, None)
         meant = definitions[term]
         if isinstance(meant, Mapping):
+            if meant.get("@context") is not None and term not in _core_terms():  # the core has one of its own
+                raise DataModelError(
+                    f'the term "{term}" of an @context has a context of its own, with which it could give '
+                    "words of NGSI-LD another meaning; put its terms beside it"
+                )
             meant = meant["@id"] if "@id" in meant else self._unnamed(term, meant)
         if meant is not None and not isinstance(meant, str):
             raise DataModelError(f'the term "{term}" of an @context stands for an IRI, not for {meant!r}')

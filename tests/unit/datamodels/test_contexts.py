@@ -215,6 +215,7 @@ def test_documents_may_come_from_elsewhere_and_lead_on() -> None:
         ({"arm": 3}, 'the term "arm" of an @context stands for an IRI'),
         ({"arm": {"@id": ["x"]}}, 'the term "arm"'),
         ({"@vocab": 3}, "the @vocab of an @context is an IRI"),
+        ({"Arm": {"@id": "urn:x:Arm", "@context": {"value": "urn:x:value"}}}, "a context of its own"),
         ("https://example.com/self.jsonld", "leads back to itself"),
         ("https://example.com/list.jsonld", 'has no "@context"'),
         (["https://example.com/empty.jsonld"] * 200, "too many others"),
@@ -237,6 +238,11 @@ def test_a_bottomless_context_is_refused(make: Any) -> None:
         context = [context]
     with pytest.raises(DataModelError, match="nested too deeply"):
         make(context)
+
+
+def test_a_copy_of_the_core_context_is_no_fault() -> None:
+    proof = {"@id": "https://uri.etsi.org/ngsi-ld/ngsildproof", "@context": [{"sealed": "urn:x:sealed"}]}
+    assert term_map([{"ngsildproof": proof, "arm": "urn:x:arm"}]).expand("arm") == "urn:x:arm"
 
 
 def test_equal_contexts_share_one_map() -> None:
