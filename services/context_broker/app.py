@@ -332,14 +332,14 @@ def create_broker(settings: BrokerSettings) -> ASGIApp:
     database: Database
     leadership: Leadership
     url = settings.broker_database_url
-    if url is None:
+    if not url:
         database, leadership = SqliteDatabase(settings.data_dir / "broker.db"), SoleBroker()
     else:
         database = PostgresDatabase(url)
         leadership = ElectedBroker(database, TRIMMING)
     journal = Journal(database)
     journal.open()
-    broker = Broker(settings, journal, leadership, None if url is None else Replica(journal))
+    broker = Broker(settings, journal, leadership, Replica(journal) if url else None)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:

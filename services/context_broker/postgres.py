@@ -31,6 +31,10 @@ _SAFE: Final = (
     "-c tcp_keepalives_idle=5 -c tcp_keepalives_interval=2 -c tcp_keepalives_count=3"
 )
 """An acknowledgement is true; one who hangs or has vanished does not hold up the others for ever."""
+SCHEMA: Final = "context_broker"
+"""Where the tables are, so that others may have theirs in the same database; a search_path in the URL says
+otherwise."""
+_FIRST_LOCK: Final = "SELECT pg_advisory_xact_lock(hashtext('handover context broker'))"
 _LOCK: Final = "hashtext('handover context broker ' || current_schema()), "
 WRITING_LOCK: Final = f"SELECT pg_advisory_xact_lock({_LOCK}1)"
 _PRESENCE: Final = f"{_LOCK}2"
@@ -60,6 +64,9 @@ class PostgresDatabase:
         self._version = version
         try:
             with self.connected() as connection, connection.transaction():
+                connection.execute(_FIRST_LOCK)
+                if "search_path" not in _options_in(self.url):
+                    connection.execute(f"CREATE SCHEMA IF NOT EXISTS {SCHEMA}")
                 connection.execute(WRITING_LOCK)
                 connection.execute(_VERSIONS)
                 found = _one(connection, "SELECT coalesce(max(version), 0) FROM schema_version")
@@ -136,11 +143,13 @@ class PostgresDatabase:
         """Return a new connection; raise `psycopg.OperationalError` if there cannot be one."""
         import psycopg  # noqa: PLC0415 - as above
 
+        told = _options_in(self.url)
+        place = "" if "search_path" in told else f"-c search_path={SCHEMA}"
         return psycopg.connect(
             self.url,
             autocommit=True,
             connect_timeout=CONNECT_TIMEOUT_S,
-            options=f"{_options_in(self.url)} {_SAFE}".strip(),
+            options=f"{told} {place} {_SAFE}".strip(),
             application_name="handover context broker",
             keepalives_idle=5,
             keepalives_interval=2,

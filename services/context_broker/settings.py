@@ -12,7 +12,7 @@ class BrokerSettings(Settings):
     broker_port: int = Field(1026, ge=1, le=65535, description="the port of the embedded broker")
     broker_database_url: str | None = Field(
         None,
-        pattern="^postgres(ql)?://",
+        pattern="^(postgres(ql)?://.*)?$",
         description="postgresql:// URL of a database that several brokers may share; "
         "a SQLite file in the data directory if absent",
     )

@@ -118,7 +118,13 @@ class BrokerProcess:
 
 
 DATABASES = ("sqlite", "postgresql")
-ON_BOTH = {"test_batches", "test_entities", "test_queries", "test_subscriptions", "test_temporal"}
+ON_BOTH = {
+    "test_batches",
+    "test_entities",
+    "test_queries",
+    "test_subscriptions",
+    "test_temporal",
+}
 """Modules whose tests run on both databases; all others run on SQLite, unless a test asks for both itself."""
 
 

@@ -50,7 +50,9 @@ class Brokers:
 
     def asked(self, query: str) -> list[tuple[Any, ...]]:
         """Return what the database says."""
-        with psycopg.connect(self.url, autocommit=True) as connection:
+        with psycopg.connect(
+            self.url, autocommit=True, options="-c search_path=context_broker"
+        ) as connection:
             return connection.execute(query).fetchall()
 
     def stop(self) -> None:
