@@ -53,12 +53,12 @@ class CourierOffice:
             courier.change(subscription)
         if from_disk and self.outbound.leadership.leads:
             courier.start()
-        self.rearrange()
+        self.rearrange(subscription.id)
 
     def remove(self, subscription_id: str) -> None:
         """Forget a subscription and what is owed to it."""
         self._couriers.pop(subscription_id).end()
-        self.rearrange()
+        self.rearrange(subscription_id)
 
     def get(self, subscription_id: str) -> Subscription | None:
         """Return a subscription."""
@@ -69,8 +69,8 @@ class CourierOffice:
         """Return all subscriptions in a stable order."""
         return [courier.subscription for courier in self._couriers.values()]
 
-    def rearrange(self) -> None:
-        """Take note that the subscriptions are others now."""
+    def rearrange(self, changed: str | None = None) -> None:
+        """Take note that a subscription came, changed or went, or that all are others now."""
 
     def turn(self, *, leads: bool) -> None:
         """Begin with all that is owed, or leave it to another broker."""

@@ -19,12 +19,18 @@ class EntitySelector:
     ids: frozenset[str] | None = None
     id_pattern: re.Pattern[str] | None = None
     types: TypeSelection | None = None
+    plain: str | None = None
+    """The one type that is wanted, where it is one: it is looked for quicker than a selection."""
 
     def wants(self, entity: Entity) -> bool:
         """Say whether the entity is among those."""
         return (
-            (self.types is None or self.types.wants(entity.types))
-            and (self.ids is None or entity.id in self.ids)
+            (self.ids is None or entity.id in self.ids)
+            and (
+                self.plain in entity.types
+                if self.plain is not None
+                else self.types is None or self.types.wants(entity.types)
+            )
             and (self.id_pattern is None or fits(self.id_pattern, entity.id))
         )
 
@@ -41,10 +47,13 @@ def entity_selector(kept: Mapping[str, Any]) -> EntitySelector:
     if wanted is not None and not isinstance(wanted, str):
         raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
     given = ids if isinstance(ids, list) and ids else [ids]
+    types = None if kinds is None else type_selection(kinds, str)
+    named = () if types is None else tuple(types.names())
     return EntitySelector(
         ids=None
         if ids is None
         else frozenset(require_uri(one, "the id of an entity selector") for one in given),
         id_pattern=None if wanted is None or ids is not None else pattern(wanted),  # an id goes first
-        types=None if kinds is None else type_selection(kinds, str),
+        types=types,
+        plain=named[0] if len(named) == 1 else None,
     )

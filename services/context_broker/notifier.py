@@ -46,7 +46,8 @@ class Notifier(CourierOffice):
         super().__init__(tenant, commits, outbound)
         self.passes_headers_on = False
         self._by_type: dict[str | None, list[Subscription]] = {}
-        self._of_ends: frozenset[str | None] = frozenset()
+        self._by_id: dict[str, list[Subscription]] = {}
+        self._is_sorted = True
         self._rounds = Rounds(self._tell_all)
 
     def stop(self) -> None:
@@ -59,34 +60,56 @@ class Notifier(CourierOffice):
         super().turn(leads=leads)
         self._rounds.heed(self.all() if leads else [])
 
-    def rearrange(self) -> None:
-        """Sort the subscriptions by the types they want, so that a change looks at few."""
+    def rearrange(self, changed: str | None = None) -> None:
+        """Take note that a subscription came, changed or went, or that all are others now."""
+        self._is_sorted = False
+        one = None if changed is None else self.get(changed)
+        if one is not None and one.endpoint.taken:
+            self.passes_headers_on = True
+        if self.outbound.leadership.leads and self._rounds.concern(changed, one):
+            self._rounds.heed(self.all())
+
+    def _sort(self) -> None:
+        """Sort the subscriptions by the ids or types they want, so that a change looks at few."""
         by_type: dict[str | None, list[Subscription]] = {}
+        by_id: dict[str, list[Subscription]] = {}
         subscriptions = self.all()
         for subscription in subscriptions:
             if subscription.interval_s is not None:
                 continue
             kinds: set[str | None] = set()
+            ids: set[str] = set()
             for selector in subscription.selectors:
-                kinds.update(selector.kinds() or (None,))
-            for kind in {None} if None in kinds or not kinds else kinds:
+                if selector.ids is None:
+                    kinds.update(selector.kinds() or (None,))
+                else:
+                    ids.update(selector.ids)
+            if None in kinds or not (kinds or ids):
+                kinds, ids = {None}, set()
+            for kind in kinds:
                 by_type.setdefault(kind, []).append(subscription)
-        self._by_type = by_type
+            for one in ids:
+                by_id.setdefault(one, []).append(subscription)
+        self._by_type, self._by_id = by_type, by_id
         self.passes_headers_on = any(one.endpoint.taken for one in subscriptions)
-        if self.outbound.leadership.leads:
-            self._rounds.heed(subscriptions)
+        self._is_sorted = True
 
     def announce(self, event: Event) -> list[Notice]:
         """Return the notifications that a change owes."""
         entity = event.after or event.before
-        if not self._by_type or entity is None:
+        if not self._is_sorted:
+            self._sort()
+        if entity is None or not (self._by_type or self._by_id):
             return []
+        named = self._by_id.get(entity.id)
         interested = list(self._by_type.get(None, ()))
         for kind in entity.types:
             interested += self._by_type.get(kind, ())
+        if named is not None:
+            interested += named
         if not interested:
             return []
-        if len(entity.types) > 1:
+        if named is not None or len(entity.types) > 1:
             interested = list(dict.fromkeys(interested))
         change, now_s = happened(event), time.time()
         notices = [

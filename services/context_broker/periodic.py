@@ -32,6 +32,10 @@ class Rounds:
             if one not in self._tasks and loop is not None:
                 self._tasks[one] = (subscription, loop.create_task(self._go(subscription)))
 
+    def concern(self, changed: str | None, now: Subscription | None) -> bool:
+        """Say whether the rounds are others once a subscription is as it is `now`; or all are, without id."""
+        return changed is None or changed in self._tasks or (now is not None and now.interval_s is not None)
+
     def stop(self) -> None:
         """Go no more rounds."""
         self.heed([])

@@ -60,9 +60,10 @@ class SourceOffice(CourierOffice):
         super().turn(leads=leads)
         self._rounds.heed(self.all() if leads else [])
 
-    def rearrange(self) -> None:
+    def rearrange(self, changed: str | None = None) -> None:
         """Go the rounds of the subscriptions as they are now."""
-        if self.outbound.leadership.leads:
+        one = None if changed is None else self.get(changed)
+        if self.outbound.leadership.leads and self._rounds.concern(changed, one):
             self._rounds.heed(self.all())
 
     async def _tell_all(self, subscription: Subscription) -> None:

@@ -105,9 +105,10 @@ class Subscription:
 
     def selects(self, entity: Entity, lookup: Lookup = nobody) -> bool:
         """Say whether an entity is among those it is about; `lookup` finds those that it links to."""
-        return (not self.selectors or any(one.wants(entity) for one in self.selectors)) and self.admits(
-            entity, lookup
-        )
+        selectors = self.selectors
+        if len(selectors) == 1:  # as in nearly all subscriptions
+            return selectors[0].wants(entity) and self.admits(entity, lookup)
+        return (not selectors or any(one.wants(entity) for one in selectors)) and self.admits(entity, lookup)
 
     def admits(self, entity: Entity, lookup: Lookup = nobody) -> bool:
         """Say whether an entity is as it is to be: by its attributes, its places and its scopes."""
