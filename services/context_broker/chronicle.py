@@ -220,8 +220,11 @@ def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Itera
     places = [place for subject in run for place in subject.places]
     condition, values = query.condition()
     bare = query.aggregation is not None and question.wants is None
-    # The latest first where they are wanted: those before them are then told apart by their time alone.
-    rows = archive.history(places, condition, values, latest_first=query.last is not None)
+    # The latest first where they are wanted: the others are then known by their time alone. Rows of several
+    # places would have to be sorted for that.
+    rows = archive.history(
+        places, condition, values, latest_first=query.last is not None and len(places) == 1
+    )
     ends_early = query.last is None and question.wants is None and query.aggregation is None
     edge: int | None = None
     for place, seq, observed_from, body in rows:

@@ -7,7 +7,7 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 import orjson
@@ -30,6 +30,8 @@ from services.context_broker.words import moment, require_name, require_uri, sho
 
 INSTANCES_A_ROW: Final = 100
 """Instances of one request that are kept in one row: so many are read where one of them is wanted."""
+LONG_BODY_BYTES: Final = 256 * 1024
+"""From here on reading a body takes longer than others should wait."""
 ROWS_A_COMMIT: Final = 500
 """Rows that are rewritten or deleted in one commit, so that others get their turn between."""
 
@@ -77,7 +79,7 @@ class TemporalProvision:
     async def upsert(self, exchange: Exchange) -> Answer:
         """POST temporal/entities: what is said is added to what is known of the entity."""
         document, context = await exchange.body()
-        past = read_past(document, context.terms)
+        past = await _past_in(exchange, document, context.terms)
         if past.id is None:
             raise bad_request_data('the entity has no "id"; give it a URI such as urn:ngsi-ld:Task:demo:1')
         if not past.types:
@@ -94,7 +96,7 @@ class TemporalProvision:
         """POST temporal/entities/{id}/attrs."""
         document, context = await exchange.body()
         entity_id = _entity_id(exchange)
-        past = read_past(document, context.terms)
+        past = await _past_in(exchange, document, context.terms)
         if past.id is not None and past.id != entity_id:
             raise bad_request_data(f"the body is about {past.id}, the path about {entity_id}; agree on one")
         async with self._turn(exchange.tenant, entity_id):
@@ -210,7 +212,9 @@ class TemporalProvision:
             )
             entries.departed[place] = DepartedRow(tenant.name, entity_id, known.stored())
         try:
-            for attributes in _pieces(past.stamped(at).attributes):
+            for number, attributes in enumerate(_pieces(past.stamped(at).attributes)):
+                if number % 10 == 9:
+                    await asyncio.sleep(0)  # others get their turn
                 entries.history.append(self._recorder.row(place, Change(attributes), at))  # type: ignore[arg-type]  # lists without gaps
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {entity_id} is nested too deep; 200 levels are safe") from None
@@ -265,6 +269,13 @@ class TemporalProvision:
                 del self._turns[key]
             else:
                 self._turns[key] = (lock, waiting - 1)
+
+
+async def _past_in(exchange: Exchange, document: Any, terms: Terms) -> Past:
+    """Return what the body says; a long one is read in a thread, so that others get their turn."""
+    if len(exchange.raw) < LONG_BODY_BYTES:
+        return read_past(document, terms)
+    return await asyncio.to_thread(read_past, document, terms)
 
 
 async def _commit(tenant: Tenant, entries: Entries) -> None:
