@@ -21,6 +21,7 @@ from services.context_broker.intake import (
     Change,
     Nulls,
     expand,
+    nulls_in,
     read_attribute,
     read_change,
     read_entity,
@@ -79,7 +80,8 @@ class EntityOperations:
         """POST entities."""
         simplified = is_simplified(exchange)
         document, context = await exchange.body()
-        change = read_entity(bare(document, context) if simplified else document, context.terms)
+        nulls = nulls_in(exchange.raw, Nulls.NOWHERE)
+        change = read_entity(bare(document, context) if simplified else document, context.terms, nulls)
         store = exchange.tenant.store
         await store.stage(creation(store, change))
         location = f"{PREFIX}entities/{quote(change.id or '', safe=':')}".encode()
@@ -125,7 +127,7 @@ class EntityOperations:
         before = self.existing(exchange, context)
         if simplified:
             document = bare(document, context, before)
-        change = _about(exchange, read_change(document, context.terms, Nulls.NOWHERE))
+        change = _about(exchange, read_change(document, context.terms, nulls_in(exchange.raw, Nulls.NOWHERE)))
         await self._carry_out(exchange, changes.replaced(before, change, timestamp_now()))
         return DONE
 
@@ -149,7 +151,7 @@ class EntityOperations:
         before = self.existing(exchange, context)
         if simplified:
             document = bare(document, context, before)
-        change = _about(exchange, read_change(document, context.terms, Nulls.NOWHERE))
+        change = _about(exchange, read_change(document, context.terms, nulls_in(exchange.raw, Nulls.NOWHERE)))
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         await self._carry_out(exchange, outcome)
         return _update_result(change, outcome, context)
@@ -161,7 +163,9 @@ class EntityOperations:
         before = self.existing(exchange, context)
         if simplified:
             document = bare(document, context, before)
-        change = _about(exchange, read_change(document, context.terms, Nulls.ATTRIBUTES))
+        change = _about(
+            exchange, read_change(document, context.terms, nulls_in(exchange.raw, Nulls.ATTRIBUTES))
+        )
         outcome = changes.updated(before, change, timestamp_now())
         await self._carry_out(exchange, outcome)
         return _update_result(change, outcome, context)

@@ -403,6 +403,8 @@ def test_deletions_are_told_only_where_they_mean_something(http: httpx.Client) -
         ("PATCH", "", {"type": null}),
     ):
         problem(http.request(method, path + where, json=body), 400, "BadRequestData")
+    hidden = b'{"a": {"value": "urn:ngsi-ld:nul\\u006c"}}'
+    problem(http.post(f"{path}/attrs", content=hidden, headers=JSON), 400, "BadRequestData")
     for method, where, body in (
         ("PATCH", "", {"address": {"value": {"city": null}}}),
         ("PATCH", "/attrs", {"a": {"type": "Property", "value": null}}),

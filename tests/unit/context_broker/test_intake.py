@@ -7,7 +7,7 @@ import pytest
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
 from services.context_broker.entity import NULL
-from services.context_broker.intake import Nulls, read_attribute, read_change, read_entity
+from services.context_broker.intake import Nulls, nulls_in, read_attribute, read_change, read_entity
 
 TERMS = TermMap(HANDOVER_URL)
 POINT = {"type": "Point", "coordinates": [1, 2]}
@@ -225,3 +225,9 @@ def test_a_place_is_checked_wherever_it_is_written() -> None:
         read_attribute("location", {"type": "Property", "value": 7}, TERMS)
     with pytest.raises(Problem):
         read_attribute("https://uri.etsi.org/ngsi-ld/location", 7, TERMS)
+
+
+def test_bytes_without_null_need_no_look_at_their_values() -> None:
+    for raw in (b'{"a":"urn:ngsi-ld:null"}', b'{"a":"urn:ngsi-ld:nul\\u006c"}'):
+        assert nulls_in(raw, Nulls.NOWHERE) is Nulls.NOWHERE
+    assert nulls_in(b'{"a":"urn:ngsi-ld:Task:1"}', Nulls.NOWHERE) is Nulls.VALUES
