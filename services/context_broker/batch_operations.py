@@ -15,6 +15,7 @@ from services.context_broker.attempts import made_again
 from services.context_broker.changes import Outcome
 from services.context_broker.contexts import Context
 from services.context_broker.entity import Entity, Event
+from services.context_broker.entity_maps import MAP_PARAMETERS
 from services.context_broker.entity_operations import (
     DONE,
     FORMS,
@@ -125,7 +126,7 @@ class BatchOperations:
             ),
             Operation("POST", f"{at}/update", "updateBatch", "6.16.3.1", self.update, _WRITE),
             Operation("POST", f"{at}/delete", "deleteBatch", "6.17.3.1", self.delete, _LOCAL),
-            Operation("POST", f"{at}/query", "queryBatch", "6.23.3.1", self.query, asking),
+            Operation("POST", f"{at}/query", "queryBatch", "6.23.3.1", self.query, asking | MAP_PARAMETERS),
             Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _WRITE),
         )
 

@@ -11,6 +11,8 @@ from services.context_broker.entity_maps import MAP_PARAMETERS, MOST_ENTITIES, O
 from services.context_broker.exchange import PREFIX, Answer, Exchange
 from services.context_broker.journal import NotStored
 from services.context_broker.operation import Operation
+from services.context_broker.ordering import ordering
+from services.context_broker.pages import PLACE
 from services.context_broker.problems import not_stored
 from services.context_broker.query_document import query_parameters, selectors_of
 from services.context_broker.reading import QUERY_PARAMETERS, selection_of, window_of
@@ -24,7 +26,7 @@ Performing = Callable[[Exchange], Awaitable[Answer]]
 """Carries a query out, sources included."""
 
 HEADER: Final = b"ngsild-entitymap"
-THROUGH_A_MAP: Final = frozenset({"queryEntity", "queryTemporal"})
+THROUGH_A_MAP: Final = frozenset({"queryEntity", "queryBatch", "queryTemporal"})
 """Operations that can be answered by a map."""
 _LOCAL: Final = frozenset({"local"})
 _SHAPING: Final = frozenset({"options", "format", "count", "pick", "omit", "lang", "datasetId"})
@@ -88,6 +90,9 @@ class EntityMapOperations:
             parameters, any_of = query_parameters(document), selectors_of(document, context)
         store = exchange.tenant.store
         hits = await hits_of(store, selection_of(parameters, context, any_of), MOST_ENTITIES + 1)
+        order = ordering(parameters, context.terms.expand)
+        if order is not None:
+            hits = sorted(hits, key=order.place_of)
         return await self._kept(exchange, {one.id: _origins(store, one.id) for one in hits})
 
     async def create_temporal(self, exchange: Exchange) -> Answer:
@@ -133,11 +138,14 @@ class EntityMapOperations:
         ids = list(one.entities)
         some = ids[window.offset : window.offset + window.limit] or [_NOBODY]
         parameters = {
-            **_without(wanted.parameters, {"offset", "count", "idPattern"}),
-            "id": ",".join(some),
+            **_without(wanted.parameters, {"offset", "count", "idPattern", PLACE}),
             "limit": str(len(some)),
         }
-        result = await perform(in_place_of(exchange, parameters=parameters))
+        if exchange.method == "GET":
+            asking = in_place_of(exchange, parameters={**parameters, "id": ",".join(some)})
+        else:
+            asking = in_place_of(exchange, parameters=parameters, raw=_narrowed(exchange, some))
+        result = await perform(asking)
         headers = [header for header in result.headers if not _is_page_link(header)]
         if window.count:
             headers.append((b"ngsild-results-count", str(len(ids)).encode()))
@@ -179,6 +187,16 @@ def _without(given: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
 
 def _plainly(exchange: Exchange, parameters: Mapping[str, str]) -> Exchange:
     return in_place_of(exchange, parameters=parameters, headers=_without(exchange.headers, {b"accept"}))
+
+
+def _narrowed(exchange: Exchange, ids: list[str]) -> bytes:
+    """Return the Query document of a request with its selectors narrowed to some ids; no Query as it is."""
+    document = exchange.document()
+    selectors = document.get("entities", [{"type": "*"}]) if isinstance(document, dict) else None
+    if not isinstance(selectors, list) or not all(isinstance(one, dict) for one in selectors):
+        return exchange.raw
+    narrowed = [{"id": ids, **({"type": one["type"]} if "type" in one else {})} for one in selectors]
+    return orjson.dumps({**document, "entities": narrowed})
 
 
 def _is_page_link(header: tuple[bytes, bytes]) -> bool:

@@ -141,13 +141,6 @@ class Registry:
                     return one
         return None
 
-    def claims(self, entity: Entity) -> Registration | None:
-        """Return the registration of an exclusive or redirect source that has (some of) this entity."""
-        for one in self._candidates(Asked(ids=(entity.id,), types=frozenset(entity.types))):
-            if one.mode.is_proxied and claims(one, entity):
-                return one
-        return None
-
     def note(self, registration: Registration, *, succeeded: bool) -> None:
         """Count an operation that was passed on; the counts are written in passing.
 

@@ -72,6 +72,28 @@ def test_pages_of_a_map_stay_the_same_while_entities_come_and_go(http: httpx.Cli
     assert over.headers[MAP] == named[MAP]
 
 
+def test_a_map_keeps_the_order_that_was_asked_for(http: httpx.Client) -> None:
+    slow, fast, middle = make(http, "Ordered", 10, 90, 50)
+    asked = {"type": "Ordered", "orderBy": "speed;desc", "limit": "2"}
+    first = http.get("/entities", params={**asked, "entityMap": "true"})
+    assert [one["id"] for one in first.json()] == [fast, middle]
+    named = {MAP: first.headers[MAP]}
+    second = http.get("/entities", params={**asked, "offset": "2"}, headers=named)
+    assert [one["id"] for one in second.json()] == [slow]
+
+
+def test_a_query_by_document_goes_through_a_map_too(http: httpx.Client) -> None:
+    ids = make(http, "Posted", 1, 2, 3)
+    query = {"type": "Query", "entities": [{"type": "Posted", "idPattern": "Posted"}], "q": "speed>0"}
+    at = "/entityOperations/query"
+    first = http.post(at, json=query, params={"entityMap": "true", "limit": "2"})
+    assert first.status_code == 201, first.text
+    named = {MAP: first.headers[MAP]}
+    http.delete(f"/entities/{ids[0]}")
+    second = http.post(at, json=query, params={"limit": "2", "offset": "2"}, headers=named)
+    assert [one["id"] for one in first.json() + second.json()] == ids
+
+
 @pytest.mark.parametrize(
     "parameters",
     [{}, {"type": "Any", "entityMapLifetime": "1hour"}, {"type": "Any", "colour": "red"}],
