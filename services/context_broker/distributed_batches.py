@@ -137,7 +137,7 @@ class _Batch:
         for item in items:
             names = item.shares.own or frozenset()
             problem = errors.get(_key(item.entity_id))
-            status = answer.status if problem is None else int(problem.get("status", 400))
+            status = answer.status if problem is None else _status_of(problem)
             item.outcomes.append(Outcome(None, names, status, problem))
             item.is_new = item.is_new or item.entity_id in created
 
@@ -190,7 +190,7 @@ class _Batch:
         for item, share in shares:
             problem = errors.get(_key(item.entity_id))
             if problem is not None:
-                status = int(problem.get("status") or 400)
+                status = _status_of(problem)
                 item.outcomes.append(Outcome(one, share.names, status, problem))
             elif reply.status == 207 and errors:
                 item.outcomes.append(Outcome(one, share.names, 204))
@@ -272,6 +272,11 @@ def _errors_in(told: Any) -> dict[Any, dict[str, Any]]:
         for one in (errors if isinstance(errors, list) else ())
         if isinstance(one, dict) and isinstance(one.get("error"), dict)
     }
+
+
+def _status_of(problem: Mapping[str, Any]) -> int:
+    told = problem.get("status")
+    return told if isinstance(told, int) and 400 <= told < 600 else 400
 
 
 def _key(entity_id: Any) -> Any:

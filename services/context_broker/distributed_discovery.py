@@ -77,7 +77,8 @@ async def type_details(sources: Sources, exchange: Exchange, perform: Performing
     details = {one["id"]: one for one in body["attributeDetails"]}
     for registration, tongue, document in told:
         body["entityCount"] += _count(document, "entityCount")
-        for one in document.get("attributeDetails") or ():
+        details_there = document.get("attributeDetails")
+        for one in details_there if isinstance(details_there, list) else ():
             name = _iri(one, "attributeName", tongue)
             if name is not None and _has_attribute(registration, name):
                 own = details.setdefault(name, {"id": name, "type": "Attribute", "attributeTypes": []})
