@@ -250,3 +250,23 @@ def test_types_are_listed(http: httpx.Client, stocked: None) -> None:
     ).items()
     assert any(one["typeName"] == "Lot" for one in http.get("/types", params={"details": "true"}).json())
     assert http.get("/types/Nobody").status_code == 404
+
+
+def test_terms_and_keys_of_json_are_read_as_the_asker_says(http: httpx.Client) -> None:
+    shop = {
+        "id": "urn:x:terms-and-keys",
+        "type": "TermShop",
+        "category": {"type": "VocabProperty", "vocab": "food"},
+        "raw": {"type": "JsonProperty", "json": {"size": {"x": 5}}},
+    }
+    assert http.post("/entities", json=shop).status_code == 201
+
+    def hits(q: str, **parameters: str) -> int:
+        return len(http.get("/entities", params={"type": "TermShop", "q": q, **parameters}).json())
+
+    assert hits('category=="food"') == 0, "a vocab is an IRI"
+    assert hits('category=="food"', expandValues="category") == 1
+    assert hits("category==food", expandValues="category") == 1
+    assert hits('category=="https://uri.etsi.org/ngsi-ld/default-context/food"') == 1
+    assert hits("raw[size.x]==5", jsonKeys="raw") == 1
+    assert hits("raw[size.x]==6", jsonKeys="raw") == 0
