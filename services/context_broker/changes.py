@@ -168,20 +168,19 @@ def pruned(before: Entity, names: frozenset[str], at: str, *, keep: bool) -> Out
     return _outcome(before, Change(None, (), {name: [] for name in gone}), attributes, at, {})
 
 
-def outlived(before: Entity, now_s: float, at: str) -> Entity:
+def outlived(before: Entity, now_s: float, at: str) -> Outcome:
     """Return the entity without what of its attributes has ended by `now_s` (seconds since 1970)."""
     attributes: Attributes = {}
+    touched: set[str] = set()
     for name, instances in before.attributes.items():
         kept = [one for one in instances if "expiresAt" not in one or _seconds(one["expiresAt"]) > now_s]
         if kept:
             attributes[name] = kept
-    return replace(
-        before,
-        attributes=attributes,
-        modified_at=at,
-        ends_at=_first_end(before.expires_at, attributes),
-        rendered={},
-    )
+            if len(kept) < len(instances):
+                touched.add(name)
+    first = _first_end(before.expires_at, attributes)
+    after = replace(before, attributes=attributes, modified_at=at, ends_at=first, rendered={})
+    return Outcome(after, frozenset(touched), {})
 
 
 def _outcome(

@@ -104,7 +104,8 @@ class Ends:
         if entity.expires_at is not None and (moment(entity.expires_at) or 0.0) <= now_s:
             event = Event(entity, None)
         else:
-            event = Event(entity, changes.outlived(entity, now_s, timestamp_now()))
+            outcome = changes.outlived(entity, now_s, timestamp_now())
+            event = Event(entity, outcome.entity, outcome.touched)
 
         def ended(fate: "asyncio.Future[None]") -> None:
             error = None if fate.cancelled() else fate.exception()

@@ -71,3 +71,20 @@ def test_what_should_have_ended_while_the_broker_was_down_ends_at_its_start(
     with own_broker.client() as http:
         eventually(lambda: status(http, "gone") == 404)
         assert status(http, "here") == 200
+
+
+def test_a_subscriber_is_told_of_an_end(
+    http: httpx.Client, subscriber: Any, eventually: Callable[..., Any]
+) -> None:
+    subscription = {
+        "id": "urn:ngsi-ld:Subscription:demo:ends",
+        "type": "Subscription",
+        "entities": [{"type": "Leaver"}],
+        "notificationTrigger": ["entityDeleted"],
+        "notification": {"endpoint": {"uri": subscriber.url, "accept": "application/json"}},
+    }
+    assert http.post("/subscriptions", json=subscription).status_code == 201
+    leaver = {"id": "urn:ngsi-ld:Leaver:demo:1", "type": "Leaver", "expiresAt": soon(0.3)}
+    assert http.post("/entities", json=leaver).status_code == 201
+    told = eventually(subscriber.entities)
+    assert told[0]["id"] == leaver["id"]

@@ -113,9 +113,19 @@ def test_what_ends_first_is_known_of_every_entity() -> None:
         changes.updated(entity(a=1), change(a={"value": 1, "expiresAt": late}), AFTER).entity.ends_at == late
     )
     assert changes.replaced(before, change(b=1), AFTER).entity.ends_at is None
-    outlived = changes.outlived(before, moment(early) or 0.0, AFTER)
+    outlived = changes.outlived(before, moment(early) or 0.0, AFTER).entity
     assert shown(outlived) == {"b": 1}
     assert (outlived.ends_at, outlived.modified_at) == (late, AFTER)
+
+
+def test_an_instance_that_ends_leaves_the_others() -> None:
+    early = "2100-01-01T00:00:00Z"
+    ending = {"value": 2, "datasetId": "urn:x:gps", "expiresAt": early}
+    outcome = changes.outlived(
+        entity(a=[{"type": "Property", "value": 1}, ending], b=1), moment(early) or 0.0, AFTER
+    )
+    assert shown(outcome.entity) == {"a": 1, "b": 1}
+    assert names(outcome.touched) == {"a"}
 
 
 def test_pruning_takes_attributes_or_leaves_them() -> None:
