@@ -12,12 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
+from handover.errors import Problem
 from services.context_broker import changes, chronicle
+from services.context_broker.aggregation import Aggregation
 from services.context_broker.changes import Outcome
 from services.context_broker.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
 from services.context_broker.contexts import Context
 from services.context_broker.database import SqliteDatabase
-from services.context_broker.durations import MICROS
+from services.context_broker.durations import MICROS, read_duration
 from services.context_broker.entity import Entity, Event, Instance
 from services.context_broker.history import (
     Change,
@@ -240,6 +242,63 @@ def test_asking_on_where_an_answer_ended_tells_all_and_nothing_twice(
             assert said.startswith(b"date-time ")
             query = replace(query, end=told.edge) if latest else replace(query, start=told.edge)
     assert sorted(found) == list(range(len(minutes)))
+
+
+@given(
+    st.lists(st.integers(0, 600), min_size=1, max_size=40),
+    st.integers(1, 4),
+    st.sampled_from(["PT7M", "PT1H"]),
+)
+def test_totals_are_asked_on_for_where_an_answer_ended(
+    journal: Journal, minutes: list[int], most: int, period: str
+) -> None:
+    life = Life(journal)
+    life.create({})
+    for number, minute in enumerate(minutes):
+        seen = timestamp(START + timedelta(minutes=minute))
+        life.change({NAMES[number % 2]: {"type": "Property", "value": 1, "observedAt": seen}})
+    wanted = Aggregation(("totalCount",), read_duration(period, "d"))
+    query = TemporalQuery("after", micros_of(timestamp(START)) - 1, None, "observedAt", None, wanted)
+    counted = 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chronicle, "MOST_OF_ATTRIBUTE", most)
+        for _ in range(2 * len(minutes) + 1):
+            found = life.told(query)
+            series = [one for evolution in found.evolutions for one in evolution.all()]
+            assert all(len(one.totals) <= most for one in series)
+            counted += sum(total.values["totalCount"] for one in series for total in one.totals)
+            said = content_range(found, query)
+            if said is None:
+                break
+            end = said.decode().removesuffix("/*").rpartition("Z-")[2]
+            query = replace(query, start=micros_of(end))
+    assert counted == len(minutes)
+
+
+def test_of_several_instances_of_one_time_the_last_written_are_the_last(journal: Journal) -> None:
+    life = Life(journal)
+    life.create({})
+    for number in range(5):
+        life.change({"speed": {"type": "Property", "value": number, "observedAt": timestamp(START)}})
+    told = life.told(TemporalQuery(time_property="observedAt", last=2))
+    assert [one["value"] for _, _, one in points_of(told)] == [3, 4]
+
+
+def test_too_much_to_aggregate_is_refused_with_the_way_out(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chronicle, "MOST_AGGREGATED", 3)
+    life = Life(journal)
+    life.create({})
+    for number in range(9):
+        seen = timestamp(START + timedelta(minutes=number))
+        life.change({"speed": {"type": "Property", "value": number, "observedAt": seen}})
+    wanted = Aggregation(("sum",), read_duration("PT0S", "d"))
+    with pytest.raises(Problem, match="shorter time") as refused:
+        life.told(TemporalQuery(time_property="observedAt", aggregation=wanted))
+    assert refused.value.status == 403
+    (latest,) = life.told(TemporalQuery(time_property="observedAt", last=2, aggregation=wanted)).evolutions
+    assert [total.values for series in latest.all() for total in series.totals] == [{"sum": 15}]
 
 
 def test_an_answer_over_many_entities_ends_at_one_time_for_all(
