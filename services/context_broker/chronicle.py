@@ -265,7 +265,8 @@ def _series_for(evolution: Evolution, name: str, instance: Instance, question: Q
     if series is None:
         most, latest = _bound(question)
         series = named[dataset] = Series(instance["type"], dataset, most, latest=latest)
-    series.kind = instance["type"]
+    elif question.query.last is None:
+        series.kind = instance["type"]  # that of the latest
     return series
 
 

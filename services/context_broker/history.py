@@ -152,7 +152,10 @@ class Recorder:
         before, after = event.before, event.after
         one = after or before
         assert one is not None  # noqa: S101 - a change has at least one end
-        at = after.modified_at if after is not None else timestamp_now()
+        if after is None or (before is not None and after.modified_at == before.modified_at):
+            at = timestamp_now()  # no two changes of an entity share a key
+        else:
+            at = after.modified_at
         if after is None:
             entries.departed[one.seq] = DepartedRow(
                 tenant, one.id, Departed(one.types, one.scopes, one.created_at, one.modified_at, at).stored()

@@ -366,6 +366,15 @@ def test_a_change_of_the_same_value_is_a_change() -> None:
     assert change_of(after, after) is None
 
 
+def test_a_change_without_a_time_of_its_own_takes_no_row_from_another(journal: Journal) -> None:
+    life = Life(journal)
+    life.create({"speed": 1})
+    assert life.entity is not None
+    life.take(replace(life.entity, scopes=("/a",)), life.entity.modified_at)
+    life.commit()
+    assert len(list(journal.archive.history([life.place]))) == 2
+
+
 def test_changes_of_one_instant_keep_their_order() -> None:
     recorder = Recorder()
     at = timestamp(START)
