@@ -244,6 +244,8 @@ class Store:
             self._committed[after.id] = after
             if after.ends_at is not None and self._ends is not None:
                 self._ends.watch(self, after)
+        elif before is not None and before.ends_at is not None and self._ends is not None:
+            self._ends.forget(self, before.id)
         self.census.note(before, after)
         self._file_by_type(before, after)
         for index in self._indexes.values():

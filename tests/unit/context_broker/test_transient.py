@@ -1,0 +1,84 @@
+"""The queue of ends: one place for each entity, swept when many are gone."""
+
+import asyncio
+import time
+from datetime import UTC, datetime
+
+from services.context_broker.entity import Entity, Event
+from services.context_broker.transient import LEFT_BEHIND, Ends
+from services.context_broker.words import timestamp
+
+AT = "2026-01-01T00:00:00.000000Z"
+
+
+def at(seconds: float) -> str:
+    return timestamp(datetime.fromtimestamp(seconds, UTC))
+
+
+def transient(name: str, end: str | None) -> Entity:
+    return Entity(f"urn:x:{name}", ("urn:x:Guest",), {}, AT, AT, 1, (), end, end)
+
+
+class Shelf:
+    """What the queue sees of a store: entities by id, and changes on their way."""
+
+    def __init__(self) -> None:
+        self.entities: dict[str, Entity] = {}
+        self.staged: list[Event] = []
+
+    def latest(self, entity_id: str) -> Entity | None:
+        return self.entities.get(entity_id)
+
+    def stage(self, event: Event) -> asyncio.Future[None]:
+        self.staged.append(event)
+        fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        fate.set_result(None)
+        return fate
+
+
+def put(ends: Ends, shelf: Shelf, entity: Entity) -> None:
+    shelf.entities[entity.id] = entity
+    ends.watch(shelf, entity)
+
+
+def started(ends: Ends) -> None:
+    async def start() -> None:
+        ends.start()
+        await asyncio.sleep(0)
+        ends.stop()
+
+    asyncio.run(start())
+
+
+def test_what_is_due_ends_and_what_is_put_off_stays() -> None:
+    ends, shelf = Ends(lambda: True), Shelf()
+    now = time.time()
+    put(ends, shelf, transient("due", at(now - 1)))
+    put(ends, shelf, transient("later", at(now + 1000)))
+    put(ends, shelf, transient("put-off", at(now - 1)))
+    put(ends, shelf, transient("put-off", at(now + 1000)))
+    put(ends, shelf, transient("stays", at(now - 1)))
+    shelf.entities["urn:x:stays"] = transient("stays", None)
+    started(ends)
+    assert [event.before.id for event in shelf.staged if event.before] == ["urn:x:due"]
+    assert ends.waiting == 2
+
+
+def test_only_the_leader_ends() -> None:
+    ends, shelf = Ends(lambda: False), Shelf()
+    put(ends, shelf, transient("due", at(time.time() - 1)))
+    started(ends)
+    assert not shelf.staged
+    assert ends.waiting == 1
+
+
+def test_entities_that_are_gone_or_change_often_do_not_fill_the_queue() -> None:
+    ends, shelf = Ends(lambda: True), Shelf()
+    far = time.time() + 10**6
+    for number in range(3 * LEFT_BEHIND):
+        put(ends, shelf, transient("beating", at(far + number)))
+    assert ends.waiting == 1
+    for number in range(3 * LEFT_BEHIND):
+        put(ends, shelf, transient(f"gone{number}", at(far)))
+        ends.forget(shelf, f"urn:x:gone{number}")
+    assert ends.waiting <= 2 + LEFT_BEHIND
