@@ -8,7 +8,7 @@ import asyncio
 import time
 from collections.abc import Iterable
 from typing import Any, Final
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 from uuid import uuid4
 
 import orjson
@@ -107,6 +107,7 @@ class RegistrationOperations:
             context,
         )
         refuse_past(made.document)
+        await _require_open(exchange.tenant, made)
         async with self._one_at_a_time:
             if exchange.tenant.registry.get(made.id) is not None:
                 raise already_exists(
@@ -127,6 +128,8 @@ class RegistrationOperations:
             made = registration(document, before.context)
             if "expiresAt" in change:
                 refuse_past(document)
+            if "endpoint" in change:
+                await _require_open(exchange.tenant, made)
             made.attempts.go_on_from(before.attempts)
             if {"mode", "information"} & change.keys():
                 _refuse_conflicts(exchange.tenant, made)
@@ -206,6 +209,12 @@ def answer(body: Any, media_type: str, context: Context) -> Answer:
 def with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:
     """Return a document as an answer of that media type has it."""
     return {"@context": context.document, **document} if media_type == JSON_LD else document
+
+
+async def _require_open(tenant: Tenant, made: Registration) -> None:
+    """Raise a problem (400) if the source is at an address that this broker sends nothing to."""
+    host = urlsplit(made.endpoint).hostname or ""
+    await tenant.notifier.outbound.destinations.require_open(host, '"endpoint"')
 
 
 def _existing(exchange: Exchange) -> Registration:

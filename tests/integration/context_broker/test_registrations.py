@@ -173,6 +173,15 @@ def test_what_makes_no_registration_is_refused(http: httpx.Client, body: str) ->
     assert http.post(PATH, content=body, headers=JSON).status_code == 400
 
 
+def test_link_local_sources_are_refused(http: httpx.Client) -> None:
+    document = {"endpoint": "http://169.254.169.254", "information": of_type("Closed")}
+    answer = http.post(PATH, json=document)
+    assert answer.status_code == 400
+    assert "link-local" in answer.json()["detail"]
+    one = register(http, "open", information=of_type("Closed"))
+    assert http.patch(f"{PATH}/{one}", json={"endpoint": "http://[fe80::1]"}).status_code == 400
+
+
 def test_tenants_have_their_own(http: httpx.Client) -> None:
     tenant = {"NGSILD-Tenant": "cell4"}
     document = {"endpoint": "http://a", "information": of_type("Owned")}

@@ -247,6 +247,42 @@ def _raw(members: dict[str, Any]) -> Registration:
     return registration({**kept_document(document, CONTEXT), "id": "urn:x:1"}, CONTEXT)
 
 
+json_values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.text(max_size=6)
+    | st.sampled_from(["urn:a:b", "PT1H", "2030-01-01T00:00:00Z", "http://a", "Task", "/A", "exclusive"]),
+    lambda below: (
+        st.lists(below, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(
+                ["id", "type", "entities", "propertyNames", "key", "value", "startAt", "timeout"]
+            ),
+            below,
+            max_size=3,
+        )
+    ),
+    max_leaves=6,
+)
+members = st.sampled_from(
+    ["information", "endpoint", "mode", "operations", "tenant", "scope", "location", "observationInterval",
+     "management", "contextSourceInfo", "expiresAt", "refreshRate", "type", "own"]
+)  # fmt: skip
+
+
+@given(st.dictionaries(members, json_values, max_size=4))
+def test_any_document_is_a_registration_or_a_problem(given_members: dict[str, Any]) -> None:
+    document = {"information": [TASKS], "endpoint": "http://a", **given_members}
+    try:
+        kept = {name: value for name, value in kept_document(document, CONTEXT).items() if value is not None}
+        one = registration({**kept, "id": "urn:x:1"}, CONTEXT)
+    except Problem as problem:
+        assert problem.status == 400
+    else:
+        assert shown_document(one, CONTEXT, sys_attrs=True)["id"] == "urn:x:1"
+
+
 def test_a_reader_gets_what_was_sent_with_the_defaults() -> None:
     one = registered(SPEEDS, floor="second", management={"timeout": 250})
     shown = shown_document(one, CONTEXT, sys_attrs=False)
