@@ -277,10 +277,9 @@ def test_any_document_is_a_registration_or_a_problem(given_members: dict[str, An
     try:
         kept = {name: value for name, value in kept_document(document, CONTEXT).items() if value is not None}
         one = registration({**kept, "id": "urn:x:1"}, CONTEXT)
-    except Problem as problem:
-        assert problem.status == 400
-    else:
-        assert shown_document(one, CONTEXT, sys_attrs=True)["id"] == "urn:x:1"
+    except Problem:
+        return  # any other exception is a fault of ours
+    assert shown_document(one, CONTEXT, sys_attrs=True)["id"] == "urn:x:1"
 
 
 def test_a_reader_gets_what_was_sent_with_the_defaults() -> None:
