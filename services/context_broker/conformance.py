@@ -37,31 +37,38 @@ _OPAQUE: Final = frozenset(
      "previousValue", "previousObject", "previousLanguageMap", "previousJson", "previousVocab",
      "previousValueList", "previousObjectList", "entity", "entityList"}
 )  # fmt: skip
+_HOLDERS: Final = {"Notification": "data", "FeatureCollection": "features"}
+"""What holds entities, and as which member."""
 _ONE_OF_EACH: Final[Version] = (1, 3)
 """Since when an entity may have several types, and an attribute several instances."""
 
 
 def conformed(document: Any, version: Version, *, simplified: bool = False) -> Any:
-    """Return an entity, a list of entities or a notification as `version` has it; `document` itself if so.
+    """Return an entity, a list of entities or a notification as `version` has it, GeoJSON of them likewise.
 
-    Other documents are left alone. Of a `simplified` entity only its own members are looked at, for what its
-    attributes say may be anything.
+    What is so already is returned itself, other documents too. Of a `simplified` entity only its own members
+    are looked at, for what its attributes say may be anything.
     """
     if version >= OURS:
         return document
     if isinstance(document, list):
         parts = [conformed(one, version, simplified=simplified) for one in document]
         return document if all(new is old for new, old in zip(parts, document, strict=True)) else parts
-    if not isinstance(document, dict) or "id" not in document or "type" not in document:
+    if not isinstance(document, dict) or "type" not in document:
         return document
-    if document["type"] == "Notification":
-        return _with(document, "data", conformed(document.get("data"), version, simplified=simplified))
-    return _entity(document, version, simplified=simplified)
+    kind = document["type"]
+    if isinstance(kind, str) and kind in _HOLDERS and isinstance(document.get(_HOLDERS[kind]), list):
+        holder = _HOLDERS[kind]
+        return _with(document, holder, conformed(document[holder], version, simplified=simplified))
+    if kind == "Feature" and isinstance(document.get("properties"), dict):
+        properties = _entity(document["properties"], version, simplified=simplified)
+        return _with(document, "properties", properties)
+    return _entity(document, version, simplified=simplified) if "id" in document else document
 
 
 def _entity(document: dict[str, Any], version: Version, *, simplified: bool) -> dict[str, Any]:
     kept = _without(document, _ENTITY_MEMBERS, version)
-    types = kept["type"]
+    types = kept.get("type")
     if version < _ONE_OF_EACH and isinstance(types, list) and types:
         kept = _with(kept, "type", types[0])
     if not simplified:

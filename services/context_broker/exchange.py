@@ -49,6 +49,11 @@ LONGEST_REMEMBERED: Final = 1024
 
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
 _WITH_BODY = {"POST", "PATCH", "PUT"}
+_WITH_ENTITIES = tuple(
+    PREFIX + path
+    for path in ("entities", "entityOperations/query", "temporal/entities", "temporal/entityOperations")
+)
+"""Where entities are asked for."""
 _BROKEN_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
 
 
@@ -281,7 +286,9 @@ def told_back(request: Request, answer: Answer) -> Answer:
     if tenant is not None:
         answer = Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", tenant)])
     prefer = request.headers.get(b"prefer")
-    return answer if prefer is None or answer.status != 200 else _as_preferred(request, prefer, answer)
+    if prefer is None or answer.status != 200 or not request.path.startswith(_WITH_ENTITIES):
+        return answer
+    return _as_preferred(request, prefer, answer)
 
 
 def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:

@@ -259,6 +259,9 @@ def test_an_earlier_version_is_spoken_to_who_prefers_it(http: httpx.Client) -> N
     assert (newer.status_code, newer.headers["preference-applied"]) == (200, "ngsi-ld=1.9")
     assert newer.json()["kind"]["type"] == "VocabProperty"
     assert "preference-applied" not in http.get(path, headers={"Prefer": "respond-async"}).headers
+    features = http.get(path, headers={"Prefer": "ngsi-ld=1.6", "Accept": "application/geo+json"})
+    assert (features.status_code, features.json()["properties"]["kind"]["type"]) == (203, "Property")
+    assert http.get("/types", headers={"Prefer": "ngsi-ld=1.6"}).status_code == 200
     refused = http.get(path, headers={"Prefer": "ngsi-ld=old"})
     assert refused.status_code == 400
     assert "1.6" in refused.json()["detail"]

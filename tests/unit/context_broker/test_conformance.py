@@ -68,3 +68,12 @@ def test_notifications_and_lists_conform_and_other_documents_stay() -> None:
     assert conformed([ENTITY, {"x": 1}], (1, 6)) == [conformed(ENTITY, (1, 6)), {"x": 1}]
     for other in (None, 1, "x", {"x": 1}, [1, None]):
         assert conformed(other, (1, 0)) == other
+
+
+def test_features_conform_as_their_entities_do() -> None:
+    properties = {name: said for name, said in ENTITY.items() if name != "id"}
+    feature = {"id": ENTITY["id"], "type": "Feature", "geometry": None, "properties": properties}
+    expected = {name: said for name, said in conformed(ENTITY, (1, 6)).items() if name != "id"}
+    assert conformed(feature, (1, 6)) == {**feature, "properties": expected}
+    many = {"type": "FeatureCollection", "features": [feature]}
+    assert conformed(many, (1, 6))["features"] == [conformed(feature, (1, 6))]

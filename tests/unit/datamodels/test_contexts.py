@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from pyld import jsonld
 
 from datamodels import TYPES, DataModelError
 from datamodels.contexts import (
@@ -286,6 +287,34 @@ def test_a_compacted_name_expands_to_the_same_iri(context: dict[str, Any], name:
         raise
     iri = terms.expand(name)
     assert terms.expand(terms.compact(iri)) == iri
+
+
+PREFIXES = {"ex": "https://example.com/", "ns": "https://example.com/ns#"}
+PLAIN_IRIS = st.sampled_from(
+    ["https://example.com/a", "ex:b", "ns:c", "urn:x:y", DEFAULT + "a", "a", "colour"]
+)
+PLAIN_TERMS = st.sampled_from(["a", "b", "colour", "Robot", "ex:a", "tag:it"])
+
+
+@unhurried
+@given(
+    st.dictionaries(
+        PLAIN_TERMS,
+        PLAIN_IRIS | st.builds(lambda iri, kind: {"@id": iri, "@type": kind}, PLAIN_IRIS, st.just("@id")),
+    ),
+    st.sampled_from([{}, {"@vocab": "https://example.com/own#"}, {"@version": 1.1}]),
+    PLAIN_TERMS | PLAIN_IRIS | st.sampled_from(["ns:x", "nobody:x", "unknown"]),
+)
+def test_names_expand_as_a_json_ld_processor_expands_them(
+    terms: dict[str, Any], own: dict[str, Any], name: str
+) -> None:
+    context = {**own, **PREFIXES, **terms}
+    document = {"@context": [{"@vocab": DEFAULT}, context], "@type": name}
+    try:
+        (expanded,) = jsonld.expand(document)
+    except jsonld.JsonLdError:
+        assume(False)
+    assert TermMap(context).expand(name) == expanded["@type"][0]
 
 
 @pytest.mark.parametrize(
