@@ -3,7 +3,7 @@
 import asyncio
 import gc
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
 
@@ -23,9 +23,8 @@ from services.context_broker.contexts import ContextBook, Documents, OwnAddress
 from services.context_broker.database import Database, SqliteDatabase
 from services.context_broker.destinations import Destinations
 from services.context_broker.discovery_operations import DiscoveryOperations
-from services.context_broker.distributed_operations import HANDLINGS
 from services.context_broker.distributed_subscriptions import SubscriptionRelays
-from services.context_broker.distribution import Distribution
+from services.context_broker.distribution import Distribution, Handling
 from services.context_broker.entity_map_operations import EntityMapOperations, wants_map
 from services.context_broker.entity_operations import EntityOperations
 from services.context_broker.exchange import (
@@ -100,7 +99,7 @@ class Broker:
         asker = HttpAsker(settings.destinations(), settings.broker_notification_ca_file)
         forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
         self.relays = SubscriptionRelays(self.tenants, self.contexts, forwarder)
-        self.distribution = Distribution(forwarder, {**HANDLINGS, **self.relays.handlings()})
+        self.distribution = Distribution(forwarder, self._handlings)
         self.directory = Directory(
             operation
             for room in (
@@ -219,6 +218,13 @@ class Broker:
         if exchange.tenant.registry.is_empty:
             return await operation.answer(exchange)
         return await self.distribution.answer(operation, exchange)
+
+    def _handlings(self) -> Mapping[str, Handling]:
+        """Return how operations are carried out together with context sources."""
+        # Most brokers have no sources: they start without what it takes to ask them.
+        from services.context_broker.distributed_operations import HANDLINGS  # noqa: PLC0415 - as said
+
+        return {**HANDLINGS, **self.relays.handlings()}
 
     async def _by_name(self, name: str, exchange: Exchange) -> Answer:
         """Carry out an operation that another one needs."""

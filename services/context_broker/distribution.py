@@ -7,6 +7,7 @@ become one. `local=true` and what no registration is about stay with the rooms.
 
 import asyncio
 import copy
+import functools
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any, Final
 
@@ -71,15 +72,15 @@ Handling = Callable[[Sources, Exchange, Performing], Awaitable[Answer]]
 
 
 class Distribution:
-    """Carries out operations together with other sources."""
+    """Carries out operations together with other sources; how (by name) is looked up at the first one."""
 
-    def __init__(self, forwarder: Forwarder, handlings: Mapping[str, Handling]) -> None:
+    def __init__(self, forwarder: Forwarder, handlings: Callable[[], Mapping[str, Handling]]) -> None:
         self.forwarder = forwarder
-        self._handlings = handlings
+        self._handlings = functools.cache(handlings)
 
     async def answer(self, operation: Operation, exchange: Exchange) -> Answer:
         """Answer a request of a tenant that has registrations."""
-        handling = self._handlings.get(operation.name)
+        handling = self._handlings().get(operation.name)
         if handling is None or is_local(exchange):
             return await operation.answer(exchange)
         sources = Sources(exchange, self.forwarder)
