@@ -8,6 +8,7 @@ from services.context_broker import distributed_history as history
 from services.context_broker import distributed_reading as reading
 from services.context_broker import distributed_writing as writing
 from services.context_broker.distributed_batches import batch
+from services.context_broker.distributed_purge import purge
 from services.context_broker.distribution import Handling
 
 HANDLINGS: Final[Mapping[str, Handling]] = {
@@ -30,7 +31,13 @@ HANDLINGS: Final[Mapping[str, Handling]] = {
     "replaceEntity": writing.change_entity,
     "mergeEntity": writing.change_entity,
     "deleteEntity": writing.delete,
-    "purgeEntity": writing.purge,
+    "purgeEntity": purge,
+    "upsertTemporal": writing.create,
+    "appendAttrsTemporal": writing.change_attributes,
+    "deleteAttrsTemporal": writing.change_attribute,
+    "updateAttrInstanceTemporal": writing.change_attribute,
+    "deleteAttrInstanceTemporal": writing.change_attribute,
+    "deleteTemporal": writing.delete,
     "appendAttrs": writing.change_attributes,
     "updateEntity": writing.change_attributes,
     "updateAttrs": writing.change_attribute,

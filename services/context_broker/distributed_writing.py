@@ -1,6 +1,6 @@
-"""Entities changed at several sources: create, replace, merge, append, update, delete, purge.
+"""Entities, and their past, changed at several sources: create, replace, merge, append, update, delete.
 
-Clauses 5.6.1 to 5.6.6, 5.6.17 to 5.6.19 and 5.6.21, each where it speaks of registrations. The broker's own
+Clauses 5.6.1 to 5.6.6 and 5.6.11 to 5.6.19, each where it speaks of registrations. The broker's own
 share comes first: a change that it refuses goes nowhere. Then all others are asked at once.
 """
 
@@ -32,19 +32,21 @@ _DONE: Final = Answer(204)
 
 
 async def create(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
-    """POST entities."""
+    """POST entities, or temporal/entities."""
     document, context = await exchange.body()
     if not isinstance(document, Mapping):
         return await perform(exchange)
+    operation, root = ("upsertTemporal", "temporal/") if _is_temporal(exchange) else ("createEntity", "")
     entity_id = require_uri(document.get("id", document.get("@id")), "the entity id")
     names = attributes_in(document, context)
     types = types_in(document, context)
-    shares = shared(sources, ("createEntity",), Asked((entity_id,), None, types), frozenset(names.values()))
+    shares = shared(sources, (operation,), Asked((entity_id,), None, types), frozenset(names.values()))
     if not shares.others:
         return await perform(exchange)
-    location = f"{PREFIX}entities/{quote(entity_id, safe=':')}".encode()
+    location = f"{PREFIX}{root}entities/{quote(entity_id, safe=':')}".encode()
     made = Answer(201, b"", [(b"location", location)])
-    change = _Change(sources, exchange, perform, context, document, names, "createEntity", "entities")
+    path = f"{root}entities"
+    change = SharedChange(sources, exchange, perform, context, document, names, operation, path)
     return await change.entity_answer(entity_id, shares, made)
 
 
@@ -58,8 +60,10 @@ async def change_entity(sources: Sources, exchange: Exchange, perform: Performin
 
 
 async def change_attributes(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
-    """POST or PATCH entities/{id}/attrs."""
+    """POST or PATCH entities/{id}/attrs, or POST temporal/entities/{id}/attrs."""
     operation = "appendAttrs" if exchange.method == "POST" else "updateEntity"
+    if _is_temporal(exchange):
+        operation = "appendAttrsTemporal"
     change, _, shares = await _of_document(sources, exchange, perform, operation, "/attrs")
     if not shares.others:
         return await perform(exchange)
@@ -67,8 +71,13 @@ async def change_attributes(sources: Sources, exchange: Exchange, perform: Perfo
 
 
 async def change_attribute(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
-    """PATCH, PUT or DELETE entities/{id}/attrs/{name}."""
+    """PATCH, PUT or DELETE entities/{id}/attrs/{name}; the same (and one instance) of temporal/entities."""
     operation = {"PATCH": "updateAttrs", "PUT": "replaceAttrs"}.get(exchange.method, "deleteAttrs")
+    if _is_temporal(exchange):
+        operation = "deleteAttrsTemporal"
+        if len(exchange.names) > 2:
+            is_end = exchange.method == "DELETE"
+            operation = "deleteAttrInstanceTemporal" if is_end else "updateAttrInstanceTemporal"
     if exchange.method == "DELETE":
         document, context = None, await exchange.reader_context()
     else:
@@ -80,50 +89,29 @@ async def change_attribute(sources: Sources, exchange: Exchange, perform: Perfor
     shares = shared(sources, (operation,), asked, frozenset({iri}))
     if not shares.others:
         return await perform(exchange)
-    change = _Change(sources, exchange, perform, context, document, {name: iri}, operation, None)
+    change = SharedChange(sources, exchange, perform, context, document, {name: iri}, operation, None)
     return await change.attributes_answer(shares)
 
 
 async def delete(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
-    """DELETE entities/{id}."""
+    """DELETE entities/{id}, or temporal/entities/{id}."""
+    operation, root = ("deleteTemporal", "temporal/") if _is_temporal(exchange) else ("deleteEntity", "")
     context = await exchange.reader_context()
     entity_id = require_uri(exchange.names[0], "the entity id in the path")
     asked = Asked((entity_id,), None, _types_of(sources, exchange, entity_id, context))
-    shares = shared(sources, ("deleteEntity",), asked, None)
+    shares = shared(sources, (operation,), asked, None)
     if not shares.others:
         return await perform(exchange)
-    path = f"entities/{quoted(entity_id)}"
-    change = _Change(sources, exchange, perform, context, None, {}, "deleteEntity", path)
+    path = f"{root}entities/{quoted(entity_id)}"
+    change = SharedChange(sources, exchange, perform, context, None, {}, operation, path)
     return await change.entity_answer(entity_id, shares, _DONE)
 
 
-async def purge(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
-    """DELETE entities, everywhere."""
-    context = await exchange.reader_context()
-    parameters = exchange.parameters
-    types = [one for one in parameters.get("type", "").replace("|", ",").replace(";", ",").split(",") if one]
-    kinds = frozenset(expand(one.strip("() "), context.terms) for one in types if one.strip("() "))
-    ids = tuple(parameters["id"].split(",")) if parameters.get("id") else None
-    matches = sources.unasked(
-        one for one in sources.registry.matching("purgeEntity", Asked(ids, None, kinds or None))
-    )
-    if not matches:
-        return await perform(exchange)
-    own = await perform(exchange)
-    wanted = tuple((name, said) for name, said in parameters.items() if name != "local")
-    change = _Change(sources, exchange, perform, context, None, {}, "purgeEntity", "entities", wanted)
-    found = await all_of(
-        *(change.forwarded(Share(one.registration, frozenset(), True, "purgeEntity")) for one in matches)
-    )
-    failed = [one for one in found if one.problem is not None and one.status != 404]
-    if not failed:
-        return own
-    body = orjson.loads(own.body) if own.status == 207 else {"success": [], "errors": []}
-    body["errors"] = [*body.get("errors", []), *outcomes.entity_errors(None, failed)]
-    return outcomes.multi_status(body)
+def _is_temporal(exchange: Exchange) -> bool:
+    return exchange.path.startswith(f"{PREFIX}temporal/")
 
 
-class _Change:
+class SharedChange:
     """One change on its way to all that have a share in it. `names` are the attributes of the document (or
     the one in the path) as they are named there, with their IRIs.
     """
@@ -138,7 +126,6 @@ class _Change:
         names: Mapping[str, str],
         operation: str,
         path: str | None,
-        parameters: tuple[tuple[str, str], ...] | None = None,
     ) -> None:
         self._sources = sources
         self._exchange = exchange
@@ -149,7 +136,7 @@ class _Change:
         self._operation = operation
         self._path = path
         given = exchange.parameters
-        self._parameters = parameters or tuple((name, given[name]) for name in _PASSED_ON if name in given)
+        self._parameters = tuple((name, given[name]) for name in _PASSED_ON if name in given)
 
     async def entity_answer(self, entity_id: str, shares: Shares, well: Answer) -> Answer:
         """Carry the change out and return the answer of an operation on an entity."""
@@ -215,6 +202,12 @@ class _Change:
             or self._names.get(member) in names
         }
 
+    def _attribute_path(self, name: str) -> str:
+        """Return the path of the one attribute, or of an instance of it, under the name that it has there."""
+        entity_id, _, *instance = self._exchange.names
+        root = "temporal/" if _is_temporal(self._exchange) else ""
+        return "/".join((f"{root}entities", quoted(entity_id), "attrs", quoted(name), *map(quoted, instance)))
+
     async def forwarded(self, share: Share) -> Outcome:
         """Return what became of a source's share."""
         registration, names = share.registration, share.names
@@ -227,7 +220,7 @@ class _Change:
             document = None
             if path is None:
                 (iri,) = self._names.values()
-                path = f"entities/{quoted(self._exchange.names[0])}/attrs/{quoted(tongue.name(iri))}"
+                path = self._attribute_path(tongue.name(iri))
                 document = (
                     None if self._document is None else in_tongue(self._document, self._context, tongue)
                 )
@@ -244,7 +237,7 @@ class _Change:
 
 async def _of_document(
     sources: Sources, exchange: Exchange, perform: Performing, operation: str, below: str
-) -> tuple[_Change, str, Shares]:
+) -> tuple[SharedChange, str, Shares]:
     document, context = await exchange.body()
     entity_id = require_uri(exchange.names[0], "the entity id in the path")
     if not isinstance(document, Mapping):
@@ -253,8 +246,9 @@ async def _of_document(
     types = types_in(document, context) or _types_of(sources, exchange, entity_id, context)
     asked = Asked((entity_id,), None, types)
     shares = shared(sources, (operation,), asked, frozenset(names.values()))
-    path = f"entities/{quoted(entity_id)}{below}"
-    change = _Change(sources, exchange, perform, context, document, names, operation, path)
+    root = "temporal/" if _is_temporal(exchange) else ""
+    path = f"{root}entities/{quoted(entity_id)}{below}"
+    change = SharedChange(sources, exchange, perform, context, document, names, operation, path)
     return change, entity_id, shares
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from services.context_broker.distribution import Sources
+from services.context_broker.operation_names import TEMPORAL
 from services.context_broker.registration import Asked, Mode, Registration
 
 Names = frozenset[str]
@@ -68,11 +69,13 @@ def _concerned(
     """Return the sources that a change concerns, the attributes they have (None: all), and what they take."""
     found = []
     for one in sources.registry.concerned((asked,)):
-        if one.mode is Mode.AUXILIARY or one.is_temporal or sources.has_passed(one):
+        if one.mode is Mode.AUXILIARY or sources.has_passed(one):
             continue
         names: set[str] | None = set()
         for part in one.parts(asked):
             names = None if names is None or part.attributes is None else names | part.attributes
         operation = next((name for name in operations if one.takes(name)), None)
+        if operation is None and (one.is_temporal or not TEMPORAL.isdisjoint(operations)):
+            continue  # who has the present does not have the past to itself, nor the other way round
         found.append((one, None if names is None else frozenset(names), operation))
     return found

@@ -347,3 +347,62 @@ def test_a_change_goes_all_the_way_down_a_chain(brokers: list[Any], kind: str) -
         assert held(third, entity_id) is None
         for client, path in paths:
             client.delete(path)
+
+
+@pytest.mark.parametrize("names", [None, ["b"]])
+def test_a_purge_takes_away_what_is_registered_and_no_more(
+    near: httpx.Client, far: httpx.Client, kind: str, names: list[str] | None
+) -> None:
+    for client in (near, far):
+        put(client, f"urn:ngsi-ld:{kind}:1", kind, a=1, b=1)
+        put(client, f"urn:ngsi-ld:{kind}:2", kind, a=2, b=1)
+        put(client, f"urn:ngsi-ld:{kind}:other", f"{kind}Other", a=1, b=1)
+    register(near, str(far.base_url), {"type": kind}, names)
+    assert near.delete("/entities", params={"type": f"{kind},{kind}Other", "q": "a==1"}).status_code == 204
+    assert held(near, f"urn:ngsi-ld:{kind}:1") is None
+    assert held(near, f"urn:ngsi-ld:{kind}:2") == {"a": 2, "b": 1}
+    assert held(near, f"urn:ngsi-ld:{kind}:other") is None
+    assert held(far, f"urn:ngsi-ld:{kind}:1") == (None if names is None else {"a": 1})
+    assert held(far, f"urn:ngsi-ld:{kind}:2") == {"a": 2, "b": 1}
+    assert held(far, f"urn:ngsi-ld:{kind}:other") == {"a": 1, "b": 1}
+
+
+PAST = ["upsertTemporal", "appendAttrsTemporal", "deleteAttrsTemporal", "deleteTemporal", "retrieveTemporal"]
+
+
+def past(client: httpx.Client, entity_id: str) -> dict[str, list[Any]] | None:
+    answer = client.get(f"/temporal/entities/{entity_id}?local=true")
+    if answer.status_code == 404:
+        return None
+    return {
+        name: [one["value"] for one in (said if isinstance(said, list) else [said])]
+        for name, said in answer.json().items()
+        if isinstance(said, dict | list)
+    }
+
+
+@pytest.mark.parametrize("mode", ["inclusive", "redirect", "exclusive"])
+def test_the_past_is_written_where_it_is_kept(
+    near: httpx.Client, far: httpx.Client, kind: str, mode: str
+) -> None:
+    def told(value: int) -> list[dict[str, Any]]:
+        return [{"type": "Property", "value": value, "observedAt": f"2026-01-01T00:00:0{value}Z"}]
+
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    info = {"type": kind, "id": entity_id} if mode == "exclusive" else {"type": kind}
+    names = ["b"] if mode == "exclusive" else None
+    register(near, str(far.base_url), info, names, mode=mode, operations=PAST)
+    document = {"id": entity_id, "type": kind, "a": told(1), "b": told(1)}
+    assert near.post("/temporal/entities", json=document).status_code == 201
+    here, there = {
+        "inclusive": ({"a": [1], "b": [1]}, {"a": [1], "b": [1]}),
+        "redirect": (None, {"a": [1], "b": [1]}),
+        "exclusive": ({"a": [1]}, {"b": [1]}),
+    }[mode]
+    assert (past(near, entity_id), past(far, entity_id)) == (here, there)
+    assert near.post(f"/temporal/entities/{entity_id}/attrs", json={"b": told(2)}).status_code == 204
+    assert (past(far, entity_id) or {})["b"] == [1, 2]
+    assert near.delete(f"/temporal/entities/{entity_id}/attrs/b").status_code == 204
+    assert "b" not in (past(far, entity_id) or {})
+    assert near.delete(f"/temporal/entities/{entity_id}").status_code == 204
+    assert (past(near, entity_id), past(far, entity_id)) == (None, None)
