@@ -6,7 +6,7 @@ registration made ready for matching; `registration_intake` reads what is sent, 
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, Final
 
@@ -151,11 +151,6 @@ class Attempts:
     rests_until_s: float = float("-inf")
     """By the monotonic clock: until then the source is left alone. Not kept across a restart."""
 
-    def go_on_from(self, before: "Attempts") -> None:
-        """Take over the counts of the registration as it was before a change; its source need not rest."""
-        self.sent, self.failed = before.sent, before.failed
-        self.last_success, self.last_failure = before.last_success, before.last_failure
-
     def members(self) -> dict[str, Any]:
         """Return the members that a reader of the registration gets; none before the first attempt."""
         if not self.sent:
@@ -203,6 +198,16 @@ class Registration:
     expires_at_s: float
     described: Entity
     attempts: Attempts = field(default_factory=Attempts)
+
+    def going_on_from(self, before: "Registration | None") -> "Registration":
+        """Return it with the counts of how it was before a change; its source need not rest any more.
+
+        The counts are the same from then on, for those too that still ask its source as it was.
+        """
+        if before is None:
+            return self
+        before.attempts.rests_until_s = float("-inf")
+        return replace(self, attempts=before.attempts)
 
     def url(self, path: str) -> str:
         """Return where the source has what is at `path` (such as "entities/urn:x:1") after the API's root.

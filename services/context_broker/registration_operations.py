@@ -84,9 +84,8 @@ class RegistrationOperations:
                 tenant.registry.remove(registration_id)
             return
         document = orjson.loads(body)
-        made = registration(document, await self._contexts.as_before(document["context"]))
-        if before is not None:
-            made.attempts.go_on_from(before.attempts)
+        read = registration(document, await self._contexts.as_before(document["context"]))
+        made = read.going_on_from(before)
         tenant.registry.put(made)
         self._see_to_its_end(tenant, made)
 
@@ -125,12 +124,11 @@ class RegistrationOperations:
         async with self._one_at_a_time:
             before = _existing(exchange)
             document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
-            made = registration(document, before.context)
+            made = registration(document, before.context).going_on_from(before)
             if "expiresAt" in change:
                 refuse_past(document)
             if "endpoint" in change:
                 await _require_open(exchange.tenant, made)
-            made.attempts.go_on_from(before.attempts)
             if {"mode", "information"} & change.keys():
                 _refuse_conflicts(exchange.tenant, made)
             await self._keep(exchange.tenant, before, made)
