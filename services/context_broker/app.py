@@ -19,7 +19,7 @@ from services.context_broker.attempts import made_again, was_overtaken
 from services.context_broker.batch_operations import BatchOperations
 from services.context_broker.context_fetching import Fetcher
 from services.context_broker.context_operations import ContextOperations
-from services.context_broker.contexts import ContextBook, Documents, OwnAddress
+from services.context_broker.contexts import ContextBook, Documents
 from services.context_broker.database import Database, SqliteDatabase
 from services.context_broker.destinations import Destinations
 from services.context_broker.discovery_operations import DiscoveryOperations
@@ -45,6 +45,7 @@ from services.context_broker.journal import Entries, Journal, Kind, NotStored
 from services.context_broker.leadership import ElectedBroker, Leadership, SoleBroker
 from services.context_broker.notifier import REQUEST_HEADERS
 from services.context_broker.operation import Directory, Operation
+from services.context_broker.own_address import OwnAddress
 from services.context_broker.postgres import PostgresDatabase
 from services.context_broker.problems import ERRORS, not_stored
 from services.context_broker.registration_operations import RegistrationOperations

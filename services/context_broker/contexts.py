@@ -6,7 +6,6 @@ error, and is tried again later.
 """
 
 import asyncio
-import re
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from services.context_broker.kept_contexts import (
     restored,
     shown_to,
 )
+from services.context_broker.own_address import OwnAddress
 from services.context_broker.problems import bad_request_data, too_large
 from services.context_broker.words import timestamp_now
 
@@ -46,8 +46,6 @@ PUT_OFF_S: Final = 600.0
 """When a context whose time is over is asked for again if it could not be fetched anew."""
 USAGE_KEPT_S: Final = 5.0
 """How often it is written how contexts were used; what a crash may take back of the counts."""
-
-_HOST: Final = re.compile(rb"(?:[A-Za-z0-9.\-_]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])(?::[0-9]{1,5})?")
 
 Documents = Mapping[DocumentKey, bytes | None]
 Keep = Callable[[Documents], Awaitable[None]]
@@ -69,18 +67,6 @@ class Context:
     uses: tuple[KeptContext, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class OwnAddress:
-    """Where the broker is reached: as it is told, else by the name it is called, else where it listens."""
-
-    told: str | None
-    listens_at: str
-
-    def called(self, host: bytes) -> str:
-        """Return the address that goes with a Host header."""
-        return f"http://{host.decode()}" if _HOST.fullmatch(host) else self.listens_at
-
-
 class ContextBook:
     """All contexts the broker has met.
 
@@ -88,7 +74,7 @@ class ContextBook:
     """
 
     def __init__(
-        self, keep: Keep, keep_later: Callable[[Documents], None], fetcher: Fetcher, own: "OwnAddress"
+        self, keep: Keep, keep_later: Callable[[Documents], None], fetcher: Fetcher, own: OwnAddress
     ) -> None:
         self._keep = keep
         self._keep_later = keep_later
@@ -98,6 +84,7 @@ class ContextBook:
         self._shipped: dict[str, KeptContext] = {}
         self._ready: dict[str | bytes, Context] = {}
         self._made = 0
+        self._needed: set[str] = set()
         self._refreshing: set[asyncio.Task[None]] = set()
         self._usage_due: asyncio.TimerHandle | None = None
 
@@ -131,8 +118,8 @@ class ContextBook:
 
     async def tidy(self) -> None:
         """Erase what was deleted and is needed no longer; call it once all subscriptions are taken up."""
-        needed = {one.id for ready in self._ready.values() for one in ready.uses}
-        gone = [one for one in self._shelf if one.gone and one.id not in needed]
+        gone = [one for one in self._shelf if one.gone and one.id not in self._needed]
+        self._needed.clear()
         self._ready = {
             key: ready for key, ready in self._ready.items() if not any(one.gone for one in ready.uses)
         }
@@ -162,11 +149,13 @@ class ContextBook:
         One that is not there any more is the core context: what was made with it has its names expanded.
         """
         key: str | bytes = given if isinstance(given, str) else orjson.dumps(given)
-        if (ready := self._ready.get(key)) is not None:
+        ready = self._ready.get(key)
+        if ready is not None:
             return ready
         met: list[KeptContext] = []
         try:
             terms = TermMap(given, lambda url: self._met(url, met, of_before=True))
+            self._needed.update(one.id for one in met)
         except ValueError as error:
             log.warning("a context in use is not there any more", context=str(given)[:200], why=str(error))
             return await self.of(None)

@@ -16,9 +16,10 @@ from services.context_broker.context_fetching import (
     Fetcher,
     kept_for_s,
 )
-from services.context_broker.contexts import CORE, ContextBook, OwnAddress
+from services.context_broker.contexts import CORE, ContextBook
 from services.context_broker.destinations import Destinations
 from services.context_broker.journal import DocumentKey, Kind
+from services.context_broker.own_address import OwnAddress
 from services.context_broker.problems import context_not_available
 
 URL = "https://a.example/context.jsonld"
