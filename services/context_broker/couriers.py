@@ -75,6 +75,8 @@ class Courier:
     def start(self) -> None:
         """Look into the outbox for what is owed already."""
         self._more_on_disk = self._is_uncounted = True
+        if not self.owed:
+            self._owe(1, 1)  # something, as it seems; it is counted when it is read
         self._go_on()
 
     def add(self, notice: Notice) -> None:
@@ -285,7 +287,8 @@ class Courier:
 
     async def _load(self) -> None:
         self._loading, self._more_on_disk = True, False
-        limit = max(1, min(WINDOW, self._line.room))
+        sharing = sum(1 for one in self._line.couriers if one.owed_bytes)
+        limit = max(1, min(WINDOW // max(1, sharing), self._line.room))
         try:
             page = await self._backlog.page(self._last_seq, limit, count=self._is_uncounted)
         except NotStored as error:

@@ -1,7 +1,9 @@
 """Notifications over MQTT, to a real Mosquitto (clause 7.2)."""
 
+import getpass
 import json
 import shutil
+import socket
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
@@ -14,20 +16,27 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
 Eventually = Callable[..., Any]
+PASSWORD = "let-me-in"
 
 
 class Mosquitto:
     """An MQTT server on a port of its own, and somebody who listens to everything there."""
 
-    def __init__(self, folder: Path, port: int) -> None:
+    def __init__(self, folder: Path, port: int, safe_port: int, certificate: tuple[Path, Path]) -> None:
         program = shutil.which("mosquitto") or "/usr/sbin/mosquitto"
         if not Path(program).exists():
             pytest.skip("mosquitto is not installed; apt-get install mosquitto")
-        self.port = port
+        self.port, self.safe_port = port, safe_port
         self.received: list[tuple[str, int, dict[str, Any]]] = []
         self._command = [program, "-c", str(folder / "mosquitto.conf")]
+        passwords = folder / "passwords"
+        known = ["mosquitto_passwd", "-b", "-c", str(passwords), "cell", PASSWORD]
+        subprocess.run(known, check=True, capture_output=True)
         (folder / "mosquitto.conf").write_text(
-            f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n"
+            f"user {getpass.getuser()}\nper_listener_settings true\npersistence false\n"
+            f"listener {port} 127.0.0.1\nallow_anonymous true\n"
+            f"listener {safe_port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\n"
+            f"certfile {certificate[0]}\nkeyfile {certificate[1]}\n"
         )
         self.process: subprocess.Popen[bytes] | None = None
         self._client = Client(CallbackAPIVersion.VERSION2)
@@ -67,13 +76,14 @@ class Mosquitto:
 
 
 @pytest.fixture(scope="module")
-def mosquitto(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mosquitto]:
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    made = Mosquitto(tmp_path_factory.mktemp("mosquitto"), port)
+def mosquitto(
+    tmp_path_factory: pytest.TempPathFactory, certificate: tuple[Path, Path]
+) -> Iterator[Mosquitto]:
+    with socket.socket() as one, socket.socket() as other:
+        for probe in (one, other):
+            probe.bind(("127.0.0.1", 0))
+        ports = [int(probe.getsockname()[1]) for probe in (one, other)]
+    made = Mosquitto(tmp_path_factory.mktemp("mosquitto"), ports[0], ports[1], certificate)
     made.start()
     made.listen()
     yield made
@@ -166,3 +176,20 @@ def test_a_server_that_is_not_there_is_a_failure_that_is_told(
     create(http, "MqttNobody", a=1)
     eventually(lambda: http.get(path).json()["notification"].get("status") == "failed")
     assert http.delete(path).status_code == 204
+
+
+def test_over_tls_the_server_is_checked_and_we_say_who_we_are(
+    own_broker: Any, mosquitto: Mosquitto, certificate: tuple[Path, Path], eventually: Eventually
+) -> None:
+    own_broker.extra = {**own_broker.extra, "HANDOVER_BROKER_NOTIFICATION_CA_FILE": str(certificate[0])}
+    own_broker.start()
+    server = f"127.0.0.1:{mosquitto.safe_port}/cell/safe"
+    with own_broker.client() as http:
+        good = subscribe(http, "MqttSafe", f"mqtts://cell:{PASSWORD}@{server}")
+        bad = subscribe(http, "MqttUnsafe", f"mqtts://cell:wrong@{server}")
+        create(http, "MqttSafe", a=1)
+        create(http, "MqttUnsafe", a=1)
+        eventually(lambda: http.get(good).json()["notification"].get("status") == "ok")
+        eventually(lambda: http.get(bad).json()["notification"].get("status") == "failed")
+        assert PASSWORD not in own_broker.log()
+        assert "wrong@" not in own_broker.log()
