@@ -90,12 +90,14 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
 
 
 def updated(before: Entity, change: Change, at: str) -> Outcome:
-    """Return the entity with attributes overwritten; those that are not there are refused (clause 5.6.2)."""
+    """Return the entity with attributes overwritten; those that are not there are refused (clause 5.6.2).
+
+    Scopes are overwritten if there are any, and else left alone without a word, as the standard has it.
+    """
     attributes = dict(before.attributes)
     refused: dict[str, str] = {}
     written: Attributes = {}
     if change.scopes is not None and not before.scopes:
-        refused["scope"] = ABSENT
         change = replace(change, scopes=None)
     for name, instances in change.attributes.items():
         if name in attributes:

@@ -181,6 +181,11 @@ class EntityOperations:
         instance = instance_for(given, self._instances(exchange, before, name))
         whole = given if instance is None else completed_part(given, instance)
         part = read_attribute(exchange.names[1], whole, context.terms)[0]
+        if instance is not None and part["type"] != instance["type"]:
+            raise bad_request_data(
+                f"attribute {shown(exchange.names[1])} is a {instance['type']} and cannot become a "
+                f"{part['type']} by an update of its parts; replace it with PUT"
+            )
         refuse_nulls({name: [part]}, context.terms, Nulls.ATTRIBUTES)
         try:
             outcome = changes.partially_updated(before, name, part, timestamp_now())
@@ -345,7 +350,7 @@ def _update_result(change: Change, outcome: Outcome, context: Context) -> Answer
     if not outcome.refused:
         return DONE
     compact = context.terms.compact
-    names = [*change.attributes] if change.scopes is None else [*change.attributes, "scope"]
+    names = [*change.attributes, "scope"] if change.scopes and outcome.entity.scopes else change.attributes
     body = {
         "updated": [
             compact(name) for name in names if name not in outcome.refused or name in outcome.touched

@@ -344,9 +344,8 @@ def test_scopes_are_kept_changed_and_deleted(http: httpx.Client) -> None:
     assert http.delete(f"{path}/attrs/scope").status_code == 204
     assert "scope" not in read(http, entity_id)
     problem(http.delete(f"{path}/attrs/scope"), 404, "ResourceNotFound", "scope")
-    answer = http.patch(f"{path}/attrs", json={"scope": "/B", "a": 2})
-    assert answer.status_code == 207
-    assert answer.json()["notUpdated"][0]["attributeName"] == "scope"
+    assert http.patch(f"{path}/attrs", json={"scope": "/B", "a": 2}).status_code == 204
+    assert "scope" not in read(http, entity_id)
     assert http.patch(path, json={"scope": "/C"}).status_code == 204
     assert http.patch(path, json={"scope": "urn:ngsi-ld:null"}).status_code == 204
     assert "scope" not in read(http, entity_id)
@@ -425,3 +424,16 @@ def test_instances_that_are_there_stay_when_nothing_is_to_be_overwritten(http: h
     assert read(http, entity_id, options="keyValues")["speed"] == {"dataset": {"@none": 1, "urn:x:gps": 2}}
     answer = http.put(f"{path}/speed", json={"value": 3, "datasetId": "urn:x:radar"})
     problem(answer, 404, "ResourceNotFound", "urn:x:radar")
+
+
+def test_the_kind_of_an_attribute_is_not_changed_in_part(http: httpx.Client) -> None:
+    entity_id = made(http, "kind", a=1, at={"object": "urn:x:1"})
+    for name, part in (
+        ("a", {"object": "urn:x:2"}),
+        ("a", {"type": "Relationship", "object": "urn:x:2"}),
+        ("at", {"type": "Property", "value": 1}),
+        ("a", {"type": "JsonProperty"}),
+    ):
+        problem(http.patch(f"/entities/{entity_id}/attrs/{name}", json=part), 400, "BadRequestData", name)
+    assert http.put(f"/entities/{entity_id}/attrs/a", json={"object": "urn:x:2"}).status_code == 204
+    assert read(http, entity_id)["a"] == {"type": "Relationship", "object": "urn:x:2"}
