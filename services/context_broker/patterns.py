@@ -1,7 +1,8 @@
 """Patterns that askers send, compiled with care: none may keep the broker busy for longer than a blink.
 
-Python's `re` backtracks; a pattern whose repetitions are nested, or hold alternatives, can take years. Such
-patterns are refused with the reason (there is nearly always a plain way to write them).
+Python's `re` is quick, but tries one way after the other; a pattern with many ways can take years. Only plain
+patterns are left to it, the others to a machine that goes all ways at once (`automaton`). What that cannot do
+is refused with the reason.
 """
 
 import re
@@ -11,57 +12,68 @@ from re import _constants as code  # type: ignore[attr-defined]  # the parse tre
 from re import _parser as syntax  # type: ignore[attr-defined]
 from typing import Any, Final
 
+from services.context_broker.automaton import Automaton, Unsupported
 from services.context_broker.problems import bad_request_data
 from services.context_broker.words import shown
 
 LONGEST: Final = 512
-MOST_REPETITIONS: Final = 3
-"""Open repetitions (`*`, `+`) side by side: each multiplies the time a text may take by its length."""
 LONGEST_TEXT: Final = 512
 """Characters of a text that a pattern is tried on."""
-FEW: Final = 8
-"""A repetition up to this often is taken as written out."""
+
+_STARTS: Final = frozenset({code.AT_BEGINNING, code.AT_BEGINNING_STRING})
+_OPEN: Final = frozenset({code.MAX_REPEAT, code.MIN_REPEAT, code.BRANCH})
+_NEVER_BACK: Final = frozenset(
+    {code.LITERAL, code.NOT_LITERAL, code.ANY, code.IN, code.NEGATE, code.RANGE, code.CATEGORY, code.AT,
+     code.SUBPATTERN, *_OPEN}
+)  # fmt: skip
 
 
 @lru_cache(maxsize=1024)
 def pattern(text: str) -> re.Pattern[str]:
-    """Return the compiled pattern; raise a problem when it is broken or could take very long."""
+    """Return the compiled pattern, to be used with `fits`; raise a problem (400) when it cannot be used."""
     if len(text) > LONGEST:
         raise bad_request_data(f"a pattern has at most {LONGEST} characters, this one {len(text)}")
     try:
-        parsed = syntax.parse(text)
         compiled = re.compile(text)
+        _machine(text)
     except (re.error, OverflowError, RecursionError) as error:
         raise bad_request_data(f"the pattern {shown(text)} cannot be used: {error}") from None
-    fault = _fault(parsed)
-    if fault:
-        raise bad_request_data(f"the pattern {shown(text)} could take very long: {fault}")
+    except Unsupported as fault:
+        raise bad_request_data(f"the pattern {shown(text)} could take very long: {fault}") from None
     return compiled
 
 
 def fits(expected: re.Pattern[str], text: str) -> bool:
     """Say whether the pattern is found in `text`."""
-    return expected.search(text[:LONGEST_TEXT]) is not None
+    machine = _machine(expected.pattern)
+    if machine is None:
+        return expected.search(text[:LONGEST_TEXT]) is not None
+    return machine.found_in(text[:LONGEST_TEXT])
 
 
-def _fault(parsed: Iterable[Any]) -> str | None:
-    repetitions = 0
-    for operation, argument in _walk(parsed):
-        if operation in {code.GROUPREF, code.GROUPREF_EXISTS, code.ASSERT, code.ASSERT_NOT}:
-            return "it looks back or ahead; leave references and assertions out"
-        if operation in {code.MAX_REPEAT, code.MIN_REPEAT}:
-            _, most, inner = argument
-            if most > FEW:
-                repetitions += 1
-                if any(_branches(below) for below in _walk(inner)):
-                    return "a repetition holds another repetition or alternatives; write it out"
-    if repetitions > MOST_REPETITIONS:
-        return f"it has {repetitions} repetitions side by side, {MOST_REPETITIONS} are allowed"
-    return None
+@lru_cache(maxsize=2048)
+def _machine(text: str) -> Automaton | None:
+    """Return the machine for a pattern; None for one so plain that `re` has no choice of ways."""
+    parsed = list(syntax.parse(text))
+    is_anchored = bool(parsed) and parsed[0][0] is code.AT and parsed[0][1] in _STARTS
+    found = list(_walk(parsed))
+    choices = [one for one in found if one[0] in _OPEN and not _is_fixed(one)]
+    is_plain = all(one[0] in _NEVER_BACK for one in found) and not any(
+        one[0] in _OPEN and _holds_choices(one) for one in found
+    )
+    # Each choice multiplies the ways by the length of the text; so does each place to begin at.
+    if is_plain and len(choices) + (not is_anchored) <= 2:
+        return None
+    return Automaton(text)
 
 
-def _branches(operation: tuple[Any, Any]) -> bool:
-    return operation[0] in {code.BRANCH, code.MAX_REPEAT, code.MIN_REPEAT}
+def _is_fixed(one: tuple[Any, Any]) -> bool:
+    return one[0] is not code.BRANCH and one[1][0] == one[1][1]
+
+
+def _holds_choices(one: tuple[Any, Any]) -> bool:
+    inner = (below for part in _inside(one[1]) for below in _walk(part))
+    return any(below[0] in _OPEN and not _is_fixed(below) for below in inner)
 
 
 def _walk(parsed: Any) -> Iterable[tuple[Any, Any]]:
