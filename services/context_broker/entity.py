@@ -46,7 +46,7 @@ class Entity:
     scopes: tuple[str, ...] = ()
     """As they were written: a scope may do without the slash in front."""
     expires_at: str | None = None
-    """When a transient entity ends (clause 4.23); None for one that stays."""
+    """When a transient entity ends (clause 4.22); None for one that stays."""
     ends_at: str | None = None
     """When it, or the first of its attributes that do, ends; None if nothing of it does."""
     rendered: dict[Any, bytes] = field(default_factory=dict)

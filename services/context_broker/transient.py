@@ -1,4 +1,4 @@
-"""Transient entities and attributes: what has an `expiresAt` ends by itself when that has come (clause 4.23).
+"""Transient entities and attributes: what has an `expiresAt` ends by itself when that has come (clause 4.22).
 
 Each entity with an end stands in one queue once, however often it changes; what it says when its turn comes
 counts. A restart takes up the queue again, and ends at once what should have ended meanwhile.
