@@ -209,14 +209,14 @@ async def _pages(
     small = sources.forwarder.small_pages
     offset = 0
     while offset < MOST_ENTITIES:
-        limit = SMALL_PAGE if registration.id in small else PAGE
+        limit = SMALL_PAGE if registration.endpoint in small else PAGE
         paged = [*given, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
         try:
             reply = await heard(sources, registration, Question("GET", "entities", tongue, tuple(paged)))
         except Unheard as unheard:
             if unheard.answered not in {400, 403} or offset or limit == SMALL_PAGE:
                 raise
-            small.add(registration.id)
+            small.add(registration.endpoint)
             continue
         if reply is None:
             return

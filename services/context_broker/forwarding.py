@@ -108,9 +108,9 @@ class Forwarder:
     timeout_s: float
     asker: HttpAsker = field(default_factory=HttpAsker)
     small_pages: set[str] = field(default_factory=set)
-    """Registrations (by id) whose sources refuse large pages."""
+    """Endpoints of sources that refuse large pages."""
     _aliases: dict[tuple[str, str], str] = field(default_factory=dict)
-    _hung: dict[str, float] = field(default_factory=dict)
+    _hung: dict[tuple[str, str], float] = field(default_factory=dict)
     _remembered: OrderedDict[tuple[Any, ...], _Remembered] = field(default_factory=OrderedDict)
 
     def alias_of(self, registration: Registration) -> str | None:
@@ -170,7 +170,7 @@ class Forwarder:
         except SendError as error:
             if isinstance(error, TooSlow):
                 # One that hangs costs its patience once, then nothing for as long: others need not wait too.
-                self._hung[registration.id] = time.monotonic() + timeout_s
+                self._hung[registry.tenant, registration.id] = time.monotonic() + timeout_s
             registry.note(registration, succeeded=False)
             warning = INVALID if isinstance(error, TooLarge) else SILENT
             why = f"{registration.endpoint}: {error}"
@@ -184,9 +184,10 @@ class Forwarder:
         return reply
 
     def _refuse_at_rest(self, registration: Registration, registry: Registry) -> None:
-        until_s = self._hung.get(registration.id)
+        key = registry.tenant, registration.id
+        until_s = self._hung.get(key)
         if until_s is not None and until_s <= time.monotonic():
-            del self._hung[registration.id]
+            del self._hung[key]
             until_s = None
         if until_s is not None or registry.rests(registration):
             why = f"{registration.endpoint} failed a moment ago and is left alone for a while"

@@ -11,7 +11,7 @@ from typing import Any, Final
 import orjson
 
 from services.context_broker.entity import Attributes, Entity, Instance, Terms, dataset_of
-from services.context_broker.intake import expand, read_change
+from services.context_broker.intake import expand, read_entity
 from services.context_broker.problems import bad_request_data
 from services.context_broker.words import moment, timestamp_now
 
@@ -83,9 +83,8 @@ def read_fragment(document: Any, terms: Terms, seq: int) -> Entity:
     """
     if not isinstance(document, Mapping):
         raise bad_request_data("an entity is a JSON object")
-    change = read_change({name: said for name, said in document.items() if name != "@context"}, terms)
-    if change.id is None or not change.types:
-        raise bad_request_data('an entity has an "id" and a "type"')
+    change = read_entity({name: said for name, said in document.items() if name != "@context"}, terms)
+    entity_id = change.id or ""
     attributes = dict(change.attributes)
     for name, given in document.items():
         if name not in _NO_ATTRIBUTES and (iri := expand(name, terms)) in attributes:
@@ -93,14 +92,14 @@ def read_fragment(document: Any, terms: Terms, seq: int) -> Entity:
     now = timestamp_now()
     created = _time(document.get("createdAt")) or now
     return Entity(
-        change.id,
+        entity_id,
         change.types,
         attributes,
         created,
         _time(document.get("modifiedAt")) or created,
         seq,
-        tuple(getattr(change, "scopes", None) or ()),
-        _time(document.get("expiresAt")),
+        change.scopes or (),
+        change.expires_at,
     )
 
 

@@ -55,7 +55,9 @@ def test_any_answer_is_borne(anyone: httpx.Client, answering: ScriptedSource, sa
                 body = [ID] if path.endswith("delete") else [{"id": ID, "type": "AnyAnswer", "a": 1}]
             if path.endswith("/a"):
                 body = {"type": "Property", "value": 1} if method == "PATCH" else None
-            query = {"type": "AnyAnswer"} if path.endswith("entities") and method == "GET" else {}
+            query = {"options": "sysAttrs"} if path.startswith("entities") and method == "GET" else {}
+            if path.endswith("entities") and method == "GET":
+                query |= {"type": "AnyAnswer"}
             if path == "temporal/entities":
                 query |= {"timerel": "after", "timeAt": "2025-01-01T00:00:00Z"}
             answer = anyone.request(method, f"/{path}", params=query, json=None if method == "GET" else body)
