@@ -13,6 +13,8 @@ from services.context_broker.geometry import fault_of
 from services.context_broker.problems import bad_request_data
 from services.context_broker.words import require_uri, shown
 
+_NULL_LIST: Final = [NULL]
+
 Said = Callable[[str, Any, Terms], Any]
 
 
@@ -95,14 +97,16 @@ def _vocab(name: str, value: Any, terms: Terms) -> Any:
 
 
 def _value_list(name: str, value: Any, _: Terms) -> Any:
+    if value == _NULL_LIST:  # which is how a list says that it is to be deleted (clause 4.5.21)
+        return NULL
     if value != NULL and not isinstance(value, list):
         raise bad_request_data(f"the valueList of {shown(name)} must be a list, not {shown(value)}")
     return value
 
 
 def _object_list(name: str, value: Any, _: Terms) -> Any:
-    if value == NULL:
-        return value
+    if value in (NULL, _NULL_LIST, [{"object": NULL}]):
+        return NULL
     if not isinstance(value, list):
         raise bad_request_data(f"the objectList of {shown(name)} must be a list, not {shown(value)}")
     what = f"the objectList of {shown(name)}"

@@ -6,7 +6,7 @@ import pytest
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.entity import NULL
+from services.context_broker.entity import NULL, is_deletion
 from services.context_broker.intake import Nulls, nulls_in, read_attribute, read_change, read_entity
 
 TERMS = TermMap(HANDOVER_URL)
@@ -184,6 +184,9 @@ def test_scopes_are_kept_as_they_were_written() -> None:
         ({"type": "JsonProperty", "json": NULL}, Nulls.ATTRIBUTES),
         ({"valueList": NULL}, Nulls.ATTRIBUTES),
         ({"objectList": NULL}, Nulls.ATTRIBUTES),
+        ({"valueList": [NULL]}, Nulls.ATTRIBUTES),
+        ({"objectList": [NULL]}, Nulls.ATTRIBUTES),
+        ({"objectList": [{"object": NULL}]}, Nulls.ATTRIBUTES),
         ({"value": 1, "unitCode": NULL}, Nulls.ATTRIBUTES),
         ({"value": 1, "note": NULL}, Nulls.ATTRIBUTES),
         ({"languageMap": {"en": NULL, "fi": "a"}}, Nulls.ATTRIBUTES),
@@ -198,6 +201,22 @@ def test_null_is_refused_where_nothing_can_be_deleted(given: Any, allowed: Nulls
         assert NULL in refusal({"a": given}, nulls)
     for nulls in order[order.index(allowed) :]:
         assert taken(given, "a", nulls)
+
+
+def test_every_way_to_delete_an_attribute_is_known() -> None:
+    for given in (
+        NULL,
+        {"type": "Property", "value": NULL},
+        {"object": NULL},
+        {"languageMap": {"@none": NULL}},
+        {"vocab": NULL},
+        {"json": NULL},
+        {"valueList": [NULL]},
+        {"objectList": [{"object": NULL}]},
+        {"objectList": [NULL], "datasetId": "urn:x:1"},
+    ):
+        assert is_deletion(taken(given, "a", Nulls.ATTRIBUTES))
+    assert not is_deletion(taken({"valueList": [NULL, 1]}, "a", Nulls.ATTRIBUTES))
 
 
 def test_null_inside_opaque_json_is_data() -> None:
