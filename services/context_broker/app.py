@@ -358,6 +358,7 @@ def create_broker(settings: BrokerSettings) -> ASGIApp:
         "Context broker",
         description="The embedded NGSI-LD broker (ETSI GS CIM 009). NGSI-LD itself is under /ngsi-ld/v1.",
         lifespan=lifespan,
+        checks={"database": leadership.check},
     )
 
     async def application(scope: Scope, receive: Receive, send: Send) -> None:

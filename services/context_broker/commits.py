@@ -8,6 +8,7 @@ brokers share a database, only those writes of a group are refused that another 
 import asyncio
 import queue
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ log = get_logger(__name__)
 Failed = Callable[[NotStored], None]
 
 LARGEST_GROUP = 2000
+LOOK_AGAIN_S = 0.2
+"""How long the thread waits when what others did could not be read."""
 RETRY_S = 1.0
 """How long bookkeeping that the disk refused waits for its next chance."""
 REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the disk did not take")
@@ -209,10 +212,15 @@ class CommitQueue:
                 self._commit_among_others(self._replica, firm)
         except NotStored as error:
             if not firm:
+                self._look_again()
                 return
             self._refused_era = max(write.era for write in firm)
             REFUSED.inc()
             self._tell_failure(firm, error)
+
+    def _look_again(self) -> None:
+        time.sleep(LOOK_AGAIN_S)
+        self.look()
 
     def _commit_alone(self, writes: list[Write]) -> None:
         entries = Entries()

@@ -38,6 +38,9 @@ class Leadership(Protocol):
     def leads(self) -> bool:
         """Say whether this broker leads now."""
 
+    async def check(self) -> None:
+        """Return if this broker hears of what others do; raise, with a sentence, if it does not."""
+
     def start(self, told: Told, heard: Callable[[], None]) -> None:
         """Begin; call it on the event loop. `told` hears of every turn, `heard` when others have written."""
 
@@ -49,6 +52,9 @@ class SoleBroker:
     """The broker that shares its database with nobody."""
 
     leads = True
+
+    async def check(self) -> None:
+        """There are no others."""
 
     def start(self, told: Told, heard: Callable[[], None]) -> None:
         """Lead from the start."""
@@ -67,6 +73,7 @@ class ElectedBroker:
         self._database = database
         self._tidying = tidying
         self._leads = False
+        self._listens = False
         self._over = threading.Event()
         self._told: Told
         self._heard: Callable[[], None]
@@ -77,6 +84,11 @@ class ElectedBroker:
     def leads(self) -> bool:
         """Say whether this broker leads now."""
         return self._leads
+
+    async def check(self) -> None:
+        """Raise, with a sentence, while this broker does not hear of what others do."""
+        if not self._listens:
+            raise ConnectionError(f"{self._database.name} is out of reach, what is read here may be old")
 
     def start(self, told: Told, heard: Callable[[], None]) -> None:
         """Begin to listen and to try."""
@@ -101,11 +113,13 @@ class ElectedBroker:
                 if not self._over.is_set():
                     log.warning("the database is out of reach", error=str(error).strip())
             finally:
+                self._listens = False
                 self._turn(leads=False)
             self._over.wait(TRY_EVERY_S * random.uniform(0.5, 1.0))  # noqa: S311 - jitter
 
     def _keep_watch(self, connection: "psycopg.Connection") -> None:
         connection.execute(f"LISTEN {CHANNEL}")
+        self._listens = True
         self._heard()  # what came before there was somebody to hear it
         due_s = tidy_s = 0.0
         while not self._over.is_set():

@@ -27,7 +27,7 @@ SPARE_READERS: Final = 4
 SCAN_AT_ONCE: Final = 5000
 """Rows fetched at a time of what may be too much to hold."""
 _SAFE: Final = (
-    "-c synchronous_commit=on -c lock_timeout=20s -c idle_in_transaction_session_timeout=60s "
+    "-c synchronous_commit=on -c lock_timeout=20s -c idle_in_transaction_session_timeout=10s "
     "-c tcp_keepalives_idle=5 -c tcp_keepalives_interval=2 -c tcp_keepalives_count=3"
 )
 """An acknowledgement is true; one who hangs or has vanished does not hold up the others for ever."""

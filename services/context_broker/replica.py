@@ -155,8 +155,12 @@ class Feed:
 
     def went_on(self, news: News, entries: Entries, *, told: bool) -> None:
         """Note what is seen now that the transaction is committed: the news, and what was told after them."""
-        self._documents.update(news.documents)
-        self._documents.update(entries.documents)
+        for documents in (news.documents, entries.documents):
+            for key, body in documents.items():
+                if body is None:
+                    self._documents.discard(key)
+                else:
+                    self._documents.add(key)
         self._seen = (news.number + 1, self.process) if told else (news.number, news.process)
 
     def holds_own(self, writer: Writer, news: News) -> bool:
@@ -275,6 +279,12 @@ class Replica:
         The news come before what was written. Raises `NotStored` when nothing was written.
         """
         try:
+            return self._commit(writes)
+        except FeedLost:
+            return self._reload(), [], list(writes)
+        except NotStored as error:
+            log.info("a commit is tried once more", error=str(error))
+        try:  # for the connection may have died long ago, while nothing was to be done
             return self._commit(writes)
         except FeedLost:
             return self._reload(), [], list(writes)

@@ -22,6 +22,13 @@ SERVING = "SELECT pid FROM pg_stat_activity WHERE application_name = 'handover c
 """The server's processes that work for brokers."""
 
 
+END_ALL = """
+    SELECT pg_terminate_backend(pid) FROM pg_stat_activity
+    WHERE datname = current_database() AND pid <> pg_backend_pid()
+"""
+"""Ends all connections of brokers to their database."""
+
+
 def settings(url: str) -> dict[str, str]:
     return {"HANDOVER_BROKER_DATABASE_URL": url}
 
@@ -380,6 +387,22 @@ def test_a_broker_that_was_away_for_too_long_loads_everything_anew(
     assert own_two[1].patch(f"/entities/{stays['id']}/attrs", json={"n": 3}).status_code == 204
 
 
+def test_connections_that_died_while_nothing_was_to_do_are_not_noticed(
+    two: list[httpx.Client], shared: Brokers, eventually: Eventually
+) -> None:
+    shared.asked(END_ALL)
+    for number, http in enumerate(two):
+        assert http.post("/entities", json=entity(str(number), "Idle", n=0)).status_code == 201
+    shared.asked(END_ALL)
+    for number, http in enumerate(two):
+        path = f"/entities/{entity(str(number), 'Idle')['id']}"
+        assert http.patch(f"{path}/attrs", json={"n": 1}).status_code == 204
+        assert http.get(f"/temporal{path}").status_code == 200
+        eventually(lambda http=http: len(http.get("/entities", params={"type": "Idle"}).json()) == 2)
+        ready = f"{shared[number].url}/readyz"
+        eventually(lambda ready=ready: httpx.get(ready, trust_env=False).status_code == 200)
+
+
 def test_a_database_out_of_reach_is_refused_in_one_line(tmp_path: Path) -> None:
     broker = BrokerProcess(tmp_path, extra=settings("postgresql://somebody:secret@127.0.0.1:9/nothing"))
     process = broker.spawn()
@@ -398,10 +421,7 @@ def test_an_older_broker_leaves_tables_of_a_newer_one_alone(
     first = entity("1")
     assert own_two[0].post("/entities", json=first).status_code == 201
     brokers.asked("UPDATE schema_version SET version = version + 1 RETURNING 1")
-    brokers.asked(
-        "SELECT pg_terminate_backend(pid) FROM pg_stat_activity "
-        "WHERE datname = current_database() AND pid <> pg_backend_pid()"
-    )
+    brokers.asked(END_ALL)
     answers = [own_two[0].delete(f"/entities/{first['id']}") for _ in range(2)]
     assert [one.status_code for one in answers] == [507, 507]
     assert "newer release" in answers[1].json()["detail"]
