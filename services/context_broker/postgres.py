@@ -5,6 +5,7 @@ of all changes. Statements are sent in a pipeline: a commit costs as few round t
 """
 
 import re
+import selectors
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -118,13 +119,6 @@ class PostgresDatabase:
 
     def read(self, statement: str, parameters: Sequence[Any] = ()) -> list[Row]:
         """Return the rows of a query."""
-        try:
-            return self._read(statement, parameters)
-        except NotStored:
-            self._close_readers()  # which may have been idle while the server was started again
-            return self._read(statement, parameters)
-
-    def _read(self, statement: str, parameters: Sequence[Any]) -> list[Row]:
         with self._reader() as connection:
             return connection.execute(_query(statement), tuple(parameters)).fetchall()
 
@@ -137,7 +131,10 @@ class PostgresDatabase:
     def close(self) -> None:
         """Let go."""
         self._start_over()
-        self._close_readers()
+        with self._readers_lock:
+            for connection in self._readers:
+                connection.close()
+            self._readers.clear()
 
     def connected(self) -> "psycopg.Connection":
         """Return a new connection; raise `psycopg.OperationalError` if there cannot be one."""
@@ -157,14 +154,8 @@ class PostgresDatabase:
             tcp_user_timeout=15_000,
         )
 
-    def _close_readers(self) -> None:
-        with self._readers_lock:
-            for connection in self._readers:
-                connection.close()
-            self._readers.clear()
-
     def _connected(self) -> "psycopg.Connection":
-        if self._writer is None or self._writer.closed:
+        if self._writer is None or not _is_alive(self._writer):
             time.sleep(max(0.0, self._not_before_s - time.monotonic()))
             self._not_before_s = time.monotonic() + CALM_S
             writer = self.connected()
@@ -186,7 +177,7 @@ class PostgresDatabase:
         with self._readers_lock:
             connection = self._readers.pop() if self._readers else None
         try:
-            if connection is None or connection.closed:
+            if connection is None or not _is_alive(connection):
                 connection = self.connected()
             yield connection
         except psycopg.Error as error:
@@ -236,6 +227,18 @@ def _in_its_words(script: str, types: dict[str, str]) -> str:
     """Return a migration in PostgreSQL's words, with SQLite's numbers of 64 bits and its order of texts."""
     in_types = re.sub(r"\bINTEGER\b", "BIGINT", script.format(**types))
     return re.sub(r"\bTEXT\b", 'TEXT COLLATE "C"', in_types)
+
+
+def _is_alive(connection: "psycopg.Connection") -> bool:
+    """Say whether an idle connection is as it was left: what a server says unasked is goodbye."""
+    if connection.closed:
+        return False
+    with selectors.DefaultSelector() as selector:
+        selector.register(connection.fileno(), selectors.EVENT_READ)
+        if not selector.select(0):
+            return True
+    connection.close()
+    return False
 
 
 def _one(connection: "psycopg.Connection", query: str) -> Any:
