@@ -47,7 +47,7 @@ from services.context_broker.snapshots import (
     status_of,
 )
 from services.context_broker.tenants import DEFAULT, Tenant, Tenants
-from services.context_broker.words import moment, require_uri, timestamp_now
+from services.context_broker.words import inside, moment, outside, require_uri, timestamp_now
 
 log = get_logger(__name__)
 
@@ -86,10 +86,15 @@ class SnapshotOperations:
         )
 
     def start(self) -> None:
-        """See to the ends of the snapshots of before."""
+        """See to the ends of the snapshots of before, and clear away what a power cut has left of others."""
+        kept: set[str] = set()
         for tenant in self._tenants:
+            kept.update(inside(tenant.name, one) for one in tenant.snapshots)
             for one in tenant.snapshots.values():
                 self.see_to_its_end(tenant, one)
+        for tenant in self._tenants:
+            if outside(tenant.name)[1] is not None and tenant.name not in kept:
+                self._later(self._clear(tenant))
 
     def follow(self, tenant: Tenant, snapshot_id: str, body: bytes | None) -> None:
         """Take what another broker did to a snapshot."""
@@ -251,7 +256,7 @@ class SnapshotOperations:
         async with self._one_at_a_time:
             now = tenant.snapshots.get(made.id)
             if now is None:  # it was deleted while it was being made
-                await self._clear(tenant, made)
+                await self._clear(self._tenants.inside(tenant, made.id))
                 return
             done = now.changed(snapshotStatus=status.value, **results)
             await self._keep(tenant, done)
@@ -283,17 +288,17 @@ class SnapshotOperations:
         """Delete a snapshot and all that belongs to it; who is told of it is told so (clause 5.16.6)."""
         await _write(tenant, Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): None}))
         tenant.snapshots.pop(one.id, None)
-        await self._clear(tenant, one)
+        await self._clear(self._tenants.inside(tenant, one.id))
         gone = one.changed(expiresAt=timestamp_now())
         self._later(tell(tenant, gone))
 
-    async def _clear(self, tenant: Tenant, one: Snapshot) -> None:
-        inner = self._tenants.inside(tenant, one.id)
+    async def _clear(self, inner: Tenant) -> None:
+        """Take all that belongs to a snapshot off the disk."""
         departed = await asyncio.to_thread(lambda: list(inner.notifier.journal.archive.departed(inner.name)))
         for entries in end_of(inner, [(place, one) for place, one, _ in departed]):
             await _write(inner, entries)
         if inner.is_kept:
-            await _write(tenant, Entries(documents={(Kind.TENANT, DEFAULT, inner.name): None}))
+            await _write(inner, Entries(documents={(Kind.TENANT, DEFAULT, inner.name): None}))
         self._tenants.drop(inner.name)
 
     # Telling

@@ -1,6 +1,8 @@
 """Snapshots: entities as they were, apart from the others; made, cloned, changed, purged, ended, kept."""
 
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import httpx
@@ -227,3 +229,21 @@ def test_snapshots_are_there_after_a_power_cut_and_end_in_time(
         eventually(lambda: own_broker.metric("handover_broker_entities") == 1)
         assert http.delete(f"{PATH}/{stays['id']}").status_code == 204
         assert own_broker.metric("handover_broker_entities") == 0
+
+
+def test_what_a_power_cut_has_left_of_a_snapshot_is_cleared_away(
+    own_broker: BrokerProcess, eventually: Callable[..., Any]
+) -> None:
+    own_broker.start()
+    with own_broker.client() as http:
+        create(http, "urn:ngsi-ld:Left:1", "Left", 80)
+        snapshot(http, query("Left"))
+    own_broker.kill()
+    with closing(sqlite3.connect(own_broker.data_dir / "broker.db")) as database:  # as if cut while deleting
+        database.execute("DELETE FROM documents WHERE kind = 'snapshot'")
+        database.commit()
+    own_broker.start()
+    eventually(lambda: own_broker.metric("handover_broker_entities") == 1)
+    own_broker.kill()
+    own_broker.start()
+    assert own_broker.metric("handover_broker_entities") == 1
