@@ -1,6 +1,7 @@
 """The archive: the history of entities on disk, a row for each change and one for each that has departed.
 
-Rows are written as part of a commit of the journal and read from threads, however many there are.
+Rows are written as part of a commit of the journal and read from threads, however many there are. They lie in
+the order of time and are found by an index: rows in the order of entities would cost a commit twice as much.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,8 +1,7 @@
 """The database under the journal: what SQLite and PostgreSQL do each in their own way.
 
 The SQL itself stands in the rooms that use it, once for both: parameters are `?`, types that have different
-names are written `{bytes}` and `{number}`, and `{keyed}` makes a table whose rows lie in the order of its key
-where a database has such. Nothing here knows of entities.
+names are written `{bytes}` and `{number}`. Nothing here knows of entities.
 """
 
 import shutil
@@ -68,7 +67,7 @@ class SqliteDatabase:
     So neither `kill -9` nor a power cut takes back what was acknowledged.
     """
 
-    TYPES: Final = {"bytes": "BLOB", "number": "REAL", "keyed": "WITHOUT ROWID"}
+    TYPES: Final = {"bytes": "BLOB", "number": "REAL"}
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -47,7 +47,7 @@ _MIGRATIONS: Final = (
     CREATE TABLE history (
         entity BIGINT NOT NULL, seq BIGINT NOT NULL, observed_from {number}, observed_to {number},
         rewritten INTEGER NOT NULL, body {bytes} NOT NULL, PRIMARY KEY (entity, seq)
-    ) {keyed};
+    );
     CREATE TABLE departed (
         place BIGINT PRIMARY KEY, tenant TEXT NOT NULL, id TEXT NOT NULL, body {bytes} NOT NULL
     );

@@ -47,7 +47,7 @@ _VERSIONS: Final = "CREATE TABLE IF NOT EXISTS schema_version (version BIGINT NO
 class PostgresDatabase:
     """A database on a server; a connection that breaks refuses what it carried, and the next is a new one."""
 
-    TYPES: Final = {"bytes": "BYTEA", "number": "DOUBLE PRECISION", "keyed": ""}
+    TYPES: Final = {"bytes": "BYTEA", "number": "DOUBLE PRECISION"}
 
     def __init__(self, url: str) -> None:
         self.url = url
