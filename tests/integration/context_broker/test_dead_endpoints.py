@@ -4,6 +4,7 @@ import re
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import httpx
@@ -108,6 +109,24 @@ def test_after_a_failure_the_endpoint_has_the_rest_that_was_asked_for(
         http.patch(f"/entities/{entity}/attrs", json={"n": number})
     assert http.get(path).json()["notification"]["timesFailed"] == 1
     assert closing.connections == 1
+
+
+def test_what_is_owed_to_a_subscription_that_ends_is_given_up(
+    http: httpx.Client, shared_broker: Any, closing: Closing, eventually: Eventually
+) -> None:
+    path = subscribe(http, "ending", closing.url, "Ending")
+    for name in ("a", "b", "c"):
+        body = {"id": f"urn:ngsi-ld:Ending:demo:{name}", "type": "Ending", "n": 0}
+        assert http.post("/entities", json=body).status_code == 201
+    soon = (datetime.now(UTC) + timedelta(seconds=1)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    assert http.patch(path, json={"expiresAt": soon}).status_code == 204
+    given_up = r'handover_broker_notifications_given_up_total\{reason="expired"\}'
+    eventually(lambda: shared_broker.metric(given_up) == 3)
+    told = http.get(path).json()
+    assert told["status"] == "expired"
+    assert told["notification"]["timesFailed"] >= 3
+    assert http.patch(path, json={"expiresAt": "2999-01-01T00:00:00Z"}).status_code == 204
+    assert http.get(path).json()["status"] == "active"
 
 
 def test_counts_are_true_after_a_power_cut(

@@ -39,8 +39,11 @@ ATTRIBUTES = documents(
 )  # fmt: skip
 WISHES = documents(
     "id", "type", "entities", "idPattern", "watchedAttributes", "q", "notification", "endpoint", "uri",
-    "accept", "format", "receiverInfo", "key", "throttling", "expiresAt",
-    values=("Subscription", "urn:x:1", "http://127.0.0.1:9/", "normalized", "application/json"),
+    "accept", "format", "receiverInfo", "key", "throttling", "expiresAt", "notificationTrigger", "pick",
+    "omit", "timeInterval", "geoQ", "scopeQ", "csf", "lang", "datasetId", "localOnly", "join", "joinLevel", "value",
+    "showChanges", "sysAttrs", "notifierInfo", "timeout", "cooldown", "jsonldContext",
+    values=("Subscription", "urn:x:1", "http://127.0.0.1:9/", "mqtt://127.0.0.1/x", "normalized", "flat",
+            "application/json", "entityUpdated", "urn:ngsi-ld:request", "MQTT-QoS", "/a/#"),
 )  # fmt: skip
 
 

@@ -5,6 +5,8 @@ from typing import Any
 
 import orjson
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
@@ -177,6 +179,78 @@ def test_every_kind_of_attribute_has_its_null_and_its_previous(
         assert {name: said[name] for name in (says, previous)} == {says: null, previous: value}
     simple = told(event, notificationTrigger=["attributeDeleted"], notification={"format": "keyValues"})
     assert simple["a"] == NULL
+
+
+INSTANCES = {
+    "Property": ("value", st.integers() | st.text(max_size=3) | st.just({"x": [1]})),
+    "Relationship": ("object", st.sampled_from(["urn:x:1", ["urn:x:1", "urn:x:2"]])),
+    "LanguageProperty": ("languageMap", st.just({"en": "x", "fr": ["y"]})),
+    "VocabProperty": ("vocab", st.sampled_from(["urn:x:w", ["urn:x:w"]])),
+    "JsonProperty": ("json", st.none() | st.just({"x": 1})),
+    "ListProperty": ("valueList", st.just([1, "x"])),
+    "ListRelationship": ("objectList", st.just([{"object": "urn:x:1"}])),
+    "GeoProperty": ("value", st.just({"type": "Point", "coordinates": [8, 40]})),
+}
+
+
+@st.composite
+def attributes(draw: st.DrawFn) -> dict[str, Any]:
+    """Attributes of an entity, some with several instances."""
+    result: dict[str, Any] = {}
+    for name in draw(st.sets(st.sampled_from("abc"))):
+        datasets = draw(st.sets(st.sampled_from([None, "urn:x:d", "urn:x:e"]), min_size=1))
+        kind = draw(st.sampled_from(list(INSTANCES)))
+        says, values = INSTANCES[kind]
+        result[name] = [instance(draw(values), dataset, kind, says) for dataset in datasets]
+    return result
+
+
+@st.composite
+def events(draw: st.DrawFn) -> Event:
+    """A change of an entity, its beginning or its end."""
+    before, after = draw(attributes()), draw(attributes())
+    which = draw(st.sampled_from(["begins", "changes", "ends"]))
+    return changed(
+        None if which == "begins" else entity(**before),
+        None if which == "ends" else entity(**after),
+        *(() if which == "ends" else after),
+    )
+
+
+@given(events(), st.sets(st.sampled_from(ALL), min_size=1), st.sets(st.sampled_from(ALL), min_size=1))
+def test_triggers_together_heed_what_one_of_them_heeds(event: Event, some: set[str], more: set[str]) -> None:
+    change = happened(event)
+    heeded = [Triggers(read_kinds(list(kinds))).heed(change) for kinds in (some | more, some, more)]
+    assert heeded[0] is (heeded[1] or heeded[2])
+
+
+VIEWS = st.fixed_dictionaries(
+    {
+        "format": st.sampled_from(["normalized", "concise", "keyValues"]),
+        "sysAttrs": st.booleans(),
+        "endpoint": st.sampled_from(["application/json", "application/geo+json"]).map(
+            lambda accept: {"uri": "http://127.0.0.1/", "accept": accept}
+        ),
+    },
+    optional={
+        "showChanges": st.just(True),
+        "pick": st.just(["id", "a"]),
+        "omit": st.just(["b", "deletedAt"]),
+        "join": st.sampled_from(["inline", "flat"]),
+    },
+).filter(lambda view: view["format"] != "keyValues" or "showChanges" not in view)
+LIMITS = st.sampled_from([{}, {"lang": "fr"}, {"datasetId": "urn:x:d"}, {"watchedAttributes": ["a", "b"]}])
+
+
+@settings(deadline=None)
+@given(events(), st.sets(st.sampled_from(ALL), min_size=1), VIEWS, LIMITS)
+def test_any_change_can_be_told_in_any_way(
+    event: Event, kinds: set[str], view: dict[str, Any], limits: dict[str, Any]
+) -> None:
+    said = told(event, notificationTrigger=list(kinds), notification=view, **limits)
+    assert said["id"] == "urn:ngsi-ld:Task:demo:1"
+    assert ("createdAt" in str(said)) <= view["sysAttrs"]
+    assert ("previous" in str(said)) <= ("showChanges" in view)
 
 
 class Somebody:
