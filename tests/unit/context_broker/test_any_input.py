@@ -40,8 +40,8 @@ ATTRIBUTES = documents(
 WISHES = documents(
     "id", "type", "entities", "idPattern", "watchedAttributes", "q", "notification", "endpoint", "uri",
     "accept", "format", "receiverInfo", "key", "throttling", "expiresAt", "notificationTrigger", "pick",
-    "omit", "timeInterval", "geoQ", "scopeQ", "csf", "lang", "datasetId", "localOnly", "join", "joinLevel", "value",
-    "showChanges", "sysAttrs", "notifierInfo", "timeout", "cooldown", "jsonldContext",
+    "omit", "timeInterval", "geoQ", "scopeQ", "csf", "lang", "datasetId", "localOnly", "join", "joinLevel",
+    "value", "showChanges", "sysAttrs", "notifierInfo", "timeout", "cooldown", "jsonldContext",
     values=("Subscription", "urn:x:1", "http://127.0.0.1:9/", "mqtt://127.0.0.1/x", "normalized", "flat",
             "application/json", "entityUpdated", "urn:ngsi-ld:request", "MQTT-QoS", "/a/#"),
 )  # fmt: skip
