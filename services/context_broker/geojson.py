@@ -45,7 +45,7 @@ def has_context_in_body(exchange: Exchange) -> bool:
 def feature(entity: Entity, terms: Terms, view: View, place: str | None = None) -> dict[str, Any]:
     """Return the entity as a Feature with the geometry of the GeoProperty `place` (IRI)."""
     place = terms.expand(LOCATION) if place is None else place
-    return feature_of(render(entity, terms, view), geometry(entity, place))
+    return feature_of(render(entity, terms, view), geometry(entity, place, view.datasets))
 
 
 def feature_of(document: dict[str, Any], at: Any) -> dict[str, Any]:
@@ -55,11 +55,16 @@ def feature_of(document: dict[str, Any], at: Any) -> dict[str, Any]:
     return {**named, "type": "Feature", "geometry": at, "properties": properties}
 
 
-def geometry(entity: Entity, place: str) -> Any:
-    """Return the geometry of a GeoProperty (IRI): of its default instance, or its only one; None if none."""
+def geometry(entity: Entity, place: str, datasets: frozenset[str | None] | None = None) -> Any:
+    """Return the geometry of a GeoProperty (IRI); None if it has none.
+
+    Of several instances that is the default one, or the first of the `datasets` that are asked for.
+    """
     instances = entity.attributes.get(place, [])
+    if datasets is not None:
+        instances = [one for one in instances if one.get("datasetId") in datasets]
     one = next((one for one in instances if "datasetId" not in one), None)
-    if one is None and len(instances) == 1:
+    if one is None and instances and (datasets is not None or len(instances) == 1):
         one = instances[0]
     return one["value"] if one is not None and one["type"] == "GeoProperty" else None
 

@@ -99,6 +99,10 @@ def test_a_feature_has_the_geometry_of_the_default_instance() -> None:
     assert made["geometry"] == POINT
     assert made["properties"]["size"] == 3
     assert set(made["properties"]["location"]["dataset"]) == {"@none", "urn:x:gps"}
+    chosen = feature(one, TERMS, View(Form.KEY_VALUES, datasets=frozenset({"urn:x:gps"})))
+    assert chosen["geometry"] == chosen["properties"]["location"] == other
+    assert geometry(one, TERMS.expand("location"), frozenset({None})) == POINT
+    assert geometry(one, TERMS.expand("location"), frozenset({"urn:x:other"})) is None
     assert geometry(one, TERMS.expand("spot")) == other
     assert geometry(one, TERMS.expand("size")) is None
     assert geometry(one, TERMS.expand("nowhere")) is None
