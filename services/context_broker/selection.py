@@ -6,6 +6,7 @@ Clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2. Indexes answer what they can; the rest 
 import asyncio
 import heapq
 import re
+import time
 from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from collections.abc import Collection, Sequence
@@ -26,8 +27,10 @@ from services.context_broker.scope_query import ScopeQuery
 from services.context_broker.store import Store
 from services.context_broker.type_selection import TypeSelection
 
-CHUNK: Final = 2000
-"""Entities looked at before others get their turn."""
+CHUNK: Final = 256
+"""Entities looked at before the clock is."""
+TURN_S: Final = 0.004
+"""How long entities are looked at before others get their turn: a notification is to wait no longer."""
 MOST_QUERIES: Final = 1000
 
 
@@ -186,9 +189,9 @@ async def _ordered(
     border = None if place is None else _border(order, place)
     hits = await _hits(store, selection, candidates)
     placed: list[_Placed] = []
+    began_s = time.perf_counter()
     for start in range(0, len(hits), CHUNK):
-        if start:
-            await asyncio.sleep(0)
+        began_s = await _gave_way(began_s)
         for entity in hits[start : start + CHUNK]:
             at = order.place_of(entity)
             if border is None or (at < border if place and place.is_end else at > border):
@@ -225,9 +228,10 @@ async def _hits(
     """Return the candidates that are wanted, the first `most` of them if that is given."""
     lookup, questions = store.get, selection.questions()
     hits: list[Entity] = []
+    began_s = time.perf_counter()
     for start in range(0, len(candidates), CHUNK):
         if start:
-            await asyncio.sleep(0)
+            began_s = await _gave_way(began_s)
         for entity in candidates[start : start + CHUNK]:
             for question in questions:  # written out, since this is the innermost of a query
                 if not question(entity, lookup):
@@ -237,6 +241,14 @@ async def _hits(
                 if len(hits) == most:
                     return hits
     return hits
+
+
+async def _gave_way(began_s: float) -> float:
+    """Let others have their turn if it is time to; return when the own turn began."""
+    if time.perf_counter() - began_s < TURN_S:
+        return began_s
+    await asyncio.sleep(0)
+    return time.perf_counter()
 
 
 def _narrowed(

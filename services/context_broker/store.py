@@ -7,7 +7,7 @@ disk refuses, everything staged is forgotten, so that memory never says more tha
 import asyncio
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import orjson
 
@@ -280,19 +280,15 @@ class Store:
     def _index(self, attribute: str) -> AttributeIndex | None:
         """Return the index of an attribute, made when it is first asked for."""
         index = self._indexes.get(attribute)
-        if index is None and len(self._indexes) < MOST_INDEXES:
-            index = AttributeIndex(attribute, self._committed.values())
-            if len(index):  # nobody's attribute must not take the place of somebody's
-                self._indexes[attribute] = index
+        if index is None and _has_room(self._indexes):
+            index = self._indexes[attribute] = AttributeIndex(attribute, self._committed.values())
         return index
 
     def _place_index(self, attribute: str) -> PlaceIndex | None:
         """Return the index of the places of an attribute, made when it is first asked for."""
         index = self._place_indexes.get(attribute)
-        if index is None and len(self._place_indexes) < MOST_INDEXES:
-            index = PlaceIndex(attribute, self._committed.values())
-            if len(index):
-                self._place_indexes[attribute] = index
+        if index is None and _has_room(self._place_indexes):
+            index = self._place_indexes[attribute] = PlaceIndex(attribute, self._committed.values())
         return index
 
 
@@ -310,6 +306,16 @@ class Mix(Store):
         """Return an entity of the mix, or the committed one."""
         found = super().get(entity_id)
         return self._store.get(entity_id) if found is None and entity_id not in self._others else found
+
+
+def _has_room(indexes: dict[str, Any]) -> bool:
+    """Say whether there is room for one more; that of an attribute that nobody has makes room."""
+    if len(indexes) >= MOST_INDEXES:
+        unused = next((attribute for attribute, index in indexes.items() if not len(index)), None)
+        if unused is None:
+            return False
+        del indexes[unused]
+    return True
 
 
 def _in_order(entities: dict[str, Entity]) -> dict[str, Entity]:

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import Problem
@@ -58,6 +58,7 @@ def test_distances_are_right_within_half_a_percent(a: Any, b: Any, metres: float
 POSITIONS = st.tuples(st.floats(-180, 180), st.floats(-90, 90))
 
 
+@settings(deadline=None)  # libraries are loaded on the way
 @given(POSITIONS, POSITIONS, POSITIONS, POSITIONS)
 def test_the_distance_of_lines_is_the_shortest_that_samples_find(
     a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
@@ -74,6 +75,7 @@ def test_the_distance_of_lines_is_the_shortest_that_samples_find(
     assert measured <= sampled * 1.005 + 1
 
 
+@settings(deadline=None)  # libraries are loaded on the way
 @given(POSITIONS, POSITIONS, st.floats(1, 2e7))
 def test_what_is_near_lies_in_the_box_around(
     a: tuple[float, float], b: tuple[float, float], within_m: float
@@ -159,6 +161,7 @@ def test_a_geoquery_is_whole_or_not_there() -> None:
     assert made.attribute == "location"
 
 
+@settings(deadline=None)  # libraries are loaded on the way
 @given(st.sampled_from(["within", "contains", "intersects", "equals", "overlaps", "near;maxDistance==1e5"]),
        st.lists(POSITIONS, min_size=4, max_size=6), st.lists(POSITIONS, min_size=2, max_size=4))  # fmt: skip
 def test_any_geometries_have_an_answer(

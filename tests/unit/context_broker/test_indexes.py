@@ -3,14 +3,14 @@
 import itertools
 from typing import Any
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.context_broker.entity import Entity
 from services.context_broker.geo_query import geo_query_document
 from services.context_broker.place_index import PlaceIndex
 from services.context_broker.q_index import Equality, Range
-from services.context_broker.store import Store
+from services.context_broker.store import MOST_INDEXES, Store
 from services.context_broker.type_selection import of_types, type_selection
 
 PLACE = "https://a.example/place"
@@ -36,6 +36,7 @@ def entity(number: int, place: Any = None, value: Any = None, kind: str = "urn:t
     return Entity(f"urn:x:{number}", (kind,), attributes, "", "", seq)
 
 
+@settings(deadline=None)  # libraries are loaded on the way
 @given(
     st.lists(st.tuples(st.integers(0, 5), st.none() | GEOMETRIES), max_size=12),
     GEOMETRIES,
@@ -125,3 +126,17 @@ def test_what_comes_out_of_order_is_given_in_order() -> None:
     store.take(entity(7, kind="urn:t:b", seq=20))
     store.follow(first.seq, first.id, also_b)
     assert [one.seq for one in store.candidates(types=of_types(["urn:t:b"]))] == [1, 20]
+
+
+def test_an_attribute_that_nobody_has_makes_room_for_others() -> None:
+    store = store_of([entity(1, value=5)])
+    for number in range(3 * MOST_INDEXES):
+        assert not store.candidates(conditions=(Equality(f"urn:a:{number}", frozenset({1})),))
+    assert len(store._indexes) == MOST_INDEXES
+    assert [one.id for one in store.candidates(conditions=(Equality(VALUE, frozenset({5})),))] == ["urn:x:1"]
+    many = Entity("urn:x:2", ("urn:t:a",), {f"urn:a:{number}": [{"type": "Property", "value": 1}]
+                                           for number in range(2 * MOST_INDEXES)}, "", "", 2)  # fmt: skip
+    store.take(many)
+    for number in range(2 * MOST_INDEXES):
+        found = store.candidates(conditions=(Equality(f"urn:a:{number}", frozenset({1})),))
+        assert many in found

@@ -5,7 +5,7 @@ import itertools
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import Problem
@@ -53,6 +53,7 @@ CHANGES = st.lists(st.tuples(st.sampled_from(["create", "delete"]), st.integers(
 ORDERS = st.sampled_from([None, "a", "a;desc", "id;desc", "a;desc,id"])
 
 
+@settings(deadline=None)
 @given(
     st.lists(VALUES, max_size=12),
     st.lists(CHANGES, max_size=12),
@@ -111,6 +112,7 @@ def everything(store: Store, order: Ordering | None) -> list[str]:
     return [one.id for one in look(store, Window(0, 1000, False), order).entities]
 
 
+@settings(deadline=None)
 @given(st.lists(VALUES, max_size=10), ORDERS, st.integers(0, 12), st.integers(0, 5))
 def test_a_page_by_offset_is_a_piece_of_the_whole(
     values: list[Any], order_by: str | None, offset: int, limit: int
@@ -215,6 +217,7 @@ def test_a_collation_that_is_not_there_is_refused(tag: str) -> None:
         collation(tag)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=8), st.text(max_size=8))
 def test_any_two_texts_have_an_order(one: str, other: str) -> None:
     key = collation("fi")

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import Problem
@@ -60,6 +60,7 @@ PIECES = st.recursive(
 )
 
 
+@settings(deadline=None)
 @given(PIECES, st.text(alphabet="ab1.é\n_", max_size=6))
 def test_the_machine_finds_what_the_library_finds(text: str, read: str) -> None:
     found = re.search(text, read) is not None
