@@ -99,7 +99,7 @@ class Broker:
         self.snapshots = SnapshotOperations(self.tenants, self._answered, self._by_name)
         asker = HttpAsker(settings.destinations(), settings.broker_notification_ca_file)
         forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
-        self.relays = SubscriptionRelays(self.tenants, self.contexts, forwarder)
+        self.relays = SubscriptionRelays(self.tenants, self.contexts, forwarder, settings.broker_public_url)
         self.distribution = Distribution(forwarder, self._handlings)
         self.directory = Directory(
             operation

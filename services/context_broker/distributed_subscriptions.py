@@ -46,9 +46,16 @@ RETRY_S: Final = 10.0
 
 
 class SubscriptionRelays:
-    """Keeps what is passed on in step with subscriptions and registrations, for all tenants."""
+    """Keeps what is passed on in step with subscriptions and registrations, for all tenants.
 
-    def __init__(self, tenants: Tenants, contexts: ContextBook, forwarder: Forwarder) -> None:
+    Sources tell of changes at `public_url`; if there is none, at the address by which the broker was last
+    called by a subscriber.
+    """
+
+    def __init__(
+        self, tenants: Tenants, contexts: ContextBook, forwarder: Forwarder, public_url: str | None
+    ) -> None:
+        self._public_url = public_url
         self._tenants = tenants
         self._contexts = contexts
         self._forwarder = forwarder
@@ -75,6 +82,8 @@ class SubscriptionRelays:
         self._base = self._contexts.base({})
         for tenant, token, stored in journal.documents(Kind.RELAY):
             await self.follow(tenant, token, stored)
+        for relay in self._relays.values():
+            self._base = self._public_url or relay.base
         self._tenants.on_registration = self.wake
         for one in self._tenants:
             if not one.registry.is_empty or self._of(one):
@@ -130,7 +139,9 @@ class SubscriptionRelays:
         async with self._locks.setdefault(tenant.name, asyncio.Lock()):
             wanted = await self._wanted(tenant)
             held = {one.key: one for one in self._of(tenant)}
-            gone = [one for key, one in held.items() if key not in wanted or wanted[key][3] != one.said]
+            gone = [
+                one for key, one in held.items() if key not in wanted or self._is_other(one, wanted[key][3])
+            ]
             kept = [one for one in held.values() if one not in gone]
             failed = [why for why in await all_of(*(self._take_back(tenant, one) for one in gone)) if why]
             fresh = [
@@ -148,6 +159,9 @@ class SubscriptionRelays:
             self._retrying.add(tenant.name)
             self.wake(tenant, RETRY_S)
 
+    def _is_other(self, relay: Relay, said: str) -> bool:
+        return relay.said != said or (self._public_url is not None and relay.base != self._public_url)
+
     async def _wanted(
         self, tenant: Tenant
     ) -> dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]]:
@@ -164,7 +178,7 @@ class SubscriptionRelays:
                     log.warning("a source cannot be spoken to", registration=source.id, why=problem.detail)
                     continue
                 document = passed_on(one, source, tongue)
-                found[one.id, source.id] = one, source, document, digest(document, self._base)
+                found[one.id, source.id] = one, source, document, digest(document)
         return found
 
     def _sources_of(self, tenant: Tenant, one: Subscription) -> Iterable[Registration]:
@@ -189,12 +203,12 @@ class SubscriptionRelays:
         if self._refused.get(refused) == said:
             return None
         held = next((relay for relay in self._of(tenant) if relay.key == (one.id, source.id)), None)
-        made = held or Relay(uuid4().hex, tenant.name, one.id, source, said, is_there=False)
+        made = held or Relay(uuid4().hex, tenant.name, one.id, source, said, self._base, is_there=False)
         try:
             if held is None:
                 await self._keep(tenant, made)
             tongue = await self._forwarder.tongue(source, one.names, has_body=True)
-            body = with_endpoint(document, self._base, made.token)
+            body = with_endpoint(document, made.base, made.token)
             question = Question("POST", "subscriptions", tongue, (), body)
             reply, _ = await self._forwarder.ask(source, question, self._asking(tenant, one))
         except Unheard as unheard:

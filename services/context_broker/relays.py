@@ -30,7 +30,8 @@ _FILTERS: Final = ("q", "geoQ", "scopeQ")
 class Relay:
     """One subscription at one source. `token` names it there and where its notifications come in.
 
-    `said` tells what the source was told from what it would be told now; `is_there` that the source knows it.
+    `said` tells what the source was told from what it would be told now, `base` at which address of the
+    broker its notifications come in, `is_there` that the source knows of it.
     """
 
     token: str
@@ -38,6 +39,7 @@ class Relay:
     subscription: str
     registration: Registration
     said: str
+    base: str
     is_there: bool
 
     @property
@@ -58,15 +60,22 @@ class Relay:
         """Return the relay as the journal keeps it."""
         source = self.registration
         return orjson.dumps(
-            [self.subscription, source.document, source.context.document, self.said, self.is_there]
+            [
+                self.subscription,
+                source.document,
+                source.context.document,
+                self.said,
+                self.base,
+                self.is_there,
+            ]
         )
 
 
 async def restored(token: str, tenant: str, stored: bytes, contexts: ContextBook) -> Relay:
     """Return the relay that `stored` had been; raises a problem if its source makes no sense any more."""
-    subscription, document, context, said, is_there = orjson.loads(stored)
+    subscription, document, context, said, base, is_there = orjson.loads(stored)
     source = registration(document, await contexts.as_before(context))
-    return Relay(token, tenant, subscription, source, said, is_there)
+    return Relay(token, tenant, subscription, source, said, base, is_there)
 
 
 def questions(one: Subscription) -> list[Asked]:
@@ -120,6 +129,6 @@ def with_endpoint(document: dict[str, Any], base: str, token: str) -> dict[str, 
     return {**document, "id": f"urn:ngsi-ld:Subscription:{token}", "notification": notification}
 
 
-def digest(document: dict[str, Any], base: str) -> str:
+def digest(document: dict[str, Any]) -> str:
     """Return what tells two subscriptions that are passed on apart."""
-    return sha256(orjson.dumps([document, base], option=orjson.OPT_SORT_KEYS)).hexdigest()[:32]
+    return sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()[:32]
