@@ -51,7 +51,7 @@ class BrokerSettings(Settings):
     broker_public_url: str | None = Field(
         None,
         description="where others reach the broker, without /ngsi-ld/v1: the @contexts that it hosts have "
-        "their URLs there, and context sources notify it there; if absent, the address by which it was called",
+        "their URLs there, and context sources notify it there; if absent, where it was called",
     )
 
     @field_validator("broker_public_url")
