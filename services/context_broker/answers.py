@@ -106,7 +106,7 @@ def _features(exchange: Exchange, entities: list[Entity], showing: Showing) -> l
         told = [(one, render(one, terms, view)) for one in entities]
     else:
         told = joined(entities, terms, view, showing.join, showing.lookup)
-    return [feature_of(document, geometry(entity, place)) for entity, document in told]
+    return [feature_of(document, geometry(entity, place, view.datasets)) for entity, document in told]
 
 
 def _geo_headers(context: Context, in_body: bool) -> list[tuple[bytes, bytes]]:

@@ -10,11 +10,10 @@ from typing import Any, Final
 import orjson
 
 from services.context_broker.contexts import Context
-from services.context_broker.entity import Entity, Terms
+from services.context_broker.entity import Entity
 from services.context_broker.exchange import GEO_JSON, JSON, JSON_LD, Exchange
 from services.context_broker.intake import expand
 from services.context_broker.problems import bad_request_data
-from services.context_broker.rendering import View, render
 from services.context_broker.words import require_name
 
 OFFERED: Final = (JSON, JSON_LD, GEO_JSON)
@@ -40,12 +39,6 @@ def place_of(exchange: Exchange, context: Context) -> str:
 def has_context_in_body(exchange: Exchange) -> bool:
     """Say whether the @context goes into the GeoJSON: yes, unless the asker prefers plain JSON as body."""
     return _PLAIN_BODY.search(exchange.headers.get(b"prefer", b"")) is None
-
-
-def feature(entity: Entity, terms: Terms, view: View, place: str | None = None) -> dict[str, Any]:
-    """Return the entity as a Feature with the geometry of the GeoProperty `place` (IRI)."""
-    place = terms.expand(LOCATION) if place is None else place
-    return feature_of(render(entity, terms, view), geometry(entity, place, view.datasets))
 
 
 def feature_of(document: dict[str, Any], at: Any) -> dict[str, Any]:

@@ -110,9 +110,10 @@ def _written(subscription: Subscription, documents: list[Shown]) -> bytes:
         return b",".join(orjson.dumps(one) for _, one in documents)
     from services.context_broker import geojson  # noqa: PLC0415 - it knows requests, which know of us
 
-    place = subscription.context.terms.expand(geojson.LOCATION)
+    place, datasets = subscription.context.terms.expand(geojson.LOCATION), subscription.view.datasets
     return b",".join(
-        orjson.dumps(geojson.feature_of(one, geojson.geometry(entity, place))) for entity, one in documents
+        orjson.dumps(geojson.feature_of(one, geojson.geometry(entity, place, datasets)))
+        for entity, one in documents
     )
 
 

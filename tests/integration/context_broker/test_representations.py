@@ -153,6 +153,8 @@ def test_an_entity_is_told_as_a_feature(http: httpx.Client) -> None:
     )
     assert answer.json() == {"id": shop, "type": "Feature", "geometry": other, "properties": {"size": 3}}
     assert CORE in answer.headers["link"]
+    answer = http.get(f"/entities/{shop}", params={"datasetId": "urn:x:gps"}, headers=GEO)
+    assert answer.json()["geometry"] == other
     for place in ("size", "nowhere"):
         answer = http.get(f"/entities/{shop}", params={"geometryProperty": place}, headers=GEO)
         assert answer.json()["geometry"] is None

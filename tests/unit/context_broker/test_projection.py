@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
 from services.context_broker.changes import created
-from services.context_broker.geojson import feature, geometry
+from services.context_broker.geojson import feature_of, geometry
 from services.context_broker.intake import read_entity
 from services.context_broker.language import best_tag, preferences
 from services.context_broker.projection import read_projection
@@ -95,14 +95,14 @@ def test_a_feature_has_the_geometry_of_the_default_instance() -> None:
         spot={"value": other, "datasetId": "urn:x:gps"},
         size=3,
     )
-    made = feature(one, TERMS, View(Form.KEY_VALUES))
-    assert made["geometry"] == POINT
+    location = TERMS.expand("location")
+    made = feature_of(render(one, TERMS, View(Form.KEY_VALUES)), geometry(one, location))
+    assert (made["id"], made["type"], made["geometry"]) == ("urn:x:1", "Feature", POINT)
     assert made["properties"]["size"] == 3
     assert set(made["properties"]["location"]["dataset"]) == {"@none", "urn:x:gps"}
-    chosen = feature(one, TERMS, View(Form.KEY_VALUES, datasets=frozenset({"urn:x:gps"})))
-    assert chosen["geometry"] == chosen["properties"]["location"] == other
-    assert geometry(one, TERMS.expand("location"), frozenset({None})) == POINT
-    assert geometry(one, TERMS.expand("location"), frozenset({"urn:x:other"})) is None
+    assert geometry(one, location, frozenset({"urn:x:gps"})) == other
+    assert geometry(one, location, frozenset({None})) == POINT
+    assert geometry(one, location, frozenset({"urn:x:other"})) is None
     assert geometry(one, TERMS.expand("spot")) == other
     assert geometry(one, TERMS.expand("size")) is None
     assert geometry(one, TERMS.expand("nowhere")) is None
