@@ -28,6 +28,7 @@ Performing = Callable[[Exchange], Awaitable[Answer]]
 HEADER: Final = b"ngsild-entitymap"
 THROUGH_A_MAP: Final = frozenset({"queryEntity", "queryBatch", "queryTemporal"})
 """Operations that can be answered by a map."""
+_OPTION: Final = "entityMap"
 _LOCAL: Final = frozenset({"local"})
 _SHAPING: Final = frozenset({"options", "format", "count", "pick", "omit", "lang", "datasetId"})
 """Parameters that say how hits look, not which they are."""
@@ -121,9 +122,10 @@ class EntityMapOperations:
             return await self._page(exchange, exchange.tenant.entity_maps.get(map_id), perform)
         past = operation.name == "queryTemporal"
         making = "createEntityMapQueryTemporal" if past else "createEntityMapQueryEntity"
-        made = await self._perform(
-            making, in_place_of(exchange, headers=_without(exchange.headers, {b"accept"}))
-        )
+        parameters = _for_the_query(exchange.parameters)
+        if "entityMapLifetime" in exchange.parameters:
+            parameters["entityMapLifetime"] = exchange.parameters["entityMapLifetime"]
+        made = await self._perform(making, _plainly(exchange, parameters))
         if made.status >= 300:
             return made
         map_id = orjson.loads(made.body)["id"]
@@ -133,7 +135,7 @@ class EntityMapOperations:
 
     async def _page(self, exchange: Exchange, one: EntityMap, perform: Performing) -> Answer:
         """Answer with the piece of a map that is asked for; what no longer fits the query is left out."""
-        wanted = in_place_of(exchange, parameters=_without(exchange.parameters, MAP_PARAMETERS))
+        wanted = in_place_of(exchange, parameters=_for_the_query(exchange.parameters))
         window = (temporal_window if "/temporal/" in wanted.path else window_of)(wanted)
         ids = list(one.entities)
         some = ids[window.offset : window.offset + window.limit] or [_NOBODY]
@@ -215,7 +217,27 @@ def _page_link(exchange: Exchange, offset: int, relation: str, media_type: str) 
 
 
 def wants_map(operation: Operation, exchange: Exchange) -> bool:
-    """Say whether a query is to be answered by a map that it names, or wants to have made."""
-    if HEADER not in exchange.headers and "entityMap" not in exchange.parameters:
+    """Say whether a query is to be answered by a map that it names, or wants to have made.
+
+    It says the latter with entityMap=true or with entityMap among its options.
+    """
+    parameters = exchange.parameters
+    if HEADER not in exchange.headers and "entityMap" not in parameters and "options" not in parameters:
         return False
-    return operation.name in THROUGH_A_MAP and (HEADER in exchange.headers or exchange.flag("entityMap"))
+    if operation.name not in THROUGH_A_MAP:
+        return False
+    return HEADER in exchange.headers or exchange.flag("entityMap") or _OPTION in _options(parameters)
+
+
+def _options(parameters: Mapping[str, str]) -> list[str]:
+    return parameters.get("options", "").split(",")
+
+
+def _for_the_query(parameters: Mapping[str, str]) -> dict[str, str]:
+    """Return the parameters without those that are about maps."""
+    plain: dict[str, str] = _without(parameters, MAP_PARAMETERS)
+    if _OPTION in _options(parameters):
+        plain["options"] = ",".join(one for one in _options(parameters) if one != _OPTION)
+        if not plain["options"]:
+            del plain["options"]
+    return plain

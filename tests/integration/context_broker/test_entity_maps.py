@@ -82,6 +82,16 @@ def test_a_map_keeps_the_order_that_was_asked_for(http: httpx.Client) -> None:
     assert [one["id"] for one in second.json()] == [slow]
 
 
+def test_a_map_can_be_wished_for_among_the_options(http: httpx.Client) -> None:
+    make(http, "Optional", 1, 2)
+    asked = {"type": "Optional", "options": "keyValues,entityMap", "limit": "1"}
+    answer = http.get("/entities", params=asked)
+    assert answer.status_code == 201
+    assert answer.json()[0]["speed"] == 1
+    assert "options=keyValues&" in answer.headers["link"]
+    assert http.get("/entities", params={"type": "Optional", "options": "keyValues"}).status_code == 200
+
+
 def test_a_query_by_document_goes_through_a_map_too(http: httpx.Client) -> None:
     ids = make(http, "Posted", 1, 2, 3)
     query = {"type": "Query", "entities": [{"type": "Posted", "idPattern": "Posted"}], "q": "speed>0"}
