@@ -89,7 +89,10 @@ class Selection:
         if places is not None:
             asked.append(lambda entity, _=nobody: places.wants(entity))
         if any_of:
-            asked.append(lambda entity, lookup=nobody: any(one.wants(entity, lookup) for one in any_of))
+            ways = [one.questions() for one in any_of]
+            asked.append(
+                lambda entity, lookup=nobody: any(all(one(entity, lookup) for one in way) for way in ways)
+            )
         return asked
 
 
