@@ -63,8 +63,9 @@ def test_batches_update_merge_and_delete(http: httpx.Client) -> None:
 
 
 def test_a_batch_that_is_none_is_refused(http: httpx.Client) -> None:
+    bodies: tuple[Any, ...] = ({}, [], "x")
     for operation in ("create", "upsert", "update", "merge", "delete"):
-        for body in ({}, [], "x"):
+        for body in bodies:
             assert post(http, operation, body).status_code == 400, (operation, body)
 
 

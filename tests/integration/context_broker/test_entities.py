@@ -108,7 +108,7 @@ def test_an_id_that_is_taken_is_refused(http: httpx.Client) -> None:
 )
 def test_what_is_not_there_is_not_found(http: httpx.Client, method: str, path: str) -> None:
     body = {"status": {"value": 1}} if "/attrs/" not in path else {"value": 1}
-    content = {} if method in {"GET", "DELETE"} else {"json": body}
+    content: dict[str, Any] = {} if method in {"GET", "DELETE"} else {"json": body}
     answer = http.request(method, f"/entities/urn:ngsi-ld:Task:demo:nobody{path}", **content)
     problem(answer, 404, "ResourceNotFound", "urn:ngsi-ld:Task:demo:nobody")
 
@@ -244,7 +244,7 @@ def test_many_changes_at_once_all_count(shared_broker: Any, http: httpx.Client) 
 
     def append(number: int) -> int:
         with shared_broker.client() as client:
-            return client.post(f"/entities/{entity_id}/attrs", json={f"n{number}": number}).status_code
+            return int(client.post(f"/entities/{entity_id}/attrs", json={f"n{number}": number}).status_code)
 
     with ThreadPoolExecutor(8) as pool:
         assert set(pool.map(append, range(80))) == {204}
