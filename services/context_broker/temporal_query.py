@@ -52,6 +52,10 @@ class TemporalQuery:
     From `start` on, or later than it if `after`; before `end`. `time_property` is None where the asker wants
     all there is and named none: each instance then counts with its observedAt, or its modifiedAt if it was
     never said when it was observed.
+
+    Where the standard leaves it open: `between` holds its start and not its end, so that windows side by side
+    hold everything once; what was deleted is told of by deletedAt alone; the `last` instances, too, are told
+    oldest first, as all others are.
     """
 
     relation: str | None = None
