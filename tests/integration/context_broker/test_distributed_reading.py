@@ -330,3 +330,32 @@ def test_a_source_is_read_page_by_page_in_pages_that_it_likes(
     assert answer.headers["ngsild-results-count"] == "240"
     assert "ngsild-warning" not in answer.headers
     assert [one[2].get("offset") for one in source.asked] == [None, None, "100", "200"]
+
+
+def test_places_order_scopes_and_forms_are_those_of_whole_entities(
+    near: httpx.Client, far: httpx.Client, kind: str
+) -> None:
+    def place(east: float) -> dict[str, Any]:
+        return {"type": "GeoProperty", "value": {"type": "Point", "coordinates": [east, 60.0]}}
+
+    register(near, str(far.base_url), {"type": kind})
+    put(near, f"urn:ngsi-ld:{kind}:1", kind, n=3, location=place(24.0), scope="/hall")
+    put(far, f"urn:ngsi-ld:{kind}:2", kind, n=1, location=place(24.001), scope="/hall/a")
+    put(far, f"urn:ngsi-ld:{kind}:3", kind, n=2, location=place(25.0), scope="/yard")
+
+    def ask(**parameters: str) -> list[Any]:
+        answer = near.get("/entities", params={"type": kind, **parameters})
+        assert answer.status_code == 200, answer.text
+        return [one["id"][-1:] for one in answer.json()]
+
+    assert ask(orderBy="n") == ["2", "3", "1"]
+    by_place = {"georel": "near;maxDistance==1000", "geometry": "Point", "coordinates": "[24.0,60.0]"}
+    assert sorted(ask(**by_place)) == ["1", "2"]
+    assert (ask(scopeQ="/hall/a"), ask(scopeQ="/hall,/yard")) == (["2"], ["1", "3"])
+    answer = near.get("/entities", params={"type": kind}, headers={"Accept": "application/geo+json"})
+    assert answer.json()["type"] == "FeatureCollection"
+    assert len(answer.json()["features"]) == 3
+    simple = near.get(
+        "/entities", params={"type": kind, "options": "keyValues", "pick": "id,n", "orderBy": "n"}
+    )
+    assert [one["n"] for one in simple.json()] == [1, 2, 3]
