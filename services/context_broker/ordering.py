@@ -26,6 +26,10 @@ PARAMETERS: Final = frozenset({"orderBy", "orderFrom", "orderGeometry", "collati
 MOST_KEYS: Final = 10
 """Members by which entities are ordered at once."""
 
+LONGEST_TOLD: Final = 256
+"""Characters of a text that count in an order; entities whose texts begin alike come as they were created.
+What an entity is ordered by has to fit into the address of the next page."""
+
 _DIRECTIONS: Final = ("asc", "desc", "dist-asc", "dist-desc")
 _TIME_OF_DAY: Final = re.compile(r"\d{2}:\d{2}:\d{2}(?:[.,]\d+)?Z?")
 _TIMES: Final = frozenset({"createdAt", "modifiedAt", "observedAt", "expiresAt", "deletedAt"})
@@ -77,7 +81,7 @@ class Ordering:
 
     def told(self, entity: Entity) -> list[Told]:
         """Return what the entity is ordered by, as JSON has it."""
-        return [key.tell(entity) for key in self.keys]
+        return [_of_bearable_length(key.tell(entity)) for key in self.keys]
 
     def place(self, told: Sequence[Any], seq: int) -> tuple[Any, ...]:
         """Return what entities are compared by; `seq` decides between equals.
@@ -95,7 +99,7 @@ class Ordering:
         """Return the entity's place in the order."""
         if len(self.keys) == 1:
             key = self.keys[0]
-            kind, value = key.tell(entity)
+            kind, value = _of_bearable_length(key.tell(entity))
             return self._ranked(kind, value, key.is_descending), entity.seq
         return self.place(self.told(entity), entity.seq)
 
@@ -242,6 +246,11 @@ def _told_object(value: dict[str, Any]) -> Told:
         return [_TIME, literal.rstrip("Z").replace(",", ".")]
     seconds = moment(literal)
     return [_TEXT, literal] if seconds is None else [typed, seconds]
+
+
+def _of_bearable_length(told: Told) -> Told:
+    kind, value = told
+    return [kind, value[:LONGEST_TOLD]] if isinstance(value, str) and len(value) > LONGEST_TOLD else told
 
 
 def _written(value: Any) -> str:

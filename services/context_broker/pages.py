@@ -19,8 +19,8 @@ from services.context_broker.words import shown
 
 DEFAULT_LIMIT: Final = 20
 LARGEST_LIMIT: Final = 1000
-LONGEST_PLACE: Final = 8192
-"""Characters of a place; the texts by which entities are ordered may be long, but not of any length."""
+LONGEST_PLACE: Final = 32 * 1024
+"""Characters of a place: ten texts by which entities are ordered fit in, of any script."""
 
 PLACE: Final = "place"
 """The query parameter that carries a place in the order, written by the broker for the broker."""

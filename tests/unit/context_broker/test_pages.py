@@ -141,7 +141,7 @@ def test_a_place_counts_everything_all_the_same() -> None:
         assert (first.before, back.before, second.before) == (False, False, True)
 
 
-@pytest.mark.parametrize("text", ["", "x", "bm9uc2Vuc2U", "é", "A" * 9000, "WzEsMiwzLDRd", "bnVsbA"])
+@pytest.mark.parametrize("text", ["", "x", "bm9uc2Vuc2U", "é", "A" * 40_000, "WzEsMiwzLDRd", "bnVsbA"])
 def test_a_place_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(Problem, match="Link header") as refused:
         place_of(text, 0)
@@ -271,3 +271,17 @@ def test_what_is_no_order_is_refused(given_ordering: Any, word: str) -> None:
     with pytest.raises(Problem, match=word) as refused:
         ordering_document(given_ordering, expand)
     assert refused.value.status == 400
+
+
+def test_long_texts_fit_into_the_way_to_the_next_page() -> None:
+    store = empty_store()
+    for number in range(4):
+        store.take(thing(number, number + 1, "\U0001f600" * 5000 + str(9 - number)))
+    order = ordering({"orderBy": ",".join(["a"] * 10)}, expand)
+    window: Window | None = Window(0, 1, False)
+    seen: list[str] = []
+    while window is not None:
+        page = look(store, window, order)
+        seen += [one.id for one in page.entities]
+        window = following(page, 1, forwards=True)
+    assert seen == [f"urn:x:{number}" for number in range(4)]
