@@ -119,6 +119,8 @@ class BrokerProcess:
 
 
 DATABASES = ("sqlite", "postgresql")
+DATABASE = os.environ.get("HANDOVER_TEST_DATABASE", "sqlite")
+"""What tests run on that do not ask for a database; the nightly run says postgresql."""
 ON_BOTH = {
     "test_batches",
     "test_entities",
@@ -126,7 +128,7 @@ ON_BOTH = {
     "test_subscriptions",
     "test_temporal",
 }
-"""Modules whose tests run on both databases; all others run on SQLite, unless a test asks for both itself."""
+"""Modules whose tests run on both databases; others run on one, unless a test asks for both itself."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -157,8 +159,8 @@ def new_database() -> Iterator[Callable[[], str]]:
 
 
 def on(request: pytest.FixtureRequest) -> dict[str, str]:
-    """Return the settings for the database that a test wants: its parameter, SQLite if it has none."""
-    if getattr(request, "param", "sqlite") == "sqlite":
+    """Return the settings for the database that a test wants: its parameter, the usual one if it has none."""
+    if getattr(request, "param", DATABASE) == "sqlite":
         return {}
     return {"HANDOVER_BROKER_DATABASE_URL": request.getfixturevalue("new_database")()}
 
