@@ -203,6 +203,13 @@ def test_entities_are_found_by_what_they_were_in_the_window(http: httpx.Client) 
     body["temporalQ"] = {**window, "aggrMethods": ["max"], "aggrPeriodDuration": "PT1H"}
     aggregated = http.post("/temporal/entityOperations/query", json=body)
     assert aggregated.json()[0]["speed"]["max"] == [[90, at(0), at(60)]]
+    body["temporalQ"], body["aggrParams"] = window, {"aggrMethods": "min", "aggrPeriodDuration": "PT30M"}
+    aggregated = http.post("/temporal/entityOperations/query", json=body)
+    assert aggregated.json()[0]["speed"]["min"] == [[90, at(0), at(30)]]
+    body["aggrParams"] = {"aggrMethods": "median"}
+    refused = http.post("/temporal/entityOperations/query", json=body)
+    assert fault(refused) == (400, "BadRequestData")
+    assert "aggrMethods" in refused.json()["detail"]
 
 
 def test_entities_are_found_by_where_they_were_in_the_window(http: httpx.Client) -> None:
