@@ -56,6 +56,7 @@ QUERY: dict[str, Any] = {
     "temporalQ": {"timerel": "after", "timeAt": AT},
     "lang": "fi",
 }
+PRESENT = {name: said for name, said in QUERY.items() if name != "temporalQ"}
 SUBSCRIPTION: dict[str, Any] = {
     "id": "urn:x:sub:1",
     "type": "Subscription",
@@ -100,7 +101,7 @@ SNAPSHOT: dict[str, Any] = {
     "id": "urn:x:snapshot:1",
     "type": "Snapshot",
     "snapshotQueries": [{"type": "Query", "entities": [{"type": "Machine"}]}],
-    "snapshotLifetime": 60,
+    "snapshotLifetime": "PT1M",
 }
 SEEDS: list[Any] = [
     ENTITY,
@@ -213,6 +214,14 @@ FITTING: dict[str, list[str]] = {
     "aggrMethods": ["avg,max", "totalCount"],
     "aggrPeriodDuration": ["P1D", "PT0S", "P1M"],
     "observedAt": [AT],
+    "collation": ["fi", "und"],
+    "orderFrom": ["[24.9,60.2]"],
+    "orderGeometry": ["Point"],
+    "expandValues": ["colour"],
+    "jsonKeys": ["raw"],
+    "keep": ["speed"],
+    "drop": ["plain", "label"],
+    "entityMapLifetime": ["PT1M", "P1D"],
     "kind": ["Hosted", "Cached"],
 }
 """Values that fit a parameter; others are true or false."""
@@ -237,7 +246,7 @@ SOURCE_SUBSCRIPTION: dict[str, Any] = {
 BODIES: dict[str, list[Any]] = {
     "entities": [ENTITY, {**ENTITY, "id": "urn:x:2"}, {"speed": ENTITY["speed"], "plain": 5}],
     "attrs": [{"speed": ENTITY["speed"], "new": 1}, ENTITY["speed"], {"value": 5}],
-    "entityOperations": [[ENTITY, {**ENTITY, "id": "urn:x:3"}], ["urn:x:2", "urn:x:3"], QUERY],
+    "entityOperations": [[ENTITY, {**ENTITY, "id": "urn:x:3"}], ["urn:x:2", "urn:x:3"], PRESENT],
     "subscriptions": [
         SUBSCRIPTION,
         {**SUBSCRIPTION, "id": "urn:x:sub:3"},
@@ -248,7 +257,8 @@ BODIES: dict[str, list[Any]] = {
     "csourceRegistrations": [REGISTRATION, {"endpoint": NOBODY}],
     "temporal": [TEMPORAL, QUERY, {"speed": TEMPORAL["speed"]}, {"speed": ENTITY["speed"]}],
     "jsonldContexts": [{"@context": {"speed": "https://a.example/speed"}}, {"@context": [CORE]}],
-    "snapshots": [SNAPSHOT, {"snapshotLifetime": 60}],
+    "snapshots": [SNAPSHOT, {"snapshotLifetime": "PT2M"}, {"snapshotPriority": 3}],
+    "entityMaps": [PRESENT, {"expiresAt": "2036-01-01T12:00:00Z"}],
 }
 """Bodies that fit an operation, by the first part of its path."""
 
@@ -345,6 +355,7 @@ def furnish(http: httpx.Client) -> None:
         ("csourceSubscriptions", SOURCE_SUBSCRIPTION),
         ("csourceRegistrations", REGISTRATION),
         ("temporal/entities", TEMPORAL),
+        ("snapshots", SNAPSHOT),
     ):
         http.post(f"/{path}", json=document)
 
