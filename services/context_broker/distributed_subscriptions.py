@@ -41,6 +41,8 @@ from services.context_broker.words import shown
 
 log = get_logger(__name__)
 
+SETTLE_S: Final = 0.05
+"""So long registrations may go on changing before subscriptions are brought in step with them."""
 RETRY_S: Final = 10.0
 """After so long, what could not be passed on or taken back is tried again."""
 
@@ -63,6 +65,7 @@ class SubscriptionRelays:
         self._refused: dict[tuple[str, str, str], str] = {}
         self._locks: dict[str, asyncio.Lock] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+        self._waking: set[str] = set()
         self._retrying: set[str] = set()
         self._base = ""
 
@@ -104,13 +107,18 @@ class SubscriptionRelays:
         except Problem as problem:
             log.exception("what was passed on cannot be taken up", relay=token, why=problem.detail)
 
-    def wake(self, tenant: Tenant, after_s: float = 0.0) -> None:
-        """Bring a tenant's relays in step soon, or `after_s`."""
+    def wake(self, tenant: Tenant) -> None:
+        """Bring a tenant's relays in step soon: once for registrations that come in a row."""
+        self._align_later(tenant, SETTLE_S, self._waking)
+
+    def _align_later(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
+        if tenant.name in waiting:
+            return
+        waiting.add(tenant.name)
 
         async def later() -> None:
-            if after_s:
-                await asyncio.sleep(after_s)
-                self._retrying.discard(tenant.name)
+            await asyncio.sleep(after_s)
+            waiting.discard(tenant.name)
             await self.align(tenant)
 
         task = asyncio.get_running_loop().create_task(later())
@@ -155,9 +163,7 @@ class SubscriptionRelays:
         return failed
 
     def _again_later(self, tenant: Tenant) -> None:
-        if tenant.name not in self._retrying:
-            self._retrying.add(tenant.name)
-            self.wake(tenant, RETRY_S)
+        self._align_later(tenant, RETRY_S, self._retrying)
 
     def _is_other(self, relay: Relay, said: str) -> bool:
         return relay.said != said or (self._public_url is not None and relay.base != self._public_url)
