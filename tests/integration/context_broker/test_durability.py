@@ -11,6 +11,7 @@ import pytest
 Eventually = Callable[..., Any]
 
 
+in_a_file = pytest.mark.parametrize("own_broker", ["sqlite"], indirect=True)
 on_both = pytest.mark.parametrize("own_broker", ["sqlite", "postgresql"], indirect=True)
 
 
@@ -130,6 +131,7 @@ def full_disk(own_broker: Any) -> Callable[[bool], None]:
     return fill
 
 
+@in_a_file
 @pytest.mark.skipif(
     not hasattr(resource, "prlimit"), reason="only Linux can limit the files of another process"
 )
@@ -173,6 +175,7 @@ def test_a_full_disk_refuses_writes_and_nothing_else(
         assert http.get(f"/entities/{lost['id']}").status_code == 200
 
 
+@in_a_file
 def test_a_second_broker_on_the_same_file_is_refused_in_one_line(own_broker: Any) -> None:
     own_broker.start()
     rival = type(own_broker)(own_broker.data_dir)
@@ -186,6 +189,7 @@ def test_a_second_broker_on_the_same_file_is_refused_in_one_line(own_broker: Any
     assert "HANDOVER_DATA_DIR" in last
 
 
+@in_a_file
 def test_a_file_that_is_no_database_is_refused_in_one_line(own_broker: Any) -> None:
     (own_broker.data_dir / "broker.db").write_bytes(b"shopping list: bolts, nuts" * 100)
     process = own_broker.spawn()
