@@ -182,7 +182,7 @@ def test_every_kind_of_attribute_has_its_null_and_its_previous(
 
 
 INSTANCES = {
-    "Property": ("value", st.integers() | st.text(max_size=3) | st.just({"x": [1]})),
+    "Property": ("value", st.integers(-(2**63), 2**63 - 1) | st.text(max_size=3) | st.just({"x": [1]})),
     "Relationship": ("object", st.sampled_from(["urn:x:1", ["urn:x:1", "urn:x:2"]])),
     "LanguageProperty": ("languageMap", st.just({"en": "x", "fr": ["y"]})),
     "VocabProperty": ("vocab", st.sampled_from(["urn:x:w", ["urn:x:w"]])),
