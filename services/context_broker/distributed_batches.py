@@ -150,7 +150,9 @@ class _Batch:
                     item.outcomes.append(outcomes.of_refusal(one, share.names, self._operation))
                     continue
                 try:
-                    tongue = await self._sources.forwarder.tongue(one, item.context, has_body=True)
+                    tongue = await self._sources.forwarder.tongue(
+                        one, item.context, body=self._exchange.content_type()
+                    )
                 except Problem as problem:
                     unheard = Unheard(one, SILENT, 502, problem.detail)
                     item.outcomes.append(outcomes.of_silence(unheard, share.names))

@@ -132,7 +132,7 @@ async def _told(
 ) -> list[Told]:
     async def ask(registration: Registration) -> Told | None:
         try:
-            tongue = await sources.forwarder.tongue(registration, context, has_body=False)
+            tongue = await sources.forwarder.tongue(registration, context, body=None)
             parameters = (("details", "true"),) if details else ()
             reply = await heard(sources, registration, Question("GET", path(tongue), tongue, parameters))
             if reply is None:

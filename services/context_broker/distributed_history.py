@@ -155,7 +155,7 @@ async def _ask(
     """Return what a source tells, as documents in the names of `context`."""
     registration = match.registration
     try:
-        tongue = await sources.forwarder.tongue(registration, context, has_body=False)
+        tongue = await sources.forwarder.tongue(registration, context, body=None)
         names = match.attributes
         wanted = [] if single else _who(match, parameters, tongue.name)
         if names is not None:

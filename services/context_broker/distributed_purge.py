@@ -45,7 +45,7 @@ async def _purge_at(
 ) -> Outcome:
     one, nothing = match.registration, frozenset[str]()
     try:
-        tongue = await sources.forwarder.tongue(one, context, has_body=False)
+        tongue = await sources.forwarder.tongue(one, context, body=None)
         if tongue.context is not context and not _NAMING.isdisjoint(parameters):
             return outcomes.of_refusal(one, nothing, "conditions on attributes in names that are not its own")
         wanted = _narrowed(match, parameters, context, tongue)

@@ -75,7 +75,7 @@ async def _retrieve_from(
 ) -> None:
     registration = match.registration
     try:
-        tongue = await sources.forwarder.tongue(registration, context, has_body=False)
+        tongue = await sources.forwarder.tongue(registration, context, body=None)
         names = match.attributes_for(entity_id)
         parameters = [("attrs", _joined(names, tongue))] if names is not None else []
         parameters.append(("options", "sysAttrs"))
@@ -192,7 +192,7 @@ async def _query_from(
 ) -> None:
     registration = match.registration
     try:
-        tongue = await sources.forwarder.tongue(registration, context, has_body=False)
+        tongue = await sources.forwarder.tongue(registration, context, body=None)
         for given in _narrowed(match, parameters, context, tongue, is_split=is_split):
             async for entities in _pages(sources, registration, tongue, given):
                 into.add(registration, entities)

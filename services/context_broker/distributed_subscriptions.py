@@ -19,7 +19,7 @@ from handover.telemetry import get_logger
 from services.context_broker.contexts import Context, ContextBook
 from services.context_broker.distribution import Handling, Performing, Sources, all_of
 from services.context_broker.entity import Entity
-from services.context_broker.exchange import Answer, Exchange
+from services.context_broker.exchange import JSON, Answer, Exchange
 from services.context_broker.forwarding import SILENT, Asking, Forwarder, Question, Unheard, quoted
 from services.context_broker.fragments import Fragment, merged, read_fragment
 from services.context_broker.gathering import about
@@ -179,7 +179,7 @@ class SubscriptionRelays:
                 continue
             for source in self._sources_of(tenant, one):
                 try:
-                    tongue = await self._forwarder.tongue(source, one.names, has_body=True)
+                    tongue = await self._forwarder.tongue(source, one.names, body=JSON)
                 except Problem as problem:
                     log.warning("a source cannot be spoken to", registration=source.id, why=problem.detail)
                     continue
@@ -213,7 +213,7 @@ class SubscriptionRelays:
         try:
             if held is None:
                 await self._keep(tenant, made)
-            tongue = await self._forwarder.tongue(source, one.names, has_body=True)
+            tongue = await self._forwarder.tongue(source, one.names, body=JSON)
             body = with_endpoint(document, made.base, made.token)
             question = Question("POST", "subscriptions", tongue, (), body)
             reply, _ = await self._forwarder.ask(source, question, self._asking(tenant, one))
@@ -234,7 +234,7 @@ class SubscriptionRelays:
     async def _take_back(self, tenant: Tenant, relay: Relay) -> str | None:
         try:
             tongue = await self._forwarder.tongue(
-                relay.registration, await self._contexts.of(None), has_body=False
+                relay.registration, await self._contexts.of(None), body=None
             )
             question = Question("DELETE", f"subscriptions/{quoted(relay.id)}", tongue)
             asking = Asking({}, tenant.alias, tenant.registry)

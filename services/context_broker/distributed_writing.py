@@ -214,8 +214,8 @@ class SharedChange:
         if share.operation is None:
             return outcomes.of_refusal(registration, names, self._operation)
         try:
-            has_body = self._document is not None
-            tongue = await self._sources.forwarder.tongue(registration, self._context, has_body=has_body)
+            body = None if self._document is None else self._exchange.content_type()
+            tongue = await self._sources.forwarder.tongue(registration, self._context, body=body)
             path = self._path
             document = None
             if path is None:

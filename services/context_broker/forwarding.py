@@ -119,21 +119,23 @@ class Forwarder:
             return registration.alias
         return self._aliases.get((registration.endpoint, registration.tenant))
 
-    async def tongue(self, registration: Registration, context: Context, *, has_body: bool) -> Tongue:
-        """Return how to speak to a source when the request was made in `context`; raise a problem (504)
-        when the source's own @context cannot be loaded.
+    async def tongue(self, registration: Registration, context: Context, *, body: str | None) -> Tongue:
+        """Return how to speak to a source when the request was made in `context`.
+
+        `body` is the media type of the request's body, None if nothing is sent: JSON-LD is passed on as
+        JSON-LD. Raises a problem (504) when the source's own @context cannot be loaded.
         """
         wanted = _info(registration, "jsonldContext")
         if wanted is not None:
             return Tongue(await self.contexts.of(wanted), JSON, wanted)
         media_type = _info(registration, "contentType")
-        if has_body and media_type == JSON_LD:
+        if body is not None and (media_type or body) == JSON_LD:
             return Tongue(context, JSON_LD, None)
         if context.document == CORE:
             return Tongue(context, JSON, None)
         if context.link is not None:
             return Tongue(context, JSON, context.link)
-        if has_body and media_type is None:
+        if body is not None and media_type is None:
             return Tongue(context, JSON_LD, None)
         return Tongue(await self.contexts.of(None), JSON, None)  # no Link can carry it: names in full
 

@@ -333,6 +333,22 @@ def test_an_inline_context_goes_along(
     assert "link" not in headers
 
 
+def test_what_is_sent_as_json_ld_is_passed_on_as_it_is(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, mode="redirect", operations=["redirectionOps", "createBatch"])
+    source.answers["POST", "/ngsi-ld/v1/entities"] = 201, {}
+    source.answers["POST", "/ngsi-ld/v1/entityOperations/create"] = 201, []
+    url = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context-v1.8.jsonld"
+    entity = {"id": f"urn:ngsi-ld:{kind}:1", "type": kind, "x": 1, "@context": [url]}
+    headers = {"Content-Type": "application/ld+json"}
+    assert near.post("/entities", json=entity, headers=headers).status_code == 201
+    assert source.asked[-1][4] == entity
+    assert near.post("/entityOperations/create", json=[entity], headers=headers).status_code == 201
+    assert source.asked[-1][4] == [entity]
+    assert source.asked[-1][3]["content-type"] == "application/ld+json"
+
+
 def test_a_change_goes_all_the_way_down_a_chain(brokers: list[Any], kind: str) -> None:
     with brokers[0].client() as first, brokers[1].client() as second, brokers[2].client() as third:
         paths = [
