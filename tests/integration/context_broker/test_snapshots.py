@@ -231,6 +231,7 @@ def test_snapshots_are_there_after_a_power_cut_and_end_in_time(
         assert own_broker.metric("handover_broker_entities") == 0
 
 
+@pytest.mark.parametrize("own_broker", ["sqlite"], indirect=True)
 def test_what_a_power_cut_has_left_of_a_snapshot_is_cleared_away(
     own_broker: BrokerProcess, eventually: Callable[..., Any]
 ) -> None:
