@@ -46,8 +46,13 @@ _ONLY_SHOWN: Final = frozenset(
 """Members that tell of other times or other entities (clauses 4.5.2.2 and 4.5.3.2)."""
 _SEALED: Final = frozenset({"entityIdSealed", "entityTypeSealed"})
 _PROOF: Final = "ngsildproof"
-_NO_NAMES: Final = (METADATA | SAYING | _FROM_THE_BROKER | _ONLY_SHOWN | _SEALED) - {"type", "expiresAt"}
-"""Words of the core context that cannot name an attribute of an entity (clause 4.5.1)."""
+_NO_NAMES: Final = (METADATA | SAYING | _FROM_THE_BROKER | _ONLY_SHOWN | _SEALED) - {
+    "type",
+    "expiresAt",
+    "value",
+}
+"""Words of the core context that cannot name an attribute of an entity (clause 4.5.1). `value` can all the
+same: the published Device has an attribute of that name."""
 _CORE: Final = "https://uri.etsi.org/ngsi-ld/"
 _PLACES: Final = frozenset(
     base + name for base in ("", _CORE) for name in ("location", "observationSpace", "operationSpace")

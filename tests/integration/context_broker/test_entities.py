@@ -437,3 +437,13 @@ def test_the_kind_of_an_attribute_is_not_changed_in_part(http: httpx.Client) -> 
         problem(http.patch(f"/entities/{entity_id}/attrs/{name}", json=part), 400, "BadRequestData", name)
     assert http.put(f"/entities/{entity_id}/attrs/a", json={"object": "urn:x:2"}).status_code == 204
     assert read(http, entity_id)["a"] == {"type": "Relationship", "object": "urn:x:2"}
+
+
+def test_an_attribute_may_be_called_value_as_in_the_published_device(http: httpx.Client) -> None:
+    device = {
+        "id": "urn:ngsi-ld:Device:demo:value",
+        "type": "Device",
+        "value": {"type": "Property", "value": 7},
+    }
+    assert http.post("/entities", json=device).status_code == 201
+    assert http.get(f"/entities/{device['id']}").json() == device

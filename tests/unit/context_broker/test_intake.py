@@ -128,9 +128,7 @@ def test_what_a_kind_may_not_have_is_refused(given: Any) -> None:
     assert refusal({"a": given})
 
 
-@pytest.mark.parametrize(
-    "name", ["datasetId", "instanceId", "observedAt", "value", "languageMap", "unitCode"]
-)
+@pytest.mark.parametrize("name", ["datasetId", "instanceId", "observedAt", "languageMap", "unitCode"])
 def test_words_of_the_core_context_name_no_attribute(name: str) -> None:
     assert name in refusal({name: {"type": "Property", "value": 1}})
 
