@@ -15,19 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from handover.errors import Problem
 from handover.service import create_app
 from handover.telemetry import get_logger
-from services.context_broker.attempts import made_again, was_overtaken
-from services.context_broker.batch_operations import BatchOperations
-from services.context_broker.context_fetching import Fetcher
-from services.context_broker.context_operations import ContextOperations
-from services.context_broker.contexts import ContextBook, Documents
-from services.context_broker.database import Database, SqliteDatabase
-from services.context_broker.destinations import Destinations
-from services.context_broker.discovery_operations import DiscoveryOperations
-from services.context_broker.distributed_subscriptions import SubscriptionRelays
-from services.context_broker.distribution import Distribution, Handling
-from services.context_broker.entity_map_operations import EntityMapOperations, wants_map
-from services.context_broker.entity_operations import EntityOperations
-from services.context_broker.exchange import (
+from services.context_broker.api.exchange import (
     PREFIX,
     Answer,
     Disconnected,
@@ -39,27 +27,39 @@ from services.context_broker.exchange import (
     send_answer,
     told_back,
 )
-from services.context_broker.forwarding import Forwarder
-from services.context_broker.http_sender import HttpAsker
-from services.context_broker.journal import Entries, Journal, Kind, NotStored
-from services.context_broker.leadership import ElectedBroker, Leadership, SoleBroker
-from services.context_broker.notifier import REQUEST_HEADERS
-from services.context_broker.operation import Directory, Operation
-from services.context_broker.own_address import OwnAddress
-from services.context_broker.postgres import PostgresDatabase
-from services.context_broker.problems import ERRORS, not_stored
-from services.context_broker.registration_operations import RegistrationOperations
-from services.context_broker.replica import TRIMMING, Overtaken, Replica
-from services.context_broker.retention import Retention
+from services.context_broker.api.operation import Directory, Operation
+from services.context_broker.api.problems import ERRORS, not_stored
+from services.context_broker.contexts.book import ContextBook, Documents
+from services.context_broker.contexts.fetching import Fetcher
+from services.context_broker.contexts.operations import ContextOperations
+from services.context_broker.contexts.own_address import OwnAddress
+from services.context_broker.distribution.distribution import Distribution, Handling
+from services.context_broker.distribution.forwarding import Forwarder
+from services.context_broker.distribution.subscriptions import SubscriptionRelays
+from services.context_broker.entities.batch_operations import BatchOperations
+from services.context_broker.entities.discovery_operations import DiscoveryOperations
+from services.context_broker.entities.entity_operations import EntityOperations
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshot_making import HEADER as SNAPSHOT
-from services.context_broker.snapshot_operations import OUTSIDE_SNAPSHOTS, SnapshotOperations
-from services.context_broker.source_subscription_operations import SourceSubscriptionOperations
-from services.context_broker.subscription_operations import SubscriptionOperations
-from services.context_broker.subscriptions import Counts
-from services.context_broker.temporal_operations import TemporalOperations
-from services.context_broker.temporal_provision import TemporalProvision
-from services.context_broker.tenants import Tenants
+from services.context_broker.snapshots.entity_map_operations import EntityMapOperations, wants_map
+from services.context_broker.snapshots.making import HEADER as SNAPSHOT
+from services.context_broker.snapshots.operations import OUTSIDE_SNAPSHOTS, SnapshotOperations
+from services.context_broker.sources.registration_operations import RegistrationOperations
+from services.context_broker.sources.source_subscription_operations import SourceSubscriptionOperations
+from services.context_broker.storage.attempts import made_again, was_overtaken
+from services.context_broker.storage.database import Database, SqliteDatabase
+from services.context_broker.storage.journal import Entries, Journal, Kind, NotStored
+from services.context_broker.storage.leadership import ElectedBroker, Leadership, SoleBroker
+from services.context_broker.storage.postgres import PostgresDatabase
+from services.context_broker.storage.replica import TRIMMING, Overtaken, Replica
+from services.context_broker.storage.tenants import Tenants
+from services.context_broker.subscriptions.destinations import Destinations
+from services.context_broker.subscriptions.http_sender import HttpAsker
+from services.context_broker.subscriptions.notifier import REQUEST_HEADERS
+from services.context_broker.subscriptions.operations import SubscriptionOperations
+from services.context_broker.subscriptions.subscription import Counts
+from services.context_broker.temporal.operations import TemporalOperations
+from services.context_broker.temporal.provision import TemporalProvision
+from services.context_broker.temporal.retention import Retention
 
 log = get_logger(__name__)
 
@@ -223,7 +223,7 @@ class Broker:
     def _handlings(self) -> Mapping[str, Handling]:
         """Return how operations are carried out together with context sources."""
         # Most brokers have no sources: they start without what it takes to ask them.
-        from services.context_broker.distributed_operations import HANDLINGS  # noqa: PLC0415 - as said
+        from services.context_broker.distribution.handlings import HANDLINGS  # noqa: PLC0415 - as said
 
         return {**HANDLINGS, **self.relays.handlings()}
 

@@ -3,7 +3,7 @@
 from pydantic import Field, FilePath, field_validator
 
 from handover.settings import Settings
-from services.context_broker.destinations import Destinations, is_loopback
+from services.context_broker.subscriptions.destinations import Destinations, is_loopback
 
 
 class BrokerSettings(Settings):

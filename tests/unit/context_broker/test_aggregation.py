@@ -9,8 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.aggregation import METHODS, measure, periods, totals, written_totals
-from services.context_broker.durations import LAST_TIME, MICROS, Duration, read_duration, written_time
+from services.context_broker.temporal.aggregation import METHODS, measure, periods, totals, written_totals
+from services.context_broker.temporal.durations import (
+    LAST_TIME,
+    MICROS,
+    Duration,
+    read_duration,
+    written_time,
+)
 
 HOUR = 3600 * MICROS
 DAY = 24 * HOUR

@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.changes import appended, created, merged
-from services.context_broker.completion import completed, normalized
-from services.context_broker.contexts import Context
-from services.context_broker.intake import read_change, read_entity
-from services.context_broker.rendering import Form, View, render
-from services.context_broker.subscription_documents import kept_document, shown_document, updated_document
-from services.context_broker.subscriptions import subscription
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.changes import appended, created, merged
+from services.context_broker.entities.completion import completed, normalized
+from services.context_broker.entities.intake import read_change, read_entity
+from services.context_broker.entities.rendering import Form, View, render
+from services.context_broker.subscriptions.documents import kept_document, shown_document, updated_document
+from services.context_broker.subscriptions.subscription import subscription
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
 TERMS = CONTEXT.terms

@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem
-from services.context_broker.context_fetching import (
+from services.context_broker.api.problems import context_not_available
+from services.context_broker.contexts.book import CORE, ContextBook
+from services.context_broker.contexts.fetching import (
     LONGEST_KEPT_S,
     SHORTEST_KEPT_S,
     USUALLY_KEPT_S,
@@ -16,11 +18,9 @@ from services.context_broker.context_fetching import (
     Fetcher,
     kept_for_s,
 )
-from services.context_broker.contexts import CORE, ContextBook
-from services.context_broker.destinations import Destinations
-from services.context_broker.journal import DocumentKey, Kind
-from services.context_broker.own_address import OwnAddress
-from services.context_broker.problems import context_not_available
+from services.context_broker.contexts.own_address import OwnAddress
+from services.context_broker.storage.journal import DocumentKey, Kind
+from services.context_broker.subscriptions.destinations import Destinations
 
 URL = "https://a.example/context.jsonld"
 

@@ -5,9 +5,9 @@ import asyncio
 import pytest
 
 from handover.errors import Problem
-from services.context_broker.destinations import Destinations, Refused, is_loopback
-from services.context_broker.http_sender import HttpSender, SendError
 from services.context_broker.settings import BrokerSettings
+from services.context_broker.subscriptions.destinations import Destinations, Refused, is_loopback
+from services.context_broker.subscriptions.http_sender import HttpSender, SendError
 
 LINK_LOCAL = ["169.254.169.254", "169.254.0.1", "fe80::1", "::ffff:169.254.169.254"]
 LOOPBACK = ["127.0.0.1", "127.8.8.8", "::1", "0.0.0.0", "::", "::ffff:127.0.0.1"]

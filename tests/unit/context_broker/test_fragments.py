@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodels.contexts import TermMap, resolve
-from services.context_broker.entity import Attributes, Entity
-from services.context_broker.fragments import Fragment, limited, merged, read_fragment
+from services.context_broker.distribution.fragments import Fragment, limited, merged, read_fragment
+from services.context_broker.entities.entity import Attributes, Entity
 
 TERMS = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"

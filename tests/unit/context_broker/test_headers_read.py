@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.negotiation import (
+from services.context_broker.api.negotiation import (
     PLAIN,
     WITH_GEO_JSON,
     accepted,

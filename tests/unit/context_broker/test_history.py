@@ -13,15 +13,19 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker import changes, chronicle
-from services.context_broker.aggregation import Aggregation
-from services.context_broker.changes import Outcome
-from services.context_broker.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
-from services.context_broker.contexts import Context
-from services.context_broker.database import SqliteDatabase
-from services.context_broker.durations import MICROS, read_duration
-from services.context_broker.entity import Entity, Event, Instance
-from services.context_broker.history import (
+from services.context_broker.api.words import timestamp
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities import changes
+from services.context_broker.entities.changes import Outcome
+from services.context_broker.entities.entity import Entity, Event, Instance
+from services.context_broker.entities.intake import read_change, read_entity
+from services.context_broker.storage.database import SqliteDatabase
+from services.context_broker.storage.journal import Entries, Journal, NotStored
+from services.context_broker.temporal import chronicle
+from services.context_broker.temporal.aggregation import Aggregation
+from services.context_broker.temporal.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
+from services.context_broker.temporal.durations import MICROS, read_duration
+from services.context_broker.temporal.history import (
     Change,
     Recorder,
     change_of,
@@ -30,12 +34,9 @@ from services.context_broker.history import (
     place_of,
     time_of,
 )
-from services.context_broker.intake import read_change, read_entity
-from services.context_broker.journal import Entries, Journal, NotStored
-from services.context_broker.retention import Retention
-from services.context_broker.temporal_query import TemporalQuery
-from services.context_broker.temporal_rendering import content_range
-from services.context_broker.words import timestamp
+from services.context_broker.temporal.query import TemporalQuery
+from services.context_broker.temporal.rendering import content_range
+from services.context_broker.temporal.retention import Retention
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
 TERMS = CONTEXT.terms
@@ -408,9 +409,9 @@ class Straight:
 async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.context_broker.retention.PIECE", 3)
-    monkeypatch.setattr("services.context_broker.retention.PAUSE_S", 0)
-    monkeypatch.setattr("services.context_broker.retention.PLACES_A_LOOK", 1)
+    monkeypatch.setattr("services.context_broker.temporal.retention.PIECE", 3)
+    monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
+    monkeypatch.setattr("services.context_broker.temporal.retention.PLACES_A_LOOK", 1)
     own = Journal(SqliteDatabase(tmp_path / "broker.db"))
     own.open()
     living, gone, young = Life(own), Life(own), Life(own, now=START + timedelta(days=2))

@@ -6,12 +6,12 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.context_broker.entity import Entity
-from services.context_broker.geo_query import geo_query_document
-from services.context_broker.place_index import PlaceIndex
-from services.context_broker.q_index import Equality, Range
-from services.context_broker.store import MOST_INDEXES, Store
-from services.context_broker.type_selection import of_types, type_selection
+from services.context_broker.entities.entity import Entity
+from services.context_broker.queries.geo_query import geo_query_document
+from services.context_broker.queries.place_index import PlaceIndex
+from services.context_broker.queries.q_index import Equality, Range
+from services.context_broker.queries.type_selection import of_types, type_selection
+from services.context_broker.storage.store import MOST_INDEXES, Store
 
 PLACE = "https://a.example/place"
 VALUE = "https://a.example/value"

@@ -6,8 +6,8 @@ import pytest
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.entity import NULL, is_deletion
-from services.context_broker.intake import Nulls, nulls_in, read_attribute, read_change, read_entity
+from services.context_broker.entities.entity import NULL, is_deletion
+from services.context_broker.entities.intake import Nulls, nulls_in, read_attribute, read_change, read_entity
 
 TERMS = TermMap(HANDOVER_URL)
 POINT = {"type": "Point", "coordinates": [1, 2]}

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from handover.errors import UsageError
-from services.context_broker.database import SqliteDatabase
-from services.context_broker.journal import SCHEMA_VERSION, EntityRow, Entries, Journal, Kind
+from services.context_broker.storage.database import SqliteDatabase
+from services.context_broker.storage.journal import SCHEMA_VERSION, EntityRow, Entries, Journal, Kind
 
 
 def version_of(file: Path) -> int:

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.collation import collation
-from services.context_broker.entity import Entity
-from services.context_broker.ordering import Ordering, ordering, ordering_document
-from services.context_broker.pages import Place, Window, mark_of, place_of
-from services.context_broker.selection import Page, Selection, search
-from services.context_broker.store import Store
-from services.context_broker.type_selection import of_types
+from services.context_broker.entities.entity import Entity
+from services.context_broker.queries.collation import collation
+from services.context_broker.queries.ordering import Ordering, ordering, ordering_document
+from services.context_broker.queries.pages import Place, Window, mark_of, place_of
+from services.context_broker.queries.selection import Page, Selection, search
+from services.context_broker.queries.type_selection import of_types
+from services.context_broker.storage.store import Store
 
 VOCAB = "https://a.example/"
 AT = "2026-01-01T00:00:00Z"

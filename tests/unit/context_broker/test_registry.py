@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import TermMap
 from handover.errors import Problem
-from services.context_broker.contexts import CORE, Context
-from services.context_broker.entity import Entity
-from services.context_broker.registration import Asked, Mode, Registration, root_of, shown_document
-from services.context_broker.registration_intake import kept_document, registration
-from services.context_broker.registry import Registry, claims
+from services.context_broker.contexts.book import CORE, Context
+from services.context_broker.entities.entity import Entity
+from services.context_broker.sources.registration import Asked, Mode, Registration, root_of, shown_document
+from services.context_broker.sources.registration_intake import kept_document, registration
+from services.context_broker.sources.registry import Registry, claims
 
 CONTEXT = Context(1, TermMap(None, lambda _: None), CORE, b"", CORE)
 TASK, ROBOT = (CONTEXT.terms.expand(name) for name in ("Task", "Robot"))

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem
-from services.context_broker.snapshots import (
+from services.context_broker.api.words import inside, moment, outside, tenant_headers
+from services.context_broker.snapshots.snapshot import (
     LONGEST_LIFETIME_S,
     Status,
     checked,
@@ -16,7 +17,6 @@ from services.context_broker.snapshots import (
     restored,
     status_of,
 )
-from services.context_broker.words import inside, moment, outside, tenant_headers
 
 QUERY = {"type": "Query", "entities": [{"type": "Task"}]}
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.durations import MICROS
-from services.context_broker.history import SCOPE, Change
-from services.context_broker.temporal_intake import read_past
-from services.context_broker.temporal_query import TemporalQuery, temporal_query
+from services.context_broker.temporal.durations import MICROS
+from services.context_broker.temporal.history import SCOPE, Change
+from services.context_broker.temporal.intake import read_past
+from services.context_broker.temporal.query import TemporalQuery, temporal_query
 
 TERMS = TermMap(HANDOVER_URL)
 TIMES = st.sampled_from(

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from datamodels.contexts import TermMap, resolve
-from services.context_broker.translation import older, translated
-from services.context_broker.via import chain, lengthened
+from services.context_broker.distribution.translation import older, translated
+from services.context_broker.distribution.via import chain, lengthened
 
 CORE = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"

@@ -1,0 +1,321 @@
+"""A request as the broker's rooms see it, and the answer: media types, @contexts and limits are settled here.
+
+Plain ASGI with orjson, no framework: this is the broker's hottest path (clauses 6.3.4 to 6.3.6).
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Final
+from urllib.parse import parse_qsl, unquote
+
+import orjson
+from starlette.types import Receive, Scope, Send
+
+from handover.errors import Problem
+from services.context_broker.api.negotiation import (
+    GEO_JSON,
+    JSON,
+    JSON_LD,
+    MERGE_PATCH,
+    PLAIN,
+    accepted,
+    context_link,
+    preferred_version,
+)
+from services.context_broker.api.problems import (
+    MethodNotAllowed,
+    bad_request_data,
+    invalid_request,
+    length_required,
+    not_acceptable,
+    too_large,
+    unsupported_media_type,
+)
+from services.context_broker.api.words import shown
+from services.context_broker.contexts.book import Context, ContextBook
+from services.context_broker.storage.tenants import Tenant
+
+__all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Answer", "Disconnected", "Exchange", "Request"]
+
+PREFIX: Final = "/ngsi-ld/v1/"
+LONGEST_QUERY: Final = 64 * 1024
+LONGEST_HEADER: Final = 4096
+MOST_PARAMETERS: Final = 100
+"""Parameters that are read: no operation has half as many."""
+LONGEST_REMEMBERED: Final = 1024
+"""Characters of the query of a URL that is kept parsed."""
+
+_READABLE = {JSON, JSON_LD, MERGE_PATCH}
+_WITH_BODY = {"POST", "PATCH", "PUT"}
+_WITH_ENTITIES = tuple(
+    PREFIX + path
+    for path in ("entities", "entityOperations/query", "temporal/entities", "temporal/entityOperations")
+)
+"""Where entities are asked for."""
+_BROKEN_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
+
+
+class Disconnected(Exception):
+    """The asker has gone before the request was read."""
+
+
+@dataclass(slots=True)
+class Answer:
+    """What goes back: a status, a body and headers."""
+
+    status: int
+    body: bytes = b""
+    headers: list[tuple[bytes, bytes]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Request:
+    """A request as it came, its body read."""
+
+    method: str
+    path: str
+    parameters: Mapping[str, str]
+    headers: dict[bytes, bytes]
+    body: bytes
+
+
+class Exchange:
+    """A request on its way through the broker; `names` are the parts of the path that name things."""
+
+    __slots__ = ("contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
+
+    def __init__(
+        self, request: Request, names: tuple[str, ...], contexts: ContextBook, tenant: Tenant
+    ) -> None:
+        self.method = request.method
+        self.path = request.path
+        self.parameters = request.parameters
+        self.headers = request.headers
+        self.raw = request.body
+        self.names = names
+        self.contexts = contexts
+        self.tenant = tenant
+
+    def parameter(self, name: str) -> str | None:
+        """Return a query parameter; None if it is absent."""
+        return self.parameters.get(name)
+
+    def flag(self, name: str) -> bool:
+        """Return a query parameter that is true or false."""
+        given = self.parameters.get(name, "false")
+        if given not in {"true", "false"}:
+            raise invalid_request(f"the parameter {name} is true or false, not {shown(given)}")
+        return given == "true"
+
+    def require_known(self, known: frozenset[str]) -> None:
+        """Refuse parameters that the operation does not have."""
+        for name in self.parameters:
+            if name not in known:
+                raise invalid_request(
+                    f"there is no parameter {shown(name)} here, only {', '.join(sorted(known)) or 'none'}"
+                )
+
+    def document(self) -> Any:
+        """Return the body as JSON."""
+        try:
+            return orjson.loads(self.raw)
+        except orjson.JSONDecodeError as error:
+            raise invalid_request(
+                f"the body is not JSON: {error.msg} at line {error.lineno}, column {error.colno}"
+            ) from None
+
+    async def body(self) -> tuple[Any, Context]:
+        """Return the body and the context that its names are in."""
+        media_type = self.content_type()
+        document = self.document()
+        if isinstance(document, list):
+            raise bad_request_data("the body is a list; this operation takes one JSON object")
+        return document, await self.context_of(document, media_type)
+
+    def content_type(self) -> str:
+        """Return the media type of the body; raise a problem (415) if the broker cannot read it."""
+        given = self.headers.get(b"content-type", b"").decode("latin-1")
+        media_type = given.partition(";")[0].strip().lower()
+        if media_type not in _READABLE or (media_type == MERGE_PATCH and self.method != "PATCH"):
+            raise unsupported_media_type(
+                f"Content-Type {shown(given)} is not read here; send {JSON} (@context in a Link header) or "
+                f"{JSON_LD} (@context in the body)"
+            )
+        return media_type
+
+    async def context_of(self, document: Any, media_type: str) -> Context:
+        """Return the context of a document that was sent as `media_type`."""
+        in_body = document.get("@context") if isinstance(document, Mapping) else None
+        link = self.link()
+        if media_type == JSON_LD:
+            if link is not None:
+                raise bad_request_data(
+                    f"with {JSON_LD} the @context stands in the body; leave the Link header out"
+                )
+            if in_body is None:
+                raise bad_request_data(f'with {JSON_LD} the body has an "@context"; add it, or send {JSON}')
+            return await self.contexts.of(in_body)
+        if isinstance(document, Mapping) and "@context" in document:
+            raise bad_request_data(
+                f"with {media_type} the @context stands in a Link header; move it there, or send {JSON_LD}"
+            )
+        return await self.contexts.of(link)
+
+    async def reader_context(self) -> Context:
+        """Return the context that the asker wants names in."""
+        return await self.contexts.of(self.link())
+
+    def link(self) -> str | None:
+        """Return the URL of the context in the Link header, None if there is none."""
+        given = self.headers.get(b"link")
+        return None if given is None else context_link(_of_bearable_length(given, "Link"))
+
+    def accept(self, offered: tuple[str, ...] = PLAIN) -> str:
+        """Return the media type of `offered` to answer in; raise a problem (406) if none is wanted."""
+        given = self.headers.get(b"accept")
+        chosen = offered[0] if given is None else accepted(_of_bearable_length(given, "Accept"), offered)
+        if chosen is None:
+            raise not_acceptable(
+                f"Accept {shown((given or b'').decode('latin-1'))} leaves nothing; accept "
+                f"{', '.join(offered[:-1])} or {offered[-1]}"
+            )
+        return chosen
+
+
+def _of_bearable_length(given: bytes, name: str) -> bytes:
+    if len(given) > LONGEST_HEADER:
+        raise invalid_request(f"the {name} header has {len(given)} characters; {LONGEST_HEADER} are read")
+    return given
+
+
+def _parameters(query: bytes) -> Mapping[str, str]:
+    return (
+        _read_parameters(query) if len(query) <= LONGEST_REMEMBERED else _read_parameters.__wrapped__(query)
+    )
+
+
+@lru_cache(maxsize=4096)
+def _read_parameters(query: bytes) -> Mapping[str, str]:
+    try:
+        text = query.decode("ascii")
+        pairs = parse_qsl(text, keep_blank_values=True, errors="strict", max_num_fields=MOST_PARAMETERS)
+    except ValueError as error:
+        raise invalid_request(
+            f"the query of the URL cannot be read: {error}; percent-encode it as UTF-8"
+        ) from None
+    if _BROKEN_PERCENT.search(text):
+        raise invalid_request("the query of the URL has a % without two digits after it; write %25 for a %")
+    parameters = dict(pairs)
+    if len(parameters) < len(pairs):
+        raise invalid_request("a parameter is given twice; join its values with commas")
+    return parameters
+
+
+def path_parts(scope: Scope) -> list[str]:
+    """Return the parts of the path after /ngsi-ld/v1/, decoded one by one so that a %2F stays in its part."""
+    raw: bytes = scope.get("raw_path") or scope["path"].encode()
+    try:
+        text = raw.decode("ascii").partition("?")[0][len(PREFIX) :].rstrip("/")
+        parts = text.split("/")
+        if "%" not in text:
+            return parts
+        if _BROKEN_PERCENT.search(text):
+            raise invalid_request("the path has a % without two digits after it; write %25 for a %")
+        return [unquote(part, errors="strict") for part in parts]
+    except UnicodeDecodeError:
+        raise invalid_request("the path is not percent-encoded UTF-8") from None
+
+
+async def received(scope: Scope, receive: Receive, max_bytes: int) -> Request:
+    """Return the request, its body read.
+
+    Raises a problem: 411 for a body without a Content-Length (clause 6.3.4 has no exception for chunks), 413
+    for one larger than `max_bytes`.
+    """
+    headers: dict[bytes, bytes] = {}
+    for name, value in scope["headers"]:
+        headers[name] = headers[name] + b", " + value if name in headers else value
+    query: bytes = scope["query_string"]
+    if len(query) > LONGEST_QUERY:
+        raise invalid_request(f"the query of the URL has more than {LONGEST_QUERY} characters; use POST")
+    if scope["method"] in _WITH_BODY and b"content-length" not in headers:
+        raise length_required()
+    body = await _body(receive, headers, max_bytes)
+    return Request(scope["method"], scope["path"], _parameters(query) if query else {}, headers, body)
+
+
+async def _body(receive: Receive, headers: Mapping[bytes, bytes], max_bytes: int) -> bytes:
+    announced = headers.get(b"content-length", b"0")
+    if announced.isdigit() and int(announced) > max_bytes:
+        raise too_large(f"the body has {int(announced)} bytes; {max_bytes} are read, send less at once")
+    message = await receive()
+    if message["type"] == "http.disconnect":
+        raise Disconnected
+    body: bytes = message.get("body", b"")
+    if not message.get("more_body"):
+        return body
+    whole = bytearray(body)
+    while message.get("more_body"):
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            raise Disconnected
+        whole += message.get("body", b"")
+        if len(whole) > max_bytes:
+            raise too_large(f"the body has more than {max_bytes} bytes; send less at once")
+    return bytes(whole)
+
+
+async def send_answer(send: Send, answer: Answer) -> None:
+    """Send an answer."""
+    headers = [*answer.headers, (b"content-length", str(len(answer.body)).encode())]
+    if answer.status == 204:
+        headers = answer.headers
+    await send({"type": "http.response.start", "status": answer.status, "headers": headers})
+    await send({"type": "http.response.body", "body": answer.body})
+
+
+def told_back(request: Request, answer: Answer) -> Answer:
+    """Return the answer with what the asker is told of its own headers: the tenant, the version it prefers.
+
+    The tenant is told in errors too (clause 6.3.14). An answer that was made to conform to an earlier version
+    has the status 203 (clause 6.3.21); where nothing had to be changed it stays what it is.
+    """
+    tenant = request.headers.get(b"ngsild-tenant")
+    if tenant is not None:
+        answer = Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", tenant)])
+    prefer = request.headers.get(b"prefer")
+    if prefer is None or answer.status != 200 or not request.path.startswith(_WITH_ENTITIES):
+        return answer
+    return _as_preferred(request, prefer, answer)
+
+
+def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
+    from services.context_broker.api import conformance  # noqa: PLC0415 - few ask for another version
+
+    try:
+        version = preferred_version(_of_bearable_length(prefer, "Prefer"))
+    except Problem as problem:
+        return problem_answer(problem)
+    if version is None or not answer.body:
+        return answer
+    said = {*request.parameters.get("options", "").split(","), request.parameters.get("format", "")}
+    document = orjson.loads(answer.body)
+    simplified = not said.isdisjoint({"keyValues", "simplified"})
+    conformed = conformance.conformed(document, version, simplified=simplified)
+    applied = "ngsi-ld={}.{}".format(*min(version, conformance.OURS)).encode()
+    headers = [*answer.headers, (b"preference-applied", applied)]
+    if conformed is document:
+        return Answer(200, answer.body, headers)
+    return Answer(203, orjson.dumps(conformed), headers)
+
+
+def problem_answer(problem: Problem) -> Answer:
+    """Return a problem as an answer."""
+    if problem.status == 411:  # which has no body: clause 6.3.4
+        return Answer(411)
+    headers = [(b"content-type", b"application/problem+json")]
+    if isinstance(problem, MethodNotAllowed):
+        headers.append((b"allow", ", ".join(problem.allowed).encode()))
+    return Answer(problem.status, orjson.dumps(problem.body()), headers)

@@ -1,0 +1,161 @@
+"""Ids, times and names as NGSI-LD writes them, checked once at the door."""
+
+import re
+import time
+from datetime import UTC, datetime
+from functools import lru_cache
+from typing import Any
+
+from services.context_broker.api.problems import bad_request_data
+
+LONGEST_ID = 2048
+LONGEST_NAME = 512
+LONGEST_TENANT = 128
+
+TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{LONGEST_TENANT}}}")
+
+_INSIDE = "\u2234"
+"""Begins the name of what belongs to a snapshot: no header can say it, so no asker can name it."""
+
+_DURATION = re.compile(
+    r"P(?:(\d+)Y)?(?:(\d+)M)?(?:(\d+)W)?(?:(\d+)D)?(?:T(?:(\d+)H)?(?:(\d+)M)?(?:(\d+(?:[.,]\d+)?)S)?)?"
+)
+_UNITS_S = (365 * 86400, 30 * 86400, 7 * 86400, 86400, 3600, 60, 1)
+
+_UNSEEN = (
+    r"\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180e\u200b-\u200f\u2028-\u202f\u2060-\u206f"
+    r"\u2800\u3164\ufe00-\ufe0f\ufeff\uffa0\ufdd0-\ufdef\ufff0-\uffff\ud800-\udfff\U000e0000-\U000e0fff"
+)
+"""Signs that are not seen, or turn what stands beside them: an id with one is read as another id."""
+_URI = re.compile(rf'[A-Za-z][A-Za-z0-9+.\-]*:[^\s<>"{{}}|\\^`\x00-\x20\x7f-\xa0{_UNSEEN}]+')
+_UNFIT_IN_NAMES = re.compile(r"[\s<>\"'=;,|(){}\[\]\\^`\x00-\x1f\x7f]")
+_SHORT_NAME = re.compile(r"[^\W\d_][\w\-]*")
+_SCOPE = re.compile(r"/?[^\W\d_]\w*(?:/[^\W\d_]\w*)*")
+
+
+def inside(tenant: str, snapshot_id: str) -> str:
+    """Return the name under which what belongs to a snapshot of a tenant is kept, as if it were a tenant."""
+    return f"{_INSIDE}{tenant}{_INSIDE}{snapshot_id}"
+
+
+def outside(name: str) -> tuple[str, str | None]:
+    """Return the tenant that a name means to others, and the snapshot if it is that of one."""
+    if not name.startswith(_INSIDE):
+        return name, None
+    _, tenant, snapshot_id = name.split(_INSIDE, 2)
+    return tenant, snapshot_id
+
+
+def tenant_headers(name: str) -> list[tuple[str, str]]:
+    """Return the headers by which others learn of which tenant, and which snapshot of it, something is."""
+    tenant, snapshot_id = outside(name)
+    told = [("NGSILD-Tenant", tenant)] if tenant else []
+    return told if snapshot_id is None else [*told, ("NGSILD-Snapshot", snapshot_id)]
+
+
+def timestamp(moment: datetime) -> str:
+    """Return `moment` as `2024-05-01T12:00:00.123456Z`."""
+    return moment.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def timestamp_now() -> str:
+    """Return the time of the wall clock as the broker writes it."""
+    return datetime.now(UTC).isoformat(timespec="microseconds")[:26] + "Z"
+
+
+@lru_cache(maxsize=8192)
+def moment(text: str) -> float | None:
+    """Return an ISO 8601 date or date-time in seconds since 1970 (UTC unless it says); None for others."""
+    if len(text) < 8 or len(text) > 64:
+        return None
+    try:
+        parsed = datetime.fromisoformat(text)
+        return (parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        return None
+
+
+def require_uri(value: Any, what: str) -> str:
+    """Return `value` if it is a URI; raise a problem that names `what` if not."""
+    if not isinstance(value, str):
+        raise bad_request_data(f"{what} must be a URI such as urn:ngsi-ld:Task:demo:1, not {shown(value)}")
+    if len(value) > LONGEST_ID:
+        raise bad_request_data(f"{what} has {len(value)} characters; {LONGEST_ID} are allowed")
+    if not _URI.fullmatch(value):
+        raise bad_request_data(
+            f"{what} must be a URI such as urn:ngsi-ld:Task:demo:1 without spaces, quotes or brackets, "
+            f"not {shown(value)}"
+        )
+    return value
+
+
+def require_time(value: Any, what: str) -> str:
+    """Return `value` if it is a date-time in UTC (clause 4.6.3); raise a problem that names `what` if not."""
+    if not isinstance(value, str) or "T" not in value or value[-1] != "Z" or moment(value) is None:
+        raise bad_request_data(
+            f"{what} must be a date-time in UTC such as 2024-05-01T12:00:00Z, not {shown(value)}"
+        )
+    return value
+
+
+def duration_s(value: Any, what: str) -> float:
+    """Return an ISO 8601 duration such as PT5M in seconds, with years of 365 and months of 30 days.
+
+    Raises a problem that names `what` if it is none.
+    """
+    found = _DURATION.fullmatch(value) if isinstance(value, str) and len(value) <= 64 else None
+    if found is None or value[-1] in "PT":
+        raise bad_request_data(f"{what} must be a duration such as PT5M or P1DT12H, not {shown(value)}")
+    parts = (float((part or "0").replace(",", ".")) for part in found.groups())
+    return sum(part * unit_s for part, unit_s in zip(parts, _UNITS_S, strict=True))
+
+
+def require_future(value: Any, what: str) -> str:
+    """Return `value` if it is a date-time to come; raise a problem that names `what` if not."""
+    text = require_time(value, what)
+    if (moment(text) or 0.0) <= time.time():
+        raise bad_request_data(f"{what} is {text}, which is past; give a time to come, or leave it out")
+    return text
+
+
+def require_scope(value: Any) -> str:
+    """Return `value` if it is a scope, as it was written; raise a problem if not (clause 4.18)."""
+    if not isinstance(value, str) or len(value) > LONGEST_NAME or not _SCOPE.fullmatch(value):
+        raise bad_request_data(
+            f"a scope is a path such as /Madrid/Gardens_2, each level a letter followed by letters, digits "
+            f"and _ ({LONGEST_NAME} characters at most), not {shown(value)}"
+        )
+    return value
+
+
+def require_name(value: Any, what: str) -> str:
+    """Return `value` if it can name a type or an attribute; raise a problem that names `what` if not.
+
+    A short name is a letter followed by letters, digits and _ (clause 4.6.2); the hyphen, which contexts in
+    use have in their terms, is taken too. An IRI or `prefix:name` may hold more.
+    """
+    if not isinstance(value, str) or not value:
+        raise bad_request_data(f"{what} must be a name, not {shown(value)}")
+    if len(value) <= LONGEST_NAME and _is_name(value):
+        return value
+    if len(value) > LONGEST_NAME:
+        raise bad_request_data(f"{what} has {len(value)} characters; {LONGEST_NAME} are allowed")
+    if value.startswith("@") or _UNFIT_IN_NAMES.search(value):
+        raise bad_request_data(
+            f"{what} {shown(value)} is no name: leave out spaces, quotes, brackets and @ = ; , | < >"
+        )
+    raise bad_request_data(f"{what} {shown(value)} is no name: a letter, then letters, digits and _")
+
+
+@lru_cache(maxsize=8192)
+def _is_name(value: str) -> bool:
+    """Say whether `value` can name something; remembered, for the same names come again and again."""
+    if ":" not in value:
+        return _SHORT_NAME.fullmatch(value) is not None
+    return not value.startswith("@") and _UNFIT_IN_NAMES.search(value) is None
+
+
+def shown(value: Any) -> str:
+    """Return `value` as it may stand in an error: quoted and short."""
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "…"

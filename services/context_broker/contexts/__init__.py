@@ -1,0 +1,1 @@
+"""The @contexts: what the names that readers and writers use stand for."""

@@ -1,0 +1,163 @@
+"""Fetching an @context over HTTP: once for all who wait, and not again and again while it fails.
+
+A failure is remembered for twice as long as it took to find out, so that ten requests do not wait ten times.
+"""
+
+import asyncio
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from email.utils import parsedate_to_datetime
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.problems import bad_request_data, context_not_available
+from services.context_broker.subscriptions.destinations import Destinations, Refused
+
+LARGEST_CONTEXT: Final = 1024 * 1024
+"""Bytes of an @context: the largest published ones have half of it."""
+MOST_REDIRECTS: Final = 5
+LEAST_PAUSE_S: Final = 1.0
+"""How long a URL that failed at once is left alone."""
+MOST_FAILURES: Final = 1000
+"""URLs whose failure is remembered; more are asked again at once."""
+SHORTEST_KEPT_S: Final = 60.0
+"""How long a context is kept at least, whatever its server says: nobody is asked at every request."""
+USUALLY_KEPT_S: Final = 86_400.0
+"""How long a context is kept whose server says nothing."""
+LONGEST_KEPT_S: Final = 30 * 86_400.0
+_MAX_AGE: Final = re.compile(r"(?:^|[\s,])max-age=\"?([0-9]{1,10})")
+_ACCEPT: Final = {"Accept": "application/ld+json, application/json;q=0.9"}
+
+
+@dataclass(frozen=True, slots=True)
+class Fetched:
+    """A document, and how long it may be kept."""
+
+    document: Mapping[str, Any]
+    kept_s: float
+
+
+class Fetcher:
+    """Gets the documents of URLs. `destinations` says which addresses are closed."""
+
+    def __init__(self, timeout_s: float, destinations: Destinations) -> None:
+        self._timeout_s = timeout_s
+        self._destinations = destinations
+        self._on_their_way: dict[str, asyncio.Task[Fetched]] = {}
+        self._failed: dict[str, tuple[float, Problem]] = {}
+
+    async def fetch(self, url: str, *, again: bool = False) -> Fetched:
+        """Return what is at `url`, an object with an "@context".
+
+        Raises a problem: 504 when it cannot be had (for a while without asking, unless `again`), 400 when it
+        is no context (clause 5.5.6).
+        """
+        if not url.startswith(("http://", "https://")):
+            raise bad_request_data(f"the @context {url!r} is no http or https URL")
+        if not again:
+            self._raise_remembered(url)
+        task = self._on_their_way.get(url)
+        if task is None:
+            task = asyncio.get_running_loop().create_task(self._attempt(url))
+            self._on_their_way[url] = task
+            task.add_done_callback(lambda _: self._on_their_way.pop(url, None))
+        return await asyncio.shield(task)  # who gives up waiting does not stop it for the others
+
+    def _raise_remembered(self, url: str) -> None:
+        failed = self._failed.get(url)
+        if failed is None:
+            return
+        until_s, problem = failed
+        if until_s <= time.monotonic():
+            del self._failed[url]
+            return
+        raise Problem(problem.status, problem.title, problem.detail, problem.type)
+
+    async def _attempt(self, url: str) -> Fetched:
+        began_s = time.monotonic()
+        try:
+            text, kept_s = await self._download(url)
+            document = _context_in(text, url)
+        except Problem as problem:
+            took_s = time.monotonic() - began_s
+            if len(self._failed) >= MOST_FAILURES:
+                del self._failed[next(iter(self._failed))]
+            self._failed[url] = time.monotonic() + max(LEAST_PAUSE_S, 2 * took_s), problem
+            raise
+        self._failed.pop(url, None)
+        return Fetched(document, kept_s)
+
+    async def _download(self, url: str) -> tuple[bytes, float]:
+        """Return the text at `url`, and for how many seconds it may be kept."""
+        import httpx  # noqa: PLC0415 - takes time to load, and most brokers never fetch a context
+
+        async def require_open(request: httpx.Request) -> None:
+            await self._destinations.resolved(request.url.host, request.url.port or 80)
+
+        try:
+            async with (
+                asyncio.timeout(self._timeout_s),
+                httpx.AsyncClient(
+                    follow_redirects=True,
+                    max_redirects=MOST_REDIRECTS,
+                    timeout=self._timeout_s,
+                    trust_env=False,
+                    event_hooks={"request": [require_open]},
+                ) as client,
+                client.stream("GET", url, headers=_ACCEPT) as answer,
+            ):
+                answer.raise_for_status()
+                text = bytearray()
+                async for chunk in answer.aiter_bytes():
+                    text += chunk
+                    if len(text) > LARGEST_CONTEXT:
+                        raise unavailable(url, f"it is larger than {LARGEST_CONTEXT} bytes")
+                return bytes(text), kept_for_s(answer.headers)
+        except TimeoutError:
+            raise unavailable(url, f"no answer within {self._timeout_s:g} s") from None
+        except (httpx.HTTPError, httpx.InvalidURL, Refused, OSError, UnicodeError) as error:
+            raise unavailable(url, str(error) or type(error).__name__) from None
+
+
+def kept_for_s(headers: Mapping[str, str]) -> float:
+    """Return for how many seconds an answer with these headers may be kept (RFC 9111, clauses 4.2, 5.2)."""
+    wanted: float | None = None
+    control = headers.get("cache-control", "").lower()
+    if found := _MAX_AGE.search(control):
+        wanted = float(found[1])
+    elif "no-cache" in control or "no-store" in control:
+        wanted = 0.0
+    elif (expires := headers.get("expires")) is not None:
+        try:
+            wanted = parsedate_to_datetime(expires).timestamp() - time.time()
+        except (ValueError, OverflowError):
+            wanted = 0.0  # as RFC 9111 has it: a time that is none is past
+    return min(max(USUALLY_KEPT_S if wanted is None else wanted, SHORTEST_KEPT_S), LONGEST_KEPT_S)
+
+
+def _context_in(text: bytes, url: str) -> Mapping[str, Any]:
+    try:
+        document = orjson.loads(text)
+    except orjson.JSONDecodeError as error:
+        raise _unusable(url, f"it is not JSON ({error})") from None
+    if not isinstance(document, dict) or "@context" not in document:
+        raise _unusable(url, 'it is no object with an "@context"')
+    return document
+
+
+def _unusable(url: str, cause: str) -> Problem:
+    return bad_request_data(
+        f"what is at {url} is no @context: {cause}; give the URL of a JSON-LD context, or mend what is there"
+    )
+
+
+def unavailable(url: str, cause: str) -> Problem:
+    """The @context at a URL cannot be had now."""
+    return context_not_available(
+        f"the @context {url} cannot be loaded: {cause}; "
+        "make it reachable from the broker and send the request again"
+    )

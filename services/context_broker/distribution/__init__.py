@@ -1,0 +1,1 @@
+"""Operations in which other context sources have a share."""

@@ -1,0 +1,298 @@
+"""Many entities changed at several sources at once (clauses 5.6.7 to 5.6.10 and 5.6.20).
+
+Each entity is shared as if it came alone; each source gets its shares as one batch, or one by one if it takes
+no batches. What the broker refuses of its own share is not passed on.
+"""
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import JSON, Answer, Exchange
+from services.context_broker.api.words import require_uri
+from services.context_broker.contexts.book import Context
+from services.context_broker.distribution import outcomes
+from services.context_broker.distribution.distribution import (
+    Handling,
+    Performing,
+    Sources,
+    all_of,
+    in_place_of,
+)
+from services.context_broker.distribution.forwarding import (
+    SILENT,
+    Question,
+    Tongue,
+    Unheard,
+    in_tongue,
+    quoted,
+)
+from services.context_broker.distribution.outcomes import Outcome
+from services.context_broker.distribution.shares import Share, Shares, shared
+from services.context_broker.distribution.writing import NO_ATTRIBUTES, attributes_in, types_in
+from services.context_broker.sources.registration import Asked, Registration
+
+MOST_AT_ONCE: Final = 1000
+"""Entities in one batch that is passed on."""
+AT_A_TIME: Final = 16
+"""Requests under way to one source that takes no batches."""
+_SINGLY: Final = {
+    "createBatch": ("createEntity", "POST", "entities"),
+    "upsertBatch": ("createEntity", "POST", "entities"),
+    "updateBatch": ("appendAttrs", "POST", "entities/{id}/attrs"),
+    "mergeBatch": ("mergeEntity", "PATCH", "entities/{id}"),
+    "deleteBatch": ("deleteEntity", "DELETE", "entities/{id}"),
+}
+"""What an entity of a batch is when it comes alone: the operation, its method, its path."""
+
+
+@dataclass(slots=True)
+class _Item:
+    """One entity of a batch; `given` is it, or its id if it is to be deleted."""
+
+    given: Any
+    entity_id: Any
+    context: Context
+    names: Mapping[str, str]
+    shares: Shares
+    outcomes: list[Outcome] = field(default_factory=list)
+    is_new: bool = False
+
+    def part(self, names: frozenset[str]) -> Any:
+        """Return the entity with no attributes but these."""
+        if not isinstance(self.given, Mapping):
+            return self.given
+        return {
+            member: said
+            for member, said in self.given.items()
+            if member in NO_ATTRIBUTES or self.names.get(member) in names
+        }
+
+    @property
+    def own_part(self) -> Any:
+        """Return what of it is the broker's own to do."""
+        proxied = any(one.registration.mode.is_proxied for one in self.shares.others)
+        return self.part(self.shares.own or frozenset()) if proxied else self.given
+
+
+def batch(operation: str) -> Handling:
+    """Return what carries out a batch operation, named as in table 4.20-1."""
+
+    async def handling(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+        return await _Batch(sources, exchange, perform, operation).answer()
+
+    return handling
+
+
+class _Batch:
+    """One batch on its way."""
+
+    def __init__(self, sources: Sources, exchange: Exchange, perform: Performing, operation: str) -> None:
+        self._sources = sources
+        self._exchange = exchange
+        self._perform = perform
+        self._operation = operation
+        given = exchange.parameters
+        names = ("options", "format", "observedAt", "lang")
+        self._parameters = tuple((name, given[name]) for name in names if name in given)
+
+    async def answer(self) -> Answer:
+        """Carry the batch out."""
+        documents = self._exchange.document()
+        if not isinstance(documents, list):
+            return await self._perform(self._exchange)
+        media_type = self._exchange.content_type()
+        items = [await self._item(given, media_type) for given in documents]
+        if not any(item.shares.others for item in items):
+            return await self._perform(self._exchange)
+        await self._do_own([item for item in items if item.shares.own is not None])
+        await self._forward([item for item in items if not _is_refused(item)])
+        return self._result(items)
+
+    async def _item(self, given: Any, media_type: str) -> _Item:
+        nothing = Shares((), frozenset())
+        singly = _SINGLY[self._operation][0]
+        try:
+            if self._operation == "deleteBatch":
+                entity_id = require_uri(given, "an entity id")
+                context = await self._exchange.reader_context()
+                known = self._exchange.tenant.store.latest(entity_id)
+                types = None if known is None else frozenset(known.types)
+                asked = Asked((entity_id,), None, types)
+                shares = shared(self._sources, (self._operation, singly), asked, None)
+                return _Item(given, entity_id, context, {}, shares)
+            context = await self._exchange.context_of(given, media_type)
+            entity_id = require_uri(given.get("id", given.get("@id")), "the entity id")
+            names = attributes_in(given, context)
+            known = self._exchange.tenant.store.latest(entity_id)
+            types = types_in(given, context) or (None if known is None else frozenset(known.types))
+            asked = Asked((entity_id,), None, types)
+            operations = (self._operation, singly)
+            shares = shared(self._sources, operations, asked, frozenset(names.values()))
+            return _Item(given, entity_id, context, names, shares)
+        except (Problem, AttributeError):  # which the broker's own share will tell of
+            core = await self._sources.forwarder.contexts.of(None)
+            told = given.get("id") if isinstance(given, dict) else given
+            return _Item(given, told, core, {}, nothing)
+
+    async def _do_own(self, items: list[_Item]) -> None:
+        if not items:
+            return
+        raw = orjson.dumps([item.own_part for item in items])
+        answer = await self._perform(in_place_of(self._exchange, raw=raw))
+        told = orjson.loads(answer.body) if answer.body else None
+        errors = _errors_in(told)
+        created = set(told) if answer.status == 201 and isinstance(told, list) else set()
+        for item in items:
+            names = item.shares.own or frozenset()
+            problem = errors.get(_key(item.entity_id))
+            status = answer.status if problem is None else _status_of(problem)
+            item.outcomes.append(Outcome(None, names, status, problem))
+            item.is_new = item.is_new or item.entity_id in created
+
+    async def _forward(self, items: list[_Item]) -> None:
+        groups: dict[tuple[Any, ...], tuple[Registration, Tongue, str, list[tuple[_Item, Share]]]] = {}
+        for item in items:
+            for share in item.shares.others:
+                one = share.registration
+                if share.operation is None:
+                    item.outcomes.append(outcomes.of_refusal(one, share.names, self._operation))
+                    continue
+                try:
+                    tongue = await self._sources.forwarder.tongue(
+                        one, item.context, body=self._exchange.content_type()
+                    )
+                except Problem as problem:
+                    unheard = Unheard(one, SILENT, 502, problem.detail)
+                    item.outcomes.append(outcomes.of_silence(unheard, share.names))
+                    continue
+                key = (one.id, share.operation, tongue.media_type, tongue.link, tongue.context.key)
+                groups.setdefault(key, (one, tongue, share.operation, []))[3].append((item, share))
+        await all_of(*(self._forward_group(*group) for group in groups.values()))
+
+    async def _forward_group(
+        self, one: Registration, tongue: Tongue, operation: str, shares: list[tuple[_Item, Share]]
+    ) -> None:
+        if operation == self._operation:
+            for start in range(0, len(shares), MOST_AT_ONCE):
+                await self._forward_batch(one, tongue, shares[start : start + MOST_AT_ONCE])
+            return
+        turn = asyncio.Semaphore(AT_A_TIME)
+
+        async def alone(item: _Item, share: Share) -> None:
+            async with turn:
+                item.outcomes.append(await self._forward_one(one, tongue, item, share))
+
+        await all_of(*(alone(item, share) for item, share in shares))
+
+    async def _forward_batch(
+        self, one: Registration, tongue: Tongue, shares: list[tuple[_Item, Share]]
+    ) -> None:
+        documents = [_document(item, share, tongue) for item, share in shares]
+        path = f"entityOperations/{self._operation.removesuffix('Batch')}"
+        question = Question("POST", path, tongue, self._parameters, documents)
+        try:
+            reply, _ = await self._sources.forwarder.ask(one, question, self._sources.asking)
+        except Unheard as unheard:
+            for item, share in shares:
+                item.outcomes.append(outcomes.of_silence(unheard, share.names))
+            return
+        errors, created = _told_in(reply.body) if reply.status in {201, 207} else ({}, set())
+        for item, share in shares:
+            problem = errors.get(_key(item.entity_id))
+            if problem is not None:
+                status = _status_of(problem)
+                item.outcomes.append(Outcome(one, share.names, status, problem))
+            elif reply.status == 207 and errors:
+                item.outcomes.append(Outcome(one, share.names, 204))
+            else:
+                item.outcomes.append(outcomes.of_reply(one, share.names, reply))
+            item.is_new = item.is_new or item.entity_id in created
+
+    async def _forward_one(self, one: Registration, tongue: Tongue, item: _Item, share: Share) -> Outcome:
+        _, method, path = _SINGLY[self._operation]
+        outcome = await self._asked_alone(one, tongue, item, share, method, path)
+        if self._operation != "upsertBatch":
+            return outcome
+        if outcome.status != 409:
+            item.is_new = item.is_new or outcome.problem is None
+            return outcome
+        keeps = "update" in self._exchange.parameters.get("options", "").split(",")
+        if one.takes("appendAttrs" if keeps else "replaceEntity"):
+            method, path = ("POST", "entities/{id}/attrs") if keeps else ("PUT", "entities/{id}")
+            return await self._asked_alone(one, tongue, item, share, method, path)
+        return outcome
+
+    async def _asked_alone(  # noqa: PLR0917 - the parts of one request
+        self, one: Registration, tongue: Tongue, item: _Item, share: Share, method: str, path: str
+    ) -> Outcome:
+        document = None if method == "DELETE" else _document(item, share, tongue)
+        options = () if self._operation == "upsertBatch" else self._parameters
+        where = path.replace("{id}", quoted(item.entity_id))
+        question = Question(method, where, tongue, options, document)
+        try:
+            reply, _ = await self._sources.forwarder.ask(one, question, self._sources.asking)
+        except Unheard as unheard:
+            return outcomes.of_silence(unheard, share.names)
+        return outcomes.of_reply(one, share.names, reply)
+
+    def _result(self, items: Iterable[_Item]) -> Answer:
+        success: list[Any] = []
+        errors: list[dict[str, Any]] = []
+        created: list[Any] = []
+        for item in items:
+            _, failed = outcomes.settled(item.outcomes)
+            if failed:
+                errors += outcomes.entity_errors(item.entity_id, failed)
+                continue
+            success.append(item.entity_id)
+            if item.is_new or self._operation == "createBatch":
+                created.append(item.entity_id)
+        if errors:
+            return outcomes.multi_status({"success": success, "errors": errors})
+        if created:
+            return Answer(201, orjson.dumps(created), [(b"content-type", JSON.encode())])
+        return Answer(204)
+
+
+def _is_refused(item: _Item) -> bool:
+    return any(one.problem is not None and one.status != 404 for one in item.outcomes)
+
+
+def _document(item: _Item, share: Share, tongue: Tongue) -> Any:
+    if not isinstance(item.given, Mapping):
+        return item.given
+    return in_tongue(item.part(share.names), item.context, tongue)
+
+
+def _told_in(body: bytes) -> tuple[dict[Any, dict[str, Any]], set[Any]]:
+    """Return the errors in what a source answers to a batch, by id, and the ids of what it created."""
+    try:
+        told = orjson.loads(body) if body else None
+    except orjson.JSONDecodeError:
+        return {}, set()
+    return _errors_in(told), {one for one in told if isinstance(one, str)} if isinstance(
+        told, list
+    ) else set()
+
+
+def _errors_in(told: Any) -> dict[Any, dict[str, Any]]:
+    errors = told.get("errors") if isinstance(told, dict) else None
+    return {
+        _key(one.get("entityId")): one["error"]
+        for one in (errors if isinstance(errors, list) else ())
+        if isinstance(one, dict) and isinstance(one.get("error"), dict)
+    }
+
+
+def _status_of(problem: Mapping[str, Any]) -> int:
+    told = problem.get("status")
+    return told if isinstance(told, int) and 400 <= told < 600 else 400
+
+
+def _key(entity_id: Any) -> Any:
+    return entity_id if isinstance(entity_id, str) else None

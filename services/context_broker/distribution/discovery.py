@@ -1,0 +1,258 @@
+"""Types and attributes of all sources (clauses 5.7.5 to 5.7.11).
+
+What registrations say is told by the room; here the sources themselves are asked, and what they have of what
+they are registered for is added.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import JSON_LD, Answer, Exchange
+from services.context_broker.contexts.book import Context
+from services.context_broker.distribution.distribution import Performing, Sources, all_of
+from services.context_broker.distribution.forwarding import INVALID, SILENT, Question, Tongue, Unheard, quoted
+from services.context_broker.distribution.source_answers import heard
+from services.context_broker.queries.reading import json_headers
+from services.context_broker.sources.registration import Asked, Registration
+
+Told = tuple[Registration, Tongue, Any]
+"""A source, how it was spoken to, and the document that it answered."""
+_EVERYTHING: Final = Asked()
+
+
+async def types(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """GET types."""
+    has_details = exchange.parameter("details") == "true"
+    operation = "retrieveEntityTypeDetails" if has_details else "retrieveEntityTypes"
+    context = await exchange.reader_context()
+    told = await _told(sources, operation, _EVERYTHING, context, lambda _: "types", details=has_details)
+    answer = await perform(exchange)
+    if not told:
+        return answer
+    if not has_details:
+        found = {name for one in told for name in _iris(one, "typeList") if _has_type(one[0], name)}
+        return _with_list(answer, "typeList", found, context)
+    entries = [entry for one in told for entry in _entries(one, "attributeNames", _has_type)]
+    return _with_entries(answer, "EntityType", ("typeName", "attributeNames"), entries, context)
+
+
+async def attributes(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """GET attributes."""
+    has_details = exchange.parameter("details") == "true"
+    operation = "retrieveAttrTypeDetails" if has_details else "retrieveAttrTypes"
+    context = await exchange.reader_context()
+    told = await _told(sources, operation, _EVERYTHING, context, lambda _: "attributes", details=has_details)
+    answer = await perform(exchange)
+    if not told:
+        return answer
+    if not has_details:
+        found = {name for one in told for name in _iris(one, "attributeList") if _has_attribute(one[0], name)}
+        return _with_list(answer, "attributeList", found, context)
+    entries = [entry for one in told for entry in _entries(one, "typeNames", _has_attribute)]
+    return _with_entries(answer, "Attribute", ("attributeName", "typeNames"), entries, context)
+
+
+async def type_details(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """GET types/{type}."""
+    context = await exchange.reader_context()
+    kind = context.terms.expand(exchange.names[0])
+    asked = Asked(types=frozenset({kind}))
+    told = await _told(
+        sources, "retrieveEntityTypeInfo", asked, context, lambda tongue: f"types/{quoted(tongue.name(kind))}"
+    )
+    empty = {
+        "id": kind,
+        "type": "EntityTypeInfo",
+        "typeName": context.terms.compact(kind),
+        "entityCount": 0,
+        "attributeDetails": [],
+    }
+    answer = await _own(exchange, perform, empty if told else None, context)
+    body = orjson.loads(answer.body)
+    if not told or not isinstance(body, dict):
+        return answer
+    details = {one["id"]: one for one in body["attributeDetails"]}
+    for registration, tongue, document in told:
+        body["entityCount"] += _count(document, "entityCount")
+        details_there = document.get("attributeDetails")
+        for one in details_there if isinstance(details_there, list) else ():
+            name = _iri(one, "attributeName", tongue)
+            if name is not None and _has_attribute(registration, name):
+                own = details.setdefault(name, {"id": name, "type": "Attribute", "attributeTypes": []})
+                own["attributeName"] = context.terms.compact(name)
+                own["attributeTypes"] = _union(own["attributeTypes"], one.get("attributeTypes"))
+    body["attributeDetails"] = list(details.values())
+    return Answer(answer.status, orjson.dumps(body), answer.headers)
+
+
+async def attribute_details(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """GET attributes/{attrId}."""
+    context = await exchange.reader_context()
+    name = context.terms.expand(exchange.names[0])
+    asked = Asked(attributes=frozenset({name}))
+    told = await _told(
+        sources,
+        "retrieveAttrTypeInfo",
+        asked,
+        context,
+        lambda tongue: f"attributes/{quoted(tongue.name(name))}",
+    )
+    empty = {
+        "id": name,
+        "type": "Attribute",
+        "attributeName": context.terms.compact(name),
+        "attributeCount": 0,
+        "attributeTypes": [],
+        "typeNames": [],
+    }
+    answer = await _own(exchange, perform, empty if told else None, context)
+    body = orjson.loads(answer.body)
+    if not told or not isinstance(body, dict):
+        return answer
+    for registration, tongue, document in told:
+        body["attributeCount"] += _count(document, "attributeCount")
+        body["attributeTypes"] = _union(body["attributeTypes"], document.get("attributeTypes"))
+        kinds = [tongue.context.terms.expand(one) for one in _texts(document.get("typeNames"))]
+        there = [context.terms.compact(one) for one in kinds if _has_type(registration, one)]
+        body["typeNames"] = _union(body["typeNames"], there)
+    return Answer(answer.status, orjson.dumps(body), answer.headers)
+
+
+async def _told(
+    sources: Sources,
+    operation: str,
+    asked: Asked,
+    context: Context,
+    path: Callable[[Tongue], str],
+    *,
+    details: bool = False,
+) -> list[Told]:
+    async def ask(registration: Registration) -> Told | None:
+        try:
+            tongue = await sources.forwarder.tongue(registration, context, body=None)
+            parameters = (("details", "true"),) if details else ()
+            reply = await heard(sources, registration, Question("GET", path(tongue), tongue, parameters))
+            if reply is None:
+                return None
+            document = orjson.loads(reply.body)
+        except Unheard as unheard:
+            sources.note(unheard)
+        except orjson.JSONDecodeError as error:
+            sources.note(
+                Unheard(registration, INVALID, 502, f"{registration.endpoint} answers no JSON: {error}")
+            )
+        except Problem as problem:
+            sources.note(Unheard(registration, SILENT, 502, problem.detail))
+        else:
+            if isinstance(document, list if details else dict):
+                return registration, tongue, document
+            sources.warn(INVALID, f"{registration.endpoint} answers something else than was asked for")
+        return None
+
+    matches = sources.unasked(sources.registry.matching(operation, asked))
+    found = await all_of(*(ask(one.registration) for one in matches))
+    return [one for one in found if one is not None]
+
+
+async def _own(
+    exchange: Exchange, perform: Performing, empty: dict[str, Any] | None, context: Context
+) -> Answer:
+    """Return the broker's own answer, or an empty one where it has nothing and others have."""
+    try:
+        return await perform(exchange)
+    except Problem as problem:
+        if problem.status != 404 or empty is None:
+            raise
+    if exchange.accept() == JSON_LD:
+        body = orjson.dumps({"@context": context.document, **empty})
+        return Answer(200, body, [(b"content-type", JSON_LD.encode())])
+    return Answer(200, orjson.dumps(empty), json_headers(context))
+
+
+def _with_list(answer: Answer, member: str, found: Iterable[str], context: Context) -> Answer:
+    body = orjson.loads(answer.body)
+    known = {context.terms.expand(one) for one in body[member]}
+    names = sorted(known.union(found))
+    body[member] = [context.terms.compact(one) for one in names]
+    return _counted(answer, body, len(names))
+
+
+def _with_entries(
+    answer: Answer,
+    kind: str,
+    members: tuple[str, str],
+    entries: Iterable[tuple[str, list[str]]],
+    context: Context,
+) -> Answer:
+    body = orjson.loads(answer.body)
+    known = {one["id"]: one for one in body}
+    name, below = members
+    shape = {"@context": context.document} if body and "@context" in body[0] else {}
+    for iri, others in entries:
+        fresh = {**shape, "id": iri, "type": kind, name: context.terms.compact(iri), below: []}
+        own = known.setdefault(iri, fresh)
+        own[below] = _union(own[below], [context.terms.compact(one) for one in others])
+    return _counted(answer, [known[iri] for iri in sorted(known)], len(known))
+
+
+def _counted(answer: Answer, body: Any, count: int) -> Answer:
+    headers = [
+        (name, str(count).encode() if name == b"ngsild-results-count" else value)
+        for name, value in answer.headers
+    ]
+    return Answer(answer.status, orjson.dumps(body), headers)
+
+
+def _has_type(registration: Registration, kind: str) -> bool:
+    return any(
+        not piece.entities or any(kind in one.types for one in piece.entities)
+        for piece in registration.information
+    )
+
+
+def _has_attribute(registration: Registration, name: str) -> bool:
+    return any(piece.attributes is None or name in piece.attributes for piece in registration.information)
+
+
+def _iris(told: Told, member: str) -> list[str]:
+    _, tongue, document = told
+    return [tongue.context.terms.expand(one) for one in _texts(document.get(member))]
+
+
+def _entries(
+    told: Told, member: str, has: Callable[[Registration, str], bool]
+) -> Iterable[tuple[str, list[str]]]:
+    registration, tongue, document = told
+    name = "typeName" if member == "attributeNames" else "attributeName"
+    below = _has_attribute if member == "attributeNames" else _has_type
+    for one in document:
+        iri = _iri(one, name, tongue)
+        if iri is not None and has(registration, iri):
+            others = [tongue.context.terms.expand(other) for other in _texts(one.get(member))]
+            yield iri, [other for other in others if below(registration, other)]
+
+
+def _iri(document: Any, name: str, tongue: Tongue) -> str | None:
+    if not isinstance(document, dict):
+        return None
+    told = document.get(name)
+    if isinstance(told, str) and told:
+        return tongue.context.terms.expand(told)
+    told = document.get("id")
+    return told if isinstance(told, str) else None
+
+
+def _count(document: Mapping[str, Any], member: str) -> int:
+    told = document.get(member)
+    return told if isinstance(told, int) and not isinstance(told, bool) else 0
+
+
+def _texts(given: Any) -> list[str]:
+    return [one for one in given if isinstance(one, str)] if isinstance(given, list) else []
+
+
+def _union(own: list[str], others: Any) -> list[str]:
+    return sorted({*own, *_texts(others)})

@@ -1,0 +1,142 @@
+"""Distribution: operations that other context sources have a share in (clauses 4.3.6, 5.5 and 6.3.17).
+
+The rooms do everything for the broker's own entities. Where a tenant has registrations, an operation passes
+through here first: the sources concerned are asked, all at once, and their answers and the broker's own
+become one. `local=true` and what no registration is about stay with the rooms.
+"""
+
+import asyncio
+import copy
+import functools
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from typing import Any, Final
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import Answer, Exchange, problem_answer
+from services.context_broker.api.operation import Operation
+from services.context_broker.api.problems import ERRORS
+from services.context_broker.distribution.forwarding import Asking, Forwarder, Unheard
+from services.context_broker.distribution.via import LONGEST_CHAIN, chain
+from services.context_broker.sources.registration import Match, Registration
+
+Performing = Callable[[Exchange], Awaitable[Answer]]
+"""Carries an operation out on the broker's own entities."""
+
+LONGEST_WARNING: Final = 300
+"""Characters of the reason that a warning gives."""
+
+
+class Sources:
+    """The context sources of one tenant, as they can be asked on behalf of one request.
+
+    `warnings` gathers what went wrong, for those who get an answer all the same (table 6.3.17-1).
+    """
+
+    def __init__(self, exchange: Exchange, forwarder: Forwarder) -> None:
+        self.exchange = exchange
+        self.forwarder = forwarder
+        self.registry = exchange.tenant.registry
+        self.asking = Asking(exchange.headers, exchange.tenant.alias, self.registry)
+        self.warnings: dict[tuple[int, str], None] = {}
+        self.unheard: list[Unheard] = []
+        self._passed = frozenset(chain(exchange.headers.get(b"via", b"")))
+
+    def unasked(self, matches: Iterable[Match]) -> list[Match]:
+        """Return the matches whose sources the request has not passed already (clause 4.3.6.7)."""
+        return [one for one in matches if not self.has_passed(one.registration)]
+
+    def has_passed(self, registration: Registration) -> bool:
+        """Say whether the request has passed a source already."""
+        return self.forwarder.alias_of(registration) in self._passed
+
+    def warn(self, code: int, why: str) -> None:
+        """Note something to warn of."""
+        self.warnings[code, why] = None
+
+    def note(self, unheard: Unheard) -> None:
+        """Note that a source was not heard."""
+        self.unheard.append(unheard)
+        self.warn(unheard.warning, unheard.why)
+
+    def with_warnings(self, answer: Answer) -> Answer:
+        """Return the answer with what there is to warn of."""
+        name = self.asking.name
+        for code, why in self.warnings:
+            text = "".join(sign if " " <= sign <= "~" and sign not in '"\\' else "'" for sign in why)
+            warning = f'{code} {name} "{text[:LONGEST_WARNING]}"'
+            answer.headers.append((b"ngsild-warning", warning.encode()))
+        return answer
+
+
+Handling = Callable[[Sources, Exchange, Performing], Awaitable[Answer]]
+
+
+class Distribution:
+    """Carries out operations together with other sources; how (by name) is looked up at the first one."""
+
+    def __init__(self, forwarder: Forwarder, handlings: Callable[[], Mapping[str, Handling]]) -> None:
+        self.forwarder = forwarder
+        self._handlings = functools.cache(handlings)
+
+    async def answer(self, operation: Operation, exchange: Exchange) -> Answer:
+        """Answer a request of a tenant that has registrations."""
+        handling = self._handlings().get(operation.name)
+        if handling is None or is_local(exchange):
+            return await operation.answer(exchange)
+        sources = Sources(exchange, self.forwarder)
+        passed = chain(exchange.headers.get(b"via", b""))
+        name = sources.asking.name
+        try:
+            if name in passed or len(passed) > LONGEST_CHAIN:
+                raise loop_detected(name)
+            answer = await handling(sources, exchange, operation.answer)
+        except Problem as problem:
+            if problem.__cause__ is not None:  # another broker was quicker: all is done again
+                raise
+            answer = problem_answer(problem)
+        if passed:  # who asks learns our name, and need not ask us another time for what has passed us
+            answer = Answer(answer.status, answer.body, [*answer.headers, (b"via", f"1.1 {name}".encode())])
+        return sources.with_warnings(answer) if sources.warnings else answer
+
+
+def is_local(exchange: Exchange) -> bool:
+    """Say whether a request is about what the broker itself has (clause 6.3.18)."""
+    return (
+        exchange.parameter("local") == "true"
+        or exchange.parameter("type") == "*"
+        or b"ngsild-snapshot" in exchange.headers
+    )
+
+
+def in_place_of(exchange: Exchange, **changed: Any) -> Exchange:
+    """Return the exchange with some of its parts changed, for the broker's own share of the operation."""
+    result = copy.copy(exchange)
+    for name, value in changed.items():
+        setattr(result, name, value)
+    return result
+
+
+async def all_of(*asked: Awaitable[Any]) -> list[Any]:
+    """Return what all awaited things return; they run at the same time."""
+    return list(await asyncio.gather(*asked))
+
+
+def loop_detected(name: str) -> Problem:
+    """The request has been here already."""
+    return Problem(
+        508,
+        "Loop detected",
+        f"the request has passed {name} already (see its Via header); registrations lead round in a circle: "
+        'set "management": {"localOnly": true} in one of them, or ask with local=true',
+        ERRORS + "LoopDetected",
+    )
+
+
+def gateway_problem(unheard: Unheard) -> Problem:
+    """Nothing could be done because a source was not heard (clause 6.3.17)."""
+    one = unheard.registration.id
+    if unheard.status == 508:
+        return Problem(508, "Loop detected", f"registration {one}: {unheard.why}", ERRORS + "LoopDetected")
+    title = "Gateway timeout" if unheard.status == 504 else "Bad gateway"
+    detail = f"the source of registration {one} holds what was asked for: {unheard.why}; try again later"
+    return Problem(unheard.status, title, detail, ERRORS + "InternalError", {"registrationId": one})

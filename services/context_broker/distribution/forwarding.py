@@ -1,0 +1,275 @@
+"""Forwarding: one question to one context source over HTTP, in the words and headers that it wants.
+
+Clauses 4.3.6.5 and 4.3.6.6 (what contextSourceInfo says), 6.3.17 (what may go wrong), 6.3.18 (Via, local).
+"""
+
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+from urllib.parse import quote
+
+import orjson
+
+from handover.telemetry import get_logger
+from services.context_broker.api.exchange import JSON, JSON_LD
+from services.context_broker.contexts.book import CORE, Context, ContextBook
+from services.context_broker.distribution.translation import older, translated
+from services.context_broker.distribution.via import chain, lengthened
+from services.context_broker.sources.registration import Registration
+from services.context_broker.sources.registry import Registry
+from services.context_broker.subscriptions.http_sender import HttpAsker, Reply, SendError, TooLarge, TooSlow
+
+log = get_logger(__name__)
+
+FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
+"""Stands in contextSourceInfo for the value of the same header in the request (clause 4.3.6.5)."""
+MOST_REMEMBERED: Final = 256
+"""Answers that are kept for sources whose registration allows it (localCache)."""
+MOST_ALIASES: Final = 10_000
+"""Sources whose own names are remembered."""
+LARGEST_REMEMBERED: Final = 1024 * 1024
+"""Bytes of such an answer."""
+_PROCESSED: Final = frozenset({"jsonldcontext", "accept", "contenttype", "ngsildconformance"})
+_NOT_THEIRS: Final = frozenset(
+    {"host", "content-length", "content-type", "transfer-encoding", "connection", "keep-alive", "upgrade",
+     "te", "trailer", "expect", "via", "ngsild-tenant", "link"}
+)  # fmt: skip
+"""Headers that belong to the way a request travels: contextSourceInfo cannot set them."""
+
+STALE, INVALID, SILENT, REFUSED = 110, 111, 199, 299
+"""What NGSILD-Warning tells (table 6.3.17-1): data that was kept, an answer that cannot be used, no answer in
+time or a loop, an answer that is an error."""
+
+
+class Unheard(Exception):
+    """A source did not answer the question: `warning` for those who read, `status` for those who write.
+
+    `answered` is the status of an answer that was a refusal.
+    """
+
+    def __init__(
+        self, registration: Registration, warning: int, status: int, why: str, answered: int | None = None
+    ) -> None:
+        super().__init__(why)
+        self.registration = registration
+        self.warning = warning
+        self.status = status
+        self.why = why
+        self.answered = answered
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """On whose behalf sources are asked: the headers of the request, and the chain that it has come by."""
+
+    headers: Mapping[bytes, bytes]
+    name: str
+    """The alias of this broker for the tenant of the request."""
+    registry: Registry
+
+
+@dataclass(frozen=True, slots=True)
+class Tongue:
+    """How a source is spoken to: the @context of names, the media type of bodies, the Link to the context."""
+
+    context: Context
+    media_type: str
+    link: str | None
+
+    def name(self, iri: str) -> str:
+        """Return what a type or an attribute is called there."""
+        return self.context.terms.compact(iri)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a source is asked; `path` is what comes after the root of the API, percent-encoded."""
+
+    method: str
+    path: str
+    tongue: Tongue
+    parameters: tuple[tuple[str, str], ...] = ()
+    document: Any = None
+
+
+@dataclass(slots=True)
+class _Remembered:
+    reply: Reply
+    until_s: float
+
+
+@dataclass(slots=True)
+class Forwarder:
+    """Asks the context sources of all tenants."""
+
+    contexts: ContextBook
+    timeout_s: float
+    asker: HttpAsker = field(default_factory=HttpAsker)
+    small_pages: set[str] = field(default_factory=set)
+    """Endpoints of sources that refuse large pages."""
+    _aliases: dict[tuple[str, str], str] = field(default_factory=dict)
+    _hung: dict[tuple[str, str], float] = field(default_factory=dict)
+    _remembered: OrderedDict[tuple[Any, ...], _Remembered] = field(default_factory=OrderedDict)
+
+    def alias_of(self, registration: Registration) -> str | None:
+        """Return what a source calls itself in Via: as it is registered, or as it has answered once."""
+        if registration.alias is not None:
+            return registration.alias
+        return self._aliases.get((registration.endpoint, registration.tenant))
+
+    async def tongue(self, registration: Registration, context: Context, *, body: str | None) -> Tongue:
+        """Return how to speak to a source when the request was made in `context`.
+
+        `body` is the media type of the request's body, None if nothing is sent: JSON-LD is passed on as
+        JSON-LD. Raises a problem (504) when the source's own @context cannot be loaded.
+        """
+        wanted = _info(registration, "jsonldContext")
+        if wanted is not None:
+            return Tongue(await self.contexts.of(wanted), JSON, wanted)
+        media_type = _info(registration, "contentType")
+        if body is not None and (media_type or body) == JSON_LD:
+            return Tongue(context, JSON_LD, None)
+        if context.document == CORE:
+            return Tongue(context, JSON, None)
+        if context.link is not None:
+            return Tongue(context, JSON, context.link)
+        if body is not None and media_type is None:
+            return Tongue(context, JSON_LD, None)
+        return Tongue(await self.contexts.of(None), JSON, None)  # no Link can carry it: names in full
+
+    async def ask(self, registration: Registration, question: Question, asking: Asking) -> tuple[Reply, bool]:
+        """Return the answer, whatever its status, and whether it was one that had been kept.
+
+        Raises `Unheard` when there is none: the source is silent, out of reach or at rest after a failure.
+        """
+        headers = _headers(registration, question, asking)
+        url = _url(registration, question)
+        is_kept = question.method == "GET" and registration.management.cache_s > 0
+        key = (registration.id, url, *headers)
+        if is_kept and (kept := self._remembered.get(key)) and kept.until_s > time.monotonic():
+            return kept.reply, True
+        self._refuse_at_rest(registration, asking.registry)
+        reply = await self._asked(registration, question, asking.registry, url, headers)
+        if is_kept and reply.status == 200 and len(reply.body) <= LARGEST_REMEMBERED:
+            self._remember(key, reply, registration.management.cache_s)
+        return reply, False
+
+    async def _asked(
+        self,
+        registration: Registration,
+        question: Question,
+        registry: Registry,
+        url: str,
+        headers: list[tuple[str, str]],
+    ) -> Reply:
+        timeout_s = registration.management.timeout_s or self.timeout_s
+        try:
+            reply = await self.asker.ask(
+                question.method, url, headers, _body(registration, question), timeout_s
+            )
+        except SendError as error:
+            if isinstance(error, TooSlow):
+                # One that hangs costs its patience once, then nothing for as long: others need not wait too.
+                self._hung[registry.tenant, registration.id] = time.monotonic() + timeout_s
+            registry.note(registration, succeeded=False)
+            warning = INVALID if isinstance(error, TooLarge) else SILENT
+            why = f"{registration.endpoint}: {error}"
+            log.info("context source failed", registration=registration.id, why=why)
+            raise Unheard(registration, warning, 504 if isinstance(error, TooSlow) else 502, why) from None
+        registry.note(registration, succeeded=reply.status < 500 or reply.status == 508)
+        if names := chain(reply.headers.get("via", "").encode("latin-1", "replace")):
+            if len(self._aliases) >= MOST_ALIASES:
+                self._aliases.clear()
+            self._aliases[registration.endpoint, registration.tenant] = names[0]
+        return reply
+
+    def _refuse_at_rest(self, registration: Registration, registry: Registry) -> None:
+        key = registry.tenant, registration.id
+        until_s = self._hung.get(key)
+        if until_s is not None and until_s <= time.monotonic():
+            del self._hung[key]
+            until_s = None
+        if until_s is not None or registry.rests(registration):
+            why = f"{registration.endpoint} failed a moment ago and is left alone for a while"
+            raise Unheard(registration, SILENT, 504, why)
+
+    def _remember(self, key: tuple[Any, ...], reply: Reply, seconds: float) -> None:
+        self._remembered[key] = _Remembered(reply, time.monotonic() + seconds)
+        self._remembered.move_to_end(key)
+        if len(self._remembered) > MOST_REMEMBERED:
+            self._remembered.popitem(last=False)
+
+
+def _info(registration: Registration, key: str) -> str | None:
+    wanted = key.lower()
+    return next((value for name, value in registration.source_info if name.lower() == wanted), None)
+
+
+def _url(registration: Registration, question: Question) -> str:
+    parameters: Iterable[tuple[str, str]] = question.parameters
+    if registration.management.local_only:
+        parameters = (*parameters, ("local", "true"))
+    query = "&".join(f"{name}={quote(value, safe=_PLAIN_IN_QUERIES)}" for name, value in parameters)
+    url = registration.url(question.path)
+    return f"{url}?{query}" if query else url
+
+
+_PLAIN_IN_QUERIES: Final = ":,/()*"
+"""Signs that need no escape in a query and that make it easier to read in logs."""
+
+
+def _body(registration: Registration, question: Question) -> bytes:
+    if question.document is None:
+        return b""
+    version = _info(registration, "ngsildConformance")
+    document = question.document if version is None else older(question.document, version)
+    if question.tongue.media_type == JSON_LD:
+        document = _with_context(document, question.tongue.context.document)
+    return orjson.dumps(document)
+
+
+def _with_context(document: Any, context: Any) -> Any:
+    if isinstance(document, list):
+        return [_with_context(one, context) for one in document]
+    return {"@context": context, **document} if isinstance(document, dict) else document
+
+
+def _headers(registration: Registration, question: Question, asking: Asking) -> list[tuple[str, str]]:
+    tongue = question.tongue
+    headers = [
+        ("Accept", _info(registration, "accept") or JSON),
+        ("Via", lengthened(asking.headers.get(b"via", b""), asking.name)),
+    ]
+    if question.document is not None:
+        headers.append(("Content-Type", tongue.media_type))
+    if tongue.link is not None and (question.document is None or tongue.media_type != JSON_LD):
+        link = f'<{tongue.link}>; rel="http://www.w3.org/ns/json-ld#context"; type="{JSON_LD}"'
+        headers.append(("Link", link))
+    if registration.tenant:
+        headers.append(("NGSILD-Tenant", registration.tenant))
+    for name, value in registration.source_info:
+        if name.lower() in _PROCESSED or name.lower() in _NOT_THEIRS:
+            continue
+        if value == FROM_THE_REQUEST:
+            value = asking.headers.get(name.lower().encode("latin-1", "replace"), b"").decode("latin-1")  # noqa: PLW2901
+        if value and value.isprintable() and value.isascii() and _TOKEN.issuperset(name):
+            headers.append((name, value))
+    return headers
+
+
+_TOKEN: Final = frozenset("!#$%&'*+-.^_`|~0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ")
+
+
+def in_tongue(document: Any, context: Context, tongue: Tongue) -> Any:
+    """Return a document whose names are in `context` with the names of the source, without @context."""
+    if isinstance(document, list):
+        return [in_tongue(one, context, tongue) for one in document]
+    plain = {name: said for name, said in document.items() if name != "@context"}
+    return plain if tongue.context is context else translated(plain, context.terms, tongue.context.terms)
+
+
+def quoted(part: str) -> str:
+    """Return a part of a path, percent-encoded."""
+    return quote(part, safe=":")

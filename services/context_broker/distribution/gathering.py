@@ -1,0 +1,77 @@
+"""Gathering: what sources have told of the entities that one request is about (clauses 4.3.6.2 and 4.3.6.3).
+
+Each tells what it is registered for; what an exclusive or redirect source has is taken from nobody else.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from services.context_broker.distribution.fragments import Fragment, limited, merged
+from services.context_broker.entities.entity import Entity
+from services.context_broker.sources.registration import Mode, Registration
+from services.context_broker.storage.store import Store
+
+
+@dataclass(slots=True)
+class Gathering:
+    """What is known of the entities that a request is about."""
+
+    fragments: dict[str, list[Fragment]] = field(default_factory=dict)
+
+    def add(self, registration: Registration, entities: Iterable[Entity]) -> None:
+        """Take what a source has told, as far as its registration is about it."""
+        for entity in entities:
+            told = about(registration, entity)
+            if told is not None:
+                rank = (int(registration.mode) + 1, registration.id)
+                fills_gaps = registration.mode is Mode.AUXILIARY
+                self.fragments.setdefault(entity.id, []).append(Fragment(told, rank, fills_gaps))
+
+    def origins(self, store: Store) -> dict[str, list[str]]:
+        """Return who told of each entity, by registration; `@none` for the broker itself (clause 5.2.39)."""
+        return {
+            one: ([] if store.get(one) is None else ["@none"])
+            + list(dict.fromkeys(fragment.rank[1] for fragment in fragments))
+            for one, fragments in self.fragments.items()
+        }
+
+    def entity(self, own: Entity | None, entity_id: str, proxied: list[Registration]) -> Entity | None:
+        """Return the entity that the broker's own fragment and the others are part of, None if there is none.
+
+        What an exclusive or redirect source has is not taken from anybody else (clause 4.3.6.3).
+        """
+        fragments = list(self.fragments.get(entity_id, ()))
+        if own is not None:
+            fragments.append(Fragment(own, (0, "")))
+        if proxied:
+            fragments = [
+                Fragment(left, one.rank, one.fills_gaps)
+                for one in fragments
+                if (left := unclaimed(one, proxied)) is not None
+            ]
+        return merged(fragments) if fragments else None
+
+
+def about(registration: Registration, entity: Entity) -> Entity | None:
+    """Return what of an entity its source is registered for, None if nothing is."""
+    names: set[str] = set()
+    for piece in registration.information:
+        if piece.is_about(entity):
+            if piece.attributes is None:
+                return entity
+            names |= piece.attributes
+    return limited(entity, frozenset(names)) if names else None
+
+
+def unclaimed(fragment: Fragment, proxied: list[Registration]) -> Entity | None:
+    """Return a fragment without what sources with a stronger claim have; None if that is all of it."""
+    gone: set[str] = set()
+    for one in proxied:
+        if fragment.rank[0] and fragment.rank[0] <= int(one.mode) + 1:
+            continue
+        for piece in one.information:
+            if piece.is_about(fragment.entity):
+                if piece.attributes is None:
+                    return None
+                gone |= piece.attributes
+    return limited(fragment.entity, None, frozenset(gone)) if gone else fragment.entity

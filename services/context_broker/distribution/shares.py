@@ -1,0 +1,81 @@
+"""Shares: which part of a change goes to which source, and which stays here (clauses 4.3.6.2 and 4.3.6.3).
+
+What an exclusive source has goes there and nowhere else; of the rest, what redirect sources have goes to all
+of these; what then remains is the broker's own and goes to inclusive sources besides.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from services.context_broker.distribution.distribution import Sources
+from services.context_broker.sources.operation_names import TEMPORAL
+from services.context_broker.sources.registration import Asked, Mode, Registration
+
+Names = frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What one source is to do: with the attributes `names` (IRIs), `whole` if with the entity as such.
+
+    `operation` is what it takes, None if it takes nothing that would do: then its part cannot be done.
+    """
+
+    registration: Registration
+    names: Names
+    whole: bool
+    operation: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Shares:
+    """How a change is shared; `own` are the attributes that stay, None if nothing is to be done here."""
+
+    others: tuple[Share, ...]
+    own: Names | None
+
+
+def shared(sources: Sources, operations: tuple[str, ...], asked: Asked, names: Names | None) -> Shares:
+    """Return who does what of a change of one entity.
+
+    `operations` are the names under which a source may take it, the best first. `names` are the attributes
+    that the change is about, None if it is about the entity as such (its end).
+    """
+    found = _concerned(sources, operations, asked)
+    remaining, is_elsewhere, others = names or frozenset(), False, list[Share]()
+    for mode in (Mode.EXCLUSIVE, Mode.REDIRECT, Mode.INCLUSIVE):
+        taken: set[str] = set()
+        for one, theirs, operation in found:
+            if one.mode is not mode or (operation is None and not mode.is_proxied):
+                continue
+            part = remaining if theirs is None else remaining & theirs
+            if names is not None and not part and (names or theirs is not None):
+                continue
+            others.append(Share(one, part, theirs is None, operation))
+            if mode.is_proxied:
+                taken |= part
+                is_elsewhere = is_elsewhere or theirs is None
+        remaining -= taken
+    if names is None:
+        return Shares(tuple(others), frozenset())
+    proxied = any(one.registration.mode.is_proxied for one in others)
+    stays = bool(remaining) or (not is_elsewhere and not (names and proxied))
+    return Shares(tuple(others), remaining if stays else None)
+
+
+def _concerned(
+    sources: Sources, operations: tuple[str, ...], asked: Asked
+) -> Iterable[tuple[Registration, Names | None, str | None]]:
+    """Return the sources that a change concerns, the attributes they have (None: all), and what they take."""
+    found = []
+    for one in sources.registry.concerned((asked,)):
+        if one.mode is Mode.AUXILIARY or sources.has_passed(one):
+            continue
+        names: set[str] | None = set()
+        for part in one.parts(asked):
+            names = None if names is None or part.attributes is None else names | part.attributes
+        operation = next((name for name in operations if one.takes(name)), None)
+        if operation is None and (one.is_temporal or not TEMPORAL.isdisjoint(operations)):
+            continue  # who has the present does not have the past to itself, nor the other way round
+        found.append((one, None if names is None else frozenset(names), operation))
+    return found

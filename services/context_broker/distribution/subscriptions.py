@@ -1,0 +1,344 @@
+"""Subscriptions at several sources: passed on, taken back, and what is heard of them told (clause 5.8).
+
+Whenever subscriptions or registrations change, what should be passed on is compared with what is, and the
+difference carried out; what fails is tried again. What sources tell comes in here and goes to the subscriber
+through the outbox, as the broker's own notifications do.
+"""
+
+import asyncio
+import time
+from collections.abc import Iterable
+from functools import partial
+from typing import Any, Final
+from uuid import uuid4
+
+import orjson
+
+from handover.errors import Problem
+from handover.telemetry import get_logger
+from services.context_broker.api.exchange import JSON, Answer, Exchange
+from services.context_broker.api.operation import Operation
+from services.context_broker.api.problems import bad_request_data, not_found, not_stored
+from services.context_broker.api.words import shown
+from services.context_broker.contexts.book import Context, ContextBook
+from services.context_broker.distribution.distribution import Handling, Performing, Sources, all_of
+from services.context_broker.distribution.forwarding import (
+    SILENT,
+    Asking,
+    Forwarder,
+    Question,
+    Unheard,
+    quoted,
+)
+from services.context_broker.distribution.fragments import Fragment, merged, read_fragment
+from services.context_broker.distribution.gathering import about
+from services.context_broker.distribution.relays import (
+    PATH,
+    Relay,
+    digest,
+    passed_on,
+    questions,
+    restored,
+    with_endpoint,
+)
+from services.context_broker.distribution.source_answers import place_of
+from services.context_broker.distribution.translation import translated
+from services.context_broker.distribution.via import chain
+from services.context_broker.entities.entity import Entity
+from services.context_broker.queries.selection import compiled
+from services.context_broker.sources.registration import Registration
+from services.context_broker.storage.journal import Entries, Journal, Kind, Notice, NotStored
+from services.context_broker.storage.tenants import Tenant, Tenants
+from services.context_broker.subscriptions.documents import CAME_BY
+from services.context_broker.subscriptions.http_sender import Reply
+from services.context_broker.subscriptions.notification import as_it_is, notification
+from services.context_broker.subscriptions.subscription import Subscription
+
+log = get_logger(__name__)
+
+SETTLE_S: Final = 0.05
+"""So long registrations may go on changing before subscriptions are brought in step with them."""
+RETRY_S: Final = 10.0
+"""After so long, what could not be passed on or taken back is tried again."""
+
+
+class SubscriptionRelays:
+    """Keeps what is passed on in step with subscriptions and registrations, for all tenants.
+
+    Sources tell of changes at `public_url`; if there is none, at the address by which the broker was last
+    called by a subscriber.
+    """
+
+    def __init__(
+        self, tenants: Tenants, contexts: ContextBook, forwarder: Forwarder, public_url: str | None
+    ) -> None:
+        self._public_url = public_url
+        self._tenants = tenants
+        self._contexts = contexts
+        self._forwarder = forwarder
+        self._relays: dict[str, Relay] = {}
+        self._refused: dict[tuple[str, str, str], str] = {}
+        self._locks: dict[str, asyncio.Lock] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._waking: set[str] = set()
+        self._retrying: set[str] = set()
+        self._base = ""
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return where sources tell of what was passed on."""
+        path = f"{PATH}/{{token}}"
+        name = "relayNotification"
+        return (Operation("POST", path, name, "6.3.8", self.relay, frozenset(), of_no_tenant=True),)
+
+    def handlings(self) -> dict[str, Handling]:
+        """Return what is to be done when subscriptions change."""
+        names = ("createSubscription", "updateSubscription", "deleteSubscription")
+        return dict.fromkeys(names, self._changed)
+
+    async def start(self, journal: Journal) -> None:
+        """Take up what was passed on before, and bring it in step."""
+        self._base = self._contexts.base({})
+        for tenant, token, stored in journal.documents(Kind.RELAY):
+            await self.follow(tenant, token, stored)
+        for relay in self._relays.values():
+            self._base = self._public_url or relay.base
+        self._tenants.on_registration = self.wake
+        for one in self._tenants:
+            if not one.registry.is_empty or self._of(one):
+                self.wake(one)
+
+    def stop(self) -> None:
+        """Leave everything as it is."""
+        for task in self._tasks:
+            task.cancel()
+
+    async def follow(self, tenant: str, token: str, stored: bytes | None) -> None:
+        """Take a relay as the journal has it."""
+        if stored is None:
+            self._relays.pop(token, None)
+            return
+        try:
+            self._relays[token] = await restored(token, tenant, stored, self._contexts)
+        except Problem as problem:
+            log.exception("what was passed on cannot be taken up", relay=token, why=problem.detail)
+
+    def wake(self, tenant: Tenant) -> None:
+        """Bring a tenant's relays in step soon: once for registrations that come in a row."""
+        self._align_later(tenant, SETTLE_S, self._waking)
+
+    def _align_later(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
+        if tenant.name in waiting:
+            return
+        waiting.add(tenant.name)
+
+        async def later() -> None:
+            await asyncio.sleep(after_s)
+            waiting.discard(tenant.name)
+            await self.align(tenant)
+
+        task = asyncio.get_running_loop().create_task(later())
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("subscriptions cannot be passed on", exc_info=error)
+
+    async def _changed(self, sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+        answer = await perform(exchange)
+        self._base = self._contexts.base(exchange.headers)
+        for why in await self.align(exchange.tenant):
+            sources.warn(SILENT, why)
+        return answer
+
+    # Passing on and taking back
+
+    async def align(self, tenant: Tenant) -> list[str]:
+        """Pass on what should be and is not, take back what should not be; return what failed and why."""
+        if not tenant.notifier.outbound.leadership.leads:
+            self._again_later(tenant)  # it may lead by then
+            return []
+        async with self._locks.setdefault(tenant.name, asyncio.Lock()):
+            wanted = await self._wanted(tenant)
+            held = {one.key: one for one in self._of(tenant)}
+            gone = [
+                one for key, one in held.items() if key not in wanted or self._is_other(one, wanted[key][3])
+            ]
+            kept = [one for one in held.values() if one not in gone]
+            failed = [why for why in await all_of(*(self._take_back(tenant, one) for one in gone)) if why]
+            fresh = [
+                self._pass_on(tenant, *wanted[key])
+                for key in wanted
+                if not any(one.key == key and one.is_there for one in kept)
+            ]
+            failed += [why for why in await all_of(*fresh) if why]
+        if failed:
+            self._again_later(tenant)
+        return failed
+
+    def _again_later(self, tenant: Tenant) -> None:
+        self._align_later(tenant, RETRY_S, self._retrying)
+
+    def _is_other(self, relay: Relay, said: str) -> bool:
+        return relay.said != said or (self._public_url is not None and relay.base != self._public_url)
+
+    async def _wanted(
+        self, tenant: Tenant
+    ) -> dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]]:
+        found: dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]] = {}
+        if tenant.registry.is_empty:
+            return found
+        for one in tenant.notifier.all():
+            if not one.is_active(time.time()) or one.document.get("localOnly"):
+                continue
+            for source in self._sources_of(tenant, one):
+                try:
+                    tongue = await self._forwarder.tongue(source, one.names, body=JSON)
+                except Problem as problem:
+                    log.warning("a source cannot be spoken to", registration=source.id, why=problem.detail)
+                    continue
+                document = passed_on(one, source, tongue)
+                found[one.id, source.id] = one, source, document, digest(document)
+        return found
+
+    def _sources_of(self, tenant: Tenant, one: Subscription) -> Iterable[Registration]:
+        """Return the registrations by which a subscription is to be passed on."""
+        where = None
+        if csf := one.document.get("csf"):
+            holds = compiled(csf, one.names).holds
+            where = partial(_described_so, holds)
+        passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
+        found: dict[str, Registration] = {}
+        for asked in questions(one):
+            for match in tenant.registry.matching("createSubscription", asked, where):
+                if self._forwarder.alias_of(match.registration) not in passed:
+                    found[match.registration.id] = match.registration
+        return found.values()
+
+    async def _pass_on(
+        self, tenant: Tenant, one: Subscription, source: Registration, document: dict[str, Any], said: str
+    ) -> str | None:
+        """Return why a source could not be told, None if it could or will never take it."""
+        refused = (tenant.name, one.id, source.id)
+        if self._refused.get(refused) == said:
+            return None
+        held = next((relay for relay in self._of(tenant) if relay.key == (one.id, source.id)), None)
+        made = held or Relay(uuid4().hex, tenant.name, one.id, source, said, self._base, is_there=False)
+        try:
+            if held is None:
+                await self._keep(tenant, made)
+            tongue = await self._forwarder.tongue(source, one.names, body=JSON)
+            body = with_endpoint(document, made.base, made.token)
+            question = Question("POST", "subscriptions", tongue, (), body)
+            reply, _ = await self._forwarder.ask(source, question, self._asking(tenant, one))
+        except Unheard as unheard:
+            return unheard.why
+        except (NotStored, Problem) as error:
+            return str(error)
+        if reply.status in {201, 409}:  # there already: an answer was lost
+            await self._keep(tenant, made.there())
+            return None
+        if reply.status >= 500 and reply.status != 508:
+            return f"{source.endpoint} answers {reply.status} to a subscription"
+        log.warning("a source refuses a subscription", registration=source.id, status=reply.status)
+        self._refused[refused] = said
+        await self._forget(tenant, made)
+        return None if reply.status == 508 else _refusal(source, reply)
+
+    async def _take_back(self, tenant: Tenant, relay: Relay) -> str | None:
+        try:
+            tongue = await self._forwarder.tongue(
+                relay.registration, await self._contexts.of(None), body=None
+            )
+            question = Question("DELETE", f"subscriptions/{quoted(relay.id)}", tongue)
+            asking = Asking({}, tenant.alias, tenant.registry)
+            reply, _ = await self._forwarder.ask(relay.registration, question, asking)
+            if reply.status >= 500:
+                return f"{relay.registration.endpoint} answers {reply.status}"
+            await self._forget(tenant, relay)
+        except Unheard as unheard:
+            return unheard.why
+        except (NotStored, Problem) as error:
+            return str(error)
+        return None
+
+    def _asking(self, tenant: Tenant, one: Subscription) -> Asking:
+        came_by = str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")
+        return Asking({b"via": came_by} if came_by else {}, tenant.alias, tenant.registry)
+
+    def _of(self, tenant: Tenant) -> list[Relay]:
+        return [one for one in self._relays.values() if one.tenant == tenant.name]
+
+    async def _keep(self, tenant: Tenant, relay: Relay) -> None:
+        key = (Kind.RELAY, tenant.name, relay.token)
+        await tenant.commits.store(Entries(documents={key: relay.stored()}))
+        self._relays[relay.token] = relay
+
+    async def _forget(self, tenant: Tenant, relay: Relay) -> None:
+        await tenant.commits.store(Entries(documents={(Kind.RELAY, tenant.name, relay.token): None}))
+        self._relays.pop(relay.token, None)
+
+    # What is heard
+
+    async def relay(self, exchange: Exchange) -> Answer:
+        """POST relayedNotifications/{token}: a source tells of what was passed on to it."""
+        relay = self._relays.get(exchange.names[0])
+        if relay is None:
+            raise not_found("nothing is subscribed to from here any more; delete the subscription")
+        document, context = await exchange.body()
+        data = document.get("data") if isinstance(document, dict) else None
+        if not isinstance(data, list):
+            raise bad_request_data(f'a notification has "data", a list of entities, not {shown(data)}')
+        tenant = self._tenants.kept(relay.tenant)
+        one = tenant.notifier.get(relay.subscription)
+        if one is None or not one.is_active(time.time()):
+            return Answer(200)
+        told = [
+            (entity_id, said)
+            for each in data
+            if (said := self._told(each, relay, one, tenant, context)) is not None
+            and (entity_id := str(each.get("id")))
+        ]
+        notices = list(_notices(tenant.name, one, told))
+        if notices:
+            try:
+                await tenant.commits.store(Entries(owed=notices))
+            except NotStored as error:
+                raise not_stored(str(error)) from error
+            tenant.notifier.deliver(notices)
+        return Answer(200)
+
+    @staticmethod
+    def _told(given: Any, relay: Relay, one: Subscription, tenant: Tenant, context: Context) -> bytes | None:
+        """Return what a subscriber is told of an entity that a source tells of; None if not at all."""
+        if not isinstance(given, dict):
+            raise bad_request_data(f"an entity is a JSON object, not {shown(given)}")
+        if "deletedAt" in given:
+            return orjson.dumps(translated(given, context.terms, one.context.terms))
+        fragment = about(relay.registration, read_fragment(given, context.terms, place_of(given)))
+        if fragment is None:
+            return None
+        own = tenant.store.get(fragment.id)
+        entity: Entity = fragment
+        if own is not None:
+            entity = merged([Fragment(fragment, (1, relay.registration.id)), Fragment(own, (0, ""))])
+        return as_it_is(one, entity) if one.selects(entity) else None
+
+
+def _described_so(holds: Any, registration: Registration) -> bool:
+    return bool(holds(registration.described))
+
+
+def _refusal(source: Registration, reply: Reply) -> str:
+    return f"{source.endpoint} does not take the subscription ({reply.status})"
+
+
+def _notices(tenant: str, one: Subscription, told: list[tuple[str, bytes]]) -> Iterable[Notice]:
+    now_s = time.time()
+    if one.throttling_s:
+        for entity_id, said in told:
+            yield Notice(tenant, one.id, entity_id, now_s, b"[" + said + b"]")
+    elif told:
+        body = notification(one, [said for _, said in told])
+        yield Notice(tenant, one.id, told[0][0], now_s, body)

@@ -1,0 +1,278 @@
+"""Entities, and their past, changed at several sources: create, replace, merge, append, update, delete.
+
+Clauses 5.6.1 to 5.6.6 and 5.6.11 to 5.6.19, each where it speaks of registrations. The broker's own
+share comes first: a change that it refuses goes nowhere. Then all others are asked at once.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+from urllib.parse import quote
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import PREFIX, Answer, Exchange
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.api.words import require_name, require_uri, shown
+from services.context_broker.contexts.book import Context
+from services.context_broker.distribution import outcomes
+from services.context_broker.distribution.distribution import Performing, Sources, all_of, in_place_of
+from services.context_broker.distribution.forwarding import SILENT, Question, Unheard, in_tongue, quoted
+from services.context_broker.distribution.outcomes import Outcome
+from services.context_broker.distribution.shares import Names, Share, Shares, shared
+from services.context_broker.entities.intake import expand
+from services.context_broker.sources.registration import Asked
+
+NO_ATTRIBUTES: Final = frozenset(
+    {"id", "@id", "type", "@type", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}
+)
+"""Members of an entity that go along with any part of it."""
+_PASSED_ON: Final = ("options", "format", "observedAt", "lang", "datasetId", "deleteAll")
+_DONE: Final = Answer(204)
+
+
+async def create(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """POST entities, or temporal/entities."""
+    document, context = await exchange.body()
+    if not isinstance(document, Mapping):
+        return await perform(exchange)
+    operation, root = ("upsertTemporal", "temporal/") if _is_temporal(exchange) else ("createEntity", "")
+    entity_id = require_uri(document.get("id", document.get("@id")), "the entity id")
+    names = attributes_in(document, context)
+    types = types_in(document, context)
+    shares = shared(sources, (operation,), Asked((entity_id,), None, types), frozenset(names.values()))
+    if not shares.others:
+        return await perform(exchange)
+    location = f"{PREFIX}{root}entities/{quote(entity_id, safe=':')}".encode()
+    made = Answer(201, b"", [(b"location", location)])
+    path = f"{root}entities"
+    change = SharedChange(sources, exchange, perform, context, document, names, operation, path)
+    return await change.entity_answer(entity_id, shares, made)
+
+
+async def change_entity(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """PUT or PATCH entities/{id}."""
+    operation = "replaceEntity" if exchange.method == "PUT" else "mergeEntity"
+    change, entity_id, shares = await _of_document(sources, exchange, perform, operation, "")
+    if not shares.others:
+        return await perform(exchange)
+    return await change.entity_answer(entity_id, shares, _DONE)
+
+
+async def change_attributes(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """POST or PATCH entities/{id}/attrs, or POST temporal/entities/{id}/attrs."""
+    operation = "appendAttrs" if exchange.method == "POST" else "updateEntity"
+    if _is_temporal(exchange):
+        operation = "appendAttrsTemporal"
+    change, _, shares = await _of_document(sources, exchange, perform, operation, "/attrs")
+    if not shares.others:
+        return await perform(exchange)
+    return await change.attributes_answer(shares)
+
+
+async def change_attribute(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """PATCH, PUT or DELETE entities/{id}/attrs/{name}; the same (and one instance) of temporal/entities."""
+    operation = {"PATCH": "updateAttrs", "PUT": "replaceAttrs"}.get(exchange.method, "deleteAttrs")
+    if _is_temporal(exchange):
+        operation = "deleteAttrsTemporal"
+        if len(exchange.names) > 2:
+            is_end = exchange.method == "DELETE"
+            operation = "deleteAttrInstanceTemporal" if is_end else "updateAttrInstanceTemporal"
+    if exchange.method == "DELETE":
+        document, context = None, await exchange.reader_context()
+    else:
+        document, context = await exchange.body()
+    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    name = exchange.names[1]
+    iri = expand(require_name(name, "the attribute name in the path"), context.terms)
+    asked = Asked((entity_id,), None, _types_of(sources, exchange, entity_id, context), frozenset({iri}))
+    shares = shared(sources, (operation,), asked, frozenset({iri}))
+    if not shares.others:
+        return await perform(exchange)
+    change = SharedChange(sources, exchange, perform, context, document, {name: iri}, operation, None)
+    return await change.attributes_answer(shares)
+
+
+async def delete(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """DELETE entities/{id}, or temporal/entities/{id}."""
+    operation, root = ("deleteTemporal", "temporal/") if _is_temporal(exchange) else ("deleteEntity", "")
+    context = await exchange.reader_context()
+    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    asked = Asked((entity_id,), None, _types_of(sources, exchange, entity_id, context))
+    shares = shared(sources, (operation,), asked, None)
+    if not shares.others:
+        return await perform(exchange)
+    path = f"{root}entities/{quoted(entity_id)}"
+    change = SharedChange(sources, exchange, perform, context, None, {}, operation, path)
+    return await change.entity_answer(entity_id, shares, _DONE)
+
+
+def _is_temporal(exchange: Exchange) -> bool:
+    return exchange.path.startswith(f"{PREFIX}temporal/")
+
+
+class SharedChange:
+    """One change on its way to all that have a share in it. `names` are the attributes of the document (or
+    the one in the path) as they are named there, with their IRIs.
+    """
+
+    def __init__(  # noqa: PLR0917 - the parts of one request
+        self,
+        sources: Sources,
+        exchange: Exchange,
+        perform: Performing,
+        context: Context,
+        document: Mapping[str, Any] | None,
+        names: Mapping[str, str],
+        operation: str,
+        path: str | None,
+    ) -> None:
+        self._sources = sources
+        self._exchange = exchange
+        self._perform = perform
+        self._context = context
+        self._document = document
+        self._names = names
+        self._operation = operation
+        self._path = path
+        given = exchange.parameters
+        self._parameters = tuple((name, given[name]) for name in _PASSED_ON if name in given)
+
+    async def entity_answer(self, entity_id: str, shares: Shares, well: Answer) -> Answer:
+        """Carry the change out and return the answer of an operation on an entity."""
+        own, found = await self._carried_out(shares)
+        good, failed = outcomes.settled(found)
+        if not failed:
+            return own if own is not None and own.status < 400 else well
+        if not good and (answer := outcomes.failure(failed)) is not None:
+            return answer
+        return outcomes.entity_result(entity_id, good, failed)
+
+    async def attributes_answer(self, shares: Shares) -> Answer:
+        """Carry the change out and return the answer of an operation on attributes (clause 5.2.18)."""
+        own, found = await self._carried_out(shares)
+        good, failed = outcomes.settled(found)
+        result = orjson.loads(own.body) if own is not None and own.status == 207 else None
+        if not failed and result is None:
+            return own if own is not None and own.status < 400 else _DONE
+        if not good and result is None and (answer := outcomes.failure(failed)) is not None:
+            return answer
+        compact = self._context.terms.compact
+        left = list(result["notUpdated"]) if result is not None else []
+        told = {one.get("attributeName") for one in left}
+        for one in failed:
+            reason = str((one.problem or {}).get("detail") or f"answered {one.status}")
+            by = {"registrationId": one.registration.id} if one.registration is not None else {}
+            left += [{"attributeName": compact(name), "reason": reason, **by} for name in sorted(one.names)]
+        done = {compact(name) for one in good for name in one.names}
+        if result is not None:
+            done |= set(result.get("updated", []))
+        return outcomes.multi_status({"updated": sorted(done - told), "notUpdated": left})
+
+    async def _carried_out(self, shares: Shares) -> tuple[Answer | None, list[Outcome]]:
+        """Return the broker's own answer if it had a share, and all outcomes; raises what it refuses."""
+        own, found = None, list[Outcome]()
+        if shares.own is not None:
+            try:
+                own = await self._perform(self._own_share(shares))
+                if own.status != 207:
+                    found.append(Outcome(None, shares.own, own.status))
+            except Problem as problem:
+                if problem.status != 404 or problem.__cause__ is not None:
+                    raise
+                found.append(Outcome(None, shares.own, 404, problem.body()))
+        found += await all_of(*(self.forwarded(share) for share in shares.others))
+        return own, found
+
+    def _own_share(self, shares: Shares) -> Exchange:
+        if self._document is None or not any(one.registration.mode.is_proxied for one in shares.others):
+            return self._exchange
+        names = shares.own or frozenset()
+        if self._path is None and names:  # one attribute, in the path
+            return self._exchange
+        return in_place_of(self._exchange, raw=orjson.dumps(self._part(names, keeps_context=True)))
+
+    def _part(self, names: Names, *, keeps_context: bool = False) -> dict[str, Any]:
+        """Return the document with no attributes but these."""
+        assert self._document is not None  # noqa: S101 - there is one to take a part of
+        return {
+            member: said
+            for member, said in self._document.items()
+            if (member in NO_ATTRIBUTES and (keeps_context or member != "@context"))
+            or self._names.get(member) in names
+        }
+
+    def _attribute_path(self, name: str) -> str:
+        """Return the path of the one attribute, or of an instance of it, under the name that it has there."""
+        entity_id, _, *instance = self._exchange.names
+        root = "temporal/" if _is_temporal(self._exchange) else ""
+        return "/".join((f"{root}entities", quoted(entity_id), "attrs", quoted(name), *map(quoted, instance)))
+
+    async def forwarded(self, share: Share) -> Outcome:
+        """Return what became of a source's share."""
+        registration, names = share.registration, share.names
+        if share.operation is None:
+            return outcomes.of_refusal(registration, names, self._operation)
+        try:
+            body = None if self._document is None else self._exchange.content_type()
+            tongue = await self._sources.forwarder.tongue(registration, self._context, body=body)
+            path = self._path
+            document = None
+            if path is None:
+                (iri,) = self._names.values()
+                path = self._attribute_path(tongue.name(iri))
+                document = (
+                    None if self._document is None else in_tongue(self._document, self._context, tongue)
+                )
+            elif self._document is not None:
+                document = in_tongue(self._part(names), self._context, tongue)
+            question = Question(self._exchange.method, path, tongue, self._parameters, document)
+            reply, _ = await self._sources.forwarder.ask(registration, question, self._sources.asking)
+        except Unheard as unheard:
+            return outcomes.of_silence(unheard, names)
+        except Problem as problem:  # its @context
+            return outcomes.of_silence(Unheard(registration, SILENT, 502, problem.detail), names)
+        return outcomes.of_reply(registration, names, reply)
+
+
+async def _of_document(
+    sources: Sources, exchange: Exchange, perform: Performing, operation: str, below: str
+) -> tuple[SharedChange, str, Shares]:
+    document, context = await exchange.body()
+    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    if not isinstance(document, Mapping):
+        raise bad_request_data(f"the body is a JSON object, not {shown(document)}")
+    names = attributes_in(document, context)
+    types = types_in(document, context) or _types_of(sources, exchange, entity_id, context)
+    asked = Asked((entity_id,), None, types)
+    shares = shared(sources, (operation,), asked, frozenset(names.values()))
+    root = "temporal/" if _is_temporal(exchange) else ""
+    path = f"{root}entities/{quoted(entity_id)}{below}"
+    change = SharedChange(sources, exchange, perform, context, document, names, operation, path)
+    return change, entity_id, shares
+
+
+def attributes_in(document: Mapping[str, Any], context: Context) -> dict[str, str]:
+    """Return the attributes of a document as they are named there, with their IRIs."""
+    return {
+        name: expand(require_name(name, "the attribute name"), context.terms)
+        for name in document
+        if name not in NO_ATTRIBUTES
+    }
+
+
+def types_in(document: Mapping[str, Any], context: Context) -> frozenset[str] | None:
+    """Return the types (IRIs) that a document names, None if it names none."""
+    given = document.get("type", document.get("@type"))
+    names: Iterable[Any] = given if isinstance(given, list) else [given]
+    return frozenset(context.terms.expand(one) for one in names if isinstance(one, str) and one) or None
+
+
+def _types_of(
+    sources: Sources, exchange: Exchange, entity_id: str, context: Context
+) -> frozenset[str] | None:
+    """Return the types of an entity as far as they are known: as the asker says, or as the broker has it."""
+    if given := exchange.parameter("type"):
+        return frozenset(context.terms.expand(one) for one in given.split(",") if one) or None
+    known = sources.exchange.tenant.store.latest(entity_id)
+    return None if known is None else frozenset(known.types)

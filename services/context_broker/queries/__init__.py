@@ -1,0 +1,1 @@
+"""Questions: which entities are wanted, in which order, and which page of them."""

@@ -1,0 +1,74 @@
+"""What is in a snapshot: entities as they were, written as those of a tenant of its own, and taken away."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+from services.context_broker.distribution.fragments import limited
+from services.context_broker.entities.entity import Entity
+from services.context_broker.storage.journal import DocumentKey, EntityRow, Entries, Kind
+from services.context_broker.storage.tenants import Tenant
+from services.context_broker.temporal.archive import DepartedRow
+
+AT_ONCE = 2000
+"""Entities in one commit, so that others get their turn."""
+_EVERYTHING = 2**62
+"""Above the seq of every row of history."""
+
+
+@dataclass(slots=True)
+class Content:
+    """The entities of a snapshot that is being made. What several queries find is kept as found first."""
+
+    entities: list[Entity] = field(default_factory=list)
+    _known: set[str] = field(default_factory=set)
+
+    def add(self, found: Iterable[Entity], attributes: frozenset[str] | None) -> None:
+        """Add entities, of each only the `attributes` (IRIs), None for all. They end no more."""
+        for one in found:
+            if one.id not in self._known:
+                self._known.add(one.id)
+                kept = one if attributes is None else limited(one, attributes)
+                self.entities.append(replace(kept, expires_at=None, rendered={}))
+
+
+async def written(inner: Tenant, content: Content) -> None:
+    """Write the content of a snapshot; it becomes visible all at once. Raises `NotStored`."""
+    made = [replace(one, seq=inner.store.next_seq(), rendered={}) for one in content.entities]
+    for start in range(0, len(made), AT_ONCE):
+        rows = {one.seq: EntityRow(inner.name, one.id, one.stored()) for one in made[start : start + AT_ONCE]}
+        await inner.commits.store(Entries(entities=rows))
+    for one in made:
+        inner.store.take(one)
+
+
+def end_of(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iterator[Entries]:
+    """Yield what takes all that belongs to a snapshot off the disk.
+
+    `departed` are place and id of the entities that are only history there.
+    """
+    for start in range(0, len(departed), AT_ONCE):
+        gone_by = departed[start : start + AT_ONCE]
+        yield Entries(
+            departed={place: DepartedRow(inner.name, one, None) for place, one in gone_by},
+            cleared=[(place, _EVERYTHING) for place, _ in gone_by],
+        )
+    entities = inner.store.candidates()
+    for start in range(0, len(entities), AT_ONCE):
+        some = entities[start : start + AT_ONCE]
+        yield Entries(
+            entities={one.seq: EntityRow(inner.name, one.id, None) for one in some},
+            cleared=[(one.seq, _EVERYTHING) for one in some],
+        )
+    books = ((Kind.SUBSCRIPTION, inner.notifier), (Kind.SOURCE_SUBSCRIPTION, inner.source_notifier))
+    gone: dict[DocumentKey, bytes | None] = {}
+    for kind, book in books:
+        for one in book.all():
+            gone[kind, inner.name, one.id] = None
+            gone[Kind.COUNTS, inner.name, one.id] = None
+    for registered in inner.registry:
+        gone[Kind.REGISTRATION, inner.name, registered.id] = None
+        gone[Kind.ATTEMPTS, inner.name, registered.id] = None
+    for map_id in inner.entity_maps:
+        gone[Kind.ENTITY_MAP, inner.name, map_id] = None
+    if gone:
+        yield Entries(documents=gone)

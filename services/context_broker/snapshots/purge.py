@@ -1,0 +1,49 @@
+"""Which snapshots are purged: those for which a query about members of a snapshot holds (clause 5.16.7)."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.api.words import shown
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.entity import Attributes, Entity
+from services.context_broker.queries.q_grammar import parse
+from services.context_broker.queries.selection import Selection, compiled
+from services.context_broker.snapshots.snapshot import MEMBERS, TYPE, Snapshot
+
+
+def purged(q: str | None, context: Context) -> Callable[[Snapshot], bool]:
+    """Return what says of a snapshot whether it is to go; raise a problem (400) for a query that cannot."""
+    if not q:
+        raise bad_request_data("a purge of snapshots has a q, for example q=snapshotPriority<5; add it")
+    for name in _names(parse(q)):
+        if name not in MEMBERS:
+            raise bad_request_data(
+                f"a snapshot has no {shown(name)} to purge by; its members are {', '.join(sorted(MEMBERS))}"
+            )
+    selection = Selection(query=compiled(q, context))
+    expand = context.terms.expand
+
+    def wants(one: Snapshot) -> bool:
+        document = one.document
+        attributes: Attributes = {
+            expand(name): [{"type": "Property", "value": value}]
+            for name, value in document.items()
+            if name not in {"id", "type"}
+        }
+        kept = Entity(
+            one.id, (expand(TYPE),), attributes, document["createdAt"], document["modifiedAt"],
+            expires_at=document["expiresAt"],
+        )  # fmt: skip
+        return selection.wants(kept)
+
+    return wants
+
+
+def _names(term: Any) -> Iterator[str]:
+    """Yield the attributes that a parsed query asks for."""
+    for part in getattr(term, "terms", ()):
+        yield from _names(part)
+    path = getattr(term, "path", None)
+    if path is not None:
+        yield path.names[0]

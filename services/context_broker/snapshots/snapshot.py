@@ -1,0 +1,211 @@
+"""Snapshots: how entities were at one moment, kept apart to be read and played with (5.2.41, 5.5.15).
+
+A snapshot is kept as a tenant of its own that no header can name; what asks for it with NGSILD-Snapshot is
+answered from there by the same rooms. This is what is known of one: its document, and what may be said in it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.api.words import (
+    duration_s,
+    moment,
+    require_uri,
+    shown,
+    timestamp,
+    timestamp_now,
+)
+
+TYPE: Final = "Snapshot"
+DEFAULT_LIFETIME_S: Final = 86400.0
+LONGEST_LIFETIME_S: Final = 30 * 86400.0
+"""A snapshot costs as much memory as its entities; nobody's is forgotten for longer than a month."""
+MOST_SNAPSHOTS: Final = 64
+"""Snapshots of a tenant; the one of lowest priority, of these the longest unused, gives way to a new one."""
+MOST_ENTITIES: Final = 200_000
+"""Entities in one snapshot."""
+DEFAULT_PRIORITY: Final = 5
+MOST_HELD: Final = 1_000_000
+"""Entities in all snapshots of a tenant, after the same rule."""
+PRESENT: Final = "snapshotQueries"
+PAST: Final = "snapshotTemporalQueries"
+QUERIES: Final = (PRESENT, PAST)
+SETTABLE: Final = frozenset({"snapshotPriority", "snapshotLifetime", "endpoint", "receiverInfo"})
+MEMBERS: Final = SETTABLE | {
+    "id", "type", *QUERIES, "snapshotStatus", "snapshotQueriesDetails", "snapshotTemporalQueriesDetails",
+    "createdAt", "modifiedAt", "expiresAt", "lastUsedAt",
+}  # fmt: skip
+
+
+class Status(StrEnum):
+    """How far a snapshot, or one of its queries, has got."""
+
+    PREPARING = "preparing"
+    SUCCESS = "success"
+    PARTIAL = "partial"
+    EMPTY = "empty"
+    FAILURE = "failure"
+
+
+@dataclass(slots=True, eq=False)
+class Snapshot:
+    """A snapshot. `document` is what a reader gets and what is kept; `written_s` when it was last written."""
+
+    id: str
+    document: dict[str, Any]
+    written_s: float = 0.0
+
+    @property
+    def status(self) -> Status:
+        """Return how far it has got."""
+        return Status(self.document["snapshotStatus"])
+
+    @property
+    def expires_s(self) -> float:
+        """Return when it ends, in seconds since 1970."""
+        return moment(self.document["expiresAt"]) or 0.0
+
+    def stored(self) -> bytes:
+        """Return it as the journal keeps it."""
+        return orjson.dumps(self.document)
+
+    def changed(self, **members: Any) -> "Snapshot":
+        """Return it with some members changed; None takes one away."""
+        document = {**self.document, **members, "modifiedAt": timestamp_now()}
+        return Snapshot(self.id, {name: value for name, value in document.items() if value is not None})
+
+    def used(self) -> None:
+        """Note that it is used now."""
+        self.document["lastUsedAt"] = timestamp_now()
+
+
+def restored(body: bytes) -> dict[str, Snapshot]:
+    """Return a snapshot that was kept, by its id; one that was being made when the broker ended failed."""
+    document = orjson.loads(body)
+    if document["snapshotStatus"] == Status.PREPARING:
+        document["snapshotStatus"] = Status.FAILURE.value
+    return {document["id"]: Snapshot(document["id"], document)}
+
+
+def new_snapshot(snapshot_id: str, given: Mapping[str, Any]) -> Snapshot:
+    """Return a snapshot with what was said of it, that is being made from now on."""
+    now = datetime.now(UTC)
+    at = timestamp(now)
+    document = {
+        "id": snapshot_id,
+        "type": TYPE,
+        **{name: given[name] for name in (*QUERIES, *sorted(SETTABLE)) if given.get(name) is not None},
+        "snapshotStatus": Status.PREPARING.value,
+        "createdAt": at,
+        "modifiedAt": at,
+        "lastUsedAt": at,
+        "expiresAt": ending(now, given.get("snapshotLifetime")),
+    }
+    document.setdefault("snapshotPriority", DEFAULT_PRIORITY)
+    return Snapshot(snapshot_id, document)
+
+
+def ending(start: datetime, lifetime: str | None) -> str:
+    """Return when a snapshot made at `start` ends that is wanted for a time, within the broker's bounds."""
+    wanted_s = DEFAULT_LIFETIME_S if lifetime is None else duration_s(lifetime, '"snapshotLifetime"')
+    lasts_s = min(max(wanted_s, 1.0), LONGEST_LIFETIME_S)
+    return timestamp(datetime.fromtimestamp(start.timestamp() + lasts_s, UTC))
+
+
+def checked(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
+    """Return a document that makes a snapshot; raise a problem (400) if it cannot."""
+    if not isinstance(given, Mapping):
+        raise bad_request_data(f"a snapshot is a JSON object, not {shown(given)}")
+    if given.get("type", TYPE) != TYPE:
+        raise bad_request_data(f'the type of a snapshot is "{TYPE}", not {shown(given["type"])}')
+    if "id" in given and not require_uri(given["id"], "the snapshot id").isascii():
+        raise bad_request_data("the id of a snapshot stands in headers; use plain characters")
+    allowed = SETTABLE | {"id", "type", "@context"} | (set(QUERIES) if has_queries else set())
+    _check_members(given, allowed)
+    if has_queries:
+        _check_queries(given)
+    return given
+
+
+def checked_change(given: Any) -> Mapping[str, Any]:
+    """Return a document that changes a snapshot; raise a problem (400) if it cannot."""
+    if not isinstance(given, Mapping):
+        raise bad_request_data(f"a change of a snapshot is a JSON object, not {shown(given)}")
+    _check_members(given, SETTABLE | {"@context", "type"})
+    return given
+
+
+def details(status: Status, problem: Problem | None = None) -> dict[str, Any]:
+    """Return what became of one query (clause 5.2.42)."""
+    told: dict[str, Any] = {"resultStatus": status.value}
+    if problem is not None:
+        told["problemDetails"] = problem.body()
+    return told
+
+
+def status_of(results: list[dict[str, Any]]) -> Status:
+    """Return the status of a snapshot from what became of its queries (clause 5.16.1.4)."""
+    seen = {one["resultStatus"] for one in results}
+    if len(seen) == 1:
+        return Status(seen.pop())
+    if Status.FAILURE in seen or Status.PARTIAL in seen:
+        return Status.PARTIAL
+    return Status.SUCCESS
+
+
+def _check_members(given: Mapping[str, Any], allowed: set[str] | frozenset[str]) -> None:
+    for name in given:
+        if name not in allowed:
+            why = "is for the broker to say" if name in MEMBERS else "is no member of a snapshot"
+            raise bad_request_data(f"{shown(name)} {why}; leave it out")
+    priority = given.get("snapshotPriority", DEFAULT_PRIORITY)
+    if not isinstance(priority, int) or isinstance(priority, bool) or not 1 <= priority <= 10:
+        raise bad_request_data(f'"snapshotPriority" is a whole number from 1 to 10, not {shown(priority)}')
+    if given.get("snapshotLifetime") is not None:
+        duration_s(given["snapshotLifetime"], '"snapshotLifetime"')
+    if given.get("endpoint") is not None:
+        _check_endpoint(given["endpoint"])
+    pairs = given.get("receiverInfo") or []
+    if not isinstance(pairs, list):
+        raise bad_request_data('receiverInfo is a list of objects such as {"key": "X-Cell", "value": "4"}')
+    for pair in pairs:
+        values = [pair.get("key"), pair.get("value")] if isinstance(pair, Mapping) else [None]
+        if not all(isinstance(one, str) and one.isascii() and one.isprintable() for one in values):
+            raise bad_request_data(
+                f'each receiverInfo has a "key" and a "value" of plain text, not {shown(pair)}'
+            )
+        if not str(values[0]).replace("-", "").replace("_", "").isalnum():
+            raise bad_request_data(f"receiverInfo {shown(values[0])} cannot be an HTTP header")
+
+
+def _check_endpoint(given: Any) -> None:
+    try:
+        parts = urlsplit(require_uri(given, '"endpoint"'))
+        usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        usable = False
+    if not usable or not given.isascii():
+        raise bad_request_data(
+            f'"endpoint" is an address such as http://127.0.0.1:9000/ready, not {shown(given)}'
+        )
+
+
+def _check_queries(given: Mapping[str, Any]) -> None:
+    if not any(given.get(name) for name in QUERIES):
+        raise bad_request_data('a snapshot has "snapshotQueries" or "snapshotTemporalQueries"; add one')
+    for name in QUERIES:
+        queries = given.get(name, [])
+        if not isinstance(queries, list) or not all(isinstance(one, Mapping) for one in queries):
+            raise bad_request_data(f'"{name}" is a list of Query objects, not {shown(queries)}')
+        for one in queries:
+            if ("temporalQ" in one) is not (name == QUERIES[1]):
+                need = "has a" if name == QUERIES[1] else "has no"
+                raise bad_request_data(f'each Query in "{name}" {need} "temporalQ"; see {shown(dict(one))}')

@@ -1,0 +1,1 @@
+"""Context sources: who else knows something, and what of."""

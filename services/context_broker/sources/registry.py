@@ -1,0 +1,247 @@
+"""The registry: all registrations of a tenant, and which of them can serve what.
+
+Registrations are few and asked for at every request, so they are filed by type and by id when they come, and
+an empty registry (the usual case) costs its asker one look at `is_empty`.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final
+
+import orjson
+
+from services.context_broker.api.words import timestamp_now
+from services.context_broker.entities.entity import Entity
+from services.context_broker.sources.registration import (
+    Asked,
+    Attempts,
+    Information,
+    Match,
+    Mode,
+    Registration,
+    Where,
+)
+from services.context_broker.storage.commits import Commits
+from services.context_broker.storage.journal import Entries, Kind
+
+Watcher = Callable[[Registration | None, Registration | None], None]
+"""Is told how a registration was before and is after a change that is safe; None where there is none."""
+
+ANY: Final = Asked()
+
+
+class Registry:
+    """The registrations of one tenant. It is told what is kept already: writing them is not its task."""
+
+    def __init__(self, tenant: str, commits: Commits) -> None:
+        self.tenant = tenant
+        self.is_empty = True
+        """Whether no operation can have to do with another source: look here before anything else."""
+        self.watchers: list[Watcher] = []
+        """Called on the loop after each change, a restart's taking up aside."""
+        self._commits = commits
+        self._all: dict[str, Registration] = {}
+        self._places: dict[str, int] = {}
+        self._made = 0
+        self._by_type: dict[str, dict[str, Registration]] = {}
+        self._by_id: dict[str, dict[str, Registration]] = {}
+        self._of_groups: dict[str, Registration] = {}
+        self._of_anything: dict[str, Registration] = {}
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __iter__(self) -> Iterator[Registration]:
+        """Yield all registrations, the oldest first; expired ones too."""
+        return iter(list(self._all.values()))
+
+    def get(self, registration_id: str) -> Registration | None:
+        """Return a registration; an expired one is not there any more."""
+        found = self._all.get(registration_id)
+        return None if found is None or found.is_over(time.time()) else found
+
+    def holds(self, registration: Registration) -> bool:
+        """Say whether this very registration is in force, neither changed nor deleted since."""
+        return self._all.get(registration.id) is registration
+
+    def take(self, registration: Registration) -> None:
+        """Take up what was kept before a restart; nobody is told."""
+        self._file(registration)
+
+    def put(self, registration: Registration) -> None:
+        """Heed a new or a changed registration from now on; a changed one keeps its place."""
+        before = self._all.get(registration.id)
+        if before is not None:
+            self._unfile(before)
+        self._file(registration)
+        self._tell(before, registration)
+
+    def remove(self, registration_id: str) -> None:
+        """Forget a registration."""
+        before = self._all.pop(registration_id)
+        del self._places[registration_id]
+        self._unfile(before)
+        self.is_empty = not self._all
+        self._tell(before, None)
+
+    def remove_if_held(self, registration: Registration) -> None:
+        """Forget a registration unless it was changed or deleted meanwhile."""
+        if self.holds(registration):
+            self.remove(registration.id)
+
+    def matching(self, operation: str, asked: Asked = ANY, where: Where | None = None) -> list[Match]:
+        """Return the registrations whose source takes `operation` and may serve some of what is `asked`.
+
+        `operation` is named as in table 4.20-1. The matches come in the order of `Mode` (exclusive, redirect,
+        inclusive, auxiliary), those of one mode in the order of their creation. What an exclusive or redirect
+        source has is not taken from the parts of the others: that is for the asker to do, who knows what the
+        operation means (clause 4.3.6.3).
+        """
+        if self.is_empty:
+            return []
+        now_s = time.time()
+        found = [
+            Match(one, parts)
+            for one in self._candidates(asked)
+            if one.takes(operation)
+            and not one.is_over(now_s)
+            and (parts := one.parts(asked))
+            and (where is None or where(one))
+        ]
+        return sorted(found, key=lambda match: (match.registration.mode, self._places[match.registration.id]))
+
+    def concerned(self, questions: Sequence[Asked], where: Where | None = None) -> list[Registration]:
+        """Return the registrations that any of the questions concerns, whatever they take; oldest first."""
+        now_s = time.time()
+        concerned = {one.id for asked in questions for one in self._candidates(asked) if one.parts(asked)}
+        return [
+            one
+            for one in self._all.values()
+            if one.id in concerned and not one.is_over(now_s) and (where is None or where(one))
+        ]
+
+    def in_the_way_of(self, registration: Registration) -> Registration | None:
+        """Return an exclusive registration that leaves no room for another proxied one (clause 4.3.6.3).
+
+        An exclusive registration excludes others of the same entity and attribute: exclusive and redirect
+        ones; a redirect one excludes exclusive ones that come later.
+        """
+        if not registration.mode.is_proxied:
+            return None
+        now_s = time.time()
+        for piece in registration.information:
+            for one in self._all.values():
+                if (
+                    one.id != registration.id
+                    and one.mode.is_proxied
+                    and Mode.EXCLUSIVE in (one.mode, registration.mode)
+                    and not one.is_over(now_s)
+                    and _is_spoken_for(piece, one)
+                ):
+                    return one
+        return None
+
+    def note(self, registration: Registration, *, succeeded: bool) -> None:
+        """Count an operation that was passed on; the counts are written in passing.
+
+        After a failure the source is to rest as long as its registration says: `rests` tells.
+        """
+        attempts, at = registration.attempts, timestamp_now()
+        attempts.sent += 1
+        if succeeded:
+            attempts.last_success = at
+            attempts.rests_until_s = float("-inf")
+        else:
+            attempts.failed += 1
+            attempts.last_failure = at
+            attempts.rests_until_s = time.monotonic() + registration.management.cooldown_s
+        if registration.id in self._all:  # it may have been deleted while its source was asked
+            key = (Kind.ATTEMPTS, self.tenant, registration.id)
+            self._commits.store_later(Entries(documents={key: told(attempts)}))
+
+    def count_on(self, registration_id: str, kept: bytes) -> None:
+        """Take the counts kept for a registration, from before a restart or by another broker."""
+        found = self._all.get(registration_id)
+        if found is not None:
+            attempts = found.attempts
+            attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure = orjson.loads(kept)
+
+    @staticmethod
+    def rests(registration: Registration) -> bool:
+        """Say whether the source has failed so lately that it is to be left alone."""
+        return time.monotonic() < registration.attempts.rests_until_s
+
+    def _candidates(self, asked: Asked) -> Iterable[Registration]:
+        found: dict[str, Registration] = dict(self._of_anything)
+        if asked.types is not None:
+            for kind in asked.types:
+                found.update(self._by_type.get(kind, {}))
+        elif asked.ids is not None:
+            for one in asked.ids:
+                found.update(self._by_id.get(one, {}))
+            found.update(self._of_groups)
+        else:
+            return self._all.values()
+        return found.values()
+
+    def _file(self, registration: Registration) -> None:
+        self._all[registration.id] = registration
+        if registration.id not in self._places:
+            self._made += 1
+            self._places[registration.id] = self._made
+        self.is_empty = False
+        for files, key in self._files(registration):
+            files.setdefault(key, {})[registration.id] = registration
+        if any(not piece.entities for piece in registration.information):
+            self._of_anything[registration.id] = registration
+        if any(one.id is None for piece in registration.information for one in piece.entities):
+            self._of_groups[registration.id] = registration
+
+    def _unfile(self, registration: Registration) -> None:
+        for files, key in self._files(registration):
+            filed = files.get(key, {})
+            filed.pop(registration.id, None)
+            if not filed:
+                files.pop(key, None)
+        self._of_anything.pop(registration.id, None)
+        self._of_groups.pop(registration.id, None)
+
+    def _files(self, registration: Registration) -> Iterator[tuple[dict[str, dict[str, Registration]], str]]:
+        for piece in registration.information:
+            for one in piece.entities:
+                for kind in one.types:
+                    yield self._by_type, kind
+                if one.id is not None:
+                    yield self._by_id, one.id
+
+    def _tell(self, before: Registration | None, after: Registration | None) -> None:
+        for watcher in list(self.watchers):
+            watcher(before, after)
+
+
+def claims(registration: Registration, entity: Entity) -> bool:
+    """Say whether an exclusive or redirect registration is about an entity as it is (clause 5.9.2.4).
+
+    An exclusive one is if the entity has one of its attributes, a redirect one if the entity is one of those
+    that it is about and has, where it names attributes, one of them.
+    """
+    return any(
+        piece.is_about(entity)
+        and (piece.attributes is None or not piece.attributes.isdisjoint(entity.attributes))
+        for piece in registration.information
+    )
+
+
+def told(attempts: Attempts) -> bytes:
+    """Return the counts as they are kept."""
+    return orjson.dumps([attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure])
+
+
+def _is_spoken_for(piece: Information, other: Registration) -> bool:
+    """Say whether another registration is about some of the same entities and attributes."""
+    for one in piece.entities or (None,):
+        ids = None if one is None or one.id is None else (one.id,)
+        pattern, types = (None, None) if one is None else (one.id_pattern, one.types)
+        if other.parts(Asked(ids, pattern, types, piece.attributes)):
+            return True
+    return False

@@ -1,0 +1,304 @@
+"""Commits in groups: one thread writes whatever has queued up since its last flush in one go.
+
+So an acknowledgement costs its share of a disk flush, not a flush of its own. When the disk refuses, the
+whole group is refused, and with it everything that was queued behind it and may build on it. Where several
+brokers share a database, only those writes of a group are refused that another broker has overtaken.
+"""
+
+import asyncio
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, Protocol
+
+from prometheus_client import Counter, Histogram
+
+from handover.telemetry import get_logger
+from services.context_broker.storage.journal import Entries, Journal, NotStored
+from services.context_broker.storage.replica import News, Overtaken, Replica
+
+log = get_logger(__name__)
+
+Failed = Callable[[NotStored], None]
+
+LARGEST_GROUP = 2000
+LOOK_AGAIN_S = 0.2
+"""How long the thread waits when what others did could not be read."""
+RETRY_S = 1.0
+"""How long bookkeeping that the disk refused waits for its next chance."""
+REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the disk did not take")
+OVERTAKEN = Counter(
+    "handover_broker_commits_overtaken_total", "Writes made again because another broker was quicker"
+)
+GROUPS = Histogram(
+    "handover_broker_commit_group", "Writes in one commit", buckets=(1, 2, 4, 8, 16, 32, 64, 256, 1024)
+)
+
+
+@dataclass(slots=True, eq=False)
+class Write:
+    """Something to be made durable, and whom to tell; `era` counts how often the disk has refused before.
+
+    `known` is the number of the last news of other brokers that were known when it was made.
+    """
+
+    entries: Entries
+    era: int
+    known: int
+    done: Callable[[], None]
+    failed: Failed
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A mark in the queue: the writes behind it were made with news up to `number` known."""
+
+    number: int
+
+
+LOOK: Final = Known(-1)
+"""A mark in the queue: others may have written."""
+
+
+class Commits(Protocol):
+    """Where writes go."""
+
+    def submit(self, entries: Entries, done: Callable[[], None], failed: Failed) -> None:
+        """Queue a write; `done` or `failed` is called on the loop when its fate is known."""
+
+    async def store(self, entries: Entries) -> None:
+        """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
+
+    def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
+        """Write `entries` with the next commit, or after `within_s`; for bookkeeping only, nobody is told."""
+
+
+class CommitQueue:
+    """Takes writes on the event loop, commits them in a thread, and tells their makers on the loop, in order.
+
+    `on_refusal` is called on the loop, before any maker is told, when the disk has refused; `on_news` with
+    what other brokers did, in the one order of all changes.
+    """
+
+    def __init__(
+        self,
+        journal: Journal,
+        on_refusal: Callable[[], None],
+        replica: Replica | None = None,
+        on_news: Callable[[News], Coroutine[None, None, None]] | None = None,
+    ) -> None:
+        self._journal = journal
+        self._replica = replica
+        self._known = 0
+        self._on_refusal = on_refusal
+        self._on_news = on_news
+        self._taking: asyncio.Task[None] | None = None
+        self._after_news: deque[Callable[[], None]] = deque()
+        self._queue: queue.SimpleQueue[Write | Known | None] = queue.SimpleQueue()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
+        self._era = 0
+        self._refused_era = -1
+        self._later = Entries()
+        self._later_due: asyncio.TimerHandle | None = None
+
+    def open(self) -> None:
+        """Note up to where the journal is known when it is loaded after this."""
+        if self._replica is not None:
+            self._known = self._replica.open()
+
+    def knows(self, number: int) -> None:
+        """Note that the memory is up to this number of the news of others."""
+        self._known = number
+        self._queue.put(Known(number))
+
+    def look(self) -> None:
+        """See what others did; from any thread."""
+        if self._replica is not None:
+            self._queue.put(LOOK)
+
+    def start(self) -> None:
+        """Begin to commit; call it on the event loop."""
+        self._loop = asyncio.get_running_loop()
+        self._thread.start()
+
+    async def stop(self) -> None:
+        """Commit what is queued, and end."""
+        self._send_later()
+        self._queue.put(None)
+        await asyncio.to_thread(self._thread.join)
+
+    def submit(self, entries: Entries, done: Callable[[], None], failed: Failed) -> None:
+        """Queue a write; `done` or `failed` is called on the loop when its fate is known."""
+        if self._later_due is not None:
+            self._later_due.cancel()
+            self._later_due = None
+            later, self._later = self._later, Entries()
+            failed = self._kept_for_later(later, failed)
+            together = Entries()
+            together.add(later)
+            together.add(entries)
+            entries = together
+        self._queue.put(Write(entries, self._era, self._known, done, failed))
+
+    async def store(self, entries: Entries) -> None:
+        """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
+        await stored(self, entries)
+
+    def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
+        """Write `entries` with the next commit, or after `within_s`; for bookkeeping only, nobody is told."""
+        self._later.add(entries)
+        if self._later_due is None:
+            self._later_due = asyncio.get_running_loop().call_later(within_s, self._send_later)
+
+    def _send_later(self) -> None:
+        if self._later_due is not None:
+            self.submit(Entries(), lambda: None, lambda _: None)
+
+    def _kept_for_later(self, later: Entries, failed: Failed) -> Failed:
+        """Return what tells `failed`, and sees that `later` is written with another commit."""
+
+        def failed_and_kept(error: NotStored) -> None:
+            self.store_later(later, RETRY_S)
+            failed(error)
+
+        return failed_and_kept
+
+    # In the thread
+
+    def _work(self) -> None:
+        open_for_more = True
+        while open_for_more:
+            group: list[Write] = []
+            mark: Known | None = None
+            one = self._queue.get()
+            while one is not None:
+                if isinstance(one, Known):
+                    mark = one
+                    if one is not LOOK or not group:
+                        break
+                else:
+                    group.append(one)
+                if len(group) >= LARGEST_GROUP:
+                    break
+                try:
+                    one = self._queue.get_nowait()
+                except queue.Empty:
+                    break
+            else:
+                open_for_more = False
+            if group or mark is LOOK:
+                self._commit(group)
+            if mark is not None and mark is not LOOK and self._replica is not None:
+                self._replica.forget(mark.number)
+
+    def _commit(self, group: list[Write]) -> None:
+        built_on_sand = [write for write in group if write.era <= self._refused_era]
+        if built_on_sand:
+            self._tell_failure(
+                built_on_sand, NotStored("an earlier change that it may build on was not stored")
+            )
+        firm = [write for write in group if write.era > self._refused_era]
+        if not firm and group:
+            return
+        try:
+            if self._replica is None:
+                self._commit_alone(firm)
+            else:
+                self._commit_among_others(self._replica, firm)
+        except NotStored as error:
+            if not firm:
+                self._look_again()
+                return
+            self._refused_era = max(write.era for write in firm)
+            REFUSED.inc()
+            self._tell_failure(firm, error)
+
+    def _look_again(self) -> None:
+        time.sleep(LOOK_AGAIN_S)
+        self.look()
+
+    def _commit_alone(self, writes: list[Write]) -> None:
+        entries = Entries()
+        for write in writes:
+            entries.add(write.entries)
+        self._journal.commit(entries)
+        GROUPS.observe(len(writes))
+        self._call(self._tell_success, writes)
+
+    def _commit_among_others(self, replica: Replica, writes: list[Write]) -> None:
+        news, standing, overtaken = replica.commit(writes)
+        if news:
+            self._call(self._take_news, news)
+        if overtaken:
+            OVERTAKEN.inc(len(overtaken))
+            self._call(self._tell_overtaken, overtaken)
+        if standing:
+            GROUPS.observe(len(standing))
+            self._call(self._tell_success, standing)
+
+    def _tell_failure(self, writes: list[Write], error: NotStored) -> None:
+        self._call(self._on_failure, writes, error)
+
+    def _call(self, function: Callable[..., None], *arguments: object) -> None:
+        assert self._loop is not None  # noqa: S101 - start() has set it
+        self._loop.call_soon_threadsafe(self._arrive, function, *arguments)
+
+    # On the loop
+
+    @staticmethod
+    def _tell_success(writes: list[Write]) -> None:
+        for write in writes:
+            write.done()
+
+    def _arrive(self, function: Callable[..., None], *arguments: object) -> None:
+        """Do what the thread wants done, in its order: what comes after news waits until these are taken."""
+        if self._taking is None:
+            function(*arguments)
+        else:
+            self._after_news.append(partial(function, *arguments))
+
+    def _take_news(self, news: News) -> None:
+        assert self._on_news is not None  # noqa: S101 - who has a replica follows it
+        self._taking = asyncio.get_running_loop().create_task(self._on_news(news))
+        self._taking.add_done_callback(self._go_on)
+
+    def _go_on(self, taken: asyncio.Task[None]) -> None:
+        self._taking = None
+        if not taken.cancelled() and (error := taken.exception()) is not None:
+            log.error("news of another broker were not taken", exc_info=error)
+        while self._after_news and self._taking is None:
+            self._after_news.popleft()()
+
+    @staticmethod
+    def _tell_overtaken(writes: list[Write]) -> None:
+        for write in writes:
+            write.failed(Overtaken("another broker was quicker to change what it builds on"))
+
+    def _on_failure(self, writes: list[Write], error: NotStored) -> None:
+        log.error("the disk does not take changes", error=str(error), writes=len(writes))
+        if writes[-1].era == self._era:
+            self._era += 1
+            self._on_refusal()
+        for write in writes:
+            write.failed(error)
+
+
+async def stored(commits: Commits, entries: Entries) -> None:
+    """Submit a write and return when it is safe; raise `NotStored` if the disk refuses."""
+    fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def done() -> None:
+        if not fate.done():
+            fate.set_result(None)
+
+    def failed(error: NotStored) -> None:
+        if not fate.done():
+            fate.set_exception(error)
+
+    commits.submit(entries, done, failed)
+    await fate

@@ -1,0 +1,326 @@
+"""The entities, in memory: readers see what is committed, writers build on what is on its way.
+
+A change is staged first; once the journal has it, it becomes visible and its notifications go out. If the
+disk refuses, everything staged is forgotten, so that memory never says more than the disk.
+"""
+
+import asyncio
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.api.problems import bad_request_data, not_stored
+from services.context_broker.entities.census import Census
+from services.context_broker.entities.entity import Entity, Event
+from services.context_broker.entities.transient import Ends
+from services.context_broker.queries.attribute_index import AttributeIndex, ids_of
+from services.context_broker.queries.geo_query import GeoQuery
+from services.context_broker.queries.place_index import PlaceIndex
+from services.context_broker.queries.q_index import Condition
+from services.context_broker.queries.type_selection import TypeSelection, of_types
+from services.context_broker.storage.commits import Commits
+from services.context_broker.storage.journal import EntityRow, Entries, Notice, NotStored
+from services.context_broker.storage.replica import Overtaken
+from services.context_broker.temporal.history import Recorder
+
+MOST_INDEXES: Final = 64
+"""Attributes, and attributes with places, for which there is an index."""
+
+
+@dataclass(slots=True, eq=False)
+class Staged:
+    """A change on its way to disk: the entity before and after (None where there is none)."""
+
+    before: Entity | None
+    after: Entity | None
+    notices: list[Notice]
+
+
+Announce = Callable[[Event], list[Notice]]
+"""Tells which notifications a change owes."""
+
+
+class Store:
+    """All entities of one tenant. `announce` and `deliver` are the notifier's two ends.
+
+    `places` gives each new entity its place in the order of creation; `recorder` keeps history, None none;
+    `ends` ends what is transient.
+    """
+
+    def __init__(
+        self,
+        tenant: str,
+        commits: Commits,
+        places: Iterator[int],
+        announce: Announce,
+        deliver: Callable[[list[Notice]], None],
+        *,
+        recorder: Recorder | None = None,
+        ends: Ends | None = None,
+    ) -> None:
+        self.tenant = tenant
+        self._commits = commits
+        self._places = places
+        self._announce = announce
+        self._deliver = deliver
+        self._recorder = recorder
+        self.census = Census()
+        self._ends = ends
+        self._committed: dict[str, Entity] = {}
+        self._by_type: dict[str, dict[str, Entity]] = {}
+        self._is_in_order = True
+        self._types_out_of_order: set[str] = set()
+        self._indexes: dict[str, AttributeIndex] = {}
+        self._place_indexes: dict[str, PlaceIndex] = {}
+        self._staged: dict[str, Staged] = {}
+
+    def take(self, entity: Entity) -> None:
+        """Take an entity that the journal has kept."""
+        self._put(None, entity)
+
+    # What readers see
+
+    def __len__(self) -> int:
+        return len(self._committed)
+
+    def get(self, entity_id: str) -> Entity | None:
+        """Return the committed entity."""
+        return self._committed.get(entity_id)
+
+    def candidates(
+        self,
+        ids: Iterable[str] | None = None,
+        types: TypeSelection | None = None,
+        conditions: Iterable[Condition] = (),
+        places: GeoQuery | None = None,
+    ) -> list[Entity]:
+        """Return entities among which all hits are, as few as the indexes know, in the order of creation.
+
+        What is None does not limit them.
+        """
+        if ids is not None:
+            found = [entity for one in dict.fromkeys(ids) if (entity := self._committed.get(one))]
+            return sorted(found, key=_by_seq)
+        count = len(self._committed)
+        chosen: Iterable[str] | None = None
+        for condition in conditions:
+            index = self._index(condition.attribute)
+            if index is not None:
+                filed = index.found(condition)
+                if (size := sum(map(len, filed))) < count:
+                    count, chosen = size, ids_of(filed)
+        if places is not None and places.box is not None and count:
+            place_index = self._place_index(places.attribute)
+            if place_index is not None and len(touched := place_index.found(places.box)) < count:
+                count, chosen = len(touched), touched
+        if types is not None and not types.is_every and self._count_of(types) <= count:
+            return self._of_types(types)
+        if chosen is not None:
+            return sorted((self._committed[one] for one in chosen), key=_by_seq)
+        return self._all()
+
+    def _all(self) -> list[Entity]:
+        if not self._is_in_order:
+            self._committed = _in_order(self._committed)
+            self._is_in_order = True
+        return list(self._committed.values())
+
+    def _count_of(self, types: TypeSelection) -> int:
+        return sum(len(self._rarest(one)) for one in types.alternatives)
+
+    def _rarest(self, kinds: frozenset[str]) -> dict[str, Entity]:
+        """Return the entities of the type of which there are fewest."""
+        return min((self._by_type.get(kind, {}) for kind in kinds), key=len)
+
+    def _of_types(self, types: TypeSelection) -> list[Entity]:
+        if len(types.alternatives) == 1 and len(types.alternatives[0]) == 1:
+            (kind,) = types.alternatives[0]
+            if kind in self._types_out_of_order:
+                self._by_type[kind] = _in_order(self._by_type[kind])
+                self._types_out_of_order.discard(kind)
+            return list(self._by_type.get(kind, {}).values())
+        hits: dict[str, Entity] = {}
+        for kinds in types.alternatives:
+            hits.update(self._rarest(kinds))
+        return sorted(hits.values(), key=_by_seq)
+
+    def mixed(
+        self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
+    ) -> "Mix":
+        """Return a store, for one answer, of the entities with these ids or else types (None: of all).
+
+        `others` are how entities are when other sources are heard too; None stands for one that is not to
+        be shown. Nothing may be written to it.
+        """
+        mix = Mix(self, others)
+        for one in self.candidates(ids, None if types is None else of_types(tuple(types))):
+            if one.id not in others:
+                mix.take(one)
+        for entity in sorted((one for one in others.values() if one is not None), key=_by_seq):
+            mix.take(entity)
+        return mix
+
+    # What writers do
+
+    def latest(self, entity_id: str) -> Entity | None:
+        """Return the entity as the last write left it, be that on disk already or not."""
+        staged = self._staged.get(entity_id)
+        return staged.after if staged is not None else self._committed.get(entity_id)
+
+    def next_seq(self) -> int:
+        """Return the place of a new entity in the order of creation."""
+        return next(self._places)
+
+    def stage(self, event: Event) -> asyncio.Future[None]:
+        """Put a change on its way; the future is done when it is safe, or fails with a problem (507)."""
+        before, after = event.before, event.after
+        entries = Entries()
+        one = after or before
+        assert one is not None  # noqa: S101 - a change has at least one end
+        try:
+            entries.entities[one.seq] = EntityRow(
+                self.tenant, one.id, None if after is None else after.stored()
+            )
+            if self._recorder is not None:
+                self._recorder.record(self.tenant, event, entries)
+        except orjson.JSONEncodeError:
+            raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
+        staged = Staged(before, after, self._announce(event))
+        entries.owed = staged.notices
+        self._staged[one.id] = staged
+        fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+        def done() -> None:
+            self._take(one.id, staged)
+            if not fate.done():
+                fate.set_result(None)
+
+        def failed(error: NotStored) -> None:
+            if not fate.done():
+                fate.set_exception(error if isinstance(error, Overtaken) else not_stored(str(error)))
+
+        self._commits.submit(entries, done, failed)
+        return fate
+
+    def _take(self, entity_id: str, staged: Staged) -> None:
+        self._put(self._committed.get(entity_id), staged.after)
+        if self._staged.get(entity_id) is staged:
+            del self._staged[entity_id]
+        if staged.notices:
+            self._deliver(staged.notices)
+
+    def forget_staged(self) -> None:
+        """Forget what is on its way: the disk has refused it."""
+        self._staged.clear()
+
+    def follow(self, place: int, entity_id: str, after: Entity | None) -> None:
+        """Take what another broker did to the entity at a place; what is on its way to it is overtaken."""
+        self._staged.pop(entity_id, None)
+        before = self._committed.get(entity_id)
+        if after is not None or (before is not None and before.seq == place):
+            self._put(before, after)
+
+    def forget_new_at(self, place: int) -> None:
+        """Forget what is on its way to a place that another broker has given too."""
+        for rival in [one.after.id for one in self._staged.values() if one.after and one.after.seq == place]:
+            del self._staged[rival]
+
+    def forget_all_but(self, places: Container[int]) -> None:
+        """Forget all entities at other places, and what is on its way."""
+        self._staged.clear()
+        for entity in [one for one in self._committed.values() if one.seq not in places]:
+            self._put(entity, None)
+
+    # Keeping order
+
+    def _put(self, before: Entity | None, after: Entity | None) -> None:
+        if before is not None and (after is None or after.seq != before.seq):
+            del self._committed[before.id]  # a new entity of the same id goes to the end of the order
+        if after is not None:
+            if after.id not in self._committed and self._is_overtaken(self._committed, after):
+                self._is_in_order = False
+            self._committed[after.id] = after
+            if after.ends_at is not None and self._ends is not None:
+                self._ends.watch(self, after)
+        elif before is not None and before.ends_at is not None and self._ends is not None:
+            self._ends.forget(self, before.id)
+        self.census.note(before, after)
+        self._file_by_type(before, after)
+        for index in self._indexes.values():
+            index.refile(before, after)
+        for place_index in self._place_indexes.values():
+            place_index.refile(before, after)
+
+    def _is_overtaken(self, entities: dict[str, Entity], entity: Entity) -> bool:
+        """Say whether the last of `entities` was created after `entity`.
+
+        That happens when an entity gets another type, and when news of other brokers come in the order of
+        their commits.
+        """
+        last = next(reversed(entities), None)
+        return last is not None and entities[last].seq > entity.seq
+
+    def _file_by_type(self, before: Entity | None, after: Entity | None) -> None:
+        if before and after and before.types == after.types and before.seq == after.seq:
+            for kind in after.types:
+                self._by_type[kind][after.id] = after
+            return
+        for kind in before.types if before else ():
+            del self._by_type[kind][before.id]  # type: ignore[union-attr]
+        if after is None:
+            return
+        for kind in after.types:
+            entities = self._by_type.setdefault(kind, {})
+            if self._is_overtaken(entities, after):
+                self._types_out_of_order.add(kind)
+            entities[after.id] = after
+
+    def _index(self, attribute: str) -> AttributeIndex | None:
+        """Return the index of an attribute, made when it is first asked for."""
+        index = self._indexes.get(attribute)
+        if index is None and _has_room(self._indexes):
+            index = self._indexes[attribute] = AttributeIndex(attribute, self._committed.values())
+        return index
+
+    def _place_index(self, attribute: str) -> PlaceIndex | None:
+        """Return the index of the places of an attribute, made when it is first asked for."""
+        index = self._place_indexes.get(attribute)
+        if index is None and _has_room(self._place_indexes):
+            index = self._place_indexes[attribute] = PlaceIndex(attribute, self._committed.values())
+        return index
+
+
+class Mix(Store):
+    """Entities as they are when other sources are heard too; what it lacks is looked up in the store."""
+
+    def __init__(self, store: Store, others: Mapping[str, Entity | None]) -> None:
+        super().__init__(store.tenant, store._commits, store._places, store._announce, store._deliver)
+        self.origins: Mapping[str, list[str]] = {}
+        """By entity, which registrations told of it, and `@none` for the broker itself (clause 5.2.39)."""
+        self._store = store
+        self._others = others
+
+    def get(self, entity_id: str) -> Entity | None:
+        """Return an entity of the mix, or the committed one."""
+        found = super().get(entity_id)
+        return self._store.get(entity_id) if found is None and entity_id not in self._others else found
+
+
+def _has_room(indexes: dict[str, Any]) -> bool:
+    """Say whether there is room for one more; that of an attribute that nobody has makes room."""
+    if len(indexes) >= MOST_INDEXES:
+        unused = next((attribute for attribute, index in indexes.items() if not len(index)), None)
+        if unused is None:
+            return False
+        del indexes[unused]
+    return True
+
+
+def _in_order(entities: dict[str, Entity]) -> dict[str, Entity]:
+    return {one.id: one for one in sorted(entities.values(), key=_by_seq)}
+
+
+def _by_seq(entity: Entity) -> int:
+    return entity.seq

@@ -1,0 +1,1 @@
+"""Subscriptions: who is told of which changes, and how a notification gets there."""

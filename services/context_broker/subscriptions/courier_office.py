@@ -1,0 +1,142 @@
+"""The office of the couriers of one tenant: a courier for each subscription, and what is handed to them."""
+
+from collections.abc import Iterable, Mapping
+
+import orjson
+
+from services.context_broker.storage.commits import Commits
+from services.context_broker.storage.journal import DocumentKey, Entries, Journal, Kind, Notice
+from services.context_broker.subscriptions.couriers import Courier
+from services.context_broker.subscriptions.lines import Line
+from services.context_broker.subscriptions.outbound import Outbound
+from services.context_broker.subscriptions.subscription import Subscription
+
+
+class CourierOffice:
+    """Keeps the subscriptions of a tenant, and has what they are owed delivered.
+
+    Only the leading broker delivers; the others know the subscriptions, and wait for their turn.
+    """
+
+    counts_kind = Kind.COUNTS
+    """Under which kind of document the counts of the subscriptions are kept."""
+
+    def __init__(self, tenant: str, commits: Commits, outbound: Outbound) -> None:
+        self.tenant = tenant
+        self.outbound = outbound
+        self._commits = commits
+        self._couriers: dict[str, Courier] = {}
+
+    # What happens to subscriptions
+
+    def start(self, subscriptions: Iterable[Subscription]) -> None:
+        """Begin with the subscriptions of before; what is owed to them is sent now."""
+        for subscription in subscriptions:
+            self._hire(subscription)
+        if self._couriers:
+            for one in self.journal.owed_to(self.tenant):
+                self.owed_by_others(one)
+        self.rearrange()
+
+    def stop(self) -> None:
+        """End; what is owed stays in the outbox."""
+        for courier in self._couriers.values():
+            courier.stop()
+
+    def put(self, subscription: Subscription, *, from_disk: bool = False) -> None:
+        """Heed a new or a changed subscription from now on; `from_disk` looks for what it is owed already."""
+        courier = self._couriers.get(subscription.id)
+        if courier is None:
+            courier = self._hire(subscription)
+        else:
+            subscription.counts = courier.subscription.counts
+            courier.change(subscription)
+        if from_disk and self.outbound.leadership.leads:
+            courier.start()
+        self.rearrange(subscription.id)
+
+    def remove(self, subscription_id: str) -> None:
+        """Forget a subscription and what is owed to it."""
+        self._couriers.pop(subscription_id).end()
+        self.rearrange(subscription_id)
+
+    def get(self, subscription_id: str) -> Subscription | None:
+        """Return a subscription."""
+        courier = self._couriers.get(subscription_id)
+        return None if courier is None else courier.subscription
+
+    def all(self) -> list[Subscription]:
+        """Return all subscriptions in a stable order."""
+        return [courier.subscription for courier in self._couriers.values()]
+
+    def rearrange(self, changed: str | None = None) -> None:
+        """Take note that a subscription came, changed or went, or that all are others now."""
+
+    def turn(self, *, leads: bool) -> None:
+        """Begin with all that is owed, or leave it to another broker."""
+        for courier in self._couriers.values():
+            if leads:
+                courier.start()
+            else:
+                courier.stop()
+
+    # What is to be delivered
+
+    def deliver(self, notices: list[Notice]) -> None:
+        """Hand notifications that are committed to their couriers, if this broker is to notify."""
+        if not self.outbound.leadership.leads:
+            return
+        for notice in notices:
+            courier = self._couriers.get(notice.subscription)
+            if courier is not None:
+                courier.add(notice)
+
+    def owed_by_others(self, subscription_id: str) -> None:
+        """Look into the outbox: another broker, or this one before it was started, has filled it."""
+        courier = self._couriers.get(subscription_id)
+        if courier is not None and self.outbound.leadership.leads:
+            courier.start()
+
+    # What couriers need
+
+    @property
+    def journal(self) -> Journal:
+        """Where what is owed waits."""
+        return self.outbound.journal
+
+    @property
+    def keep_s(self) -> float:
+        """How long a notification is tried again."""
+        return self.outbound.keep_s
+
+    def line(self, subscription: Subscription) -> Line:
+        """Return the way to the endpoint of a subscription."""
+        return self.outbound.line(subscription.endpoint)
+
+    async def post(self, subscription: Subscription, body: bytes, taken: bytes | None) -> int:
+        """Send a notification; see `Outbound.post`."""
+        return await self.outbound.post(subscription, self.tenant, body, taken)
+
+    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+        """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
+        raise NotImplementedError
+
+    def settle(self, subscription: Subscription, seqs: Iterable[int]) -> None:
+        """Strike out what is no longer owed and write the counts, in passing: with the next commit."""
+        counts = subscription.counts
+        told = [
+            counts.sent,
+            counts.failed,
+            counts.last_notification,
+            counts.last_success,
+            counts.last_failure,
+        ]
+        if subscription.id in self._couriers:
+            documents: dict[DocumentKey, bytes | None] = {
+                (self.counts_kind, self.tenant, subscription.id): orjson.dumps(told)
+            }
+            self._commits.store_later(Entries(settled=list(seqs), documents=documents))
+
+    def _hire(self, subscription: Subscription) -> Courier:
+        courier = self._couriers[subscription.id] = Courier(subscription, self)
+        return courier

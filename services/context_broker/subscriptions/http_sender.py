@@ -1,0 +1,303 @@
+"""Posting notifications: a small HTTP client that keeps its connections open.
+
+A general client costs about a millisecond of processor time a request; this one a tenth of that, which is
+what lets a notification leave right after its commit. `HttpSender` posts, reads the status and forgets the
+rest; `HttpAsker` also reads what context sources answer.
+"""
+
+import asyncio
+import ssl
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final, cast
+from urllib.parse import urlsplit
+
+import httptools
+
+from services.context_broker.subscriptions.destinations import Destinations, Refused
+
+MOST_IDLE: Final = 8
+"""Open connections kept for each address while nothing is sent."""
+LARGEST_ANSWER: Final = 256 * 1024
+"""Bytes of an answer that are read before the connection is given up."""
+LARGEST_REPLY: Final = 32 * 1024 * 1024
+"""The same where the answer matters: a page of a thousand entities of 32 KB."""
+OPEN: Final = Destinations()
+"""Where a sender may send that is told nothing else: to all but link-local addresses."""
+
+
+class SendError(Exception):
+    """The other side could not be reached or did not answer properly."""
+
+
+class TooSlow(SendError):
+    """The other side did not answer in time."""
+
+
+class TooLarge(SendError):
+    """The other side answered more than is read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """An answer that was read whole; the names of `headers` are in lower case."""
+
+    status: int
+    headers: dict[str, str]
+    body: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a URL leads: what to connect to, and what to ask there."""
+
+    host: str
+    port: int
+    tls: bool
+    target: str
+    host_header: str
+
+
+@lru_cache(maxsize=4096)
+def address(url: str) -> Address:
+    """Return where `url` leads; it has been checked to be an http or https URL."""
+    parts = urlsplit(url)
+    tls = parts.scheme == "https"
+    host = parts.hostname or ""
+    target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+    return Address(host, parts.port or (443 if tls else 80), tls, target, parts.netloc.rpartition("@")[2])
+
+
+class _Connection(asyncio.Protocol):
+    """One connection: a request is written, its answer awaited; one at a time."""
+
+    largest_answer = LARGEST_ANSWER
+
+    def __init__(self) -> None:
+        self.transport: asyncio.Transport | None = None
+        self.reusable = False
+        self._parser: httptools.HttpResponseParser | None = None
+        self._answer: asyncio.Future[Any] | None = None
+        self._received = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = cast("asyncio.Transport", transport)  # uvloop's is one in all but its class
+
+    def request(self, data: bytes) -> "asyncio.Future[Any]":
+        """Send a request; the future is the answer: its status, or all of it from one that reads."""
+        assert self.transport is not None  # noqa: S101 - connected before use
+        self._answer = asyncio.get_running_loop().create_future()
+        self._parser = httptools.HttpResponseParser(self)
+        self._received = 0
+        self.reusable = False
+        self.transport.write(data)
+        return self._answer
+
+    def data_received(self, data: bytes) -> None:
+        if self._parser is None:
+            self.close()  # nobody asked
+            return
+        self._received += len(data)
+        try:
+            self._parser.feed_data(data)
+        except httptools.HttpParserError as error:
+            self._fail(SendError(f"the answer is not HTTP ({error})"))
+        if self._received > self.largest_answer:
+            self._fail(TooLarge(f"the answer has more than {self.largest_answer} bytes"))
+
+    def on_message_complete(self) -> None:
+        assert self._parser is not None  # noqa: S101 - it is what calls this
+        status = self._parser.get_status_code()
+        if status < 200:
+            return
+        self.reusable = self._parser.should_keep_alive()
+        self._parser = None
+        if self._answer is not None and not self._answer.done():
+            self._answer.set_result(self._told(status))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        why = f"the connection was closed before an answer came{f' ({exc})' if exc else ''}"
+        self._fail(SendError(why))
+
+    def close(self) -> None:
+        """Give the connection up."""
+        self.reusable = False
+        if self.transport is not None:
+            self.transport.abort()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the other side has not closed it."""
+        return self.transport is not None and not self.transport.is_closing()
+
+    def _told(self, status: int) -> Any:
+        return status
+
+    def _fail(self, error: SendError) -> None:
+        self.reusable = False
+        if self._answer is not None and not self._answer.done():
+            self._answer.set_exception(error)
+        if self.transport is not None:
+            self.transport.abort()
+
+
+class _ReadingConnection(_Connection):
+    """A connection that keeps what is answered."""
+
+    largest_answer = LARGEST_REPLY
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._headers: dict[str, str] = {}
+        self._body: list[bytes] = []
+        self._ends_with_the_connection = False
+
+    def request(self, data: bytes) -> "asyncio.Future[Any]":
+        """Send a request; the future is the `Reply`."""
+        self._headers, self._body = {}, []
+        self._ends_with_the_connection = False
+        return super().request(data)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        key, text = name.decode("latin-1").lower(), value.decode("latin-1")
+        self._headers[key] = f"{self._headers[key]}, {text}" if key in self._headers else text
+
+    def on_headers_complete(self) -> None:
+        assert self._parser is not None  # noqa: S101 - it is what calls this
+        if self._parser.get_status_code() < 200:
+            self._headers = {}
+        self._ends_with_the_connection = (
+            "content-length" not in self._headers and "transfer-encoding" not in self._headers
+        )
+
+    def on_body(self, body: bytes) -> None:
+        self._body.append(body)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if exc is None and self._parser is not None and self._ends_with_the_connection:
+            self.on_message_complete()
+            self.reusable = False
+        super().connection_lost(exc)
+
+    def _told(self, status: int) -> Any:
+        return Reply(status, self._headers, b"".join(self._body))
+
+
+class HttpSender:
+    """Posts to many addresses, over connections that are kept open between posts.
+
+    `ca_file` (PEM) names authorities that are trusted besides those the system knows.
+    """
+
+    _connection_class: type[_Connection] = _Connection
+
+    def __init__(self, destinations: Destinations = OPEN, ca_file: Path | None = None) -> None:
+        self._destinations = destinations
+        self._ca_file = ca_file
+        self._idle: dict[tuple[str, int, bool], list[_Connection]] = {}
+        self._tls: ssl.SSLContext | None = None
+
+    async def post(self, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float) -> int:
+        """Return the status of the answer; raise `SendError` when there is none within `timeout_s`."""
+        status: int = await self._send("POST", url, headers, body, timeout_s)
+        return status
+
+    async def _send(
+        self, method: str, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float
+    ) -> Any:
+        where = address(url)
+        lines = [f"{method} {where.target} HTTP/1.1", f"Host: {where.host_header}"]
+        if body or method != "GET":
+            lines.append(f"Content-Length: {len(body)}")
+        lines += [f"{name}: {value}" for name, value in headers]
+        request = ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1") + body
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await self._exchange(where, request)
+        except TimeoutError:
+            raise TooSlow(f"no answer within {timeout_s:g} s") from None
+        except Refused as refused:
+            raise SendError(str(refused)) from None
+        except UnicodeError as error:
+            raise SendError(f"{where.host} is no name of a machine ({error})") from None
+        except OSError as error:
+            raise SendError(error.strerror or str(error) or type(error).__name__) from None
+
+    def close(self) -> None:
+        """Close all connections."""
+        for connections in self._idle.values():
+            for connection in connections:
+                connection.close()
+        self._idle.clear()
+
+    async def _exchange(self, where: Address, request: bytes) -> Any:
+        idle = self._idle.setdefault((where.host, where.port, where.tls), [])
+        while idle:
+            connection = idle.pop()
+            if connection.is_open:
+                try:
+                    return await self._ask(connection, request, idle)
+                except TooLarge:
+                    raise
+                except SendError:
+                    break  # the other side may have closed it while it was idle: once more on a new one
+        return await self._ask(await self._connect(where), request, idle)
+
+    async def _connect(self, where: Address) -> _Connection:
+        """Connect to the first of the host's open addresses that answers.
+
+        The name is looked up here and the address used as it was checked: a name that leads elsewhere the
+        next moment changes nothing.
+        """
+        if where.tls and self._tls is None:
+            self._tls = await asyncio.to_thread(trusting, self._ca_file)
+        loop = asyncio.get_running_loop()
+        tls = self._tls if where.tls else None
+        failure: OSError | None = None
+        for one in await self._destinations.resolved(where.host, where.port):
+            try:
+                _, connection = await loop.create_connection(
+                    self._connection_class,
+                    one,
+                    where.port,
+                    ssl=tls,
+                    server_hostname=where.host if tls else None,
+                )
+            except OSError as error:
+                failure = error
+            else:
+                return connection
+        raise failure or OSError(f"{where.host} has no address")
+
+    @staticmethod
+    async def _ask(connection: _Connection, request: bytes, idle: list[_Connection]) -> Any:
+        try:
+            return await connection.request(request)
+        finally:
+            if connection.reusable and connection.is_open and len(idle) < MOST_IDLE:
+                idle.append(connection)
+            else:
+                connection.close()
+
+
+class HttpAsker(HttpSender):
+    """Asks many addresses anything, and reads what they answer."""
+
+    _connection_class = _ReadingConnection
+
+    async def ask(
+        self, method: str, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float
+    ) -> Reply:
+        """Return the answer; raise `SendError` when there is none within `timeout_s`."""
+        reply: Reply = await self._send(method, url, headers, body, timeout_s)
+        return reply
+
+
+def trusting(ca_file: Path | None) -> ssl.SSLContext:
+    """Return a TLS context that checks certificates by the system's authorities and those of `ca_file`."""
+    context = ssl.create_default_context()
+    if ca_file is not None:
+        context.load_verify_locations(ca_file)
+    return context

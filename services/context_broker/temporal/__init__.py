@@ -1,0 +1,1 @@
+"""The past: how entities have been, kept, corrected, asked and summed up."""

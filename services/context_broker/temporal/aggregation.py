@@ -1,0 +1,161 @@
+"""Aggregation: what a series of values comes to, period by period (clause 4.5.19 of ETSI GS CIM 009).
+
+Numbers take every method; a truth counts as 1 or 0 and a list as its length; texts and dates have a least and
+a greatest; everything else can only be counted.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.temporal.durations import LAST_TIME, Duration, written_time
+
+COUNTED_ONLY: Final = frozenset(
+    {"Relationship", "ListRelationship", "LanguageProperty", "VocabProperty", "JsonProperty", "GeoProperty"}
+)
+"""Kinds of attributes of which no value is more than another."""
+_LARGEST_INTEGER: Final = 2**63 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Aggregation:
+    """What is asked for: methods, and how long each period is."""
+
+    methods: tuple[str, ...]
+    period: Duration
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """A piece of time and what was said in it; times in microseconds since 1970."""
+
+    start: int
+    end: int
+    said: list[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Total:
+    """What a period comes to, by method; None where the method means nothing for what was said."""
+
+    start: int
+    end: int
+    values: dict[str, Any]
+
+
+def periods(points: Sequence[tuple[int, Any]], duration: Duration, origin: int, end: int) -> list[Period]:
+    """Cut `points` (time and what was said, oldest first) into periods from `origin` on, without empty ones.
+
+    `end` is where the one period ends that stands for all the time.
+    """
+    if not points:
+        return []
+    if duration.is_everything:
+        return [Period(origin, end, [said for _, said in points])]
+    found: list[Period] = []
+    until = -1
+    for at, said in points:
+        if at >= until and not (found and until >= LAST_TIME):
+            number = duration.number(origin, at)
+            until = duration.boundary(origin, number + 1)
+            found.append(Period(duration.boundary(origin, number), until, []))
+        found[-1].said.append(said)
+    return found
+
+
+def totals(found: Iterable[Period], kind: str, methods: Iterable[str]) -> list[Total]:
+    """Return what each period comes to."""
+    wanted = tuple(methods)
+    return [
+        Total(period.start, period.end, {method: measure(method, kind, period.said) for method in wanted})
+        for period in found
+    ]
+
+
+def written_totals(found: Iterable[Total], methods: Iterable[str]) -> dict[str, list[list[Any]]]:
+    """Return by method each total with its start and end; without those that have no value."""
+    result: dict[str, list[list[Any]]] = {method: [] for method in methods}
+    for total in found:
+        start, end = written_time(total.start), written_time(total.end)
+        for method, value in total.values.items():
+            if value is not None:
+                result[method].append([value, start, end])
+    return result
+
+
+def measure(method: str, kind: str, said: Sequence[Any]) -> Any:
+    """Return what `said` comes to, None if the method means nothing for it. `said` is not empty."""
+    if method == "totalCount":
+        return len(said)
+    if method == "distinctCount":
+        return len({orjson.dumps(one, option=orjson.OPT_SORT_KEYS) for one in said})
+    if kind in COUNTED_ONLY:
+        return None
+    numbers = [number for one in said if (number := _number(one)) is not None]
+    if numbers:
+        return _fitting(METHODS[method](numbers))
+    texts = [text for one in said if (text := _text(one)) is not None]
+    if texts and method in _ORDERED:
+        return _ORDERED[method](texts)
+    return None
+
+
+def _number(said: Any) -> float | None:
+    if isinstance(said, list):
+        return len(said)
+    if isinstance(said, dict):
+        said = said.get("@value")
+    return said if isinstance(said, int | float) else None
+
+
+def _text(said: Any) -> str | None:
+    if isinstance(said, dict):
+        said = said.get("@value")
+    return said if isinstance(said, str) else None
+
+
+def _fitting(number: float) -> float | None:
+    """Return a number as JSON can carry it: whole up to 64 bits, truths as numbers; None if it cannot."""
+    if isinstance(number, int):
+        return int(number) if abs(number) <= _LARGEST_INTEGER else float(number)
+    return number if math.isfinite(number) else None
+
+
+def _sum(numbers: Sequence[float]) -> float:
+    if all(isinstance(one, int) for one in numbers):
+        return sum(numbers)
+    try:
+        return math.fsum(numbers)
+    except OverflowError:
+        return sum(float(one) for one in numbers)
+
+
+def _average(numbers: Sequence[float]) -> float:
+    return _sum(numbers) / len(numbers)
+
+
+def _deviation(numbers: Sequence[float]) -> float:
+    """Return the standard deviation of all there is; that of a sample one value alone would not have."""
+    mean = _average(numbers)
+    return math.sqrt(_sum([(float(one) - mean) * (float(one) - mean) for one in numbers]) / len(numbers))
+
+
+def _sum_of_squares(numbers: Sequence[float]) -> float:
+    return _sum([one * one for one in numbers])
+
+
+METHODS: Final[dict[str, Callable[[Sequence[float]], float]]] = {
+    "totalCount": len,
+    "distinctCount": len,
+    "sum": _sum,
+    "avg": _average,
+    "min": min,
+    "max": max,
+    "stddev": _deviation,
+    "sumsq": _sum_of_squares,
+}
+"""The methods of the standard, with what each makes of numbers."""
+_ORDERED: Final[dict[str, Callable[[Sequence[str]], str]]] = {"min": min, "max": max}

@@ -1,0 +1,157 @@
+"""The archive: the history of entities on disk, a row for each change and one for each that has departed.
+
+Rows are written as part of a commit of the journal and read from threads, however many there are. They lie in
+the order of time and are found by an index: rows in the order of entities would cost a commit twice as much.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from services.context_broker.storage.database import Database, NotStored, Writer
+
+
+@dataclass(slots=True, eq=False)
+class HistoryRow:
+    """A change of the entity at `place`; without `body` it is forgotten.
+
+    `seq` is the time of the change in microseconds since 1970, made different from every other one of the
+    entity; `observed` are the first and the last observedAt in it, in seconds since 1970, if it has any.
+    """
+
+    place: int
+    seq: int
+    observed: tuple[float | None, float | None]
+    body: bytes | None
+    rewritten: bool = False
+    """Whether it was changed later, so that modifiedAt in it may be younger than the row."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepartedRow:
+    """An entity that is only history, whether it is gone or never was; without `body` it is forgotten."""
+
+    tenant: str
+    id: str
+    body: bytes | None
+
+
+class Archive:
+    """Finds what has been, from any thread; raises `NotStored` where the disk cannot be read."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._is_closed = False
+
+    def close(self) -> None:
+        """End every reading that is under way."""
+        self._is_closed = True
+
+    def departed(self, tenant: str, entity_id: str | None = None) -> Iterator[tuple[int, str, bytes]]:
+        """Yield place, id and body of what is only history, all of it or that of one id; from any thread."""
+        asked = "SELECT place, id, body FROM departed WHERE tenant = ?"
+        if entity_id is None:
+            yield from self._scan(f"{asked} ORDER BY place", (tenant,))
+        else:
+            yield from self._scan(f"{asked} AND id = ? ORDER BY place", (tenant, entity_id))
+
+    def history(
+        self,
+        places: Sequence[int],
+        condition: str = "",
+        values: Sequence[float] = (),
+        *,
+        latest_first: bool = False,
+    ) -> Iterator[tuple[int, int, float | None, bytes]]:
+        """Yield place, seq, first observedAt and body of the changes at `places`, in order.
+
+        `condition` is SQL about seq, observed_from, observed_to and rewritten. From any thread.
+        """
+        marks = ", ".join("?" * len(places))
+        narrowed = f" AND {condition}" if condition else ""
+        order = "entity, seq DESC" if latest_first else "entity, seq"
+        asked = f"SELECT entity, seq, observed_from, body FROM history WHERE entity IN ({marks})"  # noqa: S608 - ours
+        yield from self._scan(f"{asked}{narrowed} ORDER BY {order}", (*places, *values))
+
+    def changes_after(self, place: int, after: int, most: int) -> list[tuple[int, bytes]]:
+        """Return seq and body of the first `most` changes at `place` after the seq `after`."""
+        return [
+            (int(seq), body)
+            for seq, body in self._database.read(
+                "SELECT seq, body FROM history WHERE entity = ? AND seq > ? ORDER BY seq LIMIT ?",
+                (place, after, most),
+            )
+        ]
+
+    def bound_of(self, place: int, most: int, before: int | None = None) -> int | None:
+        """Return the seq after the first `most` changes at `place` (below `before`), None at their end."""
+        narrowed, values = ("", ()) if before is None else ("AND seq < ? ", (before,))
+        found = self._database.read(
+            f"SELECT seq FROM history WHERE entity = ? {narrowed}ORDER BY seq LIMIT 1 OFFSET ?",  # noqa: S608 - ours
+            (place, *values, most),
+        )
+        return int(found[0][0]) if found else None
+
+    def first_change(self, after: int) -> tuple[int, int] | None:
+        """Return the first place after `after` that has history, and the seq of its first change."""
+        found = self._database.read(
+            "SELECT entity, seq FROM history WHERE entity > ? ORDER BY entity, seq LIMIT 1", (after,)
+        )
+        return (int(found[0][0]), int(found[0][1])) if found else None
+
+    def departed_without_history(self, place: int) -> tuple[str, str] | None:
+        """Return tenant and id of the entity that departed from `place` if there is no history of it."""
+        found = self._database.read(
+            "SELECT tenant, id FROM departed WHERE place = ? "
+            "AND NOT EXISTS (SELECT 1 FROM history WHERE entity = departed.place)",
+            (place,),
+        )
+        return (found[0][0], found[0][1]) if found else None
+
+    def _scan(self, statement: str, parameters: Sequence[Any]) -> Iterator[Any]:
+        for row in self._database.scan(statement, parameters):
+            if self._is_closed:
+                raise NotStored("the broker stops")
+            yield row
+
+
+def write_archive(
+    writer: Writer,
+    history: Sequence[HistoryRow],
+    cleared: Sequence[tuple[int, int]],
+    departed: Mapping[int, DepartedRow],
+) -> None:
+    """Write changes and departed entities as part of a commit, and forget those that are to be forgotten."""
+    kept = [
+        (row.place, row.seq, *row.observed, int(row.rewritten), row.body)
+        for row in history
+        if row.body is not None
+    ]
+    if kept:
+        writer.run_many(
+            "INSERT INTO history (entity, seq, observed_from, observed_to, rewritten, body) "
+            "VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (entity, seq) DO UPDATE SET observed_from = "
+            "excluded.observed_from, observed_to = excluded.observed_to, rewritten = excluded.rewritten, "
+            "body = excluded.body",
+            kept,
+        )
+    gone = [(row.place, row.seq) for row in history if row.body is None]
+    if gone:
+        writer.run_many("DELETE FROM history WHERE entity = ? AND seq = ?", gone)
+    if cleared:
+        writer.run_many("DELETE FROM history WHERE entity = ? AND seq < ?", cleared)
+    if departed:
+        _write_departed(writer, departed)
+
+
+def _write_departed(writer: Writer, departed: Mapping[int, DepartedRow]) -> None:
+    kept = [(place, row.tenant, row.id, row.body) for place, row in departed.items() if row.body is not None]
+    if kept:
+        writer.run_many(
+            "INSERT INTO departed (place, tenant, id, body) VALUES (?, ?, ?, ?) "
+            "ON CONFLICT (place) DO UPDATE SET body = excluded.body",
+            kept,
+        )
+    gone = [(place,) for place, row in departed.items() if row.body is None]
+    if gone:
+        writer.run_many("DELETE FROM departed WHERE place = ?", gone)

@@ -1,0 +1,365 @@
+"""The chronicle: how entities have been, read from history and narrowed to what is asked for.
+
+Everything here runs in a thread of its own, over the database's own connections, so that a long look back
+holds nobody up. What is kept in memory at a time is bounded, however long the history is.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from operator import itemgetter
+from typing import Any, Final
+
+from services.context_broker.api.problems import too_many_results
+from services.context_broker.entities.entity import SAYS, Entity, Instance
+from services.context_broker.temporal.aggregation import Aggregation, Total, periods, totals
+from services.context_broker.temporal.archive import Archive
+from services.context_broker.temporal.history import SCOPE, Change, Departed, instance_id
+from services.context_broker.temporal.query import TemporalQuery
+
+MOST_OF_ATTRIBUTE: Final = 1000
+"""Instances of one attribute (with one datasetId) in an answer; more are asked for with the next request."""
+MOST_IN_ANSWER: Final = 20_000
+"""Instances in an answer."""
+MOST_COMPARED: Final = 50_000
+"""Instances of one attribute that a query by values looks at; so many fit into memory."""
+MOST_AGGREGATED: Final = 2_000_000
+"""Values of one attribute that are aggregated at once."""
+CHUNK: Final = 100
+"""Entities whose history is read with one question to the database."""
+
+Predicate = Callable[[Entity], bool]
+Point = tuple[int, int, Any]
+"""A time in microseconds since 1970, the seq of the change, and an instance or what it says."""
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """An entity of which there is history; each time that it was created gave it one of its `places`."""
+
+    id: str
+    types: tuple[str, ...]
+    scopes: tuple[str, ...]
+    created_at: str
+    modified_at: str
+    deleted_at: str | None
+    places: tuple[int, ...]
+
+
+class Series:
+    """What one attribute, with one datasetId, has said: the first points of it, or the `latest` ones."""
+
+    __slots__ = ("dataset", "edge", "kind", "latest", "most", "points", "totals")
+
+    def __init__(self, kind: str, dataset: str | None, most: int, *, latest: bool) -> None:
+        self.kind = kind
+        self.dataset = dataset
+        self.points: list[Point] = []
+        self.most = most
+        self.latest = latest
+        self.edge: int | None = None
+        """The time of the last point kept, where there were more."""
+        self.totals: list[Total] = []
+        """What the points come to, period by period, if that was asked for; then the points are gone."""
+
+    def takes(self, at: int) -> bool:
+        """Say whether a point of that time is among those that are kept."""
+        return self.edge is None or (at >= self.edge if self.latest else at <= self.edge)
+
+    def add(self, point: Point) -> None:
+        """Add a point."""
+        self.points.append(point)
+        if len(self.points) > 2 * self.most:
+            self.trim()
+
+    def trim(self) -> None:
+        """Sort by time and keep `most` points, and those of the same time as the last of them."""
+        points = self.points
+        points.sort(key=_by_time)
+        if len(points) <= self.most:
+            return
+        edge = points[-self.most][0] if self.latest else points[self.most - 1][0]
+        before = len(points)
+        self.keep_to(edge)
+        if len(self.points) < before:
+            self.edge = edge
+
+    def keep_to(self, edge: int) -> None:
+        """Keep what is not beyond `edge`."""
+        latest = self.latest
+        self.points = [point for point in self.points if (point[0] >= edge if latest else point[0] <= edge)]
+
+
+@dataclass(slots=True)
+class Evolution:
+    """How a subject has been: by attribute (IRI, or `SCOPE`) a series for each datasetId."""
+
+    subject: Subject
+    series: dict[str, dict[str | None, Series]] = field(default_factory=dict)
+    is_hit: bool = False
+    """Whether there is anything of what must be there, in the time asked for."""
+
+    def all(self) -> Iterator[Series]:
+        """Yield every series."""
+        for named in self.series.values():
+            yield from named.values()
+
+    def as_entity(self) -> Entity:
+        """Return an entity that holds all instances at once, for questions to be put to it."""
+        attributes: dict[str, list[Instance]] = {
+            name: [one for series in named.values() for _, _, one in series.points if "deletedAt" not in one]
+            for name, named in self.series.items()
+            if name != SCOPE
+        }
+        it = self.subject
+        return Entity(it.id, it.types, attributes, it.created_at, it.modified_at, it.places[-1], it.scopes)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked. `wants` is put to an entity of all its instances; None takes all that have any.
+
+    `shows` says which attributes (IRIs, or `SCOPE`) are told of; one of those that it `requires` must be
+    there (None for any); `datasets` are the wanted instances by datasetId (None for all).
+    """
+
+    query: TemporalQuery
+    shows: Callable[[str], bool]
+    requires: frozenset[str] | None = None
+    datasets: frozenset[str | None] | None = None
+    wants: Predicate | None = None
+
+
+@dataclass(slots=True)
+class Found:
+    """What has been found: a page of evolutions, and the time `edge` up to which (or from which) it tells."""
+
+    evolutions: list[Evolution] = field(default_factory=list)
+    more: bool = False
+    total: int = 0
+    edge: int | None = None
+
+
+def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, bytes]]) -> list[Subject]:
+    """Return the subjects that live and departed entities make, in the order of their first creation."""
+    found: dict[str, Subject] = {}
+    for place, entity_id, body in departed:
+        known = found.get(entity_id)
+        it = Departed.restored(body)
+        places = (place,) if known is None else (*known.places, place)
+        created_at = it.created_at if known is None else known.created_at
+        found[entity_id] = Subject(
+            entity_id, it.types, it.scopes, created_at, it.modified_at, it.deleted_at, places
+        )
+    for entity in entities:
+        known = found.get(entity.id)
+        earlier = () if known is None else tuple(place for place in known.places if place != entity.seq)
+        found[entity.id] = Subject(
+            entity.id,
+            entity.types,
+            entity.scopes,
+            entity.created_at,
+            entity.modified_at,
+            None,
+            (*earlier, entity.seq),
+        )
+    return sorted(found.values(), key=lambda subject: subject.places[0])
+
+
+def tell_one(archive: Archive, subject: Subject, question: Question) -> Found:
+    """Return how one subject has been. Raises `NotStored` when the disk cannot be read."""
+    (evolution,) = _read(archive, [subject], question)
+    found = Found([evolution], total=1)
+    _finish(found, question)
+    return found
+
+
+def tell(
+    archive: Archive, subjects: Sequence[Subject], question: Question, offset: int, limit: int, *, count: bool
+) -> Found:
+    """Return how those of `subjects` have been that the question wants, a page of them.
+
+    Raises `NotStored` when the disk cannot be read.
+    """
+    found = Found()
+    for run in _runs(subjects):
+        for evolution in _read(archive, run, question):
+            if not evolution.is_hit or not (question.wants is None or question.wants(evolution.as_entity())):
+                continue
+            found.total += 1
+            if offset < found.total <= offset + limit:
+                found.evolutions.append(evolution)
+                _finish(found, question)
+            elif found.total > offset + limit:
+                found.more = True
+                if not count:
+                    return found
+    return found
+
+
+def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
+    """Yield subjects in pieces that one question can read: many of rising places, or one of many places."""
+    run: list[Subject] = []
+    for subject in subjects:
+        alone = len(subject.places) > 1
+        if run and (alone or len(run) >= CHUNK or subject.places[0] < run[-1].places[0]):
+            yield run
+            run = []
+        if alone:
+            yield [subject]
+        else:
+            run.append(subject)
+    if run:
+        yield run
+
+
+def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Iterator[Evolution]:
+    """Yield the evolution of each subject as soon as its rows are read: only one is in memory at a time."""
+    rest = iter(run)
+    query = question.query
+    evolution = Evolution(next(rest))
+    places = [place for subject in run for place in subject.places]
+    condition, values = query.condition()
+    bare = query.aggregation is not None and question.wants is None
+    # The latest first where they are wanted: the others are then known by their time alone. Rows of several
+    # places would have to be sorted for that.
+    rows = archive.history(
+        places, condition, values, latest_first=query.last is not None and len(places) == 1
+    )
+    ends_early = query.last is None and question.wants is None and query.aggregation is None
+    edge: int | None = None
+    for place, seq, observed_from, body in rows:
+        while place not in evolution.subject.places:
+            yield _sorted(evolution)
+            evolution, edge = Evolution(next(rest)), None
+        if edge is not None and query.is_later(edge, seq, observed_from):
+            continue  # an answer ends at the same time for all attributes
+        for name, position, instance in Change.restored(body).instances(seq):
+            at = query.time_of(instance)
+            if at is None or (series := _series_for(evolution, name, instance, question)) is None:
+                continue
+            if series.takes(at):
+                instance["instanceId"] = instance_id(place, seq, position)
+                series.add((at, seq, instance[SAYS[instance["type"]]] if bare else instance))
+                if ends_early and series.edge is not None:
+                    edge = series.edge if edge is None else min(edge, series.edge)
+    yield _sorted(evolution)
+    for subject in rest:
+        yield Evolution(subject)
+
+
+def _series_for(evolution: Evolution, name: str, instance: Instance, question: Question) -> Series | None:
+    """Return the series that an instance belongs to, None if it is not wanted."""
+    dataset: str | None = instance.get("datasetId")
+    if question.datasets is not None and name != SCOPE and dataset not in question.datasets:
+        return None
+    if question.query.aggregation is not None and "deletedAt" in instance:
+        return None
+    if question.requires is None or name in question.requires:
+        evolution.is_hit = True
+    if question.wants is None and not question.shows(name):
+        return None
+    named = evolution.series.get(name)
+    if named is None:
+        named = evolution.series[name] = {}
+    series = named.get(dataset)
+    if series is None:
+        most, latest = _bound(question)
+        series = named[dataset] = Series(instance["type"], dataset, most, latest=latest)
+    elif question.query.last is None:
+        series.kind = instance["type"]  # that of the latest
+    return series
+
+
+def _sorted(evolution: Evolution) -> Evolution:
+    for series in evolution.all():
+        series.trim()
+    return evolution
+
+
+def _bound(question: Question) -> tuple[int, bool]:
+    """Return how many points of a series are read, and whether they are the latest ones."""
+    query = question.query
+    latest = query.last is not None
+    if query.aggregation is not None:
+        most = MOST_AGGREGATED if question.wants is None else MOST_COMPARED
+    else:
+        most = MOST_OF_ATTRIBUTE if question.wants is None else MOST_COMPARED
+    return (min(most, query.last), True) if query.last is not None else (most, latest)
+
+
+def _finish(found: Found, question: Question) -> None:
+    """Narrow the evolution that was read last to what is shown, and all of them to what fits an answer."""
+    evolution = found.evolutions[-1]
+    evolution.series = {name: named for name, named in evolution.series.items() if question.shows(name)}
+    last = question.query.last
+    latest = last is not None
+    if question.query.aggregation is not None:
+        _aggregate(found, evolution, question, question.query.aggregation)
+        return
+    for series in evolution.all():
+        series.most = min(MOST_OF_ATTRIBUTE, last or MOST_OF_ATTRIBUTE)
+        series.trim()
+        if last is not None and last <= MOST_OF_ATTRIBUTE:
+            series.points = series.points[-last:]
+        elif series.edge is not None:
+            _narrow(found, series.edge, latest=latest)
+    all_series = [series for one in found.evolutions for series in one.all()]
+    _keep(all_series, found.edge)
+    if sum(len(series.points) for series in all_series) > MOST_IN_ANSWER:
+        times = sorted(at for series in all_series for at, _, _ in series.points)
+        _narrow(found, times[-MOST_IN_ANSWER] if latest else times[MOST_IN_ANSWER - 1], latest=latest)
+        _keep(all_series, found.edge)
+
+
+def _aggregate(found: Found, evolution: Evolution, question: Question, wanted: Aggregation) -> None:
+    """Make of each series what it comes to, in periods from the time asked for, or from the first point, on.
+
+    There are at most `MOST_OF_ATTRIBUTE` periods in an answer; the edge is where the first one begins that is
+    left out.
+    """
+    evolution.series.pop(SCOPE, None)
+    query, last = question.query, question.query.last
+    _require_all(evolution, question)
+    times = [series.points[end][0] for series in evolution.all() if series.points for end in (0, -1)]
+    if not times:
+        return
+    origin = min(times) if query.start is None else query.start
+    until = max(times) if query.end is None else query.end
+    for series in evolution.all():
+        points = series.points if last is None else series.points[-last:]
+        said = [(at, one[SAYS[one["type"]]] if question.wants is not None else one) for at, _, one in points]
+        series.points = []
+        found_periods = periods(said, wanted.period, origin, until)
+        if len(found_periods) > MOST_OF_ATTRIBUTE:
+            _narrow(found, found_periods[MOST_OF_ATTRIBUTE].start, latest=False)
+        series.totals = totals(found_periods[:MOST_OF_ATTRIBUTE], series.kind, wanted.methods)
+    for one in found.evolutions:
+        for series in one.all():
+            if found.edge is not None:
+                series.totals = [total for total in series.totals if total.start < found.edge]
+
+
+def _narrow(found: Found, edge: int, *, latest: bool) -> None:
+    if found.edge is None:
+        found.edge = edge
+    else:
+        found.edge = max(found.edge, edge) if latest else min(found.edge, edge)
+
+
+def _keep(all_series: Iterable[Series], edge: int | None) -> None:
+    if edge is not None:
+        for series in all_series:
+            series.keep_to(edge)
+
+
+def _require_all(evolution: Evolution, question: Question) -> None:
+    last = question.query.last
+    for series in evolution.all():
+        if series.edge is not None and (last is None or series.most < last):
+            raise too_many_results(
+                f"there are more than {series.most} instances of an attribute of {evolution.subject.id} to "
+                "aggregate; ask for a shorter time with timerel, timeAt and endTimeAt"
+            )
+
+
+_by_time = itemgetter(0, 1)

@@ -1,0 +1,283 @@
+"""History: each change of an entity, kept in the commit of the change, so that the temporal API can tell it.
+
+A change costs one row: the instances of attributes that it wrote, as they are in the entity, and which ones
+it deleted. What an instance is called (its instanceId) is made from where it stands, and need not be kept.
+"""
+
+import re
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.api.words import moment, timestamp, timestamp_now
+from services.context_broker.entities.entity import (
+    NULL,
+    SAYS,
+    Attributes,
+    Entity,
+    Event,
+    Instance,
+    dataset_of,
+)
+from services.context_broker.storage.journal import Entries
+from services.context_broker.temporal.archive import DepartedRow, HistoryRow
+
+SCOPE: Final = "scope"
+"""What the scopes of an entity are called among its attributes (whose names are IRIs)."""
+DRIFT_S: Final = 1.0
+"""How far the time in a row's key may be from the modifiedAt in it: keys of one instant step aside."""
+
+_ID: Final = re.compile(r"urn:ngsi-ld:Instance:([0-9a-f]{1,15})-([0-9a-f]{1,15})-([0-9a-f]{1,7})")
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+Deletions = dict[str, list[tuple[str, str | None] | None]]
+"""By attribute: kind and datasetId of each instance that was deleted."""
+
+
+@dataclass(slots=True)
+class Change:
+    """What a row of history tells. What was taken out later is None, so that the others keep their places."""
+
+    attributes: dict[str, list[Instance | None]] = field(default_factory=dict)
+    deleted: Deletions = field(default_factory=dict)
+    scopes: list[str] | None = None
+    """The scopes after the change, None if it left them alone."""
+
+    def stored(self) -> bytes:
+        """Return the change as the journal keeps it; raises `orjson.JSONEncodeError` if nested too deep."""
+        if self.scopes is not None:
+            return orjson.dumps([self.attributes, self.deleted, self.scopes])
+        return orjson.dumps([self.attributes, self.deleted] if self.deleted else [self.attributes])
+
+    @classmethod
+    def restored(cls, stored: bytes) -> "Change":
+        """Return the change that `stored` had been."""
+        return cls(*orjson.loads(stored))
+
+    def is_empty(self) -> bool:
+        """Say whether nothing is left of it."""
+        lists: Iterable[list[Any]] = (*self.attributes.values(), *self.deleted.values())
+        return self.scopes is None and all(one is None for instances in lists for one in instances)
+
+    def observed(self, at_s: float) -> tuple[float | None, float | None]:
+        """Return the first and the last observedAt in it; scopes count as observed at `at_s`."""
+        times = [
+            seen
+            for instances in self.attributes.values()
+            for one in instances
+            if one is not None and "observedAt" in one and (seen := moment(one["observedAt"])) is not None
+        ]
+        if self.scopes is not None:
+            times.append(at_s)
+        return (min(times), max(times)) if times else (None, None)
+
+    def instances(self, seq: int) -> Iterator[tuple[str, int, Instance]]:
+        """Yield each instance with its attribute (IRI, or `SCOPE`) and its position.
+
+        A deletion is an instance that says `NULL` and has a deletedAt (clauses 4.5.7 and 4.5.8).
+        """
+        position = 0
+        for name, instances in self.attributes.items():
+            for one in instances:
+                if one is not None:
+                    yield name, position, one
+                position += 1
+        if self.deleted:
+            at = time_of(seq)
+            for name, deletions in self.deleted.items():
+                for gone in deletions:
+                    if gone is not None:
+                        yield name, position, _deletion(*gone, at)
+                    position += 1
+        if self.scopes is not None:
+            yield SCOPE, position, _scope_instance(self.scopes, time_of(seq))
+
+    def without(self, attribute: str, position: int) -> bool:
+        """Take the instance at `position` out; return whether `attribute` has one there."""
+        lists: list[tuple[str, list[Any]]] = [*self.attributes.items(), *self.deleted.items()]
+        for name, instances in lists:
+            if position < len(instances):
+                found = name == attribute and instances[position] is not None
+                if found:
+                    instances[position] = None
+                return found
+            position -= len(instances)
+        if attribute == SCOPE and position == 0 and self.scopes is not None:
+            self.scopes = None
+            return True
+        return False
+
+    def put(self, position: int, instance: Instance) -> None:
+        """Put another instance in the place of the one at `position`."""
+        for instances in self.attributes.values():
+            if position < len(instances):
+                instances[position] = instance
+                return
+            position -= len(instances)
+
+    def find(self, attribute: str, position: int) -> Instance | None:
+        """Return the instance of `attribute` at `position`, None if there is none."""
+        for name, instances in self.attributes.items():
+            if position < len(instances):
+                return instances[position] if name == attribute else None
+            position -= len(instances)
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Departed:
+    """An entity that is only history: `deleted_at` is None for one that never was a current one."""
+
+    types: tuple[str, ...]
+    scopes: tuple[str, ...]
+    created_at: str
+    modified_at: str
+    deleted_at: str | None
+
+    def stored(self) -> bytes:
+        """Return it as the journal keeps it."""
+        return orjson.dumps([self.types, self.scopes, self.created_at, self.modified_at, self.deleted_at])
+
+    @classmethod
+    def restored(cls, stored: bytes) -> "Departed":
+        """Return what `stored` had been."""
+        types, scopes, *times = orjson.loads(stored)
+        return cls(tuple(types), tuple(scopes), *times)
+
+
+class Recorder:
+    """Adds to each commit of a change what history keeps of it."""
+
+    def __init__(self) -> None:
+        self._last = 0
+
+    def record(self, tenant: str, event: Event, entries: Entries) -> None:
+        """Add the row of one change; raises `orjson.JSONEncodeError` if it is nested too deep."""
+        before, after = event.before, event.after
+        one = after or before
+        assert one is not None  # noqa: S101 - a change has at least one end
+        if after is None or (before is not None and after.modified_at == before.modified_at):
+            at = timestamp_now()  # no two changes of an entity share a key
+        else:
+            at = after.modified_at
+        if after is None:
+            entries.departed[one.seq] = DepartedRow(
+                tenant, one.id, Departed(one.types, one.scopes, one.created_at, one.modified_at, at).stored()
+            )
+        change = change_of(before, after)
+        if change is not None:
+            entries.history.append(self.row(one.seq, change, at))
+
+    def row(self, place: int, change: Change, at: str) -> HistoryRow:
+        """Return the row of a change of the entity at `place`."""
+        seq = micros_of(at)
+        if seq <= self._last < seq + 1_000_000:
+            seq = self._last + 1  # several changes in one instant, or a clock that is coarse
+        self._last = seq
+        return HistoryRow(place, seq, change.observed(seq / 1_000_000), change.stored())
+
+
+def change_of(before: Entity | None, after: Entity | None) -> Change | None:
+    """Return what differs, None if nothing does. What a change did not write is the same object as before."""
+    if after is None:
+        assert before is not None  # noqa: S101 - a change has at least one end
+        gone = {name: _kinds(instances) for name, instances in before.attributes.items()}
+        return Change({}, gone, [] if before.scopes else None)
+    if before is None:
+        scopes = list(after.scopes) if after.scopes else None
+        return Change(after.attributes, {}, scopes)  # type: ignore[arg-type]  # read only
+    attributes: Attributes = {}
+    deleted: Deletions = {}
+    old = before.attributes
+    added = 0
+    for name, instances in after.attributes.items():
+        was = old.get(name)
+        if was is instances:
+            continue
+        if was is None:
+            attributes[name] = instances
+            added += 1
+        elif len(was) == len(instances) == 1 and dataset_of(was[0]) == dataset_of(instances[0]):
+            if was[0] is not instances[0]:
+                attributes[name] = instances
+        else:
+            _compare(name, was, instances, attributes, deleted)
+    if len(after.attributes) - added < len(old):
+        for name in old.keys() - after.attributes.keys():
+            deleted[name] = _kinds(old[name])
+    scopes = None if before.scopes == after.scopes else list(after.scopes)
+    if not attributes and not deleted and scopes is None:
+        return None
+    return Change(attributes, deleted, scopes)  # type: ignore[arg-type]  # lists without gaps
+
+
+def _compare(
+    name: str, was: list[Instance], instances: list[Instance], attributes: Attributes, deleted: Deletions
+) -> None:
+    known = {id(one) for one in was}
+    if new := [one for one in instances if id(one) not in known]:
+        attributes[name] = new
+    datasets = {dataset_of(one) for one in instances}
+    if gone := [one for one in was if dataset_of(one) not in datasets]:
+        deleted[name] = _kinds(gone)
+
+
+def instance_id(place: int, seq: int, position: int) -> str:
+    """Return the instanceId of the instance at `position` of a row."""
+    return f"urn:ngsi-ld:Instance:{place:x}-{seq:x}-{position:x}"
+
+
+def place_of(instance: str) -> tuple[int, int, int] | None:
+    """Return place, seq and position that an instanceId was made from, None for what is no id of ours."""
+    found = _ID.fullmatch(instance)
+    if found is None:
+        return None
+    place, seq, position = (int(part, 16) for part in found.groups())
+    return place, seq, position
+
+
+def micros_of(at: str) -> int:
+    """Return the microseconds from 1970 to `at`, a date-time in UTC.
+
+    Raises `ValueError` or `TypeError` for what is none.
+    """
+    since = datetime.fromisoformat(at) - _EPOCH
+    return (since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds
+
+
+def time_of(seq: int) -> str:
+    """Return the time in the key of a row, as the broker writes it."""
+    seconds, micros = divmod(seq, 1_000_000)
+    return timestamp(datetime.fromtimestamp(seconds, UTC).replace(microsecond=micros))
+
+
+def seq_before(days: float) -> int:
+    """Return the key of a change that was `days` ago."""
+    return int((time.time() - days * 86_400) * 1_000_000)
+
+
+def _kinds(instances: Iterable[Instance]) -> list[tuple[str, str | None] | None]:
+    return [(one["type"], dataset_of(one)) for one in instances]
+
+
+def _deletion(kind: str, dataset: str | None, at: str) -> Instance:
+    said = {"@none": NULL} if kind == "LanguageProperty" else NULL
+    instance: Instance = {"type": kind, SAYS[kind]: said, "deletedAt": at}
+    if dataset is not None:
+        instance["datasetId"] = dataset
+    return instance
+
+
+def _scope_instance(scopes: list[str], at: str) -> Instance:
+    if not scopes:
+        return {"type": "Property", "value": [], "deletedAt": at}
+    value = scopes[0] if len(scopes) == 1 else scopes
+    return {
+        "type": "Property",
+        "value": value,
+        **dict.fromkeys(("createdAt", "modifiedAt", "observedAt"), at),
+    }

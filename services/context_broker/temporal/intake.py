@@ -1,0 +1,119 @@
+"""What writers say of the past, read with care: attributes with any number of instances (clause 4.5.6)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.api.words import require_name, shown
+from services.context_broker.entities.entity import NULL, SAYS, Attributes, Instance, Terms, is_deletion
+from services.context_broker.entities.intake import (
+    SAYING,
+    Nulls,
+    expand,
+    kind_said,
+    read_attribute,
+    read_change,
+)
+from services.context_broker.temporal.history import SCOPE
+
+MOST_INSTANCES: Final = 100_000
+"""Instances that are read in one request."""
+
+_MEMBERS: Final = frozenset(
+    {"id", "@id", "type", "@type", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Past:
+    """What a writer said of how an entity has been; scopes are instances of the attribute `SCOPE`."""
+
+    id: str | None
+    types: tuple[str, ...]
+    attributes: Attributes
+
+    @property
+    def scopes(self) -> tuple[str, ...]:
+        """Return the scopes that were said last, none if nothing was said of them."""
+        said = [one["value"] for one in self.attributes.get(SCOPE, ())]
+        if not said:
+            return ()
+        return (said[-1],) if isinstance(said[-1], str) else tuple(said[-1])
+
+    def stamped(self, at: str) -> "Past":
+        """Return it with the times that the broker gives to instances which it takes at `at`."""
+        attributes = {
+            name: [_stamped(one, at) for one in instances] for name, instances in self.attributes.items()
+        }
+        return replace(self, attributes=attributes)
+
+
+def read_past(document: Any, terms: Terms) -> Past:
+    """Return what a document says of the past; raise a problem (400) for faults.
+
+    An instance may say `NULL`: that the attribute was deleted then (clause 5.5.4).
+    """
+    if not isinstance(document, Mapping):
+        raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
+    head = read_change(
+        {name: given for name, given in document.items() if name in _MEMBERS}, terms, Nulls.NOWHERE
+    )
+    attributes: Attributes = {}
+    total = 0
+    for name, given in document.items():
+        if name in _MEMBERS or name == "@context":
+            continue
+        if name == SCOPE:
+            attributes[SCOPE] = _scopes(given, terms)
+            continue
+        iri = expand(require_name(name, "the attribute name"), terms)
+        if iri in attributes:
+            raise bad_request_data(f"attribute {shown(name)} is given twice, once by another name of {iri}")
+        attributes[iri] = _instances(name, given, terms)
+        total += len(attributes[iri])
+    if total > MOST_INSTANCES:
+        raise bad_request_data(f"the body has {total} instances; {MOST_INSTANCES} are taken at once")
+    return Past(head.id, head.types, attributes)
+
+
+def _instances(name: str, given: Any, terms: Terms) -> list[Instance]:
+    if not isinstance(given, list) or not given or not all(_is_instance(one) for one in given):
+        given = [given]
+    # One by one: the same attribute has been this and then that, with one datasetId or none.
+    found = [read_change({name: one}, terms, Nulls.ATTRIBUTES).attributes for one in given]
+    return [instance for attributes in found for instances in attributes.values() for instance in instances]
+
+
+def _is_instance(given: Any) -> bool:
+    return isinstance(given, dict) and (kind_said(given) in SAYS or not SAYING.isdisjoint(given))
+
+
+def _scopes(given: Any, terms: Terms) -> list[Instance]:
+    """Return scopes as instances of a Property (clause 4.5.6), whether they were given so or bare."""
+    listed = (
+        given if isinstance(given, list) and given and all(_is_instance(one) for one in given) else [given]
+    )
+    found: list[Instance] = []
+    for one in listed:
+        instance: Instance = {"type": "Property", "value": one}
+        if isinstance(one, dict):
+            instance = read_attribute(SCOPE, one, terms)[0]
+            if instance["type"] != "Property" or set(instance) - {"type", "value", "observedAt"}:
+                raise bad_request_data(
+                    "a scope of the past is a Property with a value and an observedAt at most"
+                )
+        said = instance["value"]
+        if said == NULL:
+            found.append({**instance, "value": []})
+            continue
+        scopes = read_change({SCOPE: said}, terms, Nulls.NOWHERE).scopes or ()
+        found.append({**instance, "value": scopes[0] if len(scopes) == 1 else list(scopes)})
+    return found
+
+
+def _stamped(instance: Instance, at: str) -> Instance:
+    stamped = {**instance, "createdAt": at, "modifiedAt": at}
+    if is_deletion(instance):
+        stamped["deletedAt"] = at
+    return stamped

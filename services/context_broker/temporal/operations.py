@@ -1,0 +1,225 @@
+"""How things have been: the operations that tell of the past (clauses 5.7.3, 5.7.4, 6.18, 6.19 and 6.24)."""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any, Final, TypeVar
+
+import orjson
+
+from services.context_broker.api.exchange import JSON_LD, Answer, Exchange
+from services.context_broker.api.operation import Operation
+from services.context_broker.api.problems import bad_request_data, not_read
+from services.context_broker.api.words import require_uri, shown
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.entity import Entity
+from services.context_broker.entities.entity_operations import absent
+from services.context_broker.entities.rendering import with_context
+from services.context_broker.queries.ordering import Ordering, ordering
+from services.context_broker.queries.pages import PLACE
+from services.context_broker.queries.query_document import query_parameters, selectors_of
+from services.context_broker.queries.reading import (
+    LINK_PARAMETERS,
+    QUERY_PARAMETERS,
+    VIEW_PARAMETERS,
+    json_headers,
+    page_links,
+    selection_of,
+)
+from services.context_broker.queries.selection import Selection
+from services.context_broker.snapshots.entity_maps import MAP_PARAMETERS
+from services.context_broker.storage.journal import NotStored
+from services.context_broker.temporal.archive import Archive
+from services.context_broker.temporal.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
+from services.context_broker.temporal.query import (
+    AGGREGATION_PARAMETERS,
+    TIME_PARAMETERS,
+    Telling,
+    TemporalQuery,
+    TemporalView,
+    temporal_query,
+    temporal_view,
+    temporal_window,
+)
+from services.context_broker.temporal.rendering import content_range, told
+
+READERS: Final = 2
+"""Threads that look into the past: long looks wait for one another, and keep nothing else waiting."""
+
+_OF_THE_PRESENT: Final = LINK_PARAMETERS | {PLACE, "geometryProperty", "orderFrom", "orderGeometry"}
+"""What can be asked of entities as they are, and not of how they have been."""
+_TELLING: Final = (VIEW_PARAMETERS - _OF_THE_PRESENT) | TIME_PARAMETERS | AGGREGATION_PARAMETERS
+QUERYING: Final = (QUERY_PARAMETERS - _OF_THE_PRESENT) | _TELLING
+
+Told = TypeVar("Told")
+
+
+@dataclass(frozen=True, slots=True)
+class _Wish:
+    """What is asked for, and how it is to be told."""
+
+    context: Context
+    query: TemporalQuery
+    view: TemporalView
+    accept: str
+
+
+class TemporalOperations:
+    """What readers can learn about how things have been."""
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+        self._readers = ThreadPoolExecutor(READERS, "past")
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        at = "temporal/entities"
+        query = "temporal/entityOperations/query"
+        return (
+            Operation("GET", at, "queryTemporal", "6.18.3.2", self.query, QUERYING | MAP_PARAMETERS),
+            Operation("GET", f"{at}/{{id}}", "retrieveTemporal", "6.19.3.1", self.retrieve, _TELLING),
+            Operation("POST", query, "queryTemporalBatch", "6.24.3.1", self.query_by_document, QUERYING),
+        )
+
+    async def retrieve(self, exchange: Exchange) -> Answer:
+        """GET temporal/entities/{id}."""
+        wish = await self._wish(exchange, await exchange.reader_context())
+        entity_id = require_uri(exchange.names[0], "the entity id in the path")
+        live = exchange.tenant.store.get(entity_id)
+        question = Question(wish.query, wish.view.wants, None, wish.view.view.datasets)
+
+        def look() -> tuple[Found, list[bytes]] | None:
+            departed = self._archive.departed(exchange.tenant.name, entity_id)
+            subjects = subjects_of(() if live is None else (live,), departed)
+            if not subjects:
+                return None
+            found = tell_one(self._archive, subjects[0], question)
+            return found, _texts(found, wish)
+
+        answered = await self._looked(look)
+        if answered is None:
+            raise absent(entity_id)
+        found, (text,) = answered
+        return _answer(text, found, wish)
+
+    async def query(self, exchange: Exchange) -> Answer:
+        """GET temporal/entities."""
+        return await self._queried(exchange, await exchange.reader_context())
+
+    async def query_by_document(self, exchange: Exchange) -> Answer:
+        """POST temporal/entityOperations/query with a Query document (clause 5.2.23)."""
+        document, context = await exchange.body()
+        exchange.parameters = {**exchange.parameters, **_parameters(document)}
+        return await self._queried(exchange, context, selectors_of(document, context))
+
+    async def _wish(self, exchange: Exchange, context: Context) -> _Wish:
+        accept = exchange.accept()
+        view = temporal_view(exchange, context)
+        query = temporal_query(exchange.parameters, aggregates=view.telling is Telling.AGGREGATED)
+        return _Wish(context, query, view, accept)
+
+    async def _queried(
+        self, exchange: Exchange, context: Context, any_of: tuple[Selection, ...] = ()
+    ) -> Answer:
+        wish = await self._wish(exchange, context)
+        window, order = temporal_window(exchange), _order_of(exchange, context)
+        selection = selection_of(exchange.parameters, context, any_of)
+        if selection.query is not None and selection.query.hops:
+            raise bad_request_data(
+                "q follows a link to another entity, whose past is not looked at; leave it out"
+            )
+        narrowing = replace(selection, attributes=None, query=None, places=None)
+        by_values = selection.query is not None or selection.places is not None
+        question = Question(
+            wish.query,
+            wish.view.wants,
+            selection.attributes,
+            wish.view.view.datasets,
+            selection.wants if by_values else None,
+        )
+        live = exchange.tenant.store.candidates(selection.ids, selection.types)
+        name = exchange.tenant.name
+
+        def look() -> tuple[Found, list[bytes]]:
+            ids: tuple[str | None, ...] = (
+                (None,) if selection.ids is None else tuple(dict.fromkeys(selection.ids))
+            )
+            known = subjects_of(live, chain.from_iterable(self._archive.departed(name, one) for one in ids))
+            wanted = [one for one in known if narrowing.wants(_as_entity(one))]
+            if order is not None:
+                wanted.sort(key=lambda one: order.place_of(_as_entity(one)))
+            found = tell(self._archive, wanted, question, window.offset, window.limit, count=window.count)
+            return found, _texts(found, wish)
+
+        found, texts = await self._looked(look)
+        answer = _answer(b"[" + b",".join(texts) + b"]", found, wish)
+        if window.count:
+            answer.headers.append((b"ngsild-results-count", str(found.total).encode()))
+        if exchange.method == "GET":
+            answer.headers += page_links(exchange, window, wish.accept, more=found.more)
+        return answer
+
+    async def _looked(self, look: Callable[[], Told]) -> Told:
+        """Look into the database in a thread; raise a problem (503) when it cannot be read."""
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._readers, look)
+        except NotStored as error:
+            raise not_read(str(error)) from error
+
+
+def _texts(found: Found, wish: _Wish) -> list[bytes]:
+    terms = wish.context.terms
+    texts = [orjson.dumps(told(one, wish.query, wish.view, terms)) for one in found.evolutions]
+    return [with_context(text, wish.context) for text in texts] if wish.accept == JSON_LD else texts
+
+
+def _answer(body: bytes, found: Found, wish: _Wish) -> Answer:
+    headers = [(b"content-type", JSON_LD.encode())] if wish.accept == JSON_LD else json_headers(wish.context)
+    told_of = content_range(found, wish.query)
+    if told_of is None:
+        return Answer(200, body, headers)
+    return Answer(206, body, [*headers, (b"content-range", told_of)])
+
+
+def _order_of(exchange: Exchange, context: Context) -> Ordering | None:
+    """Return the order that is asked for; how entities have been is ordered by their id alone (5.7.4.4)."""
+    order = ordering(exchange.parameters, context.terms.expand)
+    if order is not None and exchange.parameters["orderBy"].partition(";")[0] != "id":
+        raise bad_request_data("orderBy is id here: what an entity says changes in the time that is told of")
+    return order
+
+
+def _as_entity(subject: Subject) -> Entity:
+    return Entity(
+        subject.id, subject.types, {}, subject.created_at, subject.modified_at, scopes=subject.scopes
+    )
+
+
+def _parameters(document: Any) -> dict[str, str]:
+    """Return the query parameters that say the same as a Query document (clauses 5.2.21, 5.2.23, 5.2.44)."""
+    if not isinstance(document, Mapping):
+        raise bad_request_data(f'the body is an object with "type": "Query", not {shown(document)}')
+    rest = {name: given for name, given in document.items() if name not in {"temporalQ", "aggrParams"}}
+    parameters = query_parameters(rest)
+    for name, known in (
+        ("temporalQ", TIME_PARAMETERS | AGGREGATION_PARAMETERS),
+        ("aggrParams", AGGREGATION_PARAMETERS),
+    ):
+        given = document.get(name, {})
+        if not isinstance(given, Mapping) or not known.issuperset(given):
+            raise bad_request_data(f'"{name}" is an object with {", ".join(sorted(known))} at most')
+        for member, value in given.items():
+            parameters[member] = _as_parameter(member, value)
+    return parameters
+
+
+def _as_parameter(name: str, value: Any) -> str:
+    if name == "lastN" and isinstance(value, int) and not isinstance(value, bool):
+        return str(value)
+    if name == "aggrMethods" and isinstance(value, list) and all(isinstance(one, str) for one in value):
+        return ",".join(value)
+    if isinstance(value, str) and name != "lastN":
+        return value
+    raise bad_request_data(f'"{name}" in a temporal query cannot be {shown(value)}; see clause 5.2.21')

@@ -1,0 +1,356 @@
+"""What writers may do to the past: add to it, change or delete instances, delete all (clauses 5.6.11 to 16).
+
+The present stays as it is: a current entity is changed by other operations, and only they change it.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Any, Final
+from urllib.parse import quote
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import PREFIX, Answer, Exchange
+from services.context_broker.api.operation import Operation
+from services.context_broker.api.problems import bad_request_data, not_found, not_stored
+from services.context_broker.api.words import moment, require_name, require_uri, shown, timestamp_now
+from services.context_broker.entities.completion import completed_part
+from services.context_broker.entities.entity import NULL, Attributes, Instance, Terms, dataset_of, is_deletion
+from services.context_broker.entities.entity_operations import DONE, absent
+from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand, read_attribute
+from services.context_broker.storage.journal import Entries, NotStored
+from services.context_broker.storage.tenants import Tenant
+from services.context_broker.temporal.archive import Archive, DepartedRow, HistoryRow
+from services.context_broker.temporal.chronicle import Subject, subjects_of
+from services.context_broker.temporal.history import SCOPE, Change, Departed, Recorder, place_of
+from services.context_broker.temporal.intake import Past, read_past
+
+INSTANCES_A_ROW: Final = 100
+"""Instances of one request that are kept in one row: so many are read where one of them is wanted."""
+LONG_BODY_BYTES: Final = 256 * 1024
+"""From here on reading a body takes longer than others should wait."""
+ROWS_A_COMMIT: Final = 500
+"""Rows that are rewritten or deleted in one commit, so that others get their turn between."""
+
+_LOCAL: Final = frozenset({"local"})
+_END_OF_TIME: Final = 2**62
+
+
+class TemporalProvision:
+    """What can be done to the past."""
+
+    def __init__(self, archive: Archive, recorder: Recorder | None) -> None:
+        self._archive = archive
+        self._recorder = recorder or Recorder()
+        self._turns: dict[tuple[str, str], tuple[asyncio.Lock, int]] = {}
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        one = "temporal/entities/{id}"
+        attribute = f"{one}/attrs/{{name}}"
+        instance = f"{attribute}/{{instance}}"
+        deleting = frozenset({"datasetId", "deleteAll", "local"})
+        return (
+            Operation(
+                "POST",
+                "temporal/entities",
+                "upsertTemporal",
+                "6.18.3.1",
+                self.upsert,
+                _LOCAL,
+                makes_tenant=True,
+            ),
+            Operation("DELETE", one, "deleteTemporal", "6.19.3.2", self.delete, _LOCAL),
+            Operation("POST", f"{one}/attrs", "appendAttrsTemporal", "6.20.3.1", self.append, _LOCAL),
+            Operation(
+                "DELETE", attribute, "deleteAttrsTemporal", "6.21.3.1", self.delete_attribute, deleting
+            ),
+            Operation(
+                "PATCH", instance, "updateAttrInstanceTemporal", "6.22.3.1", self.update_instance, _LOCAL
+            ),
+            Operation(
+                "DELETE", instance, "deleteAttrInstanceTemporal", "6.22.3.2", self.delete_instance, _LOCAL
+            ),
+        )
+
+    async def upsert(self, exchange: Exchange) -> Answer:
+        """POST temporal/entities: what is said is added to what is known of the entity."""
+        document, context = await exchange.body()
+        past = await _past_in(exchange, document, context.terms)
+        if past.id is None:
+            raise bad_request_data('the entity has no "id"; give it a URI such as urn:ngsi-ld:Task:demo:1')
+        if not past.types:
+            raise bad_request_data(f'the entity {past.id} has no "type"; name its type, for example "Task"')
+        async with self._turn(exchange.tenant, past.id):
+            subject = await self._subject(exchange.tenant, past.id)
+            await self._add(exchange.tenant, past.id, past, subject)
+        if subject is not None:
+            return DONE
+        location = f"{PREFIX}temporal/entities/{quote(past.id, safe=':')}".encode()
+        return Answer(201, b"", [(b"location", location)])
+
+    async def append(self, exchange: Exchange) -> Answer:
+        """POST temporal/entities/{id}/attrs."""
+        document, context = await exchange.body()
+        entity_id = _entity_id(exchange)
+        past = await _past_in(exchange, document, context.terms)
+        if past.id is not None and past.id != entity_id:
+            raise bad_request_data(f"the body is about {past.id}, the path about {entity_id}; agree on one")
+        async with self._turn(exchange.tenant, entity_id):
+            subject = await self._existing(exchange.tenant, entity_id)
+            await self._add(exchange.tenant, entity_id, past, subject)
+        return DONE
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """DELETE temporal/entities/{id}: all that is known of how it has been."""
+        entity_id, tenant = _entity_id(exchange), exchange.tenant
+        async with self._turn(tenant, entity_id):
+            subject = await self._existing(tenant, entity_id)
+            for place in subject.places:
+                while True:
+                    bound = await asyncio.to_thread(self._archive.bound_of, place, ROWS_A_COMMIT)
+                    await _commit(
+                        tenant, Entries(cleared=[(place, _END_OF_TIME if bound is None else bound)])
+                    )
+                    if bound is None:
+                        break
+            gone = {place: DepartedRow(tenant.name, entity_id, None) for place in subject.places}
+            await _commit(tenant, Entries(departed=gone))
+        return DONE
+
+    async def delete_attribute(self, exchange: Exchange) -> Answer:
+        """DELETE temporal/entities/{id}/attrs/{name}; instances of one datasetId, or all with deleteAll."""
+        entity_id, tenant = _entity_id(exchange), exchange.tenant
+        name = _attribute(exchange, (await exchange.reader_context()).terms)
+        given = exchange.parameter("datasetId")
+        dataset = None if given in {None, DEFAULT_INSTANCE} else require_uri(given, "datasetId")
+        every = exchange.flag("deleteAll")
+
+        def cut(change: Change) -> bool:
+            return _cut(change, name, lambda one: every or one == dataset)
+
+        async with self._turn(tenant, entity_id):
+            subject = await self._existing(tenant, entity_id)
+            found = 0
+            for place in subject.places:
+                after: int | None = -1
+                while after is not None:
+                    rows, after = await asyncio.to_thread(self._rewritten, place, after, cut)
+                    if rows:
+                        found += len(rows)
+                        await _commit(tenant, Entries(history=rows))
+        if not found:
+            which = "no instance" if every else f"no instance with {_dataset_shown(dataset)}"
+            raise not_found(
+                f"the past of {entity_id} has {which} of the attribute {shown(exchange.names[1])}"
+            )
+        return DONE
+
+    async def update_instance(self, exchange: Exchange) -> Answer:
+        """PATCH temporal/entities/{id}/attrs/{name}/{instance}: overwrites members of the instance."""
+        document, context = await exchange.body()
+        entity_id, tenant = _entity_id(exchange), exchange.tenant
+        name = _attribute(exchange, context.terms)
+        if not isinstance(document, dict):
+            raise bad_request_data(f"an instance of an attribute is a JSON object, not {shown(document)}")
+        if len(document) == 1 and exchange.names[1] in document:
+            document = document[exchange.names[1]]  # as an attribute in an entity
+            if isinstance(document, list) and len(document) == 1:
+                document = document[0]
+            if not isinstance(document, dict):
+                raise bad_request_data(f"one instance is overwritten, not {shown(document)}; send an object")
+        async with self._turn(tenant, entity_id):
+            place, seq, position, change = await self._row(exchange, entity_id)
+            instance = change.find(name, position)
+            if instance is None:
+                raise _absent_instance(exchange)
+            given = {member: value for member, value in document.items() if member != "@context"}
+            part = read_attribute(exchange.names[1], completed_part(given, instance), context.terms)[0]
+            if is_deletion(part):
+                raise bad_request_data(
+                    "an instance is deleted with DELETE, not by a PATCH; leave the NULL out"
+                )
+            if dataset_of(part) not in {None, dataset_of(instance)}:
+                raise bad_request_data(
+                    "an instance keeps its datasetId; leave it out, or add another instance"
+                )
+            change.put(position, _patched(instance, part))
+            await _commit(tenant, Entries(history=[_row(place, seq, change)]))
+        return DONE
+
+    async def delete_instance(self, exchange: Exchange) -> Answer:
+        """DELETE temporal/entities/{id}/attrs/{name}/{instance}."""
+        entity_id, tenant = _entity_id(exchange), exchange.tenant
+        name = _attribute(exchange, (await exchange.reader_context()).terms)
+        async with self._turn(tenant, entity_id):
+            place, seq, position, change = await self._row(exchange, entity_id)
+            if not change.without(name, position):
+                raise _absent_instance(exchange)
+            await _commit(tenant, Entries(history=[_row(place, seq, change)]))
+        return DONE
+
+    # Keeping
+
+    async def _add(self, tenant: Tenant, entity_id: str, past: Past, subject: Subject | None) -> None:
+        at = timestamp_now()
+        entries = Entries()
+        live = tenant.store.latest(entity_id)
+        if live is not None:
+            place = live.seq
+        else:
+            place = subject.places[-1] if subject is not None else tenant.store.next_seq()
+            known = Departed((), (), at, at, None)
+            if subject is not None:
+                known = Departed(subject.types, subject.scopes, subject.created_at, at, subject.deleted_at)
+            known = replace(
+                known,
+                types=tuple(dict.fromkeys((*known.types, *past.types))),
+                scopes=past.scopes or known.scopes,
+            )
+            entries.departed[place] = DepartedRow(tenant.name, entity_id, known.stored())
+        try:
+            for number, attributes in enumerate(_pieces(past.stamped(at).attributes)):
+                if number % 10 == 9:
+                    await asyncio.sleep(0)  # others get their turn
+                entries.history.append(self._recorder.row(place, Change(attributes), at))  # type: ignore[arg-type]  # lists without gaps
+        except orjson.JSONEncodeError:
+            raise bad_request_data(f"entity {entity_id} is nested too deep; 200 levels are safe") from None
+        await _commit(tenant, entries)
+
+    async def _subject(self, tenant: Tenant, entity_id: str) -> Subject | None:
+        departed = await asyncio.to_thread(lambda: list(self._archive.departed(tenant.name, entity_id)))
+        live = tenant.store.latest(entity_id)
+        found = subjects_of(() if live is None else (live,), departed)
+        return found[0] if found else None
+
+    async def _existing(self, tenant: Tenant, entity_id: str) -> Subject:
+        subject = await self._subject(tenant, entity_id)
+        if subject is None:
+            raise absent(entity_id)
+        return subject
+
+    async def _row(self, exchange: Exchange, entity_id: str) -> tuple[int, int, int, Change]:
+        """Return where an instance is, by its instanceId in the path, and the change that it is part of."""
+        subject = await self._existing(exchange.tenant, entity_id)
+        given = require_uri(exchange.names[2], "the instanceId in the path")
+        where = place_of(given)
+        if where is None or where[0] not in subject.places:
+            raise _absent_instance(exchange)
+        place, seq, position = where
+        rows = await asyncio.to_thread(self._archive.changes_after, place, seq - 1, 1)
+        if not rows or rows[0][0] != seq:
+            raise _absent_instance(exchange)
+        return place, seq, position, Change.restored(rows[0][1])
+
+    def _rewritten(
+        self, place: int, after: int, cut: Callable[[Change], bool]
+    ) -> tuple[list[HistoryRow], int | None]:
+        """Return those of the next rows that `cut` has changed, and the seq to go on after, if any."""
+        found = self._archive.changes_after(place, after, ROWS_A_COMMIT)
+        changed = [(seq, change) for seq, body in found if cut(change := Change.restored(body))]
+        rows = [_row(place, seq, change) for seq, change in changed]
+        return rows, found[-1][0] if len(found) == ROWS_A_COMMIT else None
+
+    @asynccontextmanager
+    async def _turn(self, tenant: Tenant, entity_id: str) -> AsyncIterator[None]:
+        """Let one at a time change what is known of an entity's past."""
+        key = (tenant.name, entity_id)
+        lock, waiting = self._turns.get(key, (asyncio.Lock(), 0))
+        self._turns[key] = (lock, waiting + 1)
+        try:
+            async with lock:
+                yield
+        finally:
+            lock, waiting = self._turns[key]
+            if waiting == 1:
+                del self._turns[key]
+            else:
+                self._turns[key] = (lock, waiting - 1)
+
+
+async def _past_in(exchange: Exchange, document: Any, terms: Terms) -> Past:
+    """Return what the body says; a long one is read in a thread, so that others get their turn."""
+    if len(exchange.raw) < LONG_BODY_BYTES:
+        return read_past(document, terms)
+    return await asyncio.to_thread(read_past, document, terms)
+
+
+async def _commit(tenant: Tenant, entries: Entries) -> None:
+    try:
+        await tenant.commits.store(entries)
+    except NotStored as error:
+        raise not_stored(str(error)) from error
+
+
+def _row(place: int, seq: int, change: Change) -> HistoryRow:
+    body = None if change.is_empty() else change.stored()
+    return HistoryRow(place, seq, change.observed(seq / 1_000_000), body, rewritten=True)
+
+
+def _pieces(attributes: Attributes) -> Iterator[Attributes]:
+    """Yield the instances in pieces of a row each, those of nearby times together."""
+    instances = [(name, one) for name, several in attributes.items() for one in several]
+    if len(instances) > INSTANCES_A_ROW:
+        instances.sort(key=lambda one: moment(one[1].get("observedAt", "")) or 0.0)
+    for start in range(0, len(instances), INSTANCES_A_ROW):
+        piece: Attributes = {}
+        for name, one in instances[start : start + INSTANCES_A_ROW]:
+            piece.setdefault(name, []).append(one)
+        yield piece
+
+
+def _cut(change: Change, name: str, concerns: Callable[[str | None], bool]) -> bool:
+    """Take all instances of an attribute with certain datasetIds out; return whether there were any."""
+    found = False
+    instances = change.attributes.get(name, [])
+    for position, one in enumerate(instances):
+        if one is not None and concerns(dataset_of(one)):
+            instances[position] = None
+            found = True
+    deletions = change.deleted.get(name, [])
+    for position, gone in enumerate(deletions):
+        if gone is not None and concerns(gone[1]):
+            deletions[position] = None
+            found = True
+    if name == SCOPE and change.scopes is not None and concerns(None):
+        change.scopes = None
+        found = True
+    return found
+
+
+def _patched(instance: Instance, part: Instance) -> Instance:
+    merged = {**instance, **part} if instance["type"] == part["type"] else {**part}
+    for member, value in list(merged.items()):
+        if value == NULL:
+            del merged[member]
+        elif ":" in member and isinstance(value, list):
+            merged[member] = [one for one in value if not is_deletion(one)]
+            if not merged[member]:
+                del merged[member]
+    if (dataset := dataset_of(instance)) is not None:
+        merged["datasetId"] = dataset
+    return {**merged, "createdAt": instance["createdAt"], "modifiedAt": timestamp_now()}
+
+
+def _entity_id(exchange: Exchange) -> str:
+    return require_uri(exchange.names[0], "the entity id in the path")
+
+
+def _attribute(exchange: Exchange, terms: Terms) -> str:
+    given = require_name(exchange.names[1], "the attribute name in the path")
+    return SCOPE if given == SCOPE else expand(given, terms)
+
+
+def _dataset_shown(dataset: str | None) -> str:
+    return "no datasetId" if dataset is None else f"the datasetId {shown(dataset)}"
+
+
+def _absent_instance(exchange: Exchange) -> Problem:
+    entity_id, name, instance = exchange.names
+    return not_found(
+        f"the past of {entity_id} has no instance {shown(instance)} of the attribute {shown(name)}; "
+        "the instanceIds stand in its temporal representation"
+    )

@@ -1,0 +1,246 @@
+"""What is asked of the past: which time, which of the times of an instance counts, how many, in which form.
+
+Clauses 4.11, 5.2.21 and 6.3.7 of ETSI GS CIM 009.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from services.context_broker.api.exchange import Exchange
+from services.context_broker.api.problems import bad_request_data, invalid_request
+from services.context_broker.api.words import moment, require_time, shown
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.entity import Instance
+from services.context_broker.entities.language import preferences
+from services.context_broker.entities.projection import read_projection
+from services.context_broker.entities.rendering import Form, View
+from services.context_broker.queries.pages import Window
+from services.context_broker.queries.reading import datasets_of, names_of, options_of, window_of
+from services.context_broker.temporal.aggregation import METHODS, Aggregation
+from services.context_broker.temporal.durations import MICROS, read_duration
+from services.context_broker.temporal.history import DRIFT_S, micros_of
+
+OBSERVED: Final = "observedAt"
+TIME_PROPERTIES: Final = (OBSERVED, "createdAt", "modifiedAt", "deletedAt")
+TIME_PARAMETERS: Final = frozenset({"timerel", "timeAt", "endTimeAt", "timeproperty", "lastN"})
+AGGREGATION_PARAMETERS: Final = frozenset({"aggrMethods", "aggrPeriodDuration"})
+LARGEST_LAST_N: Final = 10**9
+
+
+_DRIFT: Final = int(DRIFT_S * MICROS)
+
+
+class Telling(StrEnum):
+    """A way to tell how an entity has been."""
+
+    NORMALIZED = "normalized"
+    CONCISE = "concise"
+    VALUES = "temporalValues"
+    AGGREGATED = "aggregatedValues"
+
+
+_TELLINGS: Final = {**{one.value: one for one in Telling}, "simplified": Telling.VALUES}
+_OPTIONS: Final = frozenset({*_TELLINGS, "sysAttrs", "count"})
+
+
+@dataclass(frozen=True, slots=True)
+class TemporalQuery:
+    """The time that is asked for. Times are in microseconds since 1970.
+
+    From `start` on, or later than it if `after`; before `end`. `time_property` is None where the asker wants
+    all there is and named none: each instance then counts with its observedAt, or its modifiedAt if it was
+    never said when it was observed.
+
+    Where the standard leaves it open: `between` holds its start and not its end, so that windows side by side
+    hold everything once; what was deleted is told of by deletedAt alone; the `last` instances, too, are told
+    oldest first, as all others are.
+    """
+
+    relation: str | None = None
+    start: int | None = None
+    end: int | None = None
+    time_property: str | None = None
+    last: int | None = None
+    aggregation: Aggregation | None = None
+
+    def time_of(self, instance: Instance) -> int | None:
+        """Return the time of an instance that counts, None if it is outside of the time asked for."""
+        name = self.time_property
+        if name is None:
+            if "deletedAt" in instance and OBSERVED not in instance:
+                return None
+            text = instance.get(OBSERVED) or instance.get("modifiedAt")
+        else:
+            text = instance.get(name)
+        if text is None:
+            return None
+        try:
+            at = micros_of(text)
+        except (TypeError, ValueError):  # a time without a zone, from before these were refused
+            at_s = moment(text)
+            if at_s is None:
+                return None
+            at = round(at_s * MICROS)
+        if self.start is not None and (at < self.start or (at == self.start and self.relation == "after")):
+            return None
+        return None if self.end is not None and at >= self.end else at
+
+    def is_later(self, edge: int, seq: int, observed_from: float | None) -> bool:
+        """Say whether nothing in a row of history has a time up to `edge`."""
+        name = self.time_property
+        if name in {"modifiedAt", "deletedAt"}:
+            return seq > edge + _DRIFT
+        if name == OBSERVED:
+            return observed_from is not None and observed_from * MICROS > edge + 1
+        if name is None:
+            return seq > edge + _DRIFT and (observed_from is None or observed_from * MICROS > edge + 1)
+        return False
+
+    def condition(self) -> tuple[str, tuple[float, ...]]:
+        """Return SQL for the rows of history that may hold such instances, and its parameters."""
+        name, start, end = self.time_property, self.start, self.end
+        terms: list[str] = []
+        values: list[float] = []
+        if name == OBSERVED:
+            terms.append("observed_from IS NOT NULL")
+            if start is not None:
+                terms.append("observed_to >= ?")
+                values.append((start - 1) / MICROS)
+            if end is not None:
+                terms.append("observed_from <= ?")
+                values.append((end + 1) / MICROS)
+        elif name is not None:
+            if start is not None:
+                terms.append("seq >= ?" if name != "modifiedAt" else "(seq >= ? OR rewritten > 0)")
+                values.append(start - _DRIFT)
+            if end is not None and name != "createdAt":
+                terms.append("seq <= ?")
+                values.append(end + _DRIFT)
+        return " AND ".join(terms), tuple(values)
+
+
+@dataclass(frozen=True, slots=True)
+class TemporalView:
+    """How the asker wants what has been told."""
+
+    telling: Telling
+    view: View
+
+    def wants(self, attribute: str) -> bool:
+        """Say whether an attribute (IRI), or the scopes by their member, is wanted."""
+        view = self.view
+        return (view.attributes is None or attribute in view.attributes) and (
+            view.projection is None or view.projection.wants(attribute)
+        )
+
+
+def temporal_query(parameters: Mapping[str, str], *, aggregates: bool) -> TemporalQuery:
+    """Return the temporal query in query parameters; raise a problem (400) if it is none."""
+    relation, start, end = _window(parameters)
+    name = parameters.get("timeproperty")
+    if name is not None and name not in TIME_PROPERTIES:
+        raise bad_request_data(f"timeproperty is one of {', '.join(TIME_PROPERTIES)}, not {shown(name)}")
+    if name is None and relation is not None:
+        name = OBSERVED
+    last = parameters.get("lastN")
+    if last is not None and not (
+        last.isascii() and last.isdigit() and len(last) <= 10 and 0 < int(last) <= LARGEST_LAST_N
+    ):
+        raise bad_request_data(f"lastN is a whole number from 1 on, not {shown(last)}")
+    return TemporalQuery(
+        relation,
+        start,
+        end,
+        name,
+        None if last is None else int(last),
+        _aggregation(parameters) if aggregates else None,
+    )
+
+
+def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
+    """Return how the asker wants what has been; raise a problem (400) for contradictions."""
+    parameters = exchange.parameters
+    options = options_of(exchange, _OPTIONS)
+    tellings = {_TELLINGS[one] for one in options if one in _TELLINGS}
+    wanted = parameters.get("format")
+    if wanted is not None:
+        if wanted not in _TELLINGS:
+            raise invalid_request(f"format is one of {', '.join(_TELLINGS)}, not {shown(wanted)}")
+        tellings.add(_TELLINGS[wanted])
+    if len(tellings) > 1:
+        raise invalid_request(f"more than one form is asked for ({', '.join(sorted(tellings))}); choose one")
+    telling = tellings.pop() if tellings else Telling.NORMALIZED
+    if "aggrMethods" in parameters:
+        if tellings or telling not in {Telling.NORMALIZED, Telling.AGGREGATED}:
+            raise bad_request_data("aggrMethods goes with format=aggregatedValues; choose one form")
+        telling = Telling.AGGREGATED
+    projection = read_projection(parameters.get("pick"), parameters.get("omit"), context.terms)
+    if projection is not None and projection.linked:
+        raise bad_request_data("the past of linked entities cannot be told; leave the braces out")
+    attrs, languages = parameters.get("attrs"), parameters.get("lang")
+    if attrs is not None and projection is not None:
+        raise bad_request_data(
+            "attrs goes together with neither pick nor omit; name attributes in one of them"
+        )
+    form = Form.CONCISE if telling is Telling.CONCISE else Form.NORMALIZED
+    view = View(
+        form,
+        "sysAttrs" in options,
+        names_of(attrs, context),
+        projection,
+        None if languages is None else preferences(languages),
+        datasets_of(parameters.get("datasetId")),
+    )
+    return TemporalView(telling, view)
+
+
+def temporal_window(exchange: Exchange) -> Window:
+    """Return which page of entities the asker wants."""
+    return window_of(exchange, _OPTIONS)
+
+
+def _window(parameters: Mapping[str, str]) -> tuple[str | None, int | None, int | None]:
+    relation = parameters.get("timerel")
+    at, until = (_time(parameters, name) for name in ("timeAt", "endTimeAt"))
+    if relation is None:
+        if at is not None or until is not None:
+            raise bad_request_data("timeAt and endTimeAt need a timerel: before, after or between; add it")
+        return None, None, None
+    if relation not in {"before", "after", "between"}:
+        raise bad_request_data(f"timerel is before, after or between, not {shown(relation)}")
+    if at is None:
+        raise bad_request_data(f"timerel={relation} needs a timeAt such as 2024-05-01T12:00:00Z; add it")
+    if relation == "between":
+        if until is None:
+            raise bad_request_data("timerel=between needs an endTimeAt, where the time ends; add it")
+        if until <= at:
+            raise bad_request_data("endTimeAt is not later than timeAt; turn them round")
+        return relation, at, until
+    if until is not None:
+        raise bad_request_data(f"timerel={relation} has no endTimeAt; leave it out, or ask between")
+    return (relation, at, None) if relation == "after" else (relation, None, at)
+
+
+def _time(parameters: Mapping[str, str], name: str) -> int | None:
+    given = parameters.get(name)
+    if given is None:
+        return None
+    at_s = moment(require_time(given, name))
+    assert at_s is not None  # noqa: S101 - require_time has seen to it
+    return round(at_s * MICROS)
+
+
+def _aggregation(parameters: Mapping[str, str]) -> Aggregation:
+    given = parameters.get("aggrMethods")
+    if not given:
+        raise bad_request_data(
+            f"aggregatedValues needs aggrMethods, a list of {', '.join(METHODS)}; add it to the request"
+        )
+    methods = tuple(dict.fromkeys(given.split(",")))
+    if unknown := next((one for one in methods if one not in METHODS), None):
+        raise bad_request_data(f"aggrMethods has {shown(unknown)}; it takes {', '.join(METHODS)}")
+    return Aggregation(
+        methods, read_duration(parameters.get("aggrPeriodDuration", "PT0S"), "aggrPeriodDuration")
+    )

@@ -1,0 +1,103 @@
+"""What readers of the past get: entities with every instance, as bare pairs of value and time, or aggregated.
+
+Clauses 4.5.6 to 4.5.9 (normalized, concise and temporalValues) and 4.5.19 (aggregatedValues).
+"""
+
+from typing import Any, Final
+
+from services.context_broker.entities.entity import Terms
+from services.context_broker.entities.language import in_language
+from services.context_broker.entities.rendering import Form, written
+from services.context_broker.temporal.aggregation import written_totals
+from services.context_broker.temporal.chronicle import Evolution, Found, Point, Series
+from services.context_broker.temporal.durations import written_time
+from services.context_broker.temporal.history import SCOPE
+from services.context_broker.temporal.query import Telling, TemporalQuery, TemporalView
+
+_SAYS_MANY: Final = {
+    "Property": "values",
+    "GeoProperty": "values",
+    "Relationship": "objects",
+    "LanguageProperty": "languageMaps",
+    "JsonProperty": "jsons",
+    "VocabProperty": "vocabs",
+    "ListProperty": "valueLists",
+    "ListRelationship": "objectLists",
+}
+"""Each kind of attribute and the member that holds its pairs of value and time."""
+
+
+def told(evolution: Evolution, query: TemporalQuery, view: TemporalView, terms: Terms) -> dict[str, Any]:
+    """Return how an entity has been as a JSON object."""
+    subject, projection = evolution.subject, view.view.projection
+    types = [terms.compact(kind) for kind in subject.types]
+    result: dict[str, Any] = {"id": subject.id, "type": types[0] if len(types) == 1 else types}
+    if view.view.sys_attrs:
+        result |= {"createdAt": subject.created_at, "modifiedAt": subject.modified_at}
+    if subject.deleted_at is not None and (view.view.sys_attrs or query.time_property == "deletedAt"):
+        result["deletedAt"] = subject.deleted_at
+    if projection is not None:
+        result = {member: value for member, value in result.items() if projection.wants(member)}
+    for name, named in evolution.series.items():
+        key = name if name == SCOPE else terms.compact(name)
+        many = [series for series in named.values() if series.points or series.totals]
+        if not many:
+            continue
+        if view.telling in {Telling.NORMALIZED, Telling.CONCISE}:
+            result[key] = [_instance(point, query, view, terms) for series in many for point in series.points]
+        else:
+            pairs = [_pairs(series, query, view, terms) for series in many]
+            result[key] = pairs[0] if len(pairs) == 1 else pairs
+    return result
+
+
+def _instance(point: Point, query: TemporalQuery, view: TemporalView, terms: Terms) -> dict[str, Any]:
+    instance: dict[str, Any] = point[-1]
+    if view.view.languages is not None:
+        instance = in_language(instance, view.view.languages)
+    result: dict[str, Any] = written(instance, terms, view.view.form, sys_attrs=view.view.sys_attrs)
+    name = query.time_property
+    if name is not None and name in instance:
+        result[name] = instance[name]  # by which it was found
+    return result
+
+
+def _pairs(series: Series, query: TemporalQuery, view: TemporalView, terms: Terms) -> dict[str, Any]:
+    kind = series.kind
+    if view.telling is Telling.AGGREGATED:
+        result: dict[str, Any] = {"type": kind}
+        if series.dataset is not None:
+            result["datasetId"] = series.dataset
+        assert query.aggregation is not None  # noqa: S101 - asked for with this form
+        return result | written_totals(series.totals, query.aggregation.methods)
+    pairs: list[list[Any]] = []
+    for at, _, instance in series.points:
+        shown = instance if view.view.languages is None else in_language(instance, view.view.languages)
+        kind = shown["type"]
+        pairs.append([written(shown, terms, Form.KEY_VALUES, sys_attrs=False), written_time(at)])
+    result = {"type": kind}
+    if series.dataset is not None:
+        result["datasetId"] = series.dataset
+    result[_SAYS_MANY[kind]] = pairs
+    return result
+
+
+def content_range(found: Found, query: TemporalQuery) -> bytes | None:
+    """Return the Content-Range of an answer that holds less than was asked for, None for one that holds all.
+
+    Clause 6.3.10: from where to where it tells, backwards if the last instances were asked for, so that who
+    asks on begins at its end.
+    """
+    if found.edge is None:
+        return None
+    times = [at for one in found.evolutions for series in one.all() for at, _, _ in series.points]
+    if query.last is None:
+        start = query.start if query.start is not None else min(times, default=found.edge)
+        size = "*"
+    else:
+        start = query.end if query.end is not None else max(times, default=found.edge)
+        size = str(query.last)
+    end = found.edge
+    if query.aggregation is not None and query.relation != "between":
+        end -= 1  # where a period begins that is left out: who asks for what is after this gets all of it
+    return f"date-time {written_time(start)}-{written_time(end)}/{size}".encode()
