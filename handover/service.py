@@ -159,7 +159,8 @@ def serve(
         set_up_logging(settings, service)
         require_free(settings.host, port, port_setting, say=log.warning)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
-        application = _SaysWhy(make_app())
+        made = make_app()
+        application = _SaysWhy(made)
     except (UsageError, OSError) as error:
         raise SystemExit(_in_one_line(service, error)) from None
     if os.environ.get(LIFELINE):
@@ -174,6 +175,7 @@ def serve(
             timeout_graceful_shutdown=1,
             timeout_keep_alive=KEEP_ALIVE_S,
             server_header=False,
+            http=getattr(made, "protocol", "auto"),  # an application may bring a shorter way in
         )
     )
     try:

@@ -27,6 +27,7 @@ from services.context_broker.api.exchange import (
     send_answer,
     told_back,
 )
+from services.context_broker.api.http_protocol import BrokerProtocol
 from services.context_broker.api.operation import Directory, Operation
 from services.context_broker.api.problems import ERRORS, not_stored
 from services.context_broker.contexts.book import ContextBook, Documents
@@ -334,7 +335,7 @@ def operations_of(settings: BrokerSettings) -> tuple[Operation, ...]:
     return Broker(settings, journal, SoleBroker(), None).directory.operations
 
 
-def create_broker(settings: BrokerSettings) -> ASGIApp:
+def create_broker(settings: BrokerSettings) -> "BrokerApplication":
     """Return the broker as an ASGI application; raise `UsageError` when its file cannot be used."""
     database: Database
     leadership: Leadership
@@ -361,20 +362,35 @@ def create_broker(settings: BrokerSettings) -> ASGIApp:
         checks={"database": leadership.check},
     )
 
-    async def application(scope: Scope, receive: Receive, send: Send) -> None:
+    return BrokerApplication(broker, operations)
+
+
+class BrokerApplication:
+    """The broker as an ASGI application; its server may also take the short way in, by `protocol`."""
+
+    def __init__(self, broker: Broker, operations: ASGIApp) -> None:
+        self._broker = broker
+        self._operations = operations
+        self.protocol = partial(BrokerProtocol, door=self.answer)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request that came in over ASGI."""
         if scope["type"] != "http" or not scope["path"].startswith(PREFIX):
-            await operations(scope, receive, send)
+            await self._operations(scope, receive, send)
             return
+        answer = await self.answer(scope, receive)
+        if answer is not None:
+            await send_answer(send, answer)
+
+    async def answer(self, scope: Scope, receive: Receive) -> Answer | None:
+        """Return the answer to a request about NGSI-LD; None if the asker has gone."""
         try:
-            answer = await broker.answer(scope, receive)
+            return await self._broker.answer(scope, receive)
         except Problem as problem:
-            answer = problem_answer(problem)
+            return problem_answer(problem)
         except Disconnected:
-            return
+            return None
         except Exception as error:  # one broken request must not end the connection without an answer
             log.exception("request failed", method=scope["method"], path=scope["path"])
             reason = f"{type(error).__name__} while answering; the log of the broker has more"
-            answer = problem_answer(Problem(500, "Internal error", reason, ERRORS + "InternalError"))
-        await send_answer(send, answer)
-
-    return application
+            return problem_answer(Problem(500, "Internal error", reason, ERRORS + "InternalError"))

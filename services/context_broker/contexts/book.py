@@ -18,7 +18,7 @@ from datamodels.contexts import ContextNotAvailable, TermMap, is_core, resolve
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.context_broker.api.problems import bad_request_data, too_large
-from services.context_broker.api.words import timestamp_now
+from services.context_broker.api.words import moment
 from services.context_broker.contexts.fetching import LARGEST_CONTEXT, Fetcher, unavailable
 from services.context_broker.contexts.kept import (
     ContextShelf,
@@ -98,7 +98,7 @@ class ContextBook:
         """Take a context as the journal has it, from before a restart or from another process."""
         one = restored(tenant, key, stored)
         if (before := self._shelf.named(one.id)) is not None:
-            one.hits, one.last_usage, one.hits_kept = before.hits, before.last_usage, before.hits_kept
+            one.hits, one.used_s, one.hits_kept = before.hits, before.used_s, before.hits_kept
             self._unready(before)
         self._shelf.put(one)
 
@@ -106,7 +106,7 @@ class ContextBook:
         """Take how a context was used before."""
         one = self._shelf.named(key)
         if one is not None:
-            one.hits, one.last_usage = orjson.loads(stored)
+            one.hits, one.used_s = orjson.loads(stored)
             one.hits_kept = one.hits
 
     def forget(self, key: str) -> None:
@@ -225,7 +225,7 @@ class ContextBook:
             return
         others = [one for one in self._shelf if one.url is not None]
         if len(others) >= MOST_FETCHED:
-            oldest = min(others, key=lambda one: one.last_usage or one.created_at)
+            oldest = min(others, key=lambda one: one.used_s or moment(one.created_at) or 0.0)
             await self._keep(_erasing([oldest]))
             self._unready(oldest)
             self._shelf.remove(oldest)
@@ -266,7 +266,7 @@ class ContextBook:
         return cached(url, fetched.document, time.time() + fetched.kept_s)
 
     async def _replace(self, one: KeptContext, fresh: KeptContext) -> None:
-        fresh.hits, fresh.last_usage = one.hits, one.last_usage
+        fresh.hits, fresh.used_s = one.hits, one.used_s
         await self._keep_one(fresh)
         self._unready(one)
 
@@ -286,11 +286,10 @@ class ContextBook:
     # How they are used
 
     def _note(self, uses: tuple[KeptContext, ...]) -> None:
-        at = timestamp_now()
         now_s = time.time()
         for one in uses:
             one.hits += 1
-            one.last_usage = at
+            one.used_s = now_s
             if one.expires_s <= now_s:
                 self._refresh(one)
         if self._usage_due is None:

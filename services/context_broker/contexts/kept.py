@@ -46,7 +46,8 @@ class KeptContext:
     expires_s: float = math.inf
     """When a cached one is to be fetched anew, in seconds since 1970."""
     hits: int = 0
-    last_usage: str | None = None
+    used_s: float | None = None
+    """When it was used last, in seconds since 1970; a number, for it is noted with every request."""
     gone: bool = False
     hits_kept: int = 0
     """Uses that the journal knows of."""
@@ -63,7 +64,7 @@ class KeptContext:
 
     def stored_usage(self) -> bytes:
         """Return how it was used, as the journal keeps that."""
-        return orjson.dumps([self.hits, self.last_usage])
+        return orjson.dumps([self.hits, self.used_s])
 
     def address(self, base: str) -> str:
         """Return the URL to get it from: its own if it is cached, else one of the broker at `base`."""
@@ -80,7 +81,9 @@ class KeptContext:
         }
         if not math.isinf(self.expires_s):
             told["expiresAt"] = timestamp(datetime.fromtimestamp(self.expires_s, UTC))
-        return told if self.last_usage is None else {**told, "lastUsage": self.last_usage}
+        if self.used_s is not None:
+            told["lastUsage"] = timestamp(datetime.fromtimestamp(self.used_s, UTC))
+        return told
 
 
 def cached(

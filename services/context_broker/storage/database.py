@@ -4,10 +4,12 @@ The SQL itself stands in the rooms that use it, once for both: parameters are `?
 names are written `{bytes}` and `{number}`. Nothing here knows of entities.
 """
 
+import re
 import shutil
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -138,7 +140,9 @@ class SqliteDatabase:
 
     def _connected(self) -> sqlite3.Connection:
         if self._writer is None:
-            writer = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False, timeout=5)
+            writer = sqlite3.connect(
+                self.path, isolation_level=None, check_same_thread=False, timeout=5, cached_statements=256
+            )
             # FULL flushes the log at every commit: that is what makes an acknowledgement true.
             for pragma in ("journal_mode=WAL", "synchronous=FULL", "wal_autocheckpoint=4000"):
                 writer.execute(f"PRAGMA {pragma}")
@@ -179,4 +183,38 @@ class _SqliteWriter:
         return list(self._connection.execute(statement, tuple(parameters)))
 
     def run_many(self, statement: str, rows: Iterable[Sequence[Any]]) -> None:
-        self._connection.executemany(statement, rows)
+        """Run one statement for many rows at once.
+
+        Python's SQLite lets go of the interpreter at each row, and may wait milliseconds to get it back while
+        requests are answered; so a commit would take as many waits as it has rows.
+        """
+        listed = rows if isinstance(rows, list) else list(rows)
+        start = 0
+        for size in _CHUNKS:
+            wide = None
+            while len(listed) - start >= size:
+                wide = wide or _for_rows(statement, size)
+                if wide is None:
+                    self._connection.executemany(statement, listed[start:])
+                    return
+                flat = [value for row in listed[start : start + size] for value in row]
+                self._connection.execute(wide, flat)
+                start += size
+
+
+_CHUNKS: Final = (256, 64, 32, 16, 8, 4, 2, 1)
+"""Rows that go into one statement: few sizes, so that SQLite keeps all of them ready."""
+_ROW: Final = re.compile(r"VALUES (\([?, ]+\))")
+_KEY: Final = re.compile(r"WHERE (\w+) = \?$")
+
+
+@lru_cache(maxsize=256)
+def _for_rows(statement: str, count: int) -> str | None:
+    """Return the statement for so many rows at once; None for one that cannot be widened."""
+    if count == 1:
+        return statement
+    if found := _ROW.search(statement):
+        return statement.replace(found[0], f"VALUES {', '.join([found[1]] * count)}")
+    if found := _KEY.search(statement):
+        return statement.replace(found[0], f"WHERE {found[1]} IN ({', '.join('?' * count)})")
+    return None
