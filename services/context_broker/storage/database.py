@@ -143,8 +143,11 @@ class SqliteDatabase:
             writer = sqlite3.connect(
                 self.path, isolation_level=None, check_same_thread=False, timeout=5, cached_statements=256
             )
+            # Small pages (a new file has them): a change writes whole pages to the log, mostly for one row.
             # FULL flushes the log at every commit: that is what makes an acknowledgement true.
-            for pragma in ("journal_mode=WAL", "synchronous=FULL", "wal_autocheckpoint=4000"):
+            for pragma in (
+                "page_size=1024", "journal_mode=WAL", "synchronous=FULL", "wal_autocheckpoint=16000"
+            ):  # fmt: skip
                 writer.execute(f"PRAGMA {pragma}")
             self._writer = writer
         return self._writer
