@@ -6,10 +6,11 @@ import time
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
+from typing import Final
 
 import orjson
 from fastapi import FastAPI
-from prometheus_client import Counter, Gauge, Histogram
+from prometheus_client import Gauge
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from handover.errors import Problem
@@ -30,6 +31,7 @@ from services.context_broker.api.exchange import (
 from services.context_broker.api.http_protocol import BrokerProtocol
 from services.context_broker.api.operation import Directory, Operation
 from services.context_broker.api.problems import ERRORS, not_stored
+from services.context_broker.api.request_metrics import RequestMetrics
 from services.context_broker.contexts.book import ContextBook, Documents
 from services.context_broker.contexts.fetching import Fetcher
 from services.context_broker.contexts.operations import ContextOperations
@@ -66,13 +68,7 @@ log = get_logger(__name__)
 
 ENTITIES = Gauge("handover_broker_entities", "Entities in the broker")
 LEADS = Gauge("handover_broker_leads", "1 for the broker that notifies, 0 for others on the same database")
-REQUESTS = Counter("handover_broker_requests_total", "Requests answered", ["operation", "status"])
-SECONDS = Histogram(
-    "handover_broker_request_seconds",
-    "From a request to its answer, commit included",
-    ["operation"],
-    buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.1, 0.5, 1, 5),
-)
+REQUESTS: Final = RequestMetrics()
 
 
 class Broker:
@@ -123,7 +119,6 @@ class Broker:
         self.retention = Retention(
             journal.archive, self.tenants.commits, settings.broker_history_keep_days, lambda: leadership.leads
         )
-        self._seen: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
 
     async def start(self) -> None:
         """Take up what the journal holds, and begin to notify."""
@@ -179,7 +174,7 @@ class Broker:
         except Problem as problem:
             answer = problem_answer(problem)
         answer = told_back(request, answer)
-        self._observe(operation, answer.status, time.perf_counter() - started_s)
+        REQUESTS.note(operation.title, answer.status, time.perf_counter() - started_s)
         return answer
 
     async def _performed(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
@@ -309,16 +304,6 @@ class Broker:
         for name, one, body in self.journal.documents(kind):
             kept.setdefault(name, []).append((body, told.get((name, one))))
         return kept
-
-    def _observe(self, operation: Operation, status: int, seconds: float) -> None:
-        key = (operation.method, operation.path, status)
-        seen = self._seen.get(key)
-        if seen is None:
-            name = f"{operation.method} {operation.path}"
-            seen = REQUESTS.labels(name, str(status)), SECONDS.labels(name)
-            self._seen[key] = seen
-        seen[0].inc()
-        seen[1].observe(seconds)
 
     async def _keep_documents(self, documents: Documents) -> None:
         names = {tenant for _, tenant, _ in documents}

@@ -34,6 +34,11 @@ class Operation:
     makes_tenant: bool = False
     of_no_tenant: bool = False
 
+    @property
+    def title(self) -> str:
+        """Return what it is called in metrics."""
+        return f"{self.method} {self.path}"
+
 
 @dataclass(slots=True)
 class _Place:

@@ -60,7 +60,14 @@ def timestamp(moment: datetime) -> str:
 
 def timestamp_now() -> str:
     """Return the time of the wall clock as the broker writes it."""
-    return datetime.now(UTC).isoformat(timespec="microseconds")[:26] + "Z"
+    second, micros = divmod(time.time_ns() // 1000, 1_000_000)
+    return f"{_second(second)}{micros:06d}Z"
+
+
+@lru_cache(maxsize=4)
+def _second(second: int) -> str:
+    """Return all but the fraction, which is the same for thousands of changes."""
+    return time.strftime("%Y-%m-%dT%H:%M:%S.", time.gmtime(second))
 
 
 @lru_cache(maxsize=8192)
@@ -90,12 +97,18 @@ def require_uri(value: Any, what: str) -> str:
 
 
 def require_time(value: Any, what: str) -> str:
-    """Return `value` if it is a date-time in UTC (clause 4.6.3); raise a problem that names `what` if not."""
-    if not isinstance(value, str) or "T" not in value or value[-1] != "Z" or moment(value) is None:
-        raise bad_request_data(
-            f"{what} must be a date-time in UTC such as 2024-05-01T12:00:00Z, not {shown(value)}"
-        )
-    return value
+    """Return a date-time in UTC (clause 4.6.3); one that says how far it is from UTC is told in UTC.
+
+    Raises a problem that names `what` for anything else.
+    """
+    if isinstance(value, str) and "T" in value and moment(value) is not None:
+        if value[-1] == "Z":
+            return value
+        if (told := datetime.fromisoformat(value)).tzinfo is not None:
+            return told.astimezone(UTC).isoformat().removesuffix("+00:00") + "Z"
+    raise bad_request_data(
+        f"{what} must be a date-time in UTC such as 2024-05-01T12:00:00Z, not {shown(value)}"
+    )
 
 
 def duration_s(value: Any, what: str) -> float:

@@ -4,8 +4,7 @@ Clauses 6.3.4 to 6.3.7, 6.3.10 and 6.3.15.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import orjson
 
@@ -30,8 +29,7 @@ from services.context_broker.queries.selection import Page
 from services.context_broker.subscriptions.notifier import link
 
 
-@dataclass(frozen=True, slots=True)
-class Showing:
+class Showing(NamedTuple):
     """How a reader gets entities: in which names and form, and with which others; `lookup` finds these."""
 
     context: Context

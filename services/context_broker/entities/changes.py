@@ -4,8 +4,8 @@ Clauses 5.6.1 to 5.6.5, 5.6.17 and 5.6.18 (create, append, update, partial updat
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from services.context_broker.api.words import moment
 from services.context_broker.entities.entity import (
@@ -23,8 +23,7 @@ ABSENT = "the entity has no such attribute; append it first"
 PRESENT = "the entity has this attribute already and noOverwrite was asked for"
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """An entity after a change, the attributes (IRIs) that were written, and those refused and why.
 
     An attribute is both when some of its instances were written and others refused.

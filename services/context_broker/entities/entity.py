@@ -7,7 +7,7 @@ Entities are never changed: a change makes a new one, so that what was read stay
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import orjson
 
@@ -86,8 +86,7 @@ class Entity:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(NamedTuple):
     """A change of one entity: how it was and how it is, None where there is none.
 
     `written` are the attributes (IRIs) that the change wrote, be their values new or not.

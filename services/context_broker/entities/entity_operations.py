@@ -136,7 +136,7 @@ class EntityOperations:
         simplified = is_simplified(exchange)
         observed_at, language = exchange.parameter("observedAt"), exchange.parameter("lang")
         if observed_at is not None:
-            require_time(observed_at, "observedAt in the query")
+            observed_at = require_time(observed_at, "observedAt in the query")
         document, context = await exchange.body()
         before = self.existing(exchange, context)
         change = _about(exchange, read_merge(document, before, context, language, simplified=simplified))

@@ -49,6 +49,10 @@ _FORMS: Final = {
 _OPTIONS: Final = frozenset({*_FORMS, "sysAttrs", "count"})
 
 
+WHOLE: Final = View()
+"""How entities are wanted by who says nothing of it: most do, and most often."""
+
+
 def options_of(exchange: Exchange, known: frozenset[str] = _OPTIONS) -> set[str]:
     """Return the parameter `options` as a set; raise a problem for one that is not known."""
     given = exchange.parameter("options")
@@ -70,6 +74,8 @@ def names_of(given: str | None, context: Context) -> frozenset[str] | None:
 
 def view_of(exchange: Exchange, context: Context) -> View:
     """Return how the asker wants entities."""
+    if not exchange.parameters:
+        return WHOLE
     options = options_of(exchange)
     forms = {_FORMS[one] for one in options if one in _FORMS}
     wanted = exchange.parameter("format")

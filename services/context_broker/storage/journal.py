@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final
+from typing import Final, NamedTuple
 
 from services.context_broker.storage.database import Database, NotStored, Writer
 from services.context_broker.temporal.archive import Archive, DepartedRow, HistoryRow, write_archive
@@ -90,8 +90,7 @@ DocumentKey = tuple[Kind, str, str]
 """Kind, tenant and id."""
 
 
-@dataclass(frozen=True, slots=True)
-class EntityRow:
+class EntityRow(NamedTuple):
     """An entity as it is kept; without `body` it is gone."""
 
     tenant: str
@@ -146,12 +145,17 @@ class Entries:
     def add(self, later: "Entries") -> None:
         """Put what comes later into the same commit."""
         self.entities.update(later.entities)
-        self.documents.update(later.documents)
-        self.owed.extend(later.owed)
-        self.settled.extend(later.settled)
         self.history.extend(later.history)
-        self.cleared.extend(later.cleared)
-        self.departed.update(later.departed)
+        if later.owed:
+            self.owed.extend(later.owed)
+        if later.settled:
+            self.settled.extend(later.settled)
+        if later.documents:
+            self.documents.update(later.documents)
+        if later.departed:
+            self.departed.update(later.departed)
+        if later.cleared:
+            self.cleared.extend(later.cleared)
 
 
 class Journal:

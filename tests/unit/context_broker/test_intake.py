@@ -6,6 +6,7 @@ import pytest
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
+from services.context_broker.api.words import require_time
 from services.context_broker.entities.entity import NULL, is_deletion
 from services.context_broker.entities.intake import Nulls, nulls_in, read_attribute, read_change, read_entity
 
@@ -115,7 +116,6 @@ def test_a_proof_says_what_it_seals() -> None:
         {"type": "GeoProperty", "value": "no geometry"},
         {"type": "GeoProperty", "value": {"type": "GeometryCollection", "geometries": [POINT]}},
         {"type": "GeometryCollection", "geometries": [POINT]},
-        {"value": 1, "observedAt": "2026-01-01T12:00:00+02:00"},
         {"value": 1, "observedAt": "2026-01-01T12:00:00"},
         {"value": 1, "datasetId": NULL},
         [{"type": "Property", "value": 1}, {"type": "Property", "value": 2, "datasetId": "@none"}],
@@ -248,3 +248,9 @@ def test_bytes_without_null_need_no_look_at_their_values() -> None:
     for raw in (b'{"a":"urn:ngsi-ld:null"}', b'{"a":"urn:ngsi-ld:nul\\u006c"}'):
         assert nulls_in(raw, Nulls.NOWHERE) is Nulls.NOWHERE
     assert nulls_in(b'{"a":"urn:ngsi-ld:Task:1"}', Nulls.NOWHERE) is Nulls.VALUES
+
+
+def test_a_time_that_says_how_far_it_is_from_utc_is_kept_in_utc() -> None:
+    assert require_time("2026-01-01T12:00:00+02:00", "it") == "2026-01-01T10:00:00Z"
+    assert require_time("2026-01-01T12:00:00.250+00:00", "it") == "2026-01-01T12:00:00.250000Z"
+    assert require_time("2026-01-01T12:00:00.25Z", "it") == "2026-01-01T12:00:00.25Z"
