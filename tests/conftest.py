@@ -28,6 +28,9 @@ hypothesis.settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI"):  # what CI says of a change must not depend on luck; people's runs look further
     hypothesis.settings.load_profile("ci")
 
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background job: deaf, and so its children
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 _worker = int(re.sub(r"\D", "", os.environ.get("PYTEST_XDIST_WORKER", "")) or 0)
 _candidates = itertools.count(15_000 + 2_000 * (_worker % 8) + os.getpid() * 37 % 1_200)
 

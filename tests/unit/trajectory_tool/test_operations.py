@@ -231,12 +231,12 @@ async def test_a_part_that_is_held_already_counts_as_picked(worker: Any) -> None
 
 
 class PausedAt:
-    """Holds the work up once the robot's clock reaches `at_s`; after the rest it may go on."""
+    """Holds the work up in `after_s` from now on the robot's clock; after the rest it may go on."""
 
-    def __init__(self, time: Any, at_s: float) -> None:
-        self.time, self.at_s = time, at_s
+    def __init__(self, worker: Any, after_s: float) -> None:
+        self.time, self.at_s = worker.time, worker.time.time_s + after_s
+        self.cell = worker.cell
         self.rests: list[Any] = []
-        self.cell: Any = None
 
     def may_go(self) -> bool:
         return bool(self.rests) or self.time.time_s < self.at_s
@@ -247,8 +247,7 @@ class PausedAt:
 
 async def test_a_pause_in_the_middle_rests_and_then_reaches_the_target(worker: Any) -> None:
     target = [2.0, -1.2, 1.1, -1.4, -1.5, 0.3]
-    pause = PausedAt(worker.time, worker.time.time_s + 1.0)
-    pause.cell = worker.cell
+    pause = PausedAt(worker, after_s=1.0)
     await worker.do("moveTo", joints=target, steering=pause)
     assert len(pause.rests) == 1
     assert pause.rests[0].velocities == (0.0,) * 6
@@ -258,8 +257,7 @@ async def test_a_pause_in_the_middle_rests_and_then_reaches_the_target(worker: A
 
 async def test_a_stop_on_the_way_is_no_progress(worker: Any) -> None:
     target = [2.0, -1.2, 1.1, -1.4, -1.5, 0.3]
-    pause = PausedAt(worker.time, worker.time.time_s + 1.0)
-    pause.cell = worker.cell
+    pause = PausedAt(worker, after_s=1.0)
     seen: list[float] = []
     remaining_s: list[float] = []
 
@@ -277,8 +275,7 @@ async def test_a_stop_on_the_way_is_no_progress(worker: Any) -> None:
 
 async def test_progress_never_goes_back_and_ends_at_one(worker: Any) -> None:
     seen: list[float] = []
-    pause = PausedAt(worker.time, worker.time.time_s + 2.5)
-    pause.cell = worker.cell
+    pause = PausedAt(worker, after_s=2.5)
     worker.time.on_wait = lambda now_s: seen.append(worker.work.progress()) if worker.work else None
     await worker.do("pick", bin="bin-1", steering=pause)
     assert pause.rests
