@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
+from handover.database import connect
 from handover.performer import Job, Performer, TaskFailed, Wants
 from handover.telemetry import get_logger
 from services.gesture_controller.configuration import Configuration
@@ -45,7 +46,8 @@ class Controller(Performer):
         self._worn: dict[str, Glove] = {}
         self._duties = AsyncExitStack()
         self._newcomers: asyncio.Queue[str] = asyncio.Queue()
-        store = GloveStore(settings.data_dir / "gloves")
+        self._database = connect(settings.database("gesture_controller"))
+        store = GloveStore(self._database, settings.data_dir / "gloves")
         self.gloves = Gloves(settings, configuration, store, self, self._adopt)
 
     async def __aenter__(self) -> Self:
@@ -59,6 +61,7 @@ class Controller(Performer):
     async def __aexit__(self, *error: object) -> None:
         await super().__aexit__(*error)
         await self._duties.aclose()
+        self._database.dispose()
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Ask the wearer for the gesture that the Task names, and return how it was answered."""

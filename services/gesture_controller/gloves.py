@@ -2,6 +2,10 @@
 
 import asyncio
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from sqlalchemy.exc import SQLAlchemyError
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
@@ -10,16 +14,27 @@ from services.gesture_controller.calibration import Calibration, CalibrationFail
 from services.gesture_controller.configuration import Configuration, GloveConfiguration
 from services.gesture_controller.frames import Hello, is_glove_name
 from services.gesture_controller.glove import Glove, Link, Listener
-from services.gesture_controller.glove_store import GloveStore, StoredGlove
+from services.gesture_controller.glove_store import NOBODY, Fit, GloveStore, StoredGlove
 from services.gesture_controller.pipeline import Senses
 from services.gesture_controller.settings import ControllerSettings
 from services.gesture_controller.thresholds import Thresholds, WrongThreshold
 
 log = get_logger(__name__)
 
+T = TypeVar("T")
+
 
 class TooManyGloves(ValueError):
     """There is no room for another glove; the message says what to change."""
+
+
+def database_away(error: SQLAlchemyError) -> Problem:
+    """Return what is said when something could not be kept: nothing was changed."""
+    log.error("the database cannot be written", error=str(error))
+    reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+    return Problem(
+        503, "Database away", f"nothing was changed: the database cannot be written ({reason}); try again"
+    )
 
 
 class Gloves:
@@ -40,6 +55,7 @@ class Gloves:
         self._adopted = adopted
         self._gloves: dict[str, Glove] = {}
         self._stored: dict[str, StoredGlove] = store.load()
+        self._fits: dict[tuple[str, str], Fit] = store.fits()
         self._writing = asyncio.Lock()
         for expected in configuration.gloves:
             self._adopt(expected)
@@ -119,29 +135,42 @@ class Gloves:
 
     async def restore(self, glove: Glove) -> None:
         """Exchange the thresholds of `glove` with those before; raise `Problem` 409 if there are none."""
-        stored = self._stored.get(glove.name)
-        if stored is None or stored.previous is None:
-            raise Problem(409, "Nothing to restore", f"the thresholds of {glove.name} were never changed")
-        await self._read_with(glove, stored.previous)
+        previous = self.fit_of(glove).previous
+        if previous is None:
+            whose = f" for {glove.person}" if glove.person else ""
+            raise Problem(
+                409, "Nothing to restore", f"the thresholds of {glove.name}{whose} were never changed"
+            )
+        await self._read_with(glove, previous)
+
+    def fit_of(self, glove: Glove) -> Fit:
+        """Return what is kept of how `glove` fits who wears it now; an empty one if nothing is."""
+        return self._fits.get((glove.name, glove.person or NOBODY), Fit())
+
+    async def keep_fit(self, glove: Glove, fit: Fit) -> None:
+        """Keep how `glove` fits who wears it now; returns when it survives. The glove reads as it did."""
+        person = glove.person or NOBODY
+        stored = self._stored.get(glove.name) or StoredGlove(glove.name, glove.hand)
+        async with self._writing:
+            kept = await self._on_disk(lambda: self._store.save_fit(stored, person, fit))
+            self._stored[glove.name] = stored
+            self._fits[glove.name, person] = kept
 
     async def _read_with(self, glove: Glove, thresholds: Thresholds) -> None:
-        before = self._stored.get(glove.name)
-        await self._keep(
-            StoredGlove(
-                glove.name,
-                glove.hand,
-                glove.person,
-                before.declared if before else False,
-                thresholds,
-                glove.senses.thresholds,
-            )
-        )
+        before = self.fit_of(glove)
+        await self.keep_fit(glove, replace(before, thresholds=thresholds, previous=glove.senses.thresholds))
         glove.read_with(thresholds)
 
-    async def _keep(self, stored: StoredGlove) -> None:
+    async def _keep(self, *gloves: StoredGlove) -> None:
         async with self._writing:
-            await asyncio.to_thread(self._store.save, stored)
-            self._stored[stored.name] = stored
+            await self._on_disk(lambda: self._store.save(*gloves))
+            self._stored |= {glove.name: glove for glove in gloves}
+
+    async def _on_disk(self, action: Callable[[], T]) -> T:
+        try:
+            return await asyncio.to_thread(action)
+        except SQLAlchemyError as error:
+            raise database_away(error) from None
 
     def _make_room_for(self, expected: GloveConfiguration) -> Glove:
         if len(self._gloves) >= self._settings.max_gloves:
@@ -153,19 +182,27 @@ class Gloves:
 
     def _adopt(self, expected: GloveConfiguration) -> Glove:
         stored = self._stored.get(expected.name)
-        thresholds = expected.thresholds
-        if stored is not None and stored.thresholds is not None:
-            thresholds = stored.thresholds
-            log.info("thresholds are those of its own calibration", glove=expected.name)
+        person = expected.person
+        if stored is not None and stored.person is not None:
+            person = stored.person or None
+        thresholds = self._thresholds_for(expected.name, person) or expected.thresholds
         glove = Glove(
             expected.name,
             hand=expected.hand,
-            person=expected.person,
+            person=person,
             senses=Senses(thresholds, self._configuration.gestures, self._settings.timing),
-            commands=self._configuration.commands_of(expected.person),
+            commands=self._configuration.commands_of(person),
             filtering=self._settings.filtering,
             listener=self._listener,
         )
         self._gloves[glove.name] = glove
         self._adopted(glove)
         return glove
+
+    def _thresholds_for(self, glove: str, person: str | None) -> Thresholds | None:
+        """Return the thresholds for `person`, else those that served last, whoever wore the glove."""
+        own = self._fits.get((glove, person or NOBODY))
+        if own is not None and own.thresholds is not None:
+            return own.thresholds
+        others = [fit for (name, _), fit in self._fits.items() if name == glove and fit.thresholds]
+        return max(others, key=lambda fit: fit.changed_at).thresholds if others else None

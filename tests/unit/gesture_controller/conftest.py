@@ -1,15 +1,18 @@
 """A glove without network: hands that show gestures, Tasks that wait, and a notebook of what happened."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pytest
 import uvloop
+from sqlalchemy import Engine
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient
+from handover.database import connect
 from handover.job import Job
 from services.gesture_controller.configuration import built_in
 from services.gesture_controller.errand import Asked, Errand
@@ -92,6 +95,14 @@ def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], A
 def notebook() -> Notebook:
     """What gloves have told."""
     return Notebook()
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Engine]:
+    """The database of the controller."""
+    engine = connect(f"sqlite:///{tmp_path / 'gesture_controller.db'}")
+    yield engine
+    engine.dispose()
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import Engine
 
 from handover.errors import Problem
 from services.gesture_controller.configuration import Configuration, built_in, parse
@@ -19,14 +20,14 @@ Open = Callable[..., Gloves]
 
 
 @pytest.fixture
-def open_gloves(tmp_path: Path, notebook: Any) -> Open:
+def open_gloves(tmp_path: Path, database: Engine, notebook: Any) -> Open:
     """Open the gloves of a data directory, as a start of the controller does."""
 
     def begin(
         site: Configuration | None = None, adopted: Callable[[Glove], None] = lambda _: None, **overrides: Any
     ) -> Gloves:
         settings = ControllerSettings.load(data_dir=tmp_path, **overrides)
-        return Gloves(settings, site or built_in(), GloveStore(tmp_path / "gloves"), notebook, adopted)
+        return Gloves(settings, site or built_in(), GloveStore(database), notebook, adopted)
 
     return begin
 
