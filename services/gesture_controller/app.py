@@ -19,6 +19,7 @@ from services.gesture_controller.controller import Controller
 from services.gesture_controller.glove import CannotComplete, Glove
 from services.gesture_controller.glove_server import GloveServer
 from services.gesture_controller.live import follow, frames_of
+from services.gesture_controller.pictures.routes import add_pictures, picture_urls
 from services.gesture_controller.settings import ControllerSettings
 from services.gesture_controller.view import view_of
 
@@ -80,6 +81,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     )
     controller.mount(app)
     _add_gestures(app, controller)
+    add_pictures(app, controller.configuration.gestures)
     _add_gloves(app, controller)
     _add_acts(app, controller)
     _add_streams(app, controller)
@@ -89,10 +91,10 @@ def make_app(settings: ControllerSettings) -> FastAPI:
 def _add_gestures(app: FastAPI, controller: Controller) -> None:
     @app.get("/gestures", tags=["gestures"])
     async def gestures() -> list[dict[str, Any]]:
-        """List the gestures: name, code (thumb first, 0 straight, 2 bent) and the command each stands for."""
+        """List the gestures: name, code (thumb first, 0 straight, 2 bent), command and pictures of each."""
         ids = controller.configuration.commands.ids
         return [
-            {"name": name, "code": code, "commandId": ids.get(name)}
+            {"name": name, "code": code, "commandId": ids.get(name), "pictures": picture_urls(name)}
             for name, code in controller.configuration.gestures
         ]
 
