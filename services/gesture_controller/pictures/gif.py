@@ -41,6 +41,8 @@ EDGE = 3.0
 
 def gif_of(states: str, hand: Hand = "right", motion: Motion = "loop") -> bytes:
     """Return the picture of the five `states`, thumb first. Takes some tenths of a second of computing."""
+    from PIL import Image  # noqa: PLC0415 - heavy, and seldom asked for
+
     if motion == "none":
         pictures, durations_ms = [_picture(bends_of(states), hand)], [0]
     else:
@@ -48,7 +50,7 @@ def gif_of(states: str, hand: Hand = "right", motion: Motion = "loop") -> bytes:
         step_ms = round(MOVE_S * 1000 / MOVING_STEPS / 10) * 10  # a GIF counts in hundredths of a second
         durations_ms = [round(OPEN_S * 1000), *[step_ms] * (MOVING_STEPS - 1), round(STAY_S * 1000)]
     palette = _palette()
-    first, *others = (picture.quantize(palette=palette, dither=0) for picture in pictures)
+    first, *others = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     file = io.BytesIO()
     moving = {"save_all": True, "append_images": others, "duration": durations_ms} if others else {}
     forever = {"loop": 0} if motion == "loop" else {}
