@@ -16,6 +16,7 @@ from handover.service import create_app
 from handover.telemetry import get_logger
 from services.gesture_controller import configuration
 from services.gesture_controller.controller import Controller
+from services.gesture_controller.gestures import listed
 from services.gesture_controller.glove import CannotComplete, Glove
 from services.gesture_controller.glove_server import GloveServer
 from services.gesture_controller.live import follow, frames_of
@@ -91,11 +92,13 @@ def make_app(settings: ControllerSettings) -> FastAPI:
 def _add_gestures(app: FastAPI, controller: Controller) -> None:
     @app.get("/gestures", tags=["gestures"])
     async def gestures() -> list[dict[str, Any]]:
-        """List the gestures: name, code (thumb first, 0 straight, 2 bent), command and pictures of each."""
-        ids = controller.configuration.commands.ids
+        """List the gestures of the site: name, code (thumb first, 0 straight, 2 bent), command and pictures.
+
+        Those that are composed have no code but `left` and `right`, or `sequence`, each part with its code.
+        """
         return [
-            {"name": name, "code": code, "commandId": ids.get(name), "pictures": picture_urls(name)}
-            for name, code in controller.configuration.gestures
+            {**one, "pictures": picture_urls(one["name"])} if "code" in one else one
+            for one in listed(controller.configuration.gestures, controller.configuration.commands)
         ]
 
 

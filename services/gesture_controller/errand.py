@@ -5,17 +5,28 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from handover.job import Job, Wants
+from services.gesture_controller.gestures import Part
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What a Task asks of a person: to make a gesture. `command_id` is the command that it gives."""
+    """What a Task asks of a person: to make a gesture. `command_id` is the command that it gives.
+
+    `code` is that of the gesture, or of the part that comes first; `parts` are more than one where the
+    gesture is composed.
+    """
 
     task_id: str
     description: str
     gesture: str
     code: str
     command_id: int | None
+    parts: tuple[Part, ...] = ()
+
+    @property
+    def hands(self) -> Literal["one", "both"]:
+        """Say whether it takes one hand or both."""
+        return "both" if any(part.hand for part in self.parts) else "one"
 
 
 @dataclass(frozen=True, slots=True)

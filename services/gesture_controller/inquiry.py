@@ -77,9 +77,9 @@ def what_is_asked(
         raise TaskFailed(
             "the Task names neither a gesture nor a commandId; put one of them in its workParameters"
         )
-    return Asked(
-        task.id, _description(task, parameters, definition), gesture, gestures.codes[gesture], command_id
-    )
+    parts = gestures.parts_of(gesture)
+    description = _description(task, parameters, definition)
+    return Asked(task.id, description, gesture, parts[0].code, command_id, parts)
 
 
 def needs_definition(parameters: Mapping[str, Any]) -> bool:
