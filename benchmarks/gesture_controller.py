@@ -27,7 +27,7 @@ import httpx
 import orjson
 import psutil
 
-from services.gesture_controller.calibration import calibrate
+from services.gesture_controller.calibration.levels import calibrate
 from services.gesture_controller.configuration import built_in
 from services.gesture_controller.frames import Frame, Hello, parse_frame
 from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures

@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
-from services.gesture_controller.calibration import Calibration, CalibrationFailed, calibrate
+from services.gesture_controller.calibration.levels import Calibration, CalibrationFailed, calibrate
 from services.gesture_controller.configuration import Configuration, GloveConfiguration
 from services.gesture_controller.frames import Hello, is_glove_name
 from services.gesture_controller.glove import Glove, Link, Listener
