@@ -22,6 +22,9 @@ from services.gesture_controller.glove_server import GloveServer
 from services.gesture_controller.live import follow, frames_of
 from services.gesture_controller.pictures.routes import add_pictures, picture_urls
 from services.gesture_controller.settings import ControllerSettings
+from services.gesture_controller.testing.examiner import Examiner
+from services.gesture_controller.testing.routes import add_tests
+from services.gesture_controller.testing.store import TestStore
 from services.gesture_controller.view import view_of
 
 log = get_logger(__name__)
@@ -68,10 +71,11 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT", say=log.warning)
     broker = BrokerClient(settings)
     controller = Controller(settings, configuration.load(settings.gestures_file), broker)
+    examiner = Examiner(TestStore(controller.database), controller.gloves, controller.configuration.gestures)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with broker, controller, GloveServer(settings, controller.gloves):
+        async with broker, controller, examiner, GloveServer(settings, controller.gloves):
             yield
 
     app = create_app(
@@ -86,6 +90,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     _add_gloves(app, controller)
     _add_acts(app, controller)
     _add_streams(app, controller)
+    add_tests(app, examiner, controller.gloves)
     return app
 
 

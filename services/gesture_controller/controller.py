@@ -46,8 +46,8 @@ class Controller(Performer):
         self._worn: dict[str, Glove] = {}
         self._duties = AsyncExitStack()
         self._newcomers: asyncio.Queue[str] = asyncio.Queue()
-        self._database = connect(settings.database("gesture_controller"))
-        store = GloveStore(self._database, settings.data_dir / "gloves")
+        self.database = connect(settings.database("gesture_controller"))
+        store = GloveStore(self.database, settings.data_dir / "gloves")
         self.gloves = Gloves(settings, configuration, store, self, self._adopt)
 
     async def __aenter__(self) -> Self:
@@ -61,7 +61,7 @@ class Controller(Performer):
     async def __aexit__(self, *error: object) -> None:
         await super().__aexit__(*error)
         await self._duties.aclose()
-        self._database.dispose()
+        self.database.dispose()
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Ask the wearer for the gesture that the Task names, and return how it was answered."""

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Protocol
+from typing import Any, Protocol
 
 from handover.job import Wants
 from services.gesture_controller import metrics
@@ -87,6 +87,8 @@ class Glove:
         self.frames = 0
         self.dropped: Counter[str] = Counter()
         self.rate_hz = 0.0
+        self.examination: Callable[[], dict[str, Any]] | None = None
+        """What the screen shows of the accuracy test that is being done with it, if one is."""
         self.watchers: set[Callable[[bool], None]] = set()
         """Called when something to be seen has changed, with every frame too; must be quick.
 

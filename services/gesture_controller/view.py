@@ -41,6 +41,7 @@ def view_of(glove: Glove, now_s: float) -> dict[str, Any]:
         "differs": differing_fingers(glove),
         "testing": glove.testing,
         "filtering": glove.filtering,
+        "examination": glove.examination() if glove.examination is not None else None,
         "paused": glove.paused or wants_pause,
         "lost": glove.lost,
         "thresholds": glove.senses.thresholds.as_dict(),
