@@ -140,16 +140,13 @@ async def test_a_test_is_stopped_listed_and_deleted(bench: Any, begin: Callable[
     assert bench.screen.get(f"/tests/{participant.id}").status_code == 404
 
 
-@pytest.mark.parametrize(
-    ("wrong", "says"),
-    [
+async def test_a_wrong_plan_is_refused_with_the_reason(bench: Any) -> None:
+    for wrong, says in (
         ({"gestures": ["Thumb up"]}, 'did you mean "Thumbs up"'),
         ({"glove": "glove-9"}, 'no glove "glove-9"'),
         ({"holdMs": 2000, "limitMs": 1500}, "time limit must be longer"),
         ({"rounds": 0}, "rounds"),
-    ],
-)
-async def test_a_wrong_plan_is_refused_with_the_reason(bench: Any, wrong: dict[str, Any], says: str) -> None:
-    answer = bench.screen.post("/tests", json={"glove": "glove-1", **wrong})
-    assert answer.status_code in {404, 422}
-    assert says in answer.json()["detail"]
+    ):
+        answer = bench.screen.post("/tests", json={"glove": "glove-1", **wrong})
+        assert answer.status_code in {404, 422}
+        assert says in answer.json()["detail"]
