@@ -12,13 +12,18 @@ from datetime import UTC, datetime
 from typing import Any, Protocol
 
 from handover.job import Wants
+from handover.telemetry import get_logger
 from services.gesture_controller import metrics
+from services.gesture_controller.calibration.drift import Drift
 from services.gesture_controller.errand import Answer, Errand
 from services.gesture_controller.frames import Frame, Hello
 from services.gesture_controller.gestures import Commands
 from services.gesture_controller.hold import HoldEvent
 from services.gesture_controller.pipeline import Rules, Senses, Sight, Verdict, judge, see
+from services.gesture_controller.recognition.registry import THRESHOLDS
 from services.gesture_controller.thresholds import Thresholds
+
+log = get_logger(__name__)
 
 SILENT = "glove silent"
 ON_SCREEN = "paused on the screen"
@@ -137,7 +142,7 @@ class Glove:
         if frame.battery is not None and frame.battery != self.battery:
             self.battery = frame.battery
             self._changed()
-        self.sight = see(self.sight, frame, self.senses)
+        self.sight = self._see(frame)
         hold = self.sight.hold
         if hold.last is not HoldEvent.NONE:
             self._act_on(judge(hold, self._rules()), now_s)
@@ -145,6 +150,18 @@ class Glove:
             watcher(False)
         for record in self.recorders:
             record(line)
+
+    def _see(self, frame: Frame) -> Sight:
+        try:
+            return see(self.sight, frame, self.senses)
+        except Exception as error:
+            if self.senses.recognizer == THRESHOLDS:
+                raise
+            # a recognizer may be a stranger's, and whatever befalls it must not take the glove away
+            log.exception("recognizer failed; thresholds take over", glove=self.name)
+            failure = f"it failed with {type(error).__name__}: {error}"
+            self.sense_with(replace(self.senses, failure=failure))
+            return see(self.sight, frame, self.senses)
 
     def drop(self, reason: str) -> None:
         """Count a line that was no frame."""
@@ -257,8 +274,12 @@ class Glove:
 
     def read_with(self, thresholds: Thresholds) -> None:
         """Read the hand with other thresholds from now on."""
-        self.senses = replace(self.senses, thresholds=thresholds)
-        self._begin_anew()
+        self.sense_with(replace(self.senses, thresholds=thresholds))
+
+    def sense_with(self, senses: Senses) -> None:
+        """Read the hand with other `senses` from now on; what was seen and had drifted is forgotten."""
+        self.senses = senses
+        self.sight = replace(self.sight, recognition=None, drift=Drift(), hold=self.sight.hold.anew())
         self._changed()
 
     def _go_on(self, errand: Errand, held_for: str) -> None:

@@ -44,11 +44,22 @@ class FingerLevels:
 
 
 @dataclass(frozen=True, slots=True)
+class Sample:
+    """How a person shows the gesture with `code`: where each finger stands, and its noise, as shares."""
+
+    code: str
+    shares: tuple[float, ...]
+    noise: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Calibration:
     """Thresholds, and the levels of the five fingers that they were made from."""
 
     thresholds: Thresholds
     levels: tuple[FingerLevels, ...]
+    samples: tuple[Sample, ...] = ()
+    """Gestures that the person has shown besides."""
 
     def as_dict(self) -> dict[str, dict[str, float]]:
         """Return the levels by finger."""
