@@ -20,6 +20,7 @@ from services.gesture_controller.gestures import listed
 from services.gesture_controller.glove import CannotComplete, Glove
 from services.gesture_controller.glove_server import GloveServer
 from services.gesture_controller.live import follow, frames_of
+from services.gesture_controller.people.routes import add_people
 from services.gesture_controller.pictures.routes import add_pictures, picture_urls
 from services.gesture_controller.settings import ControllerSettings
 from services.gesture_controller.testing.examiner import Examiner
@@ -88,6 +89,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     _add_gestures(app, controller)
     add_pictures(app, controller.configuration.gestures)
     _add_gloves(app, controller)
+    add_people(app, controller.people, controller.gloves)
     _add_acts(app, controller)
     _add_streams(app, controller)
     add_tests(app, examiner, controller.gloves)

@@ -96,7 +96,7 @@ def parse(text: str, name: str = "gestures.yaml") -> Configuration:
 class Reader(LinedYaml):
     """Reads what a site has named."""
 
-    mistake = WrongConfiguration
+    mistake: type[WrongFile] = WrongConfiguration
 
     def configuration(self, root: yaml.Node | None) -> Configuration:
         """Return the configuration under `root`."""

@@ -8,11 +8,13 @@ from typing import Any, Self
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.database import connect
+from handover.errors import Problem
 from handover.performer import Job, Performer, TaskFailed, Wants
 from handover.telemetry import get_logger
 from services.gesture_controller.configuration import Configuration
 from services.gesture_controller.device import Devices
 from services.gesture_controller.errand import Answer, Asked, Errand
+from services.gesture_controller.frames import is_glove_name
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.glove_store import GloveStore
 from services.gesture_controller.gloves import Gloves
@@ -23,6 +25,8 @@ from services.gesture_controller.inquiry import (
     what_is_asked,
 )
 from services.gesture_controller.outbox import Outbox
+from services.gesture_controller.people.people import People
+from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.settings import ControllerSettings
 
 log = get_logger(__name__)
@@ -43,12 +47,14 @@ class Controller(Performer):
         self._silence_s = settings.silence_s
         self._outbox = Outbox()
         self._devices = Devices(settings, broker, self._outbox)
-        self._worn: dict[str, Glove] = {}
+        self._gloveless: dict[Job, str] = {}
+        """Jobs for people who wear no glove, and the reason for which each is paused."""
         self._duties = AsyncExitStack()
         self._newcomers: asyncio.Queue[str] = asyncio.Queue()
         self.database = connect(settings.database("gesture_controller"))
         store = GloveStore(self.database, settings.data_dir / "gloves")
-        self.gloves = Gloves(settings, configuration, store, self, self._adopt)
+        self.people = People(configuration, PeopleStore(self.database))
+        self.gloves = Gloves(settings, store, self.people, self, self._adopt)
 
     async def __aenter__(self) -> Self:
         for duty in (self._welcome_newcomers(), self._look_after_gloves(), self._tell_again()):
@@ -65,9 +71,10 @@ class Controller(Performer):
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Ask the wearer for the gesture that the Task names, and return how it was answered."""
-        glove = self._worn[job.resource]
+        glove = await self._free_glove(job)
+        await self._let_wear(job, glove)
         asked = await self._find_out(job, glove)
-        while glove.errand is not None:
+        while glove.errand is not None:  # while we found out, another Task may have come
             await _change(job, glove.free.wait())
             await job.checkpoint()
         errand = Errand(asked, job, asyncio.get_running_loop().create_future())
@@ -78,6 +85,48 @@ class Controller(Performer):
             glove.end()
         log.info("task answered", glove=glove.name, gesture=answer.gesture, by=answer.by)
         return answer.outputs()
+
+    async def _free_glove(self, job: Job) -> Glove:
+        """Return the glove to ask with, once it is free; the Task is paused while its person wears none."""
+        while True:
+            glove = self._glove_for(job.resource)
+            if glove is None:
+                self._gloveless[job] = f"{job.resource.rsplit(':', 1)[-1]} wears no glove"
+                job.pause(self._gloveless[job])
+                try:
+                    await job.checkpoint()
+                finally:
+                    job.resume(self._gloveless.pop(job, ""))
+            elif glove.errand is None:
+                return glove
+            else:
+                await _change(job, glove.free.wait())
+                await job.checkpoint()
+
+    def _glove_for(self, resource: str) -> Glove | None:
+        for glove in self.gloves:
+            if self.settings.entity_id("Device", glove.name) == resource:
+                return glove
+        person = self._person_of(resource)
+        return next(iter(self.gloves.worn_by(person)), None)
+
+    def _person_of(self, resource: str) -> str | None:
+        """Return the name of a Person of this factory."""
+        name = resource.rsplit(":", 1)[-1]
+        return name if self.settings.entity_id("Person", name) == resource else None
+
+    async def _let_wear(self, job: Job, glove: Glove) -> None:
+        """Take the Person that a Task for a glove involves for its wearer."""
+        if job.resource != self.settings.entity_id("Device", glove.name):
+            return
+        for link in job.task.involves or ():
+            person = self._person_of(link.object)
+            if person is not None and is_glove_name(person):
+                try:
+                    await self.gloves.wear(glove, person)
+                except Problem as problem:
+                    log.warning("who wears the glove could not be kept", glove=glove.name, error=str(problem))
+                return
 
     async def _await_answer(self, glove: Glove, errand: Errand) -> Answer:
         following = asyncio.create_task(_follow_wishes(glove, errand.job))
@@ -95,7 +144,7 @@ class Controller(Performer):
         definition = Definition() if known else await definition_of(job.task, self.broker)
         try:
             return what_is_asked(
-                job.task, job.parameters, definition, self.configuration.gestures, glove.commands
+                job.task, job.parameters, definition, self.people.gestures_of(glove.person), glove.commands
             )
         except TaskFailed as failure:
             self._alert_of_wrong_task(job, failure.reason)
@@ -160,8 +209,10 @@ class Controller(Performer):
         if glove.person:
             names.append(self.settings.entity_id("Person", glove.person))
         for resource in names:
-            self._worn[resource] = glove
             self._newcomers.put_nowait(resource)
+        for job, reason in self._gloveless.items():
+            if self._glove_for(job.resource) is not None:
+                job.resume(reason)
         self._devices.tell(glove)
 
     async def _welcome_newcomers(self) -> None:

@@ -5,7 +5,7 @@ for each hand, or one after the other. The 21 are those of M2O2P
 (Machines 2022, 10, 957, Table 1, with its three misprinted rows put right).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any, Literal
@@ -179,6 +179,13 @@ class Gestures:
                     raise WrongGesture(f'gesture "{name}" is made like "{twin}"; change one of them')
                 composed[name] = made
         return Gestures(codes, composed)
+
+    def with_parts(self, parts: Sequence[Part]) -> "Gestures":
+        """Return these, with `parts` whatever else is called so or has their codes."""
+        names = {part.gesture for part in parts}
+        codes = {part.code for part in parts}
+        left = {name: code for name, code in self.codes.items() if name not in names and code not in codes}
+        return Gestures({**left, **{part.gesture: part.code for part in parts}}, self.composed)
 
     def _all(self) -> list[str]:
         return [*self.codes, *self.composed]

@@ -17,7 +17,7 @@ from services.gesture_controller import metrics
 from services.gesture_controller.calibration.drift import Drift
 from services.gesture_controller.errand import Answer, Errand
 from services.gesture_controller.frames import Frame, Hello
-from services.gesture_controller.gestures import Commands
+from services.gesture_controller.gestures import Commands, Gestures
 from services.gesture_controller.hold import HoldEvent
 from services.gesture_controller.pipeline import Rules, Senses, Sight, Verdict, judge, see
 from services.gesture_controller.recognition.registry import THRESHOLDS
@@ -280,6 +280,14 @@ class Glove:
         """Read the hand with other `senses` from now on; what was seen and had drifted is forgotten."""
         self.senses = senses
         self.sight = replace(self.sight, recognition=None, drift=Drift(), hold=self.sight.hold.anew())
+        self._changed()
+
+    def equip(self, gestures: Gestures, commands: Commands) -> None:
+        """Know these gestures and commands from now on; a hold goes on if its gesture is among them."""
+        kept = self.senses.gestures.codes.get(self.sight.gesture or "")
+        self.senses, self.commands = replace(self.senses, gestures=gestures), commands
+        if kept != gestures.codes.get(self.sight.gesture or ""):
+            self._begin_anew()
         self._changed()
 
     def _go_on(self, errand: Errand, held_for: str) -> None:

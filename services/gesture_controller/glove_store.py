@@ -5,7 +5,7 @@ directory are taken over once, when the database does not know them yet.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from handover.errors import UsageError
 from handover.tables import bring_forward
 from handover.telemetry import get_logger
 from services.gesture_controller.people import tables
+from services.gesture_controller.people.person import Person
+from services.gesture_controller.people.store import save_person
 from services.gesture_controller.thresholds import M2O2P_THRESHOLDS, Thresholds
 
 log = get_logger(__name__)
@@ -83,20 +85,22 @@ class GloveStore:
 
     def save_fit(self, glove: StoredGlove, person: str | None, fit: Fit) -> Fit:
         """Write how `glove` fits `person`, and the glove itself; return the fit as it is kept."""
-        kept = Fit(fit.thresholds, fit.previous, fit.recognizer, fit.learnt, iso(datetime.now(UTC)))
+        kept = replace(fit, changed_at=iso(datetime.now(UTC)))
         with self._engine.begin() as connection:
             _save(connection, glove)
             _save_fit(connection, glove.name, person, kept)
         return kept
 
-    def forget_fit(self, glove: str, person: str | None) -> None:
-        """Delete how `glove` fits `person`."""
+    def save_profile(self, person: Person, fits: Mapping[str, Fit]) -> dict[str, Fit]:
+        """Write `person` and how gloves fit them, in place of what was theirs; return the fits kept."""
+        now = iso(datetime.now(UTC))
+        kept = {glove: replace(fit, changed_at=now) for glove, fit in fits.items()}
         with self._engine.begin() as connection:
-            connection.execute(
-                delete(tables.fits).where(
-                    tables.fits.c.glove == glove, tables.fits.c.person == (person or NOBODY)
-                )
-            )
+            save_person(connection, person)
+            connection.execute(delete(tables.fits).where(tables.fits.c.person == person.name))
+            for glove, fit in kept.items():
+                _save_fit(connection, glove, person.name, fit)
+        return kept
 
     def _take_over_files(self) -> None:
         files = sorted(self._old_files.glob("*.json")) if self._old_files else []

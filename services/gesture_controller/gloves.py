@@ -3,65 +3,55 @@
 import asyncio
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
-
-from sqlalchemy.exc import SQLAlchemyError
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
 from services.gesture_controller.calibration.levels import Calibration, CalibrationFailed, calibrate
-from services.gesture_controller.configuration import Configuration, GloveConfiguration
+from services.gesture_controller.configuration import GloveConfiguration
 from services.gesture_controller.frames import Hello, is_glove_name
 from services.gesture_controller.glove import Glove, Link, Listener
 from services.gesture_controller.glove_store import NOBODY, Fit, GloveStore, StoredGlove
+from services.gesture_controller.people.people import People, on_disk
+from services.gesture_controller.people.person import Person
 from services.gesture_controller.pipeline import Senses
 from services.gesture_controller.settings import ControllerSettings
 from services.gesture_controller.thresholds import Thresholds, WrongThreshold
 
 log = get_logger(__name__)
 
-T = TypeVar("T")
-
 
 class TooManyGloves(ValueError):
     """There is no room for another glove; the message says what to change."""
 
 
-def database_away(error: SQLAlchemyError) -> Problem:
-    """Return what is said when something could not be kept: nothing was changed."""
-    log.error("the database cannot be written", error=str(error))
-    reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
-    return Problem(
-        503, "Database away", f"nothing was changed: the database cannot be written ({reason}); try again"
-    )
-
-
 class Gloves:
-    """All gloves that are known; `adopted` is called with each new one."""
+    """All gloves that are known; `adopted` is called with each new one, and when somebody else wears one."""
 
     def __init__(
         self,
         settings: ControllerSettings,
-        configuration: Configuration,
         store: GloveStore,
+        people: People,
         listener: Listener,
         adopted: Callable[[Glove], None],
     ) -> None:
         self._settings = settings
-        self._configuration = configuration
         self._store = store
+        self.people = people
         self._listener = listener
         self._adopted = adopted
         self._gloves: dict[str, Glove] = {}
         self._stored: dict[str, StoredGlove] = store.load()
         self._fits: dict[tuple[str, str], Fit] = store.fits()
         self._writing = asyncio.Lock()
-        for expected in configuration.gloves:
+        for expected in people.site.gloves:
             self._adopt(expected)
         for stored in self._stored.values():
-            if stored.declared and stored.name not in self._gloves:
+            if (stored.declared or stored.person) and stored.name not in self._gloves:
                 self._adopt(GloveConfiguration(stored.name, stored.hand, stored.person))
+        people.changed = self.equip_again
+        people.also_known = lambda: {glove.person for glove in self if glove.person}
 
     def __iter__(self) -> Iterator[Glove]:
         return iter(tuple(self._gloves.values()))
@@ -105,15 +95,51 @@ class Gloves:
                     "controller runs, so declare another name",
                 )
             return known, False
-        wearer = next((glove for glove in self._gloves.values() if person and glove.person == person), None)
-        if wearer is not None:
-            raise Problem(409, "Worn already", f"{person} wears {wearer.name}; a person wears one glove")
+        worn = next((one for one in self.worn_by(person) if one.hand == (hand or "right")), None)
+        if worn is not None:
+            raise Problem(
+                409,
+                "Worn already",
+                f"{person} wears {worn.name}; a person wears one {worn.hand} glove, so take that off first "
+                f"(PUT /gloves/{worn.name}/person) or declare one of the other hand",
+            )
         try:
             glove = self._make_room_for(GloveConfiguration(name, hand or "right", person))
         except TooManyGloves as error:
             raise Problem(409, "Too many gloves", str(error)) from None
         await self._keep(StoredGlove(name, glove.hand, person, declared=True))
         return glove, True
+
+    def worn_by(self, person: str | None) -> list[Glove]:
+        """Return the gloves that `person` wears: those that are connected first, the right hand's next."""
+        worn = [glove for glove in self if person and glove.person == person]
+        return sorted(worn, key=lambda glove: (not glove.connected, glove.hand != "right"))
+
+    def partner_of(self, glove: Glove) -> Glove | None:
+        """Return the glove on the other hand of who wears `glove`; None if there is none."""
+        return next((one for one in self.worn_by(glove.person) if one.hand != glove.hand), None)
+
+    async def wear(self, glove: Glove, person: str | None) -> None:
+        """Let `person` (None: nobody by name) wear `glove` from now on; it survives a restart.
+
+        Another glove of the same hand that they wore is nobody's then. A Task in hand stays as it was asked.
+        """
+        if person == glove.person:
+            return
+        taken_off = [one for one in self.worn_by(person) if one.hand == glove.hand]
+        await self._keep(
+            *(replace(self._stored_of(one), person=NOBODY) for one in taken_off),
+            replace(self._stored_of(glove), person=person or NOBODY),
+        )
+        for one in taken_off:
+            self._dress(one, None)
+        self._dress(glove, person)
+        log.info("glove is worn by somebody else", glove=glove.name, person=person or "nobody")
+
+    def equip_again(self, person: str) -> None:
+        """Let the gloves of `person` read their hands with what is theirs now."""
+        for glove in self.worn_by(person):
+            self._equip(glove)
 
     async def set_thresholds(self, glove: Glove, changes: Mapping[str, Mapping[str, float]]) -> None:
         """Read `glove` with `changes` to its thresholds from now on, and keep them; raises `Problem` 422."""
@@ -150,11 +176,30 @@ class Gloves:
     async def keep_fit(self, glove: Glove, fit: Fit) -> None:
         """Keep how `glove` fits who wears it now; returns when it survives. The glove reads as it did."""
         person = glove.person or NOBODY
-        stored = self._stored.get(glove.name) or StoredGlove(glove.name, glove.hand)
+        stored = self._stored_of(glove)
         async with self._writing:
-            kept = await self._on_disk(lambda: self._store.save_fit(stored, person, fit))
+            kept = await on_disk(lambda: self._store.save_fit(stored, person, fit))
             self._stored[glove.name] = stored
             self._fits[glove.name, person] = kept
+
+    def fits_of(self, person: str) -> dict[str, Fit]:
+        """Return how gloves fit `person`, by the name of the glove."""
+        return {glove: fit for (glove, whose), fit in sorted(self._fits.items()) if whose == person}
+
+    def forget_fits(self, person: str) -> None:
+        """Forget how gloves fit `person`, who has been removed."""
+        for glove in self.fits_of(person):
+            del self._fits[glove, person]
+
+    async def take_in(self, person: Person, fits: Mapping[str, Fit]) -> None:
+        """Keep `person` and how gloves fit them, in place of all that was theirs, and apply it at once."""
+        async with self._writing:
+            kept = await on_disk(lambda: self._store.save_profile(person, fits))
+            self.forget_fits(person.name)
+            self._fits |= {(glove, person.name): fit for glove, fit in kept.items()}
+        self.people.take_in(person)
+        for glove in self.worn_by(person.name):
+            self._dress(glove, person.name)
 
     async def _read_with(self, glove: Glove, thresholds: Thresholds) -> None:
         before = self.fit_of(glove)
@@ -163,14 +208,26 @@ class Gloves:
 
     async def _keep(self, *gloves: StoredGlove) -> None:
         async with self._writing:
-            await self._on_disk(lambda: self._store.save(*gloves))
+            await on_disk(lambda: self._store.save(*gloves))
             self._stored |= {glove.name: glove for glove in gloves}
 
-    async def _on_disk(self, action: Callable[[], T]) -> T:
-        try:
-            return await asyncio.to_thread(action)
-        except SQLAlchemyError as error:
-            raise database_away(error) from None
+    def _stored_of(self, glove: Glove) -> StoredGlove:
+        return self._stored.get(glove.name) or StoredGlove(glove.name, glove.hand)
+
+    def _dress(self, glove: Glove, person: str | None) -> None:
+        glove.person = person
+        fit = self.fit_of(glove)
+        if fit.thresholds is not None:
+            glove.read_with(fit.thresholds)
+        self._equip(glove)
+        self._adopted(glove)
+
+    def _equip(self, glove: Glove) -> None:
+        """Have `glove` know the gestures of who wears it, and that of the Task in hand as it was asked."""
+        gestures = self.people.gestures_of(glove.person)
+        if glove.errand is not None:
+            gestures = gestures.with_parts(glove.errand.asked.parts)
+        glove.equip(gestures, self.people.commands_of(glove.person))
 
     def _make_room_for(self, expected: GloveConfiguration) -> Glove:
         if len(self._gloves) >= self._settings.max_gloves:
@@ -190,8 +247,8 @@ class Gloves:
             expected.name,
             hand=expected.hand,
             person=person,
-            senses=Senses(thresholds, self._configuration.gestures, self._settings.timing),
-            commands=self._configuration.commands_of(person),
+            senses=Senses(thresholds, self.people.gestures_of(person), self._settings.timing),
+            commands=self.people.commands_of(person),
             filtering=self._settings.filtering,
             listener=self._listener,
         )

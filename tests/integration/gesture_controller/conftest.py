@@ -1,7 +1,7 @@
 """A real broker and a real controller as processes; the glove is a TCP client with a clock of its own."""
 
 import socket
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -53,8 +53,11 @@ class Bench:
         self.broker = broker
         self.screen = httpx.Client(base_url=cell.url("gesture_controller"), timeout=10, trust_env=False)
 
-    async def put(self, name: str, resource: str = GLOVE, **parameters: Any) -> str:
-        """Put a pending Task for `resource` and return its id."""
+    async def put(
+        self, name: str, resource: str = GLOVE, involves: Sequence[str] = (), **parameters: Any
+    ) -> str:
+        """Put a pending Task for `resource`, or one that `involves` several, and return its id."""
+        links = [{"type": "Relationship", "object": one} for one in involves or [resource]]
         task_id = f"urn:ngsi-ld:Task:demo:{name}"
         await self.broker.create(
             {
@@ -62,7 +65,7 @@ class Bench:
                 "type": "Task",
                 "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:confirm"},
                 "status": {"type": "Property", "value": "pending", "observedAt": "2026-01-01T12:00:00Z"},
-                "involves": {"type": "Property", "value": [{"type": "Relationship", "object": resource}]},
+                "involves": {"type": "Property", "value": links},
                 "workParameters": {"type": "Property", "value": parameters},
             }
         )

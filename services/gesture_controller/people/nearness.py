@@ -1,0 +1,105 @@
+"""Nearness: how easily one gesture is taken for another, and when that is too easily.
+
+Between codes the distance is the number of fingers that differ. One finger is not enough if its sensor hardly
+tells bent from straight. Of a gesture that was recorded it is known besides how many times its own noise each
+finger is away from being read otherwise; of the fingers that differ the surest counts, as all of them must be
+misread at once.
+"""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+from services.gesture_controller.finger_states import STRAIGHT
+from services.gesture_controller.people.person import Sample
+from services.gesture_controller.thresholds import FINGERS, Thresholds
+
+SURE_SIGMAS = 4.0
+"""A recorded gesture less than so many times the noise away from another is too near."""
+LEAST_SPAN_SIGMAS = 6.0
+"""A finger whose span from fist to open hand is less than so many times its noise is doubtful."""
+LEAST_NOISE = 0.5
+"""Raw units: a sensor that reads whole numbers is never surer than that."""
+RESTING = {"00000": "the open hand", "22222": "the fist"}
+"""Shapes in which a hand rests or carries: they would be made without being meant."""
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbour:
+    """Another gesture and how far away it is; `sigmas` only where a sample is there."""
+
+    name: str
+    code: str
+    fingers: tuple[str, ...]
+    sigmas: float | None = None
+
+    @property
+    def distance(self) -> int:
+        """Return how many fingers differ."""
+        return len(self.fingers)
+
+    def __str__(self) -> str:
+        """Return the distance in words."""
+        if not self.fingers:
+            return "no finger differs"
+        words = "1 finger differs" if self.distance == 1 else f"{self.distance} fingers differ"
+        noise = "" if self.sigmas is None else f", {self.sigmas:g} times the noise"
+        return f"{words}: {', '.join(self.fingers)}{noise}"
+
+
+def neighbours(
+    code: str, others: Mapping[str, str], sample: Sample | None = None, thresholds: Thresholds | None = None
+) -> list[Neighbour]:
+    """Return `others` (codes by name), the nearest to `code` first."""
+    found = [_neighbour(name, code, other, sample, thresholds) for name, other in others.items()]
+    return sorted(found, key=lambda one: (one.distance, one.sigmas or 0.0, one.name))
+
+
+def why_too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> str | None:
+    """Return why a gesture with `code` cannot be, in half a sentence with the way out; None if it can."""
+    if code in RESTING:
+        return (
+            f"{RESTING[code]} is how a hand rests or carries and would be shown unmeant; take another, or "
+            "use it as a part of a gesture of both hands or of a sequence"
+        )
+    for one in near:
+        if one.distance == 0:
+            return f'it is "{one.name}" (code {code}, {one}); use that one, or take another'
+        if one.distance == 1 and one.fingers[0] in doubtful:
+            return (
+                f'it is too near "{one.name}" (code {one.code}, {one}): the sensor of the {one.fingers[0]} '
+                "hardly tells bent from straight; calibrate it, or take a gesture that differs elsewhere too"
+            )
+        if one.sigmas is not None and one.sigmas < SURE_SIGMAS:
+            return (
+                f'it is too near "{one.name}" (code {one.code}, {one}; {SURE_SIGMAS:g} are needed); record '
+                "it again with the fingers fully bent or stretched, or calibrate the glove"
+            )
+    return None
+
+
+def doubtful_fingers(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    """Yield the fingers whose span is small against their noise.
+
+    `levels` are those of a calibration: `{finger: {"fist": …, "open": …, "noise": …}}`, raw units.
+    """
+    for finger, level in levels.items():
+        span = level["open"] - level["fist"]
+        if span < LEAST_SPAN_SIGMAS * max(level.get("noise", 0.0), LEAST_NOISE):
+            yield finger
+
+
+def _neighbour(
+    name: str, code: str, other: str, sample: Sample | None, thresholds: Thresholds | None
+) -> Neighbour:
+    places = [place for place in range(len(FINGERS)) if code[place] != other[place]]
+    fingers = tuple(FINGERS[place] for place in places)
+    if sample is None or thresholds is None or not places:
+        return Neighbour(name, other, fingers)
+    sure = max(_sigmas(sample, place, code[place], thresholds) for place in places)
+    return Neighbour(name, other, fingers, round(sure, 1))
+
+
+def _sigmas(sample: Sample, place: int, state: str, thresholds: Thresholds) -> float:
+    threshold, level = thresholds.fingers[place], sample.levels[place]
+    margin = level - threshold.upper if state == STRAIGHT else threshold.lower - level
+    return max(margin, 0.0) / max(sample.noise[place], LEAST_NOISE)
