@@ -101,8 +101,13 @@ class _Finger:
     straight_share: float
 
 
+def levels_of(fist: Sequence[float], open_hand: Sequence[float]) -> FingerLevels:
+    """Return the levels of a finger by its raw values in a fist and in an open hand."""
+    return FingerLevels(median(fist), median(open_hand), round(max(_noise(fist), _noise(open_hand)), 2))
+
+
 def _finger(name: str, fist: Sequence[float], open_hand: Sequence[float]) -> _Finger:
-    levels = FingerLevels(median(fist), median(open_hand), round(max(_noise(fist), _noise(open_hand)), 2))
+    levels = levels_of(fist, open_hand)
     threshold = Threshold(levels.at(STRAIGHT_ABOVE), levels.at(BENT_BELOW))
     bent = sum(value < threshold.lower for value in fist) / len(fist)
     straight = sum(value > threshold.upper for value in open_hand) / len(open_hand)
