@@ -202,6 +202,34 @@ class Controller(Performer):
             lambda: clear_alert(self.broker, self.settings, key=_silence_key(glove)),
         )
 
+    def fits_badly(self, glove: Glove, why: str) -> None:
+        """Raise an Alert: the glove should be calibrated again."""
+        log.warning("glove should be calibrated again", glove=glove.name, why=why)
+        description = (
+            f"{glove.name} should be calibrated again: {why}. Put it on as usual, make a fist and open the "
+            "hand on the page Calibrate; Tasks can be completed on the screen meanwhile"
+        )
+        self._outbox.put(
+            f"Alert {glove.name} fit",
+            lambda: raise_alert(
+                self.broker,
+                self.settings,
+                key=_fit_key(glove),
+                source=self._devices.id_of(glove),
+                category="device",
+                sub_category="calibrationNeeded",
+                severity="medium",
+                description=description,
+            ),
+        )
+
+    def fits_again(self, glove: Glove) -> None:
+        """Say that the Alert of its fit is over."""
+        self._outbox.put(
+            f"Alert {glove.name} fit",
+            lambda: clear_alert(self.broker, self.settings, key=_fit_key(glove)),
+        )
+
     # Duties
 
     def _adopt(self, glove: Glove) -> None:
@@ -235,6 +263,10 @@ class Controller(Performer):
             await asyncio.sleep(TELL_AGAIN_S)
             for glove in self.gloves:
                 self._devices.tell(glove, again=True)
+
+
+def _fit_key(glove: Glove) -> str:
+    return f"{glove.name} fit"
 
 
 def _silence_key(glove: Glove) -> str:

@@ -267,6 +267,16 @@ def default_commands(gestures: Gestures) -> Commands:
     return Commands({command: name for command, name in DEFAULT_COMMANDS.items() if gestures.find(name)})
 
 
+def codes_in_use(gestures: Gestures, commands: Commands) -> frozenset[str]:
+    """Return the codes of the hands that a person makes to give `commands`, in parts too."""
+    return frozenset(
+        part.code
+        for name in commands.ids
+        if name in gestures.codes or name in gestures.composed
+        for part in gestures.parts_of(name)
+    )
+
+
 def listed(gestures: Gestures, commands: Commands) -> list[dict[str, Any]]:
     """Return the gestures as they go to screens: name, what each is made of, and its command."""
     plain = [{"name": name, "code": code, "commandId": commands.ids.get(name)} for name, code in gestures]

@@ -17,7 +17,7 @@ from services.gesture_controller import metrics
 from services.gesture_controller.calibration.drift import Drift
 from services.gesture_controller.errand import Answer, Errand
 from services.gesture_controller.frames import Frame, Hello
-from services.gesture_controller.gestures import Commands, Gestures
+from services.gesture_controller.gestures import Commands, Gestures, codes_in_use
 from services.gesture_controller.hold import HoldEvent
 from services.gesture_controller.pipeline import Rules, Senses, Sight, Verdict, judge, see
 from services.gesture_controller.recognition.registry import THRESHOLDS
@@ -51,6 +51,12 @@ class Listener(Protocol):
 
     def came_back(self, glove: "Glove") -> None:
         """Take notice that it sends (again)."""
+
+    def fits_badly(self, glove: "Glove", why: str) -> None:
+        """Take notice that it should be calibrated again, and why (half a sentence)."""
+
+    def fits_again(self, glove: "Glove") -> None:
+        """Take notice that it has been calibrated, or fits somebody else."""
 
 
 class Glove:
@@ -142,7 +148,11 @@ class Glove:
         if frame.battery is not None and frame.battery != self.battery:
             self.battery = frame.battery
             self._changed()
+        fitted = self.sight.drift.wants_calibration is None
         self.sight = self._see(frame)
+        if fitted and (why := self.sight.drift.wants_calibration) is not None:
+            self._listener.fits_badly(self, why)
+            self._changed()
         hold = self.sight.hold
         if hold.last is not HoldEvent.NONE:
             self._act_on(judge(hold, self._rules()), now_s)
@@ -285,7 +295,11 @@ class Glove:
     def equip(self, gestures: Gestures, commands: Commands) -> None:
         """Know these gestures and commands from now on; a hold goes on if its gesture is among them."""
         kept = self.senses.gestures.codes.get(self.sight.gesture or "")
-        self.senses, self.commands = replace(self.senses, gestures=gestures), commands
+        in_use = codes_in_use(gestures, commands)
+        if gestures != self.senses.gestures or in_use != self.senses.in_use:
+            self.senses = replace(self.senses, gestures=gestures, in_use=in_use)
+            self.sight = replace(self.sight, recognition=None)
+        self.commands = commands
         if kept != gestures.codes.get(self.sight.gesture or ""):
             self._begin_anew()
         self._changed()

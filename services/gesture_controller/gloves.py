@@ -7,9 +7,16 @@ from dataclasses import replace
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
+from services.gesture_controller.calibration.fitting import (
+    OFFERED,
+    SAMPLES,
+    calibration_from,
+    learnt_from,
+)
 from services.gesture_controller.calibration.levels import Calibration, CalibrationFailed, calibrate
 from services.gesture_controller.configuration import GloveConfiguration
 from services.gesture_controller.frames import Hello, is_glove_name
+from services.gesture_controller.gestures import codes_in_use
 from services.gesture_controller.glove import Glove, Link, Listener
 from services.gesture_controller.glove_store import NOBODY, Fit, GloveStore, StoredGlove
 from services.gesture_controller.people.people import People, on_disk
@@ -156,8 +163,34 @@ class Gloves:
             calibration = await asyncio.to_thread(calibrate, fist, open_hand)
         except CalibrationFailed as error:
             raise Problem(422, "Calibration failed", str(error)) from None
-        await self._read_with(glove, calibration.thresholds)
+        await self.keep_calibration(glove, calibration)
         return calibration
+
+    async def keep_calibration(self, glove: Glove, calibration: Calibration) -> None:
+        """Read `glove` with `calibration` from now on, and keep it; samples that were shown before stay."""
+        before = self.fit_of(glove)
+        samples = before.learnt.get(SAMPLES, {})
+        learnt = {**before.learnt, **learnt_from(calibration)}
+        learnt[SAMPLES] = {**samples, **learnt[SAMPLES]}
+        learnt.pop(OFFERED, None)
+        await self.keep_fit(
+            glove,
+            replace(
+                before,
+                thresholds=calibration.thresholds,
+                previous=glove.senses.thresholds,
+                learnt=learnt,
+            ),
+        )
+        self.fit_again(glove)
+        self._listener.fits_again(glove)
+
+    def fit_again(self, glove: Glove) -> None:
+        """Read `glove` with what is kept of how it fits who wears it, from now on."""
+        thresholds = self.fit_of(glove).thresholds or glove.senses.thresholds
+        if glove.sight.drift.wants_calibration is not None:
+            self._listener.fits_again(glove)
+        glove.sense_with(self._senses(glove.name, glove.person, thresholds, glove.senses))
 
     async def restore(self, glove: Glove) -> None:
         """Exchange the thresholds of `glove` with those before; raise `Problem` 409 if there are none."""
@@ -204,7 +237,7 @@ class Gloves:
     async def _read_with(self, glove: Glove, thresholds: Thresholds) -> None:
         before = self.fit_of(glove)
         await self.keep_fit(glove, replace(before, thresholds=thresholds, previous=glove.senses.thresholds))
-        glove.read_with(thresholds)
+        self.fit_again(glove)
 
     async def _keep(self, *gloves: StoredGlove) -> None:
         async with self._writing:
@@ -216,9 +249,7 @@ class Gloves:
 
     def _dress(self, glove: Glove, person: str | None) -> None:
         glove.person = person
-        fit = self.fit_of(glove)
-        if fit.thresholds is not None:
-            glove.read_with(fit.thresholds)
+        self.fit_again(glove)
         self._equip(glove)
         self._adopted(glove)
 
@@ -247,7 +278,12 @@ class Gloves:
             expected.name,
             hand=expected.hand,
             person=person,
-            senses=Senses(thresholds, self.people.gestures_of(person), self._settings.timing),
+            senses=self._senses(
+                expected.name,
+                person,
+                thresholds,
+                Senses(thresholds, self.people.gestures_of(person), self._settings.timing),
+            ),
             commands=self.people.commands_of(person),
             filtering=self._settings.filtering,
             listener=self._listener,
@@ -255,6 +291,18 @@ class Gloves:
         self._gloves[glove.name] = glove
         self._adopted(glove)
         return glove
+
+    def _senses(self, glove: str, person: str | None, thresholds: Thresholds, like: Senses) -> Senses:
+        """Return `like` as what is kept of how `glove` fits `person` makes it."""
+        fit = self._fits.get((glove, person or NOBODY), Fit())
+        return replace(
+            like,
+            thresholds=thresholds,
+            calibration=calibration_from(fit.learnt, thresholds),
+            recognizer=fit.recognizer or self._settings.recognizer,
+            in_use=codes_in_use(like.gestures, self.people.commands_of(person)),
+            failure=None,
+        )
 
     def _thresholds_for(self, glove: str, person: str | None) -> Thresholds | None:
         """Return the thresholds for `person`, else those that served last, whoever wore the glove."""

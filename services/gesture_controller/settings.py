@@ -36,6 +36,9 @@ class ControllerSettings(Settings):
     confirm_ms: int = Field(1500, gt=0, description="a gesture held so long counts")
     hold_gap_ms: int = Field(250, gt=0, description="frames further apart than this break a hold")
     filtering: bool = Field(True, description="only the gesture that the current Task asks for counts")
+    recognizer: str = Field(
+        "thresholds", description="what reads hands where no profile says: thresholds, personal, or another"
+    )
     silence_s: float = Field(2.0, gt=0, description="a glove without a frame for so long is taken for lost")
 
     @model_validator(mode="after")

@@ -34,6 +34,8 @@ class Notebook:
     states: list[str] = field(default_factory=list)
     silent: list[str] = field(default_factory=list)
     back: list[str] = field(default_factory=list)
+    ill_fitting: list[str] = field(default_factory=list)
+    fitting: list[str] = field(default_factory=list)
 
     def state_changed(self, glove: Glove) -> None:
         if not self.states or self.states[-1] != glove.device_state:
@@ -44,6 +46,12 @@ class Notebook:
 
     def came_back(self, glove: Glove) -> None:
         self.back.append(glove.name)
+
+    def fits_badly(self, glove: Glove, why: str) -> None:
+        self.ill_fitting.append(why)
+
+    def fits_again(self, glove: Glove) -> None:
+        self.fitting.append(glove.name)
 
 
 @dataclass
