@@ -11,6 +11,7 @@ import StartPage from "~/start/StartPage";
 const WorkPage = lazy(() => import("~/work/WorkPage"));
 const ProcessesPage = lazy(() => import("~/processes/ProcessesPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
+const CalibratePage = lazy(() => import("~/calibrate/CalibratePage"));
 
 export function App() {
   const [path, go] = useLocation();
@@ -23,6 +24,7 @@ export function App() {
             <Route path="/work" component={WorkPage} />
             <Route path="/processes/*?" component={ProcessesPage} />
             <Route path="/system" component={SystemPage} />
+            <Route path="/calibrate" component={CalibratePage} />
             <Route component={UnknownPage} />
           </Switch>
         </Stumble>
