@@ -23,6 +23,9 @@ from services.gesture_controller.live import follow, frames_of
 from services.gesture_controller.people.routes import add_people
 from services.gesture_controller.pictures.routes import add_pictures, picture_urls
 from services.gesture_controller.settings import ControllerSettings
+from services.gesture_controller.study.conduct import Conduct
+from services.gesture_controller.study.routes import add_study
+from services.gesture_controller.study.store import StudyStore
 from services.gesture_controller.testing.examiner import Examiner
 from services.gesture_controller.testing.routes import add_tests
 from services.gesture_controller.testing.store import TestStore
@@ -72,11 +75,12 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT", say=log.warning)
     broker = BrokerClient(settings)
     controller = Controller(settings, configuration.load(settings.gestures_file), broker)
+    conduct = Conduct(StudyStore(controller.database))
     examiner = Examiner(TestStore(controller.database), controller.gloves, controller.configuration.gestures)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with broker, controller, examiner, GloveServer(settings, controller.gloves):
+        async with broker, controller, examiner, conduct, GloveServer(settings, controller.gloves):
             yield
 
     app = create_app(
@@ -93,6 +97,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     _add_acts(app, controller)
     _add_streams(app, controller)
     add_tests(app, examiner, controller.gloves)
+    add_study(app, conduct)
     return app
 
 
