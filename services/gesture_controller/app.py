@@ -75,7 +75,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT", say=log.warning)
     broker = BrokerClient(settings)
     controller = Controller(settings, configuration.load(settings.gestures_file), broker)
-    conduct = Conduct(StudyStore(controller.database))
+    conduct = Conduct(StudyStore(controller.database), controller.gloves.show_given)
     examiner = Examiner(TestStore(controller.database), controller.gloves, controller.configuration.gestures)
 
     @asynccontextmanager

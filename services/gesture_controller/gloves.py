@@ -46,6 +46,8 @@ class Gloves:
         self._settings = settings
         self._store = store
         self.people = people
+        self._shown_given: set[str] = set()
+        """Gloves that are asked for the site's gestures, whatever their wearer's own are."""
         self._listener = listener
         self._adopted = adopted
         self._gloves: dict[str, Glove] = {}
@@ -142,6 +144,16 @@ class Gloves:
             self._dress(one, None)
         self._dress(glove, person)
         log.info("glove is worn by somebody else", glove=glove.name, person=person or "nobody")
+
+    def show_given(self, name: str, given: bool) -> None:
+        """Have the glove called `name`, if there is one, asked for the site's gestures: whoever wears it.
+
+        Without `given`, its wearer's own gestures are asked for again. It counts from the next Task on.
+        """
+        before = set(self._shown_given)
+        self._shown_given = before | {name} if given else before - {name}
+        if name in self._gloves and self._shown_given != before:
+            self._equip(self._gloves[name])
 
     def equip_again(self, person: str) -> None:
         """Let the gloves of `person` read their hands with what is theirs now."""
@@ -258,7 +270,8 @@ class Gloves:
         gestures = self.people.gestures_of(glove.person)
         if glove.errand is not None:
             gestures = gestures.with_parts(glove.errand.asked.parts)
-        glove.equip(gestures, self.people.commands_of(glove.person))
+        whose = None if glove.name in self._shown_given else glove.person
+        glove.equip(gestures, self.people.commands_of(whose))
 
     def _make_room_for(self, expected: GloveConfiguration) -> Glove:
         if len(self._gloves) >= self._settings.max_gloves:
@@ -284,7 +297,7 @@ class Gloves:
                 thresholds,
                 Senses(thresholds, self.people.gestures_of(person), self._settings.timing),
             ),
-            commands=self.people.commands_of(person),
+            commands=self.people.commands_of(None if expected.name in self._shown_given else person),
             filtering=self._settings.filtering,
             listener=self._listener,
         )

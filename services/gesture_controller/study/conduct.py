@@ -2,7 +2,7 @@
 
 import asyncio
 import random
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Self
 from uuid import uuid4
@@ -15,6 +15,7 @@ from services.gesture_controller.study.protocol import (
     FINISHED,
     STEPS,
     Answer,
+    Condition,
     Language,
     Session,
     checked,
@@ -26,14 +27,21 @@ DECLINED = "declined"
 
 
 class Conduct:
-    """All sessions of all studies; an asynchronous context manager while it is on duty."""
+    """All sessions of all studies; an asynchronous context manager while it is on duty.
 
-    def __init__(self, store: StudyStore) -> None:
+    `show_given(glove, True)` has a glove asked for the site's gestures, False for its wearer's own.
+    """
+
+    def __init__(self, store: StudyStore, show_given: Callable[[str, bool], None]) -> None:
         self._store = store
+        self._show_given = show_given
         self._answering = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
         await asyncio.to_thread(self._store.prepare)
+        for session in await self.sessions(None):
+            if session.step != FINISHED:
+                self._set_gestures(session)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -77,13 +85,17 @@ class Conduct:
             answer = Answer(content, session.language, session.last_at, iso(datetime.now(UTC)))
             lot = random.random()  # noqa: S311 - who comes next is no secret
             await self._do(self._store.answer, session, step, answer, lot)
-            return await self.one(session_id)
+            moved = await self.one(session_id)
+            self._set_gestures(moved)
+            return moved
 
     async def delete(self, session_id: str) -> None:
         """Delete a session beyond recovery; `Problem` 404 if there is none."""
         async with self._answering:
-            if not await self._do(self._store.delete, session_id):
-                raise _unknown(session_id)
+            session = await self.one(session_id)
+            await self._do(self._store.delete, session_id)
+            if session.glove is not None:
+                self._show_given(session.glove, False)
 
     async def one(self, session_id: str) -> Session:
         """Return a session; `Problem` 404 if there is none."""
@@ -96,6 +108,11 @@ class Conduct:
         """Return the sessions (of `study`) in the order in which they began."""
         found: list[Session] = await self._do(self._store.sessions, study)
         return found
+
+    def _set_gestures(self, session: Session) -> None:
+        """Have the glove of the session asked for the gestures that the present step is about."""
+        if session.glove is not None:
+            self._show_given(session.glove, session.condition is Condition.PREDEFINED)
 
     async def _next_pseudonym(self, study: str) -> str:
         taken = {session.pseudonym for session in await self.sessions(study)}

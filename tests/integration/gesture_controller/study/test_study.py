@@ -115,3 +115,26 @@ async def test_the_wording_is_there_in_three_languages(bench: Any) -> None:
         assert len(words["sus"]["items"]) == 10
         assert [tuple(pair) for pair in words["pairs"]] == list(TLX_PAIRS)
     assert bench.screen.get("/study/wording", params={"language": "sv"}).status_code == 422
+
+
+async def test_the_glove_is_asked_for_the_gestures_that_the_step_is_about(
+    bench: Any, put_on: Any, eventually: Any
+) -> None:
+    put_on()
+    screen = bench.screen
+    screen.put("/people/P01", json={}).raise_for_status()
+    screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).raise_for_status()
+    screen.put("/gloves/glove-1/person", json={"person": "P01"}).raise_for_status()
+    participant = Participant(bench, glove="glove-1", person="P01")
+    asked = {}
+    for step in ("interaction1", "interaction2"):
+        participant.go_to(step)
+        if step == "interaction2":
+            bench.cell.kill("gesture_controller")
+            bench.cell.start("gesture_controller")
+        await bench.put(step, commandId=3)
+        eventually(lambda: bench.view()["task"] is not None)
+        asked[participant.seen()["condition"]] = bench.view()["task"]["gesture"]
+        bench.press("complete", by="test").raise_for_status()
+        eventually(lambda: bench.view()["task"] is None)
+    assert asked == {"personal": "Horns", "predefined": "Thumbs up"}
