@@ -15,6 +15,8 @@ from handover.ports import require_free
 from handover.service import create_app
 from handover.telemetry import get_logger
 from services.gesture_controller import configuration
+from services.gesture_controller.calibration.guidance import Guidance
+from services.gesture_controller.calibration.routes import add_calibration
 from services.gesture_controller.controller import Controller
 from services.gesture_controller.gestures import listed
 from services.gesture_controller.glove import CannotComplete, Glove
@@ -94,6 +96,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     add_pictures(app, controller.configuration.gestures)
     _add_gloves(app, controller)
     add_people(app, controller.people, controller.gloves)
+    add_calibration(app, Guidance(controller.gloves), controller.gloves)
     _add_acts(app, controller)
     _add_streams(app, controller)
     add_tests(app, examiner, controller.gloves)

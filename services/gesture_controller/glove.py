@@ -100,6 +100,8 @@ class Glove:
         self.rate_hz = 0.0
         self.examination: Callable[[], dict[str, Any]] | None = None
         """What the screen shows of the accuracy test that is being done with it, if one is."""
+        self.guidance: Callable[[], dict[str, Any]] | None = None
+        """What the screen shows of the calibration that is being done with it, or was at last."""
         self.watchers: set[Callable[[bool], None]] = set()
         """Called when something to be seen has changed, with every frame too; must be quick.
 

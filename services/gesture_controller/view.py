@@ -7,6 +7,7 @@ from services.gesture_controller import wording
 from services.gesture_controller.errand import Asked
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.hold import HoldEvent
+from services.gesture_controller.thresholds import FINGERS
 from services.gesture_controller.wording import Message
 
 THANKS_S = 5.0
@@ -45,11 +46,21 @@ def view_of(glove: Glove, now_s: float) -> dict[str, Any]:
         "paused": glove.paused or wants_pause,
         "lost": glove.lost,
         "thresholds": glove.senses.thresholds.as_dict(),
+        "recognizer": {"name": glove.senses.recognizer, "missing": glove.senses.missing},
+        "certainty": _certainty(glove) if there else None,
+        "drift": dict(zip(FINGERS, [round(one, 2) for one in glove.sight.drift.offsets], strict=True)),
+        "calibrationNeeded": glove.sight.drift.wants_calibration,
+        "calibration": glove.guidance() if glove.guidance is not None else None,
         "frames": glove.frames,
         "dropped": sum(glove.dropped.values()),
         "droppedBy": dict(glove.dropped),
         "rate_hz": glove.rate_hz,
     }
+
+
+def _certainty(glove: Glove) -> float | None:
+    seen = glove.sight.recognition
+    return None if seen is None else round(seen.certainty, 3)
 
 
 def _task(glove: Glove) -> dict[str, Any] | None:

@@ -25,7 +25,7 @@ UNCHANGED_FOR_S = 15.0
 
 GIVE_UP_S = 60.0
 
-STILL = 0.04
+STILL = 0.06
 """How far a finger may wander in that second, as a share of all that the glove has shown meanwhile."""
 
 MOVED = 0.08
@@ -120,9 +120,8 @@ class Guide:
     def _captured(self, bend: tuple[float, ...], at_s: float, waited_s: float) -> "Guide":
         window = (*(one for one in self.window if at_s - one[0] <= KEEP_S), (at_s, bend))
         now = replace(self, window=window)
-        full = window[-1][0] - window[0][0] >= KEEP_S - (window[-1][0] - window[-2][0])
-        if not full or len(window) < LEAST_FRAMES:
-            return now
+        if len(window) < LEAST_FRAMES or at_s - window[0][0] < KEEP_S - (at_s - window[-2][0]):
+            return replace(now, phase=Phase.GIVEN_UP) if waited_s >= GIVE_UP_S else now
         frames = tuple(frame for _, frame in window)
         restless = tuple(self._restless(frames))
         unchanged = not restless and bool(self.captured) and not self._has_moved(frames)
@@ -141,14 +140,15 @@ class Guide:
         )
 
     def _restless(self, frames: Frames) -> list[str]:
-        """Return the fingers whose level differs between the two halves by more than noise and unrest do."""
-        half = len(frames) // 2
+        """Return the fingers whose level differs between the quarters by more than noise and unrest make."""
+        quarter = len(frames) / 4
         restless = []
         for finger, values in zip(FINGERS, zip(*frames, strict=True), strict=True):
-            moved = abs(median(values[:half]) - median(values[half:]))
+            levels = [median(values[round(n * quarter) : round((n + 1) * quarter)]) for n in range(4)]
+            moved = max(levels) - min(levels)
             steps = [abs(now - before) for before, now in pairwise(values)]
             noise = _DIFFERENCE_TO_SIGMA * median(steps)
-            if moved > max(STILL * (self.highest - self.lowest), _NOISES * noise / half**0.5):
+            if moved > max(STILL * (self.highest - self.lowest), _NOISES * noise / quarter**0.5):
                 restless.append(finger)
         return restless
 
