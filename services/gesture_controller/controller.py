@@ -74,15 +74,18 @@ class Controller(Performer):
         glove = await self._free_glove(job)
         await self._let_wear(job, glove)
         asked = await self._find_out(job, glove)
-        while glove.errand is not None:  # while we found out, another Task may have come
-            await _change(job, glove.free.wait())
+        while (busy := self._busy(glove, asked)) is not None:
+            await _change(job, busy.free.wait())
             await job.checkpoint()
         errand = Errand(asked, job, asyncio.get_running_loop().create_future())
         glove.begin(errand)
+        self.gloves.equip(glove)
+        self._join_hands(glove)
         try:
             answer = await self._await_answer(glove, errand)
         finally:
             glove.end()
+            self.gloves.equip(glove)
         log.info("task answered", glove=glove.name, gesture=answer.gesture, by=answer.by)
         return answer.outputs()
 
@@ -127,6 +130,20 @@ class Controller(Performer):
                 except Problem as problem:
                     log.warning("who wears the glove could not be kept", glove=glove.name, error=str(problem))
                 return
+
+    def _busy(self, glove: Glove, asked: Asked) -> Glove | None:
+        """Return a glove that must be free before it can be `asked`, and is not."""
+        partner = self.gloves.partner_of(glove) if asked.hands == "both" else None
+        return next((one for one in (glove, partner) if one is not None and one.errand is not None), None)
+
+    def _join_hands(self, glove: Glove) -> None:
+        """Let the other hand take part where both are asked for, as soon as its glove is there and free."""
+        if glove.errand is None or glove.partner is not None or glove.errand.asked.hands == "one":
+            return
+        partner = self.gloves.partner_of(glove)
+        if partner is not None and partner.errand is None:
+            glove.join(partner)
+            self.gloves.equip(partner)
 
     async def _await_answer(self, glove: Glove, errand: Errand) -> Answer:
         following = asyncio.create_task(_follow_wishes(glove, errand.job))
@@ -256,6 +273,7 @@ class Controller(Performer):
             if now_s - looked_s < self._silence_s / 2:  # else it was us who slept: frames may lie in the line
                 for glove in self.gloves:
                     glove.look_after(now_s, self._silence_s)
+                    self._join_hands(glove)
             looked_s = now_s
 
     async def _tell_again(self) -> None:

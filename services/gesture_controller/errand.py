@@ -1,11 +1,13 @@
 """An errand: what a Task asks of the hand in the glove, and the answer that is awaited."""
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from handover.job import Job, Wants
-from services.gesture_controller.gestures import Part
+from services.gesture_controller.composed.in_turn import Turn
+from services.gesture_controller.composed.together import Together
+from services.gesture_controller.gestures import InTurn, Part, TwoHanded
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +29,15 @@ class Asked:
     def hands(self) -> Literal["one", "both"]:
         """Say whether it takes one hand or both."""
         return "both" if any(part.hand for part in self.parts) else "one"
+
+    @property
+    def composed(self) -> InTurn | TwoHanded | None:
+        """Return of what the gesture is composed; None if it is a single one."""
+        if len(self.parts) < 2:
+            return None
+        first, second = self.parts
+        kind = TwoHanded if self.hands == "both" else InTurn
+        return kind(first.gesture, second.gesture)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +75,8 @@ class Errand:
     answer: asyncio.Future[Answer]
     listening: bool = False
     """True while a gesture may answer; the controller opens and closes it."""
-    met: bool = False
-    """True once the glove has been there during the errand: only then can it go missing."""
+    progress: Turn | Together = field(default_factory=Together)
+    """How far hands have come with a gesture that is composed."""
 
     @property
     def is_open(self) -> bool:

@@ -92,6 +92,10 @@ class TwoHanded:
     left: str
     right: str
 
+    def names(self) -> tuple[str, str]:
+        """Return the names of both parts."""
+        return (self.left, self.right)
+
 
 @dataclass(frozen=True, slots=True)
 class InTurn:
@@ -99,6 +103,10 @@ class InTurn:
 
     first: str
     second: str
+
+    def names(self) -> tuple[str, str]:
+        """Return the names of both parts."""
+        return (self.first, self.second)
 
 
 Composed = TwoHanded | InTurn
@@ -185,7 +193,11 @@ class Gestures:
         names = {part.gesture for part in parts}
         codes = {part.code for part in parts}
         left = {name: code for name, code in self.codes.items() if name not in names and code not in codes}
-        return Gestures({**left, **{part.gesture: part.code for part in parts}}, self.composed)
+        known = {**left, **{part.gesture: part.code for part in parts}}
+        whole = {
+            name: one for name, one in self.composed.items() if all(part in known for part in one.names())
+        }
+        return Gestures(known, whole)
 
     def _all(self) -> list[str]:
         return [*self.codes, *self.composed]
@@ -267,14 +279,15 @@ def default_commands(gestures: Gestures) -> Commands:
     return Commands({command: name for command, name in DEFAULT_COMMANDS.items() if gestures.find(name)})
 
 
-def codes_in_use(gestures: Gestures, commands: Commands) -> frozenset[str]:
-    """Return the codes of the hands that a person makes to give `commands`, in parts too."""
-    return frozenset(
+def codes_in_use(gestures: Gestures, commands: Commands, asked: Sequence[Part] = ()) -> frozenset[str]:
+    """Return the codes of the hands that a person makes to give `commands` or what is `asked`, parts too."""
+    commanded = (
         part.code
         for name in commands.ids
         if name in gestures.codes or name in gestures.composed
         for part in gestures.parts_of(name)
     )
+    return frozenset({*commanded, *(part.code for part in asked)})
 
 
 def listed(gestures: Gestures, commands: Commands) -> list[dict[str, Any]]:

@@ -15,9 +15,11 @@ from handover.job import Wants
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
 from services.gesture_controller.calibration.drift import Drift
+from services.gesture_controller.composed.in_turn import Turn
+from services.gesture_controller.composed.interplay import Interplay, answered, fresh, is_part_of_more
 from services.gesture_controller.errand import Answer, Errand
 from services.gesture_controller.frames import Frame, Hello
-from services.gesture_controller.gestures import Commands, Gestures, codes_in_use
+from services.gesture_controller.gestures import Commands, Gestures, Part, TwoHanded, codes_in_use
 from services.gesture_controller.hold import HoldEvent
 from services.gesture_controller.pipeline import Rules, Senses, Sight, Verdict, judge, see
 from services.gesture_controller.recognition.registry import THRESHOLDS
@@ -25,7 +27,6 @@ from services.gesture_controller.thresholds import Thresholds
 
 log = get_logger(__name__)
 
-SILENT = "glove silent"
 ON_SCREEN = "paused on the screen"
 
 
@@ -82,6 +83,10 @@ class Glove:
         self.testing = False
         self.paused = False
         self.errand: Errand | None = None
+        self.partner: Glove | None = None
+        """The other hand's glove, while both answer one errand."""
+        self.other_hand: Callable[[], Glove | None] = lambda: None
+        """Finds the glove on the other hand of who wears this one."""
         self.free = asyncio.Event()
         self.free.set()
         self.link: Link | None = None
@@ -109,9 +114,13 @@ class Glove:
         """
         self.recorders: set[Callable[[bytes], None]] = set()
         """Called with the raw line of every frame."""
+        self.interplay = Interplay()
         self._listener = listener
-        self._last_s = float("-inf")
+        self.last_s = float("-inf")
+        """When it was last heard of."""
         self._present = False
+        self._met = False
+        """True once the glove has been there during the errand: only then can it go missing."""
         self._seen_before = False
         self._rate_from = (0.0, 0)
 
@@ -127,11 +136,10 @@ class Glove:
         if self.link is not None and self.link is not link:
             self.link.end(f"{self.name} has connected anew from elsewhere; only its newest connection counts")
         self.link, self.hello, self.hand = link, hello, hello.hand
-        self._last_s = now_s
+        self.last_s = now_s
         self._present = True
         self._begin_anew()
-        if self.errand is not None:
-            self.errand.met = True
+        self._met = self.errand is not None
         self._changed()
 
     def disconnect(self, link: Link) -> None:
@@ -143,7 +151,7 @@ class Glove:
     def take(self, frame: Frame, line: bytes, now_s: float) -> None:
         """Take a frame, and its raw `line`, that arrived at `now_s`."""
         self.frames += 1
-        self._last_s = now_s
+        self.last_s = now_s
         self.bend = frame.bend
         if not self._present or self.lost or not self._seen_before:
             self._heard_again()
@@ -155,11 +163,12 @@ class Glove:
         if fitted and (why := self.sight.drift.wants_calibration) is not None:
             self._listener.fits_badly(self, why)
             self._changed()
-        hold = self.sight.hold
-        if hold.last is not HoldEvent.NONE:
-            self._act_on(judge(hold, self._rules()), now_s)
+        self._read(now_s)
         for watcher in self.watchers:
             watcher(False)
+        if self.partner is not None:  # the other hand's screen follows both
+            for watcher in self.partner.watchers:
+                watcher(False)
         for record in self.recorders:
             record(line)
 
@@ -186,24 +195,24 @@ class Glove:
         if now_s - since_s >= 1.0:
             self.rate_hz = round((self.frames - before) / (now_s - since_s), 1) if before or since_s else 0.0
             self._rate_from = (now_s, self.frames)
-        if now_s - self._last_s < silence_s:
+        if now_s - self.last_s < silence_s:
             return
         if self._present:
             self._present = False
             self.rate_hz = 0.0
             self._changed()
-        if self.errand is not None and self.errand.met and not self.lost:
+        if self.errand is not None and self._met and not self.lost:
             self.lost = True
             metrics.SILENCES.inc()
-            self.errand.job.pause(SILENT)
+            self.errand.job.pause(self._silent)
             self._listener.went_silent(self)
             self._changed()
 
     def _heard_again(self) -> None:
         self._present = True
         if self.errand is not None:
-            self.errand.met = True
-            self._go_on(self.errand, SILENT)
+            self._met = True
+            self._go_on(self.errand, self._silent)
         if self.lost or not self._seen_before:
             self.lost, self._seen_before = False, True
             self._listener.came_back(self)
@@ -214,17 +223,26 @@ class Glove:
     def begin(self, errand: Errand) -> None:
         """Take an errand; nothing answers it before `listen`."""
         self.errand = errand
+        errand.progress = fresh(errand)
         self.free.clear()
-        errand.met = self.connected
+        self._met = self.connected
         if self.paused:
             errand.job.pause(ON_SCREEN)
         self._changed()
+
+    def join(self, partner: "Glove") -> None:
+        """Let `partner`, the glove of the other hand, answer the errand together with this one."""
+        if self.errand is not None and self.partner is None:
+            self.partner, partner.partner = partner, self
+            partner.begin(self.errand)
+            partner._begin_anew()
 
     def listen(self) -> None:
         """Let gestures answer the errand from now on: no hold that began before counts."""
         if self.errand is not None and not self.errand.listening:
             self.errand.listening = True
-            self._begin_anew()
+            for glove in self._both():
+                glove._begin_anew()
 
     def rest(self) -> None:
         """Let no gesture answer until `listen`."""
@@ -233,9 +251,10 @@ class Glove:
 
     def end(self) -> None:
         """Let go of the errand, answered or not."""
-        self.errand = None
-        self.free.set()
-        self._changed()
+        for glove in self._both():
+            glove.errand = glove.partner = None
+            glove.free.set()
+            glove._changed()
 
     def complete_on_screen(self, operator: str, now_s: float, task: str | None = None) -> None:
         """Answer the errand for `operator`, who pressed the button; raises `CannotComplete`.
@@ -255,10 +274,12 @@ class Glove:
             raise CannotComplete(
                 f"{self.name} is in testing mode; switch testing off, then complete the Task"
             )
-        errand.job.resume(SILENT)
+        for glove in self._both():
+            errand.job.resume(glove._silent)
         if errand.job.wants is not Wants.GO:
-            if self.lost:
-                errand.job.pause(SILENT)
+            for glove in self._both():
+                if glove.lost:
+                    errand.job.pause(glove._silent)
             raise CannotComplete(f"the Task of {self.name} is paused; resume it, then complete it")
         self._answer(errand, Answer(errand.asked, 0, "screen", operator), now_s)
 
@@ -272,7 +293,7 @@ class Glove:
     def resume(self) -> None:
         """Take `pause` back."""
         self.paused = False
-        if self.errand is not None:
+        if self.errand is not None and not any(glove.paused for glove in self._both()):
             self._go_on(self.errand, ON_SCREEN)
         self._begin_anew()
         self._changed()
@@ -297,7 +318,8 @@ class Glove:
     def equip(self, gestures: Gestures, commands: Commands) -> None:
         """Know these gestures and commands from now on; a hold goes on if its gesture is among them."""
         kept = self.senses.gestures.codes.get(self.sight.gesture or "")
-        in_use = codes_in_use(gestures, commands)
+        asked = self.errand.asked.parts if self.errand is not None else ()
+        in_use = codes_in_use(gestures, commands, asked)
         if gestures != self.senses.gestures or in_use != self.senses.in_use:
             self.senses = replace(self.senses, gestures=gestures, in_use=in_use)
             self.sight = replace(self.sight, recognition=None)
@@ -314,20 +336,89 @@ class Glove:
 
     def _begin_anew(self) -> None:
         self.sight = replace(self.sight, hold=self.sight.hold.anew())
+        self.interplay.clear()
+        if self.errand is not None:
+            self.errand.progress = fresh(self.errand)
 
-    def _rules(self) -> Rules:
+    @property
+    def _silent(self) -> str:
+        """The reason for which a Task is paused while this glove is silent."""
+        return f"{self.name} silent"
+
+    def _both(self) -> "tuple[Glove, ...]":
+        """Return this glove, and the one that answers the errand together with it."""
+        return (self,) if self.partner is None else (self, self.partner)
+
+    @property
+    def due(self) -> Part | None:
+        """Return what the errand asks this hand to show now."""
+        if self.errand is None:
+            return None
+        asked = self.errand.asked
+        if isinstance(self.errand.progress, Turn):
+            return asked.parts[self.errand.progress.step]
+        own = next((part for part in asked.parts if part.hand == self.hand), None)
+        return own or Part(asked.gesture, asked.code)
+
+    def shows(self, part: Part) -> bool:
+        """Say whether this hand, or its partner's, shows `part` now."""
+        hands = [glove for glove in self._both() if part.hand in {None, glove.hand}]
+        return any(glove.connected and glove.sight.gesture == part.gesture for glove in hands)
+
+    def _is_open(self) -> bool:
+        """Say whether anything that this hand shows counts now."""
         errand = self.errand
-        is_open = not self.testing and not self.paused and (errand is None or errand.is_open)
-        return Rules(errand.asked.gesture if errand else None, self.commands, self.filtering, is_open)
+        counts = not any(glove.testing or glove.paused for glove in self._both())
+        return counts and (errand is None or errand.is_open)
+
+    def _read(self, now_s: float) -> None:
+        """Find out what the last frame means."""
+        hold, due = self.sight.hold, self.due
+        if hold.last is not HoldEvent.NONE:
+            rules = Rules(due.gesture if due else None, self.commands, self.filtering, self._is_open())
+            self._act_on(judge(hold, rules), now_s)
+        self._read_composed(now_s)
+
+    def _read_composed(self, now_s: float) -> None:
+        errand = self.errand
+        if not self._is_open():
+            if errand is not None:
+                errand.progress = fresh(errand)
+            return
+        if errand is not None:
+            held_ms = answered(errand, self, self.partner, now_s)
+            if held_ms is not None and not errand.answer.done():
+                self._spend()
+                self._answer(errand, Answer(errand.asked, held_ms, "gesture"), now_s)
+        if not self.filtering:
+            name = self.interplay.commanded(self, errand.asked.gesture if errand else None, now_s)
+            if name is not None:
+                metrics.COMMANDS.inc()
+                other = self.other_hand() if name in self._two_handed() else None
+                for glove in (self, *filter(None, (other,))):
+                    glove._spend()
+                    glove._give(self.commands.ids[name])
+
+    def _two_handed(self) -> set[str]:
+        composed = self.senses.gestures.composed
+        return {name for name, one in composed.items() if isinstance(one, TwoHanded)}
+
+    def _spend(self) -> None:
+        for glove in self._both():
+            glove.sight = replace(glove.sight, hold=glove.sight.hold.spend())
 
     def _act_on(self, verdict: Verdict, now_s: float) -> None:
         hold = self.sight.hold
         if verdict is Verdict.WRONG:
             metrics.WRONG_GESTURES.inc()
         elif verdict is Verdict.COMPLETE and self.errand is not None:
+            if self.errand.asked.composed is not None:
+                return  # a part of it counts with the other
             self.sight = replace(self.sight, hold=hold.spend())
             self._answer(self.errand, Answer(self.errand.asked, hold.held_ms, "gesture"), now_s)
         elif verdict is Verdict.COMMAND and hold.gesture is not None:
+            if is_part_of_more(hold.gesture, self, self.errand):
+                return
             self.sight = replace(self.sight, hold=hold.spend())
             metrics.COMMANDS.inc()
             self._give(self.commands.ids[hold.gesture])
@@ -335,11 +426,12 @@ class Glove:
     def _answer(self, errand: Errand, answer: Answer, now_s: float) -> None:
         errand.answer.set_result(answer)
         metrics.CONFIRMATIONS.labels(answer.by).inc()
-        self.last_answer = (answer, now_s)
-        if answer.asked.command_id is None:
-            self._changed()
-        else:
-            self._give(answer.asked.command_id)
+        for glove in self._both():
+            glove.last_answer = (answer, now_s)
+            if answer.asked.command_id is None:
+                glove._changed()
+            else:
+                glove._give(answer.asked.command_id)
 
     def _give(self, command_id: int) -> None:
         self.command = (command_id, datetime.now(UTC))

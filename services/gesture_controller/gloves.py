@@ -153,12 +153,20 @@ class Gloves:
         before = set(self._shown_given)
         self._shown_given = before | {name} if given else before - {name}
         if name in self._gloves and self._shown_given != before:
-            self._equip(self._gloves[name])
+            self.equip(self._gloves[name])
 
     def equip_again(self, person: str) -> None:
         """Let the gloves of `person` read their hands with what is theirs now."""
         for glove in self.worn_by(person):
-            self._equip(glove)
+            self.equip(glove)
+
+    def equip(self, glove: Glove) -> None:
+        """Have `glove` know the gestures of who wears it, and that of the Task in hand as it was asked."""
+        gestures = self.people.gestures_of(glove.person)
+        if glove.errand is not None:
+            gestures = gestures.with_parts(glove.errand.asked.parts)
+        whose = None if glove.name in self._shown_given else glove.person
+        glove.equip(gestures, self.people.commands_of(whose))
 
     async def set_thresholds(self, glove: Glove, changes: Mapping[str, Mapping[str, float]]) -> None:
         """Read `glove` with `changes` to its thresholds from now on, and keep them; raises `Problem` 422."""
@@ -203,6 +211,7 @@ class Gloves:
         if glove.sight.drift.wants_calibration is not None:
             self._listener.fits_again(glove)
         glove.sense_with(self._senses(glove.name, glove.person, thresholds, glove.senses))
+        self.equip(glove)
 
     async def restore(self, glove: Glove) -> None:
         """Exchange the thresholds of `glove` with those before; raise `Problem` 409 if there are none."""
@@ -262,16 +271,7 @@ class Gloves:
     def _dress(self, glove: Glove, person: str | None) -> None:
         glove.person = person
         self.fit_again(glove)
-        self._equip(glove)
         self._adopted(glove)
-
-    def _equip(self, glove: Glove) -> None:
-        """Have `glove` know the gestures of who wears it, and that of the Task in hand as it was asked."""
-        gestures = self.people.gestures_of(glove.person)
-        if glove.errand is not None:
-            gestures = gestures.with_parts(glove.errand.asked.parts)
-        whose = None if glove.name in self._shown_given else glove.person
-        glove.equip(gestures, self.people.commands_of(whose))
 
     def _make_room_for(self, expected: GloveConfiguration) -> Glove:
         if len(self._gloves) >= self._settings.max_gloves:
@@ -301,6 +301,7 @@ class Gloves:
             filtering=self._settings.filtering,
             listener=self._listener,
         )
+        glove.other_hand = lambda: self.partner_of(glove)
         self._gloves[glove.name] = glove
         self._adopted(glove)
         return glove

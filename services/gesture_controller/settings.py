@@ -35,6 +35,12 @@ class ControllerSettings(Settings):
     announce_ms: int = Field(500, gt=0, description="a gesture held so long is announced")
     confirm_ms: int = Field(1500, gt=0, description="a gesture held so long counts")
     hold_gap_ms: int = Field(250, gt=0, description="frames further apart than this break a hold")
+    hands_apart_ms: int = Field(
+        2000, gt=0, description="in a gesture of both hands, one hand may begin so much later than the other"
+    )
+    sequence_within_ms: int = Field(
+        3000, gt=0, description="of two gestures in turn, the second must begin so soon after the first"
+    )
     filtering: bool = Field(True, description="only the gesture that the current Task asks for counts")
     recognizer: str = Field(
         "thresholds", description="what reads hands where no profile says: thresholds, personal, or another"
@@ -53,7 +59,13 @@ class ControllerSettings(Settings):
     @property
     def timing(self) -> HoldTiming:
         """Return when a hold is announced, counts and breaks."""
-        return HoldTiming(self.announce_ms, self.confirm_ms, self.hold_gap_ms)
+        return HoldTiming(
+            self.announce_ms,
+            self.confirm_ms,
+            self.hold_gap_ms,
+            apart_ms=self.hands_apart_ms,
+            within_ms=self.sequence_within_ms,
+        )
 
     @property
     def notify_url(self) -> str:

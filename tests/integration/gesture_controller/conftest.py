@@ -20,11 +20,11 @@ STRAIGHT, BENT = 2000, 100
 class TcpGlove:
     """Shows hands to the controller; its clock runs as fast as frames are sent."""
 
-    def __init__(self, port: int, name: str = "glove-1") -> None:
+    def __init__(self, port: int, name: str = "glove-1", hand: str = "right") -> None:
         self.link = socket.create_connection(("127.0.0.1", port), timeout=10)
         self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.t_s = 0.0
-        self.say({"type": "hello", "version": 1, "glove": name, "hand": "right"})
+        self.say({"type": "hello", "version": 1, "glove": name, "hand": hand})
         self.answer = orjson.loads(self.link.recv(4096))
 
     def show(self, code: str, seconds: float) -> None:
@@ -130,8 +130,8 @@ def put_on(running_cell: Any) -> Iterator[Callable[..., TcpGlove]]:
     """Put on a glove."""
     with ExitStack() as stack:
 
-        def wear(name: str = "glove-1") -> TcpGlove:
-            glove = TcpGlove(running_cell.ports["glove"], name)
+        def wear(name: str = "glove-1", hand: str = "right") -> TcpGlove:
+            glove = TcpGlove(running_cell.ports["glove"], name, hand)
             stack.callback(glove.close)
             return glove
 

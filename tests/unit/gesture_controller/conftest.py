@@ -129,6 +129,12 @@ def glove(notebook: Notebook) -> Glove:
 
 
 @pytest.fixture
+def link() -> Callable[[], Wire]:
+    """Make connections."""
+    return Wire
+
+
+@pytest.fixture
 def hand(glove: Glove) -> Hand:
     """A hand in the glove, which is connected."""
     wire = Wire()

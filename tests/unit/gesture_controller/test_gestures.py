@@ -11,6 +11,7 @@ from services.gesture_controller.gestures import (
     Shape,
     TwoHanded,
     WrongGesture,
+    codes_in_use,
     default_commands,
     described,
     listed,
@@ -121,3 +122,17 @@ def test_a_gesture_that_cannot_be_is_refused(shapes: dict[str, Shape], words: st
     with pytest.raises(WrongGesture) as wrong:
         Gestures(M2O2P_GESTURES).with_shapes(shapes)
     assert words in str(wrong.value)
+
+
+def test_what_is_asked_goes_before_whatever_else_is_called_or_made_so() -> None:
+    gestures = Gestures({"Mine": "20000", "Horns": "20220", "Up": "02222"}).with_shapes(
+        {"Twice": Shape(sequence=("Mine", "Horns")), "Both": Shape(left="Up", right="Horns")}
+    )
+    asked = gestures.with_parts([Part("Hers", "20000"), Part("Up", "00222")])
+    assert asked.codes == {"Horns": "20220", "Hers": "20000", "Up": "00222"}
+    assert list(asked.composed) == ["Both"]
+    assert codes_in_use(asked, Commands({1: "Both", 2: "Mine"}), [Part("Hers", "20000")]) == {
+        "00222",
+        "20220",
+        "20000",
+    }
