@@ -11,6 +11,7 @@ import StartPage from "~/start/StartPage";
 const WorkPage = lazy(() => import("~/work/WorkPage"));
 const ProcessesPage = lazy(() => import("~/processes/ProcessesPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
+const PeoplePage = lazy(() => import("~/people/PeoplePage"));
 const CalibratePage = lazy(() => import("~/calibrate/CalibratePage"));
 
 export function App() {
@@ -24,6 +25,7 @@ export function App() {
             <Route path="/work" component={WorkPage} />
             <Route path="/processes/*?" component={ProcessesPage} />
             <Route path="/system" component={SystemPage} />
+            <Route path="/people" component={PeoplePage} />
             <Route path="/calibrate" component={CalibratePage} />
             <Route component={UnknownPage} />
           </Switch>

@@ -3,9 +3,9 @@ import { Minus, Plus } from "lucide-react";
 import { useId, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
+import { fingers } from "~/hand/geometry";
 import { usePick } from "~/live/hooks";
 import type { Finger } from "~/live/messages";
-import { fingers } from "~/plot/fingers";
 import { bounds, stateUnder, type Bound, type Thresholds } from "./draft";
 
 interface FingerColumnProps {

@@ -2,8 +2,8 @@
 import { useCallback, useEffect, useRef, type PointerEvent } from "react";
 import { useTranslation } from "react-i18next";
 import type uPlot from "uplot";
+import { fingers } from "~/hand/geometry";
 import type { Finger } from "~/live/messages";
-import { fingers } from "~/plot/fingers";
 import { bendOptions, roomRound, useBendPlot, type Look } from "~/plot/useBendPlot";
 import { useShownTheme } from "~/shell/theme";
 import { bounds, type Bound, type Thresholds } from "./draft";

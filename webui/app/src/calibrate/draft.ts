@@ -1,6 +1,6 @@
 /** Thresholds as somebody is changing them: nothing counts until it is saved. */
+import { fingers } from "~/hand/geometry";
 import type { Finger, GloveView } from "~/live/messages";
-import { fingers } from "~/plot/fingers";
 
 export type Thresholds = GloveView["thresholds"];
 export type Bound = "upper" | "lower";

@@ -5,9 +5,10 @@
 import { useEffect, useRef, type RefObject } from "react";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
+import { fingers } from "~/hand/geometry";
 import { useLive } from "~/live/hooks";
 import { BendHistory } from "./bend_history";
-import { dashes, fingers } from "./fingers";
+import { dashes } from "./fingers";
 import "./fingers.css";
 
 /** What makes a plot: its options for the place it stands in, beginning `now` (seconds since 1970). */
