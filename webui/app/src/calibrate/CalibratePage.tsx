@@ -19,6 +19,7 @@ import { useQuery } from "~/route/query";
 import { useKeys } from "~/shell/keys";
 import { bounds, changesOf, moved, steps, topOf, type Bound, type Step, type Thresholds } from "./draft";
 import { FingerColumn } from "./FingerColumn";
+import { GuidedCard } from "./GuidedCard";
 import "./CalibratePage.css";
 
 const LivePlot = lazy(() => import("./LivePlot"));
@@ -53,7 +54,10 @@ export default function CalibratePage() {
           {t("none.means")}
         </Empty>
       ) : (
-        <ByHand key={glove} glove={glove} />
+        <div className="calibrate__ways" key={glove}>
+          <GuidedCard glove={glove} />
+          <ByHand glove={glove} />
+        </div>
       )}
     </div>
   );

@@ -45,10 +45,39 @@ export interface GloveView {
   paused: boolean;
   lost: boolean;
   thresholds: Record<Finger, { upper: number; lower: number }>;
+  /** While filtering is off: what that means. */
+  warning?: Message | null;
+  /** What reads the hand, and what it lacks if it cannot (then the thresholds do). */
+  recognizer?: { name: string; missing: string | null };
+  /** Whether the levels have jumped so far that a new calibration is due. */
+  calibrationNeeded?: boolean;
+  /** The calibration that is on its way, or how the last one ended. */
+  calibration?: GuideView | null;
   frames: number;
   dropped: number;
   droppedBy: Record<string, number>;
   rate_hz: number;
+}
+
+/** A calibration as the hand is led through it. */
+export interface GuideView {
+  step: "fist" | "open" | "gesture";
+  steps: ("fist" | "open" | "gesture")[];
+  phase: "countdown" | "capture" | "done" | "givenUp";
+  gesture: string | null;
+  /** Of the countdown, or of the second that the hand must be still. */
+  remainingMs: number;
+  /** The fingers that were not still in the last second. */
+  restless: Finger[];
+  message: Message;
+  outcome: { applied: boolean; problem: string | null; doubts: FingerDoubt[] } | null;
+}
+
+/** A finger that is not to be relied on. */
+export interface FingerDoubt {
+  finger: Finger;
+  why: "dead" | "saturated" | "wrongWay" | "smallSpan" | "noisy";
+  advice: string;
 }
 
 export interface GloveTask {
