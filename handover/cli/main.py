@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from handover.cli import process
+from handover.cli import process, specification
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_words
@@ -25,6 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(process.app, name="process")
+app.add_typer(specification.app, name="specification")
 
 DataDir = Annotated[
     Path | None, typer.Option("--data-dir", help="Where everything that must survive is kept.")

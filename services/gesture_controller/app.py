@@ -116,6 +116,16 @@ def _add_gestures(app: FastAPI, controller: Controller) -> None:
             for one in listed(controller.configuration.gestures, controller.configuration.commands)
         ]
 
+    @app.get("/specifications", tags=["operations"])
+    async def specifications() -> dict[str, str]:
+        """Say where TaskDefinitions are looked up that the broker has not, and whether that answers."""
+        database = controller.specifications
+        return {
+            "database": database.shown,
+            "state": database.state.name,
+            "detail": database.state.detail,
+        }
+
 
 def _add_gloves(app: FastAPI, controller: Controller) -> None:
     gloves = controller.gloves

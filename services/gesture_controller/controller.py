@@ -19,15 +19,14 @@ from services.gesture_controller.glove import Glove
 from services.gesture_controller.glove_store import GloveStore
 from services.gesture_controller.gloves import Gloves
 from services.gesture_controller.inquiry import (
-    Definition,
     definition_of,
-    needs_definition,
     what_is_asked,
 )
 from services.gesture_controller.outbox import Outbox
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.settings import ControllerSettings
+from services.gesture_controller.specifications.database import SpecificationDatabase, State
 
 log = get_logger(__name__)
 
@@ -46,6 +45,8 @@ class Controller(Performer):
         self.configuration = configuration
         self._silence_s = settings.silence_s
         self._outbox = Outbox()
+        self._patience_s = settings.specification_patience_s
+        self.specifications = SpecificationDatabase(settings.specifications, self._specifications_are)
         self._devices = Devices(settings, broker, self._outbox)
         self._gloveless: dict[Job, str] = {}
         """Jobs for people who wear no glove, and the reason for which each is paused."""
@@ -157,11 +158,18 @@ class Controller(Performer):
         return errand.answer.result()
 
     async def _find_out(self, job: Job, glove: Glove) -> Asked:
-        known = not needs_definition(job.parameters)
-        definition = Definition() if known else await definition_of(job.task, self.broker)
+        definition = await definition_of(
+            job.task, job.parameters, self.broker, self.specifications, self._patience_s
+        )
+        state = self.specifications.state
         try:
             return what_is_asked(
-                job.task, job.parameters, definition, self.people.gestures_of(glove.person), glove.commands
+                job.task,
+                job.parameters,
+                definition,
+                self.people.gestures_of(glove.person),
+                glove.commands,
+                lacking=state.detail if state.name == "away" else "",
             )
         except TaskFailed as failure:
             self._alert_of_wrong_task(job, failure.reason)
@@ -182,6 +190,26 @@ class Controller(Performer):
                 description=reason,
             ),
         )
+
+    def _specifications_are(self, state: State) -> None:
+        """Raise an Alert while the specification database is away, and say when that is over."""
+        key = "specification database away"
+        if state.name == "away":
+            self._outbox.put(
+                "Alert specifications",
+                lambda: raise_alert(
+                    self.broker,
+                    self.settings,
+                    key=key,
+                    source=self.settings.entity_id("Device", "specification-database"),
+                    category="process",
+                    sub_category="specificationDatabaseAway",
+                    severity="medium",
+                    description=f"{state.detail}. Only Tasks that say all themselves can be shown",
+                ),
+            )
+        else:
+            self._outbox.put("Alert specifications", lambda: clear_alert(self.broker, self.settings, key=key))
 
     # What gloves tell
 

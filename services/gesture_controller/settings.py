@@ -45,6 +45,14 @@ class ControllerSettings(Settings):
     recognizer: str = Field(
         "thresholds", description="what reads hands where no profile says: thresholds, personal, or another"
     )
+    specification_url: str | None = Field(
+        None,
+        description="SQLAlchemy URL of the database of TaskDefinitions that neither Task nor broker has; "
+        "specifications.db in the data directory if absent",
+    )
+    specification_patience_s: float = Field(
+        10.0, ge=0, description="how long a Task that says nothing itself waits for that database"
+    )
     silence_s: float = Field(2.0, gt=0, description="a glove without a frame for so long is taken for lost")
 
     @model_validator(mode="after")
@@ -71,6 +79,11 @@ class ControllerSettings(Settings):
     def notify_url(self) -> str:
         """Return where the broker sends notifications of Tasks."""
         return f"{self.url_of(self.controller_port, self.controller_url)}/notifications"
+
+    @property
+    def specifications(self) -> str:
+        """Return the SQLAlchemy URL of the specification database."""
+        return self.specification_url or self.database("specifications")
 
     @property
     def token(self) -> str | None:

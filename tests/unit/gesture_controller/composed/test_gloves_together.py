@@ -9,7 +9,8 @@ import pytest
 from handover.job import Wants
 from services.gesture_controller.errand import Errand
 from services.gesture_controller.gestures import Shape
-from services.gesture_controller.inquiry import Definition, what_is_asked
+from services.gesture_controller.inquiry import what_is_asked
+from services.gesture_controller.specifications.definition import Definition
 from services.gesture_controller.view import view_of
 from tests.unit.gesture_controller.composed.conftest import SITE, Pair
 
