@@ -16,10 +16,11 @@ from services.gesture_controller.calibration.fitting import OFFERED, SAMPLES, ca
 from services.gesture_controller.calibration.guide import HAND, SAMPLE, Guide, Phase, Step
 from services.gesture_controller.calibration.levels import Calibration, CalibrationFailed, calibrate
 from services.gesture_controller.calibration.samples import sample_of, with_sample
+from services.gesture_controller.finger_states import BENT, STRAIGHT
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.gloves import Gloves
 from services.gesture_controller.recognition.registry import UnknownRecognizer, maker_of
-from services.gesture_controller.thresholds import M2O2P_THRESHOLDS
+from services.gesture_controller.thresholds import FINGERS, M2O2P_THRESHOLDS
 from services.gesture_controller.wording import Message
 
 log = get_logger(__name__)
@@ -28,11 +29,14 @@ log = get_logger(__name__)
 class Guided:
     """One calibration of one glove: its guide, and its end."""
 
-    def __init__(self, glove: Glove, guide: Guide, *, apply: bool, gesture: str | None) -> None:
+    def __init__(
+        self, glove: Glove, guide: Guide, *, apply: bool, gesture: str | None, code: str | None
+    ) -> None:
         self.glove = glove
         self.guide = guide
         self.apply = apply
         self.gesture = gesture
+        self.code = code
         self.person = glove.person
         self.tested_before = glove.testing
         self.outcome: dict[str, Any] | None = None
@@ -47,6 +51,7 @@ class Guided:
             "steps": [step.value for step in guide.steps],
             "phase": guide.phase.value,
             "gesture": self.gesture,
+            "code": self.code or _CODES[guide.step],
             "remainingMs": round(1000 * max(guide.remaining_s, 0.0)),
             "restless": list(guide.restless),
             "message": _message(self).as_dict(),
@@ -73,12 +78,13 @@ class Guidance:
             raise Problem(
                 409, "Test on its way", f"an accuracy test is on its way with {glove.name}; stop it first"
             )
+        code = None
         if gesture is not None:
-            self._code_of(glove, gesture)
+            code = self._code_of(glove, gesture)
             self._calibration_of(glove)
         self.stop(glove)
         guide = Guide(HAND if gesture is None else SAMPLE, countdown_s)
-        guided = Guided(glove, guide, apply=apply, gesture=gesture)
+        guided = Guided(glove, guide, apply=apply, gesture=gesture, code=code)
         glove.switch(testing=True, filtering=None)
         guided.watch = lambda _: self._look(guided)
         glove.watchers.add(guided.watch)
@@ -235,6 +241,7 @@ def _let_go(guided: Guided) -> None:
         guided.glove.switch(testing=guided.tested_before, filtering=None)
 
 
+_CODES = {Step.FIST: BENT * len(FINGERS), Step.OPEN: STRAIGHT * len(FINGERS)}
 _TO_SHOW = {
     Step.FIST: "Make a fist",
     Step.OPEN: "Open the hand, fingers straight",

@@ -15,7 +15,6 @@ import { usePick } from "~/live/hooks";
 import type { GuideView } from "~/live/messages";
 
 const SERVICE = "gesture-controller";
-const SHOWN = { fist: "22222", open: "00000" };
 /** The countdown is as long as its last whole second is read; the still second is the ring's. */
 const [COUNTDOWN_MS, STILL_MS] = [3000, 1000];
 
@@ -64,15 +63,12 @@ function OnItsWay({ guide, glove, onStop }: { guide: GuideView; glove: string; o
   const { t } = useTranslation(["calibrate", "hand"]);
   const gestureName = useGestureName();
   const side = usePick(`glove/${glove}`, (view) => view?.hand) ?? "right";
-  const states = usePick(`glove/${glove}`, (view) => view?.states ?? null);
-  const gestures = useAsked<Gesture[]>(SERVICE, guide.step === "gesture" ? "gestures" : null);
-  const code = guide.step === "gesture" ? (gestures.value?.find((one) => one.name === guide.gesture)?.code ?? states ?? SHOWN.open) : SHOWN[guide.step];
   const isCounting = guide.phase === "countdown";
   const share = 1 - guide.remainingMs / (isCounting ? COUNTDOWN_MS : STILL_MS);
   const fingers = guide.restless.map((finger) => t(`hand:finger.${finger}`)).join(", ");
   return (
     <div className="guided">
-      <Hand states={code} side={side} size="240px" />
+      <Hand states={guide.code} side={side} size="240px" />
       <div className="guided__words">
         <p className="guided__ask" role="status">
           {t(`guided.ask.${guide.step}`, { gesture: gestureName(guide.gesture ?? "") })}

@@ -65,6 +65,8 @@ export interface GuideView {
   steps: ("fist" | "open" | "gesture")[];
   phase: "countdown" | "capture" | "done" | "givenUp";
   gesture: string | null;
+  /** The shape to show: five finger states. */
+  code: string;
   /** Of the countdown, or of the second that the hand must be still. */
   remainingMs: number;
   /** The fingers that were not still in the last second. */
