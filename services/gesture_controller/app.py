@@ -18,8 +18,9 @@ from services.gesture_controller import configuration
 from services.gesture_controller.calibration.guidance import Guidance
 from services.gesture_controller.calibration.routes import add_calibration
 from services.gesture_controller.controller import Controller
+from services.gesture_controller.errand import CannotComplete
 from services.gesture_controller.gestures import listed
-from services.gesture_controller.glove import CannotComplete, Glove
+from services.gesture_controller.glove import Glove
 from services.gesture_controller.glove_server import GloveServer
 from services.gesture_controller.live import follow, frames_of
 from services.gesture_controller.people.routes import add_people

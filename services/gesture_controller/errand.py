@@ -82,3 +82,24 @@ class Errand:
     def is_open(self) -> bool:
         """Say whether a gesture would count now."""
         return self.listening and self.job.wants is Wants.GO and not self.answer.done()
+
+
+class CannotComplete(ValueError):
+    """The Task cannot be completed on the screen now; the message says what to do first."""
+
+
+def completable(errand: Errand | None, glove: str, task: str | None, *, testing: bool) -> Errand:
+    """Return the errand that a press for `task` on the screen of `glove` is meant for, or raise.
+
+    Without `task` the present one is meant. Raises `CannotComplete`.
+    """
+    if errand is None or errand.answer.done():
+        raise CannotComplete(f"{glove} has no Task at the moment; there is nothing to complete")
+    if task is not None and task != errand.asked.task_id:
+        raise CannotComplete(
+            f"{glove} is asked for {errand.asked.task_id} now, no longer for {task}; "
+            "look at what is asked, and complete that"
+        )
+    if testing:
+        raise CannotComplete(f"{glove} is in testing mode; switch testing off, then complete the Task")
+    return errand

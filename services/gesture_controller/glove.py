@@ -9,18 +9,18 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Any
 
 from handover.job import Wants
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
 from services.gesture_controller.calibration.drift import Drift
-from services.gesture_controller.composed.in_turn import Turn
-from services.gesture_controller.composed.interplay import Interplay, answered, fresh, is_part_of_more
-from services.gesture_controller.errand import Answer, Errand
+from services.gesture_controller.composed import interplay
+from services.gesture_controller.errand import Answer, CannotComplete, Errand, completable
 from services.gesture_controller.frames import Frame, Hello
-from services.gesture_controller.gestures import Commands, Gestures, Part, TwoHanded, codes_in_use
+from services.gesture_controller.gestures import Commands, Gestures, Part, codes_in_use
 from services.gesture_controller.hold import HoldEvent
+from services.gesture_controller.listener import Link, Listener
 from services.gesture_controller.pipeline import Rules, Senses, Sight, Verdict, judge, see
 from services.gesture_controller.recognition.registry import THRESHOLDS
 from services.gesture_controller.thresholds import Thresholds
@@ -28,36 +28,6 @@ from services.gesture_controller.thresholds import Thresholds
 log = get_logger(__name__)
 
 ON_SCREEN = "paused on the screen"
-
-
-class CannotComplete(ValueError):
-    """The Task cannot be completed on the screen now; the message says what to do first."""
-
-
-class Link(Protocol):
-    """The connection of a glove."""
-
-    def end(self, reason: str) -> None:
-        """Tell the glove why, and close."""
-
-
-class Listener(Protocol):
-    """Who is told what happens to a glove."""
-
-    def state_changed(self, glove: "Glove") -> None:
-        """Take notice that what its Device entity says may have changed."""
-
-    def went_silent(self, glove: "Glove") -> None:
-        """Take notice that it stopped sending in the middle of a Task."""
-
-    def came_back(self, glove: "Glove") -> None:
-        """Take notice that it sends (again)."""
-
-    def fits_badly(self, glove: "Glove", why: str) -> None:
-        """Take notice that it should be calibrated again, and why (half a sentence)."""
-
-    def fits_again(self, glove: "Glove") -> None:
-        """Take notice that it has been calibrated, or fits somebody else."""
 
 
 class Glove:
@@ -114,7 +84,8 @@ class Glove:
         """
         self.recorders: set[Callable[[bytes], None]] = set()
         """Called with the raw line of every frame."""
-        self.interplay = Interplay()
+        self.interplay = interplay.Interplay()
+        self._silent = f"{name} silent"
         self._listener = listener
         self.last_s = float("-inf")
         """When it was last heard of."""
@@ -164,10 +135,8 @@ class Glove:
             self._listener.fits_badly(self, why)
             self._changed()
         self._read(now_s)
-        for watcher in self.watchers:
-            watcher(False)
-        if self.partner is not None:  # the other hand's screen follows both
-            for watcher in self.partner.watchers:
+        for glove in self._both():  # the other hand's screen follows both
+            for watcher in glove.watchers:
                 watcher(False)
         for record in self.recorders:
             record(line)
@@ -223,7 +192,7 @@ class Glove:
     def begin(self, errand: Errand) -> None:
         """Take an errand; nothing answers it before `listen`."""
         self.errand = errand
-        errand.progress = fresh(errand)
+        errand.progress = interplay.fresh(errand)
         self.free.clear()
         self._met = self.connected
         if self.paused:
@@ -262,18 +231,7 @@ class Glove:
         `task` is the id of the Task that the button belonged to: a press that comes when another is asked
         for, because somebody else or the hand was quicker, must not answer that one.
         """
-        errand = self.errand
-        if errand is None or errand.answer.done():
-            raise CannotComplete(f"{self.name} has no Task at the moment; there is nothing to complete")
-        if task is not None and task != errand.asked.task_id:
-            raise CannotComplete(
-                f"{self.name} is asked for {errand.asked.task_id} now, no longer for {task}; "
-                "look at what is asked, and complete that"
-            )
-        if self.testing:
-            raise CannotComplete(
-                f"{self.name} is in testing mode; switch testing off, then complete the Task"
-            )
+        errand = completable(self.errand, self.name, task, testing=self.testing)
         for glove in self._both():
             errand.job.resume(glove._silent)
         if errand.job.wants is not Wants.GO:
@@ -338,12 +296,7 @@ class Glove:
         self.sight = replace(self.sight, hold=self.sight.hold.anew())
         self.interplay.clear()
         if self.errand is not None:
-            self.errand.progress = fresh(self.errand)
-
-    @property
-    def _silent(self) -> str:
-        """The reason for which a Task is paused while this glove is silent."""
-        return f"{self.name} silent"
+            self.errand.progress = interplay.fresh(self.errand)
 
     def _both(self) -> "tuple[Glove, ...]":
         """Return this glove, and the one that answers the errand together with it."""
@@ -352,13 +305,7 @@ class Glove:
     @property
     def due(self) -> Part | None:
         """Return what the errand asks this hand to show now."""
-        if self.errand is None:
-            return None
-        asked = self.errand.asked
-        if isinstance(self.errand.progress, Turn):
-            return asked.parts[self.errand.progress.step]
-        own = next((part for part in asked.parts if part.hand == self.hand), None)
-        return own or Part(asked.gesture, asked.code)
+        return None if self.errand is None else interplay.due_of(self.errand, self.hand)
 
     def shows(self, part: Part) -> bool:
         """Say whether this hand, or its partner's, shows `part` now."""
@@ -367,59 +314,55 @@ class Glove:
 
     def _is_open(self) -> bool:
         """Say whether anything that this hand shows counts now."""
-        errand = self.errand
         counts = not any(glove.testing or glove.paused for glove in self._both())
-        return counts and (errand is None or errand.is_open)
+        return counts and (self.errand is None or self.errand.is_open)
 
     def _read(self, now_s: float) -> None:
         """Find out what the last frame means."""
-        hold, due = self.sight.hold, self.due
+        hold, errand = self.sight.hold, self.errand
         if hold.last is not HoldEvent.NONE:
+            due = self.due
             rules = Rules(due.gesture if due else None, self.commands, self.filtering, self._is_open())
             self._act_on(judge(hold, rules), now_s)
-        self._read_composed(now_s)
-
-    def _read_composed(self, now_s: float) -> None:
-        errand = self.errand
-        if not self._is_open():
-            if errand is not None:
-                errand.progress = fresh(errand)
+        if self.filtering and (errand is None or errand.asked.composed is None):
             return
-        if errand is not None:
-            held_ms = answered(errand, self, self.partner, now_s)
-            if held_ms is not None and not errand.answer.done():
-                self._spend()
-                self._answer(errand, Answer(errand.asked, held_ms, "gesture"), now_s)
-        if not self.filtering:
-            name = self.interplay.commanded(self, errand.asked.gesture if errand else None, now_s)
-            if name is not None:
-                metrics.COMMANDS.inc()
-                other = self.other_hand() if name in self._two_handed() else None
-                for glove in (self, *filter(None, (other,))):
-                    glove._spend()
-                    glove._give(self.commands.ids[name])
+        if self._is_open():
+            self._read_composed(errand, now_s)
+        elif errand is not None:
+            errand.progress = interplay.fresh(errand)
 
-    def _two_handed(self) -> set[str]:
-        composed = self.senses.gestures.composed
-        return {name for name, one in composed.items() if isinstance(one, TwoHanded)}
+    def _read_composed(self, errand: Errand | None, now_s: float) -> None:
+        held_ms = None if errand is None else interplay.answered(errand, self, self.partner, now_s)
+        if errand is not None and held_ms is not None and not errand.answer.done():
+            self._spend()
+            self._answer(errand, Answer(errand.asked, held_ms, "gesture"), now_s)
+        if self.filtering:
+            return
+        command = self.interplay.commanded(self, errand.asked.gesture if errand else None, now_s)
+        if command is not None:
+            metrics.COMMANDS.inc()
+            for glove in command.hands:
+                glove._spend()
+                glove._give(self.commands.ids[command.gesture])
 
     def _spend(self) -> None:
         for glove in self._both():
             glove.sight = replace(glove.sight, hold=glove.sight.hold.spend())
 
     def _act_on(self, verdict: Verdict, now_s: float) -> None:
-        hold = self.sight.hold
+        hold, errand = self.sight.hold, self.errand
         if verdict is Verdict.WRONG:
             metrics.WRONG_GESTURES.inc()
-        elif verdict is Verdict.COMPLETE and self.errand is not None:
-            if self.errand.asked.composed is not None:
-                return  # a part of it counts with the other
-            self.sight = replace(self.sight, hold=hold.spend())
-            self._answer(self.errand, Answer(self.errand.asked, hold.held_ms, "gesture"), now_s)
-        elif verdict is Verdict.COMMAND and hold.gesture is not None:
-            if is_part_of_more(hold.gesture, self, self.errand):
-                return
-            self.sight = replace(self.sight, hold=hold.spend())
+        elif verdict is Verdict.COMPLETE and errand is not None:
+            if errand.asked.composed is None:  # else a part of it counts with the other
+                self._spend()
+                self._answer(errand, Answer(errand.asked, hold.held_ms, "gesture"), now_s)
+        elif (
+            verdict is Verdict.COMMAND
+            and hold.gesture is not None
+            and not interplay.is_part_of_more(hold.gesture, self, errand)
+        ):
+            self._spend()
             metrics.COMMANDS.inc()
             self._give(self.commands.ids[hold.gesture])
 

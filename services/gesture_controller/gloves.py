@@ -17,8 +17,9 @@ from services.gesture_controller.calibration.levels import Calibration, Calibrat
 from services.gesture_controller.configuration import GloveConfiguration
 from services.gesture_controller.frames import Hello, is_glove_name
 from services.gesture_controller.gestures import codes_in_use
-from services.gesture_controller.glove import Glove, Link, Listener
+from services.gesture_controller.glove import Glove
 from services.gesture_controller.glove_store import NOBODY, Fit, GloveStore, StoredGlove
+from services.gesture_controller.listener import Link, Listener
 from services.gesture_controller.people.people import People, on_disk
 from services.gesture_controller.people.person import Person
 from services.gesture_controller.pipeline import Senses

@@ -81,13 +81,14 @@ def wrong(shown: str, hint: Advice) -> Message:
 
 def show_with(gesture: str, hand: str) -> Message:
     """Return the invitation to show with one hand its part of a gesture of both."""
-    return Message("showWith", f"Show with your {hand} hand: {gesture}.", {"gesture": gesture, "hand": hand})
+    key = f"showWith{hand.capitalize()}"
+    return Message(key, f"Show with your {hand} hand: {gesture}.", {"gesture": gesture, "hand": hand})
 
 
 def other_hand(gesture: str, hand: str) -> Message:
     """Return what is said when this hand is right, and the other one is not yet."""
     text = f"Right. Now your {hand} hand as well: {gesture}."
-    return Message("otherHand", text, {"gesture": gesture, "hand": hand})
+    return Message(f"otherHand{hand.capitalize()}", text, {"gesture": gesture, "hand": hand})
 
 
 def begin_together(gesture: str) -> Message:
@@ -103,17 +104,17 @@ def wear_both(gesture: str, hand: str, person: str | None) -> Message:
         f"{gesture} takes both hands. Put on the {hand} glove too and choose {who}, "
         "or complete it on the screen."
     )
-    return Message("wearBoth", text, {"gesture": gesture, "hand": hand})
+    return Message(f"wearBoth{hand.capitalize()}", text, {"gesture": gesture, "hand": hand})
 
 
 def first(gesture: str, part: str) -> Message:
     """Return the invitation to begin a sequence."""
-    return Message("first", f"Show {gesture}. First: {part}.", {"gesture": gesture, "part": part})
+    return Message("first", f"Show {gesture}. First: {part}.", {"whole": gesture, "gesture": part})
 
 
 def then(part: str) -> Message:
     """Return what is said when the first of a sequence has been shown."""
-    return Message("then", f"Right. Now: {part}.", {"part": part})
+    return Message("then", f"Right. Now: {part}.", {"gesture": part})
 
 
 def unfiltered() -> Message:

@@ -1,11 +1,13 @@
 """Interplay: what a hand means together with what it showed before, or with the other hand of its person."""
 
-from typing import Protocol, Self
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, Self, TypeVar
 
 from services.gesture_controller.composed.in_turn import Turn
 from services.gesture_controller.composed.together import Shown, Together
 from services.gesture_controller.errand import Errand
-from services.gesture_controller.gestures import Commands, InTurn, TwoHanded
+from services.gesture_controller.gestures import Commands, InTurn, Part, TwoHanded
 from services.gesture_controller.hold import HoldEvent
 from services.gesture_controller.pipeline import Senses, Sight
 
@@ -37,8 +39,32 @@ class HandInGlove(Protocol):
     def interplay(self) -> "Interplay":
         """How far it has come with what nobody asked for."""
 
-    def other_hand(self) -> Self | None:
-        """The glove on the other hand of the same person."""
+    @property
+    def testing(self) -> bool:
+        """True while nothing that it shows counts."""
+
+    @property
+    def paused(self) -> bool:
+        """True while its wearer has paused the work."""
+
+    @property
+    def filtering(self) -> bool:
+        """True while only what is asked for counts."""
+
+    @property
+    def other_hand(self) -> Callable[[], Self | None]:
+        """Finds the glove on the other hand of the same person."""
+
+
+Hand = TypeVar("Hand", bound=HandInGlove)
+
+
+@dataclass(frozen=True, slots=True)
+class Commanded(Generic[Hand]):
+    """A composed gesture that was shown as a command, and the hands that have shown it."""
+
+    gesture: str
+    hands: tuple[Hand, ...]
 
 
 class Interplay:
@@ -53,24 +79,34 @@ class Interplay:
         self._turns.clear()
         self._together.clear()
 
-    def commanded(self, hand: HandInGlove, asked: str | None, now_s: float) -> str | None:
+    def commanded(self, hand: Hand, asked: str | None, now_s: float) -> "Commanded[Hand] | None":
         """Return the composed gesture that the last frame has completed and that has a command.
 
         The one that is `asked` for is left out: it answers, and is not a command of its own.
         """
+        other = hand.other_hand()
+        if other is not None and (other.testing or other.paused or other.filtering):
+            other = None
         for name, composed in hand.senses.gestures.composed.items():
             if name not in hand.commands.ids or name == asked:
                 continue
-            if self._after(name, composed, hand, now_s) is HoldEvent.CONFIRMED:
-                return name
+            if self._after(name, composed, hand, other, now_s) is HoldEvent.CONFIRMED:
+                both = isinstance(composed, TwoHanded) and other is not None
+                return Commanded(name, (hand, other) if both and other is not None else (hand,))
         return None
 
-    def _after(self, name: str, composed: InTurn | TwoHanded, hand: HandInGlove, now_s: float) -> HoldEvent:
+    def _after(
+        self,
+        name: str,
+        composed: InTurn | TwoHanded,
+        hand: HandInGlove,
+        other: HandInGlove | None,
+        now_s: float,
+    ) -> HoldEvent:
         if isinstance(composed, InTurn):
             turn = turn_after(self._turns.get(name, Turn()), composed, hand)
             self._turns[name] = turn
             return turn.last
-        other = hand.other_hand()
         both = together_after(self._together.get(name, Together()), composed, hand, other, now_s)
         self._together[name] = both
         if other is not None:
@@ -81,6 +117,15 @@ class Interplay:
 def fresh(errand: Errand) -> Turn | Together:
     """Return the progress of an errand with which nobody has begun."""
     return Turn() if isinstance(errand.asked.composed, InTurn) else Together()
+
+
+def due_of(errand: Errand, hand: str) -> Part:
+    """Return what `errand` asks of the `left` or `right` hand at this moment."""
+    asked = errand.asked
+    if isinstance(errand.progress, Turn):
+        return asked.parts[errand.progress.step]
+    own = next((part for part in asked.parts if part.hand == hand), None)
+    return own or Part(asked.gesture, asked.code)
 
 
 def answered(errand: Errand, hand: HandInGlove, partner: HandInGlove | None, now_s: float) -> float | None:

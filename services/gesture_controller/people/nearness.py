@@ -6,7 +6,7 @@ finger is away from being read otherwise; of the fingers that differ the surest 
 misread at once.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from services.gesture_controller.finger_states import STRAIGHT
@@ -15,8 +15,6 @@ from services.gesture_controller.thresholds import FINGERS, Thresholds
 
 SURE_SIGMAS = 4.0
 """A recorded gesture less than so many times the noise away from another is too near."""
-LEAST_SPAN_SIGMAS = 6.0
-"""A finger whose span from fist to open hand is less than so many times its noise is doubtful."""
 LEAST_NOISE = 0.5
 """Raw units: a sensor that reads whole numbers is never surer than that."""
 RESTING = {"00000": "the open hand", "22222": "the fist"}
@@ -75,17 +73,6 @@ def why_too_near(code: str, near: Collection[Neighbour], doubtful: Collection[st
                 "it again with the fingers fully bent or stretched, or calibrate the glove"
             )
     return None
-
-
-def doubtful_fingers(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
-    """Yield the fingers whose span is small against their noise.
-
-    `levels` are those of a calibration: `{finger: {"fist": …, "open": …, "noise": …}}`, raw units.
-    """
-    for finger, level in levels.items():
-        span = level["open"] - level["fist"]
-        if span < LEAST_SPAN_SIGMAS * max(level.get("noise", 0.0), LEAST_NOISE):
-            yield finger
 
 
 def _neighbour(

@@ -2,20 +2,20 @@
 
 import asyncio
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Annotated, Any, Self
 
 from fastapi import FastAPI, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from handover.errors import Problem
+from services.gesture_controller.calibration.doubts import lasting_doubts
 from services.gesture_controller.gestures import Shape, listed
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.glove_store import Fit
 from services.gesture_controller.gloves import Gloves
 from services.gesture_controller.lined_yaml import WrongFile
 from services.gesture_controller.people import profile_file
-from services.gesture_controller.people.nearness import doubtful_fingers
 from services.gesture_controller.people.people import People, neighbour_view, require_person_name
 from services.gesture_controller.people.person import OwnGesture
 from services.gesture_controller.people.profile_file import Profile
@@ -179,7 +179,7 @@ def _add_gestures(app: FastAPI, people: People, gloves: Gloves) -> None:
         glove = None if given.glove is None else gloves.named(given.glove)
         own = await _own(given, glove)
         thresholds = glove.senses.thresholds if glove and own.sample else None
-        doubtful = list(_doubtful(gloves, [glove] if glove else gloves.worn_by(person)))
+        doubtful = list(_doubtful([glove] if glove else gloves.worn_by(person)))
         is_new, nearest = await people.define(person, gesture, own, thresholds, doubtful)
         response.status_code = 201 if is_new else 200
         return {"person": person, "name": gesture, **own.as_dict(), "nearest": neighbour_view(nearest)}
@@ -252,7 +252,7 @@ async def _recorded(glove: Glove, for_ms: int) -> list[list[float]]:
         nonlocal counted
         if glove.bend is not None and glove.frames > counted and len(frames) < MOST_FRAMES:
             counted = glove.frames
-            frames.append(list(glove.bend))
+            frames.append(glove.sight.drift.corrected(glove.bend))
 
     glove.watchers.add(record)
     try:
@@ -268,11 +268,10 @@ async def _recorded(glove: Glove, for_ms: int) -> list[list[float]]:
     return frames
 
 
-def _doubtful(gloves: Gloves, worn: list[Glove]) -> Iterator[str]:
+def _doubtful(worn: list[Glove]) -> Iterator[str]:
     for glove in worn:
-        levels = gloves.fit_of(glove).learnt.get("levels", {})
-        with suppress(KeyError, TypeError, AttributeError):  # learnt by a recognizer with words of its own
-            yield from doubtful_fingers(levels)
+        if glove.senses.calibration is not None:
+            yield from (doubt.finger for doubt in lasting_doubts(glove.senses.calibration))
 
 
 def _view(name: str, people: People, gloves: Gloves) -> dict[str, Any]:

@@ -47,7 +47,7 @@ async def test_both_hands_complete_a_task_also_when_the_second_glove_comes_later
     right = put_on()
     task = await bench.put("t1", "urn:ngsi-ld:Person:demo:anna", commandId=2)
     assert (await asked(bench, task))["gesture"] == "Both thumbs up"
-    assert bench.view()["message"]["key"] == "wearBoth"
+    assert bench.view()["message"]["key"] == "wearBothLeft"
     right.show(UP, 2)
     left = put_on("left-1", "left")
     bench.screen.put("/gloves/left-1/person", json={"person": "anna"}).raise_for_status()

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gesture_controller.gestures import M2O2P_GESTURES
-from services.gesture_controller.people.nearness import doubtful_fingers, neighbours, why_too_near
+from services.gesture_controller.people.nearness import neighbours, why_too_near
 from services.gesture_controller.people.person import Sample
 from services.gesture_controller.thresholds import Threshold, Thresholds
 
@@ -63,9 +63,3 @@ def test_of_two_fingers_that_differ_the_surer_one_counts() -> None:
 @pytest.mark.parametrize("code", ["00000", "22222"])
 def test_resting_shapes_are_no_gestures(code: str) -> None:
     assert "rests or carries" in str(why_too_near(code, [], ()))
-
-
-def test_a_finger_with_a_small_span_is_doubtful() -> None:
-    good = {"fist": 300.0, "open": 700.0, "noise": 4.0}
-    levels = {"thumb": good, "index": {**good, "noise": 80.0}, "ring": {**good, "open": 302.0, "noise": 0.0}}
-    assert list(doubtful_fingers(levels)) == ["index", "ring"]
