@@ -18,6 +18,7 @@ from services.gesture_controller.frames import Frame
 from services.gesture_controller.gestures import Gestures
 from services.gesture_controller.recognition.population import (
     HIGHEST,
+    HOLDING,
     LOWEST,
     USUAL,
     Population,
@@ -52,6 +53,9 @@ AT_REST = frozenset({STRAIGHT * len(FINGERS), BENT * len(FINGERS)})
 
 RAW_UNREST = (14.0, 10.0, 10.0, 10.0, 10.0)
 """How far a flex sensor wanders and drifts within a pose, in raw units; it weighs more in a small span."""
+
+AT_WORK = 1.0
+"""How frequent each way to hold something is, beside a gesture that this person uses."""
 
 SAMPLE_SPREAD = 0.06
 """How far, as a share of the span, a finger will stand from where it stood in a sample of the gesture."""
@@ -191,7 +195,7 @@ class _Row:
 def _shapes_of(calibration: Calibration, in_use: frozenset[str], population: Population) -> _Shapes:
     unrest = _unrest(calibration)
     shown = list(_samples(calibration))
-    rows = [*_hands_at_large(population, unrest, in_use, shown), *shown]
+    rows = [*_hands_at_large(population, unrest, in_use, shown), *_hands_at_work(unrest), *shown]
     terms = list(dict.fromkeys(term for row in rows for term in row.terms))
     place = {term: number for number, term in enumerate(terms)}
     finger, share, scale, tails = (np.array(column) for column in zip(*terms, strict=True))
@@ -249,6 +253,15 @@ def _hands_at_large(
         if BETWEEN not in code and any(row.code != code and _is_near(row, terms) for row in shown):
             weight -= OVERRULED
         yield _Row(code, weight, terms)
+
+
+def _hands_at_work(unrest: Sequence[float]) -> Iterator[_Row]:
+    for code, stands in HOLDING:
+        terms = tuple(
+            (place, stand.share, float(np.hypot(stand.spread, unrest[place])), _NORMAL)
+            for place, stand in enumerate(stands)
+        )
+        yield _Row(code, float(np.log(AT_WORK)), terms)
 
 
 def _stands(population: Population) -> Iterator[tuple[str, Sequence[tuple[Stand, bool]]]]:

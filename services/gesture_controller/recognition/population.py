@@ -107,6 +107,19 @@ def _learnt(seen: Sequence[float], before: Stand) -> Stand:
     return Stand(round(share, 3), round(spread, 3))
 
 
+HOLDING = (
+    ("11111", (Stand(0.5, 0.15), *[Stand(0.5, 0.08)] * 4)),
+    ("22222", (Stand(0.5, 0.2), *[Stand(0.35, 0.1)] * 4)),
+    ("22222", (Stand(0.6, 0.12), *[Stand(0.22, 0.1)] * 4)),
+    ("21222", (Stand(0.5, 0.2), Stand(0.65, 0.12), *[Stand(0.32, 0.1)] * 3)),
+)
+"""How fingers stand round an object: something thick, a handle or a key (wider fists), a tool along which the
+index finger lies.
+
+An estimate: an object keeps fingers from closing, and they stand together. So hands at work are not taken for
+a gesture whose fingers are, each by itself, a little off.
+"""
+
 USUAL = Population(
     {
         "straight": Stand(0.991, 0.051),
