@@ -101,8 +101,8 @@ class Gloves:
                 raise Problem(
                     409,
                     "Known otherwise",
-                    f"{name} is the {known.hand} glove of {known.person or 'nobody'}; it stays so while the "
-                    "controller runs, so declare another name",
+                    f"{name} is the {known.hand} glove of {known.person or 'nobody'}; declare another name, "
+                    f"or choose who wears it with PUT /gloves/{name}/person",
                 )
             return known, False
         worn = next((one for one in self.worn_by(person) if one.hand == (hand or "right")), None)

@@ -8,6 +8,7 @@ misread at once.
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from services.gesture_controller.finger_states import STRAIGHT
 from services.gesture_controller.people.person import Sample
@@ -45,10 +46,21 @@ class Neighbour:
 
 
 def neighbours(
-    code: str, others: Mapping[str, str], sample: Sample | None = None, thresholds: Thresholds | None = None
+    code: str,
+    others: Mapping[str, str],
+    sample: Sample | None = None,
+    thresholds: Thresholds | None = None,
+    samples: Mapping[str, Sample] = MappingProxyType({}),
 ) -> list[Neighbour]:
-    """Return `others` (codes by name), the nearest to `code` first."""
-    found = [_neighbour(name, code, other, sample, thresholds) for name, other in others.items()]
+    """Return `others` (codes by name), the nearest to `code` first.
+
+    `sample` is how a hand made `code`, `samples` how it made some of the others, under the same `thresholds`:
+    either may be taken for the other, and the nearer of the two ways counts.
+    """
+    found = [
+        _neighbour(name, code, other, (sample, samples.get(name)), thresholds)
+        for name, other in others.items()
+    ]
     return sorted(found, key=lambda one: (one.distance, one.sigmas or 0.0, one.name))
 
 
@@ -76,14 +88,22 @@ def why_too_near(code: str, near: Collection[Neighbour], doubtful: Collection[st
 
 
 def _neighbour(
-    name: str, code: str, other: str, sample: Sample | None, thresholds: Thresholds | None
+    name: str,
+    code: str,
+    other: str,
+    samples: tuple[Sample | None, Sample | None],
+    thresholds: Thresholds | None,
 ) -> Neighbour:
     places = [place for place in range(len(FINGERS)) if code[place] != other[place]]
     fingers = tuple(FINGERS[place] for place in places)
-    if sample is None or thresholds is None or not places:
+    if thresholds is None or not places:
         return Neighbour(name, other, fingers)
-    sure = max(_sigmas(sample, place, code[place], thresholds) for place in places)
-    return Neighbour(name, other, fingers, round(sure, 1))
+    ways = [
+        max(_sigmas(sample, place, made[place], thresholds) for place in places)
+        for sample, made in zip(samples, (code, other), strict=True)
+        if sample is not None
+    ]
+    return Neighbour(name, other, fingers, round(min(ways), 1) if ways else None)
 
 
 def _sigmas(sample: Sample, place: int, state: str, thresholds: Thresholds) -> float:

@@ -151,7 +151,13 @@ class People:
         known, _, _ = what_works(others, self.site.gestures, self._base_commands(name))
         nearest = None
         if own.shape.code is not None and is_code(own.shape.code):
-            near = neighbours(own.shape.code, known.codes, own.sample, thresholds)
+            made_with = own.sample.glove if own.sample else None
+            samples = {
+                key: one.sample
+                for key, one in others.gestures.items()
+                if one.sample is not None and one.sample.glove == made_with
+            }
+            near = neighbours(own.shape.code, known.codes, own.sample, thresholds, samples)
             nearest = near[0] if near else None
             why = why_too_near(own.shape.code, near, doubtful)
             if why is not None:

@@ -60,6 +60,13 @@ def test_of_two_fingers_that_differ_the_surer_one_counts() -> None:
     assert near[0].sigmas == 20.0
 
 
+def test_of_two_recorded_gestures_the_less_sure_one_counts() -> None:
+    clear, close = sampled(100, 700, 700, 700, 700), sampled(100, 390, 700, 700, 700)
+    near = neighbours("20000", {"A": "22000"}, clear, THRESHOLDS, {"A": close})
+    assert near[0].sigmas == 2.0
+    assert "2 times the noise" in str(why_too_near("20000", near, ()))
+
+
 @pytest.mark.parametrize("code", ["00000", "22222"])
 def test_resting_shapes_are_no_gestures(code: str) -> None:
     assert "rests or carries" in str(why_too_near(code, [], ()))
