@@ -64,25 +64,35 @@ def neighbours(
     return sorted(found, key=lambda one: (one.distance, one.sigmas or 0.0, one.name))
 
 
-def why_too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> str | None:
-    """Return why a gesture with `code` cannot be, in half a sentence with the way out; None if it can."""
+@dataclass(frozen=True, slots=True)
+class Doubted:
+    """Why a gesture cannot be, in half a sentence with the way out, and the other it is taken for, if any."""
+
+    why: str
+    other: Neighbour | None = None
+
+
+def too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> Doubted | None:
+    """Return why a gesture with `code` cannot be; None if it can. `doubtful` are fingers."""
     if code in RESTING:
-        return (
+        return Doubted(
             f"{RESTING[code]} is how a hand rests or carries and would be shown unmeant; take another, or "
-            "use it as a part of a gesture of both hands or of a sequence"
+            "use it as a part of a gesture of both hands or of a sequence",
         )
     for one in near:
         if one.distance == 0:
-            return f'it is "{one.name}" (code {code}, {one}); use that one, or take another'
+            return Doubted(f'it is "{one.name}" (code {code}, {one}); use that one, or take another', one)
         if one.distance == 1 and one.fingers[0] in doubtful:
-            return (
+            return Doubted(
                 f'it is too near "{one.name}" (code {one.code}, {one}): the sensor of the {one.fingers[0]} '
-                "hardly tells bent from straight; calibrate it, or take a gesture that differs elsewhere too"
+                "hardly tells bent from straight; calibrate it, or take a gesture that differs elsewhere too",
+                one,
             )
         if one.sigmas is not None and one.sigmas < SURE_SIGMAS:
-            return (
+            return Doubted(
                 f'it is too near "{one.name}" (code {one.code}, {one}; {SURE_SIGMAS:g} are needed); record '
-                "it again with the fingers fully bent or stretched, or calibrate the glove"
+                "it again with the fingers fully bent or stretched, or calibrate the glove",
+                one,
             )
     return None
 

@@ -12,7 +12,7 @@ from handover.telemetry import get_logger
 from services.gesture_controller.configuration import Configuration
 from services.gesture_controller.frames import is_glove_name
 from services.gesture_controller.gestures import Commands, Gestures, WrongGesture, is_code
-from services.gesture_controller.people.nearness import Neighbour, neighbours, why_too_near
+from services.gesture_controller.people.nearness import Neighbour, neighbours, too_near
 from services.gesture_controller.people.person import (
     PERSON_RULE,
     OwnGesture,
@@ -159,10 +159,10 @@ class People:
             }
             near = neighbours(own.shape.code, known.codes, own.sample, thresholds, samples)
             nearest = near[0] if near else None
-            why = why_too_near(own.shape.code, near, doubtful)
-            if why is not None:
-                extra = {"nearest": neighbour_view(nearest)} if nearest else None
-                raise Problem(409, "Too near", f'"{gesture}" cannot be kept: {why}', extra=extra)
+            doubted = too_near(own.shape.code, near, doubtful)
+            if doubted is not None:
+                extra = {"nearest": neighbour_view(doubted.other)} if doubted.other else None
+                raise Problem(409, "Too near", f'"{gesture}" cannot be kept: {doubted.why}', extra=extra)
         changed = replace(others, gestures={**others.gestures, gesture: own})
         try:
             gestures = gestures_of(changed, self.site.gestures)

@@ -1,16 +1,23 @@
 """A gesture too near another is refused with the name of the other and the distance."""
 
+from collections.abc import Collection
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gesture_controller.gestures import M2O2P_GESTURES
-from services.gesture_controller.people.nearness import neighbours, why_too_near
+from services.gesture_controller.people.nearness import Neighbour, neighbours, too_near
 from services.gesture_controller.people.person import Sample
 from services.gesture_controller.thresholds import Threshold, Thresholds
 
 THRESHOLDS = Thresholds((Threshold(600, 400),) * 5)
 CODES = st.text("02", min_size=5, max_size=5)
+
+
+def why_too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> str | None:
+    doubted = too_near(code, near, doubtful)
+    return None if doubted is None else doubted.why
 
 
 def sampled(*levels: float, noise: float = 5.0) -> Sample:
