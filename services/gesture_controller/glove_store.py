@@ -65,7 +65,7 @@ class GloveStore:
 
     def load(self) -> dict[str, StoredGlove]:
         """Return all stored gloves by name; raise `UsageError` for an old file that cannot be read."""
-        bring_forward(self._engine, tables.tables, room="people", version=tables.VERSION)
+        bring_forward(self._engine, tables.tables, room="controller_people", version=tables.VERSION)
         self._take_over_files()
         with self._engine.connect() as connection:
             rows = connection.execute(select(tables.gloves).order_by(tables.gloves.c.name)).all()

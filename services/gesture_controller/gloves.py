@@ -54,7 +54,7 @@ class Gloves:
         self._gloves: dict[str, Glove] = {}
         self._stored: dict[str, StoredGlove] = store.load()
         self._fits: dict[tuple[str, str], Fit] = store.fits()
-        self._writing = asyncio.Lock()
+        self._writing, self._dressing = asyncio.Lock(), asyncio.Lock()
         for expected in people.site.gloves:
             self._adopt(expected)
         for stored in self._stored.values():
@@ -134,16 +134,17 @@ class Gloves:
 
         Another glove of the same hand that they wore is nobody's then. A Task in hand stays as it was asked.
         """
-        if person == glove.person:
-            return
-        taken_off = [one for one in self.worn_by(person) if one.hand == glove.hand]
-        await self._keep(
-            *(replace(self._stored_of(one), person=NOBODY) for one in taken_off),
-            replace(self._stored_of(glove), person=person or NOBODY),
-        )
-        for one in taken_off:
-            self._dress(one, None)
-        self._dress(glove, person)
+        async with self._dressing:
+            if person == glove.person:
+                return
+            taken_off = [one for one in self.worn_by(person) if one.hand == glove.hand]
+            await self._keep(
+                *(replace(self._stored_of(one), person=NOBODY) for one in taken_off),
+                replace(self._stored_of(glove), person=person or NOBODY),
+            )
+            for one in taken_off:
+                self._dress(one, None)
+            self._dress(glove, person)
         log.info("glove is worn by somebody else", glove=glove.name, person=person or "nobody")
 
     def show_given(self, name: str, given: bool) -> None:
@@ -248,11 +249,11 @@ class Gloves:
 
     async def take_in(self, person: Person, fits: Mapping[str, Fit]) -> None:
         """Keep `person` and how gloves fit them, in place of all that was theirs, and apply it at once."""
-        async with self._writing:
+        async with self.people.changing, self._writing:
             kept = await on_disk(lambda: self._store.save_profile(person, fits))
             self.forget_fits(person.name)
             self._fits |= {(glove, person.name): fit for glove, fit in kept.items()}
-        self.people.take_in(person)
+            self.people.take_in(person)
         for glove in self.worn_by(person.name):
             self._dress(glove, person.name)
 

@@ -41,7 +41,8 @@ class People:
         self.site = site
         self._store = store
         self._people: dict[str, Person] = store.load()
-        self._writing = asyncio.Lock()
+        self.changing = asyncio.Lock()
+        """Held by whoever changes what is somebody's own: changes that come at once are all kept."""
         self.changed: Callable[[str], None] = lambda _: None
         self.also_known: Callable[[], Collection[str]] = tuple
         """Who else there is: people that wear gloves."""
@@ -82,17 +83,18 @@ class People:
 
     async def add(self, name: str, title: str | None) -> bool:
         """Make a person known, or call them otherwise; return whether they are new."""
-        is_new = name not in self.names()
-        if is_new:
-            require_person_name(name)
-        known = self._people.get(name) or Person(name)
-        await self._keep(replace(known, title=known.title if title is None else title or None))
+        async with self.changing:
+            is_new = name not in self.names()
+            if is_new:
+                require_person_name(name)
+            known = self._people.get(name) or Person(name)
+            await self._keep(replace(known, title=known.title if title is None else title or None))
         return is_new
 
     async def remove(self, name: str) -> None:
         """Forget what is a person's own, their gloves' fits included; raise `Problem` 404 if nobody is so."""
         self.named(name)
-        async with self._writing:
+        async with self.changing:
             await on_disk(lambda: self._store.remove(name))
             self._people.pop(name, None)
         self.changed(name)
@@ -102,27 +104,18 @@ class People:
 
         Raises `Problem` 422 for a gesture that is unknown or stands for two commands.
         """
-        person = self.named(name)
-        own = dict(commands) if whole else {**person.commands, **commands}
-        gestures = self.gestures_of(name)
-        in_full = {
-            command: gesture if gesture is None else gestures.find(gesture) or gesture
-            for command, gesture in sorted(own.items())
-        }
-        changed = replace(person, commands=in_full)
-        try:
-            commands_of(changed, self._base_commands(name), gestures)
-        except WrongCommand as error:
-            raise Problem(422, "Wrong command", str(error)) from None
-        await self._keep(changed)
+        async with self.changing:
+            before = {} if whole else self.named(name).commands
+            await self._give_commands(self.named(name), {**before, **commands})
 
     async def take_command_back(self, name: str, command: int) -> None:
         """Let a person give `command` as the site has it; raise `Problem` 404 if they do already."""
-        person = self.named(name)
-        if command not in person.commands:
-            raise Problem(404, "Not their own", f"{name} gives the command {command} as the site has it")
-        left = {one: gesture for one, gesture in person.commands.items() if one != command}
-        await self.give_commands(name, left, whole=True)
+        async with self.changing:
+            person = self.named(name)
+            if command not in person.commands:
+                raise Problem(404, "Not their own", f"{name} gives the command {command} as the site has it")
+            left = {one: gesture for one, gesture in person.commands.items() if one != command}
+            await self._give_commands(person, left)
 
     async def define(
         self,
@@ -137,7 +130,18 @@ class People:
         `thresholds` are those under which it was sampled, `doubtful` the fingers whose sensors are. Raises
         `Problem` 409 if it is too near another, 422 if it cannot be.
         """
-        person = self.named(name)
+        async with self.changing:
+            return await self._define(self.named(name), gesture, own, thresholds, doubtful)
+
+    async def _define(
+        self,
+        person: Person,
+        gesture: str,
+        own: OwnGesture,
+        thresholds: Thresholds | None,
+        doubtful: Collection[str],
+    ) -> tuple[bool, Neighbour | None]:
+        name = person.name
         _require_gesture_name(gesture)
         others = replace(
             person, gestures={key: one for key, one in person.gestures.items() if key != gesture}
@@ -179,7 +183,11 @@ class People:
 
         Raises `Problem` 404 if it is not theirs, 409 if another of theirs is made of it.
         """
-        person = self.named(name)
+        async with self.changing:
+            return await self._drop_gesture(self.named(name), gesture)
+
+    async def _drop_gesture(self, person: Person, gesture: str) -> list[int]:
+        name = person.name
         if gesture not in person.gestures:
             own = ", ".join(person.gestures) or "none"
             raise Problem(
@@ -203,10 +211,22 @@ class People:
         self._people[person.name] = person
         self.changed(person.name)
 
+    async def _give_commands(self, person: Person, own: Mapping[int, str | None]) -> None:
+        gestures = self.gestures_of(person.name)
+        in_full = {
+            command: gesture if gesture is None else gestures.find(gesture) or gesture
+            for command, gesture in sorted(own.items())
+        }
+        changed = replace(person, commands=in_full)
+        try:
+            commands_of(changed, self._base_commands(person.name), gestures)
+        except WrongCommand as error:
+            raise Problem(422, "Wrong command", str(error)) from None
+        await self._keep(changed)
+
     async def _keep(self, person: Person) -> None:
-        async with self._writing:
-            await on_disk(lambda: self._store.save(person))
-            self._people[person.name] = person
+        await on_disk(lambda: self._store.save(person))
+        self._people[person.name] = person
         self.changed(person.name)
 
     def _base_commands(self, name: str | None) -> Commands:

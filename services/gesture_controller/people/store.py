@@ -20,7 +20,7 @@ class PeopleStore:
 
     def load(self) -> dict[str, Person]:
         """Return all people by name."""
-        bring_forward(self._engine, tables.tables, room="people", version=tables.VERSION)
+        bring_forward(self._engine, tables.tables, room="controller_people", version=tables.VERSION)
         with self._engine.connect() as connection:
             titles = {row.name: row.title for row in connection.execute(select(tables.people))}
             commands: dict[str, dict[int, str | None]] = {name: {} for name in titles}

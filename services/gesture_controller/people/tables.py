@@ -6,7 +6,7 @@ VERSION = 1
 
 tables = MetaData()
 gloves = Table(
-    "glove",
+    "controller_gloves",
     tables,
     Column("name", String(64), primary_key=True),
     Column("hand", String(5), nullable=False),
@@ -14,7 +14,7 @@ gloves = Table(
     Column("declared", Boolean, nullable=False),
 )
 fits = Table(
-    "glove_fit",
+    "controller_fits",
     tables,
     Column("glove", String(64), primary_key=True),
     Column("person", String(200), primary_key=True),  # empty: whoever wears it without saying so
@@ -25,20 +25,20 @@ fits = Table(
     Column("changed_at", String(40), nullable=False),
 )
 people = Table(
-    "person",
+    "controller_people",
     tables,
     Column("name", String(200), primary_key=True),
     Column("title", Text),
 )
 commands = Table(
-    "person_command",
+    "controller_commands",
     tables,
     Column("person", String(200), primary_key=True),
     Column("command", Integer, primary_key=True, autoincrement=False),
     Column("gesture", Text),  # absent: this person gives the command with no gesture
 )
 gestures = Table(
-    "person_gesture",
+    "controller_gestures",
     tables,
     Column("person", String(200), primary_key=True),
     Column("name", String(200), primary_key=True),

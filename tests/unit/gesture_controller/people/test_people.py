@@ -1,16 +1,21 @@
 """A command belongs to the Task, the gesture to the person; what is theirs survives."""
 
+import asyncio
 from collections.abc import Callable
 
 import pytest
 from sqlalchemy import Engine
 
+from handover.database import connect
 from handover.errors import Problem
 from services.gesture_controller.configuration import built_in, parse
 from services.gesture_controller.gestures import Shape
+from services.gesture_controller.glove_store import Fit, GloveStore, StoredGlove
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.person import OwnGesture
 from services.gesture_controller.people.store import PeopleStore
+from services.gesture_controller.thresholds import M2O2P_THRESHOLDS
+from tests.postgres import postgres_server
 
 Open = Callable[..., People]
 MINE = OwnGesture(Shape("20000"))
@@ -131,6 +136,42 @@ async def test_what_no_longer_fits_the_site_is_told_and_the_rest_still_works(ope
     assert any('gesture "Mine" has the code 20000, which "Theirs" already has' in fault for fault in faults)
     assert any('command 5 has the unknown gesture "Ring straight"' in fault for fault in faults)
     assert changed.commands_of("anna").gestures == {3: "Thumbs up", 4: "Other", 6: "Theirs"}
+
+
+async def test_changes_that_come_at_once_are_all_kept(open_people: Open) -> None:
+    people = open_people()
+    await people.add("anna", None)
+    free = ["00002", "00200", "00202", "02000", "02002", "02022", "02200", "02202", "20000"]
+    await asyncio.gather(
+        *(people.define("anna", f"Mine {code}", OwnGesture(Shape(code))) for code in free),
+        *(people.give_commands("anna", {command: None}, whole=False) for command in range(1, 9)),
+        people.add("anna", "Anna"),
+    )
+    again = open_people().named("anna")
+    assert len(again.gestures) == len(free)
+    assert set(again.commands) == set(range(1, 9))
+    assert again.title == "Anna"
+
+
+async def test_people_and_gloves_are_kept_in_postgresql_too(tmp_path_factory: pytest.TempPathFactory) -> None:
+    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
+        engine = connect(url)
+        people, gloves = People(built_in(), PeopleStore(engine)), GloveStore(engine)
+        assert gloves.load() == {}
+        await people.add("anna", "Anna")
+        await people.define("anna", "Mine", MINE)
+        await people.give_commands("anna", {3: "Mine", 8: None}, whole=True)
+        glove, fit = StoredGlove("glove-1", person="anna"), Fit(M2O2P_THRESHOLDS, learnt={"a": [1.5, None]})
+        kept = gloves.save_fit(glove, "anna", fit)
+        again = PeopleStore(engine).load()["anna"]
+        assert again == people.named("anna")
+        assert (GloveStore(engine).load(), GloveStore(engine).fits()) == (
+            {"glove-1": glove},
+            {("glove-1", "anna"): kept},
+        )
+        await people.remove("anna")
+        assert (PeopleStore(engine).load(), GloveStore(engine).fits()) == ({}, {})
+        engine.dispose()
 
 
 async def test_nobody_is_known_who_was_never_named(open_people: Open) -> None:
