@@ -54,7 +54,7 @@ class Gloves:
         self._gloves: dict[str, Glove] = {}
         self._stored: dict[str, StoredGlove] = store.load()
         self._fits: dict[tuple[str, str], Fit] = store.fits()
-        self._writing, self._dressing = asyncio.Lock(), asyncio.Lock()
+        self._writing, self._dressing, self._fitting = asyncio.Lock(), asyncio.Lock(), asyncio.Lock()
         for expected in people.site.gloves:
             self._adopt(expected)
         for stored in self._stored.values():
@@ -173,7 +173,8 @@ class Gloves:
     async def set_thresholds(self, glove: Glove, changes: Mapping[str, Mapping[str, float]]) -> None:
         """Read `glove` with `changes` to its thresholds from now on, and keep them; raises `Problem` 422."""
         try:
-            await self._read_with(glove, glove.senses.thresholds.with_changes(changes))
+            async with self._fitting:
+                await self._read_with(glove, glove.senses.thresholds.with_changes(changes))
         except WrongThreshold as error:
             raise Problem(422, "Wrong threshold", str(error)) from None
 
@@ -190,21 +191,22 @@ class Gloves:
 
     async def keep_calibration(self, glove: Glove, calibration: Calibration) -> None:
         """Read `glove` with `calibration` from now on, and keep it; samples that were shown before stay."""
-        before = self.fit_of(glove)
-        samples = before.learnt.get(SAMPLES, {})
-        learnt = {**before.learnt, **learnt_from(calibration)}
-        learnt[SAMPLES] = {**samples, **learnt[SAMPLES]}
-        learnt.pop(OFFERED, None)
-        await self.keep_fit(
-            glove,
-            replace(
-                before,
-                thresholds=calibration.thresholds,
-                previous=glove.senses.thresholds,
-                learnt=learnt,
-            ),
-        )
-        self.fit_again(glove)
+        async with self._fitting:
+            before = self.fit_of(glove)
+            samples = before.learnt.get(SAMPLES, {})
+            learnt = {**before.learnt, **learnt_from(calibration)}
+            learnt[SAMPLES] = {**samples, **learnt[SAMPLES]}
+            learnt.pop(OFFERED, None)
+            await self.keep_fit(
+                glove,
+                replace(
+                    before,
+                    thresholds=calibration.thresholds,
+                    previous=glove.senses.thresholds,
+                    learnt=learnt,
+                ),
+            )
+            self.fit_again(glove)
         self._listener.fits_again(glove)
 
     def fit_again(self, glove: Glove) -> None:
@@ -217,13 +219,14 @@ class Gloves:
 
     async def restore(self, glove: Glove) -> None:
         """Exchange the thresholds of `glove` with those before; raise `Problem` 409 if there are none."""
-        previous = self.fit_of(glove).previous
-        if previous is None:
-            whose = f" for {glove.person}" if glove.person else ""
-            raise Problem(
-                409, "Nothing to restore", f"the thresholds of {glove.name}{whose} were never changed"
-            )
-        await self._read_with(glove, previous)
+        async with self._fitting:
+            previous = self.fit_of(glove).previous
+            if previous is None:
+                whose = f" for {glove.person}" if glove.person else ""
+                raise Problem(
+                    409, "Nothing to restore", f"the thresholds of {glove.name}{whose} were never changed"
+                )
+            await self._read_with(glove, previous)
 
     def fit_of(self, glove: Glove) -> Fit:
         """Return what is kept of how `glove` fits who wears it now; an empty one if nothing is."""

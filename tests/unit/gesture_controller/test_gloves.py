@@ -1,5 +1,6 @@
 """Gloves are known from the file, by declaration and by hello; their thresholds survive a restart."""
 
+import asyncio
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,30 @@ async def test_thresholds_survive_a_restart_and_can_be_taken_back(open_gloves: O
     gloves = open_gloves()
     await gloves.restore(gloves.named("glove-1"))
     assert gloves.named("glove-1").senses.thresholds.fingers[0] == Threshold(500, 400)
+
+
+async def test_thresholds_that_are_set_at_once_are_all_kept(open_gloves: Open) -> None:
+    gloves = open_gloves()
+    glove = gloves.named("glove-1")
+    fingers = ("thumb", "index", "middle", "ring", "little")
+    await asyncio.gather(
+        *(
+            gloves.set_thresholds(glove, {finger: {"upper": 2000 + place}})
+            for place, finger in enumerate(fingers)
+        )
+    )
+    for known in (gloves, open_gloves()):
+        uppers = [finger.upper for finger in known.named("glove-1").senses.thresholds.fingers]
+        assert uppers == [2000, 2001, 2002, 2003, 2004]
+
+
+async def test_two_gloves_of_one_hand_are_never_worn_by_one_person(open_gloves: Open) -> None:
+    gloves = open_gloves()
+    for name in ("a", "b", "c"):
+        await gloves.declare(name, None, None)
+    await asyncio.gather(*(gloves.wear(gloves.named(name), "anna") for name in ("a", "b", "c")))
+    for known in (gloves, open_gloves()):
+        assert len(known.worn_by("anna")) == 1
 
 
 async def test_wrong_thresholds_change_nothing(open_gloves: Open) -> None:
