@@ -2,13 +2,16 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from services.gesture_controller.calibration.levels import calibrate
 from services.gesture_controller.frames import Frame
 from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.glove import Glove
 from services.gesture_controller.pipeline import Senses, Sight, see
 from services.gesture_controller.recognition.registry import (
     PERSONAL,
@@ -84,3 +87,36 @@ def test_where_the_chosen_one_cannot_work_thresholds_do_and_it_is_said(name: str
 def test_a_controller_that_uses_thresholds_does_not_load_numpy() -> None:
     code = "import sys, services.gesture_controller.app; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY).returncode == 0
+
+
+FAILS = """
+class Fails:
+    def __init__(self, given):
+        pass
+
+    def see(self, before, frame):
+        raise ZeroDivisionError("in the middle of the work")
+"""
+
+
+def test_a_recognizer_that_fails_at_work_takes_no_glove_away(
+    installed: Path, glove: Glove, hand: Any
+) -> None:
+    (installed / "fails.py").write_text(FAILS)
+    a_package(installed, "fails", "fails:Fails")
+    glove.sense_with(replace(glove.senses, recognizer="fails"))
+    hand.show("Thumbs up", 0.2)
+    assert glove.sight.gesture == "Thumbs up"
+    assert glove.senses.missing == "it failed with ZeroDivisionError: in the middle of the work"
+    assert glove.frames == 10
+
+
+def test_who_learns_other_gestures_goes_on_with_the_same_recognizer(glove: Glove, hand: Any) -> None:
+    levels = calibrate([[300.0] * 5] * 20, [[700.0] * 5] * 20)
+    glove.sense_with(replace(glove.senses, calibration=levels, recognizer=PERSONAL))
+    hand.show("Horns", 0.3)
+    more = Gestures({**glove.senses.gestures.codes, "Four fingers": "20000"})
+    glove.equip(more, glove.commands)
+    assert glove.senses.missing is None
+    hand.make("20000", 0.5)
+    assert glove.sight.gesture == "Four fingers"
