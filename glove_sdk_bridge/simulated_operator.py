@@ -231,7 +231,11 @@ def _asked(shown: Mapping[str, Any]) -> tuple[str | None, str]:
         test = _mapping(shown["examination"])
         return f"test {test.get('id')} {test.get('done')}", str(_mapping(test.get("asked")).get("code", ""))
     task = _mapping(shown.get("task"))
-    return (str(task["id"]) if task.get("id") else None), str(task.get("code", ""))
+    if not task.get("id"):
+        return None, str(task.get("code", ""))
+    parts = task.get("parts")
+    done = sum(_mapping(part).get("state") == "done" for part in parts) if isinstance(parts, list) else 0
+    return f"{task['id']} part {done}" if done else str(task["id"]), str(task.get("code", ""))
 
 
 def _is_guided(shown: Mapping[str, Any]) -> bool:

@@ -272,6 +272,24 @@ def test_a_guided_operator_shows_what_is_asked_at_once_right_and_keeps_it_until_
     assert [move.to for move in over if move is not None] == [AT_REST]
 
 
+def test_of_two_gestures_in_turn_the_second_is_shown_when_the_first_was_seen() -> None:
+    def shown(first: str, second: str, code: str) -> View:
+        parts = [{"state": first}, {"state": second}]
+        return View.of({"task": {"id": "t1", "code": code, "parts": parts}, "connected": True})
+
+    operator = SimulatedOperator(seed=1, mistakes=0)
+    made: list[Movement] = []
+    for look in range(60):
+        view = shown("now", "next", "20222") if look < 25 else shown("done", "now", "20220")
+        movement = operator.look(view, look * 0.2)
+        if movement is not None:
+            made.append(movement)
+    postures = [tuple(round(share) for share in movement.to) for movement in made]
+    assert postures[0] == (0, 1, 0, 0, 0)
+    assert made[1].to == AT_REST
+    assert postures[2] == (0, 1, 0, 0, 1)
+
+
 def test_an_accuracy_test_is_answered_though_the_glove_is_tried_out() -> None:
     asked = {"id": 4, "done": 2, "asked": {"gesture": "Horns", "code": "20220"}}
     view = View.of({"testing": True, "examination": asked})

@@ -86,9 +86,11 @@ export interface GloveTask {
   id: string;
   description: string;
   gesture: string;
-  /** Five finger states, thumb first: 0 straight, 1 between, 2 bent. */
+  /** Five finger states, thumb first: 0 straight, 1 between, 2 bent; of a composed gesture, those due of this hand. */
   code: string;
   commandId: number | null;
+  /** What a gesture of both hands, or of two in turn, consists of, and how far each part is; none of a single one. */
+  parts?: { gesture: string; code: string; hand: "left" | "right" | null; state: "done" | "held" | "now" | "next" }[];
   status: Status;
 }
 
