@@ -28,7 +28,7 @@ export function GuidedCard({ glove }: { glove: string }) {
   const told = usePick(`glove/${glove}`, (view) => JSON.stringify(view?.calibration ?? null));
   const guide = useMemo(() => JSON.parse(told) as GuideView | null, [told]);
   const isConnected = usePick(`glove/${glove}`, (view) => view?.connected) === true;
-  const isDue = usePick(`glove/${glove}`, (view) => view?.calibrationNeeded) === true;
+  const isDue = typeof usePick(`glove/${glove}`, (view) => view?.calibrationNeeded) === "string";
   const [failure, setFailure] = useState<string | null>(null);
   const act = (path: string, method: "POST" | "PUT" | "DELETE", json?: unknown) => {
     setFailure(null);

@@ -49,8 +49,8 @@ export interface GloveView {
   warning?: Message | null;
   /** What reads the hand, and what it lacks if it cannot (then the thresholds do). */
   recognizer?: { name: string; missing: string | null };
-  /** Whether the levels have jumped so far that a new calibration is due. */
-  calibrationNeeded?: boolean;
+  /** Why a new calibration is due (the levels have jumped, or drifted too far); null while none is. */
+  calibrationNeeded?: string | null;
   /** The calibration that is on its way, or how the last one ended. */
   calibration?: GuideView | null;
   frames: number;
