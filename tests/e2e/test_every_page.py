@@ -20,6 +20,8 @@ PAGES = {
     "processes": "/processes",
     "system": "/system",
     "calibrate": "/calibrate",
+    "test": "/test",
+    "study": "/study",
 }
 
 
@@ -61,7 +63,7 @@ def test_every_page_looks_right_in_every_look(
 def test_pages_for_engineers_fit_a_phone(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
-    for path in ("/", "/system", "/calibrate", "/people"):
+    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study"):
         page = open_page(path, viewport=PHONE, has_touch=True, is_mobile=True)
         settled(page)
         nothing_is_cut_off(page)

@@ -13,6 +13,8 @@ const ProcessesPage = lazy(() => import("~/processes/ProcessesPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
 const PeoplePage = lazy(() => import("~/people/PeoplePage"));
 const CalibratePage = lazy(() => import("~/calibrate/CalibratePage"));
+const TestPage = lazy(() => import("~/test/TestPage"));
+const StudyPage = lazy(() => import("~/study/StudyPage"));
 
 export function App() {
   const [path, go] = useLocation();
@@ -27,6 +29,8 @@ export function App() {
             <Route path="/system" component={SystemPage} />
             <Route path="/people" component={PeoplePage} />
             <Route path="/calibrate" component={CalibratePage} />
+            <Route path="/test" component={TestPage} />
+            <Route path="/study" component={StudyPage} />
             <Route component={UnknownPage} />
           </Switch>
         </Stumble>

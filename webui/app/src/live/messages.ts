@@ -53,6 +53,8 @@ export interface GloveView {
   calibrationNeeded?: string | null;
   /** The calibration that is on its way, or how the last one ended. */
   calibration?: GuideView | null;
+  /** The accuracy test that is being done with it. */
+  examination?: Examination | null;
   frames: number;
   dropped: number;
   droppedBy: Record<string, number>;
@@ -80,6 +82,23 @@ export interface FingerDoubt {
   finger: Finger;
   why: "dead" | "saturated" | "wrongWay" | "smallSpan" | "noisy";
   advice: string;
+}
+
+/** What the screen shows of an accuracy test that is on its way; `round` counts from 1. */
+export interface Examination {
+  id: string;
+  phase: "break" | "rest" | "asked" | "noted" | "interrupted" | "stopped" | "finished";
+  reason: string;
+  asked: { gesture: string; code: string } | null;
+  done: number;
+  trials: number;
+  round: number;
+  rounds: number;
+  heldMs: number;
+  holdMs: number;
+  askedForMs: number;
+  limitMs: number;
+  last: { asked: string; outcome: "right" | "corrected" | "missed"; first: string; recognizedMs: number | null } | null;
 }
 
 export interface GloveTask {

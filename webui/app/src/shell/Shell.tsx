@@ -1,5 +1,7 @@
 /** The frame round every page: where one can go, whether the cell is there, and how the screen speaks. */
-import { CircleHelp, Cog, HardHat, House, Settings2, SlidersHorizontal, Users, Workflow } from "lucide-react";
+import {
+  CircleHelp, ClipboardList, Cog, Crosshair, HardHat, House, Settings2, SlidersHorizontal, Users, Workflow,
+} from "lucide-react";
 import { Suspense, useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, useLocation } from "wouter";
@@ -16,7 +18,9 @@ const pages = [
   { path: "/processes", name: "processes", icon: Workflow, key: "3" },
   { path: "/system", name: "system", icon: Cog, key: "4" },
   { path: "/calibrate", name: "calibrate", icon: SlidersHorizontal, key: "5" },
+  { path: "/test", name: "test", icon: Crosshair, key: "6" },
   { path: "/people", name: "people", icon: Users, key: "7" },
+  { path: "/study", name: "study", icon: ClipboardList, key: "8" },
 ] as const;
 
 export function Shell({ children }: { children: ReactNode }) {
