@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import recorded_hands
 from benchmarks.recorded_hands import (
     CODES,
     FIST,
@@ -118,6 +119,7 @@ def test_half_way_thresholds_give_what_was_measured_before(recordings: Path) -> 
     assert [round(100 * share, 1) for share in measured] == [83.9, 99.9, 97.3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "least"), [("a", 0.86), ("b", 0.999), ("c", 0.99)])
 def test_a_fist_and_an_open_hand_suffice_for_gestures_in_use(
     recordings: Path, name: str, least: float
@@ -136,6 +138,7 @@ def test_a_fist_and_an_open_hand_suffice_for_gestures_in_use(
         assert not {*confirmed(look(person.poses[pose], senses, person.hz))} - {"Fist"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a", "b", "c"])
 def test_a_second_of_each_gesture_leaves_hardly_an_error(recordings: Path, name: str) -> None:
     people = [read(path) for path in sorted(recordings.glob("*.csv"))]
@@ -154,7 +157,11 @@ def test_a_minute_of_assembly_confirms_nothing() -> None:
         assert not {*confirmed(look(at_work(person, seed), senses, person.hz))} - {"Fist", "Open hand"}
 
 
-def test_any_folder_is_measured_and_what_cannot_be_is_named(tmp_path: Path) -> None:
+def test_any_folder_is_measured_and_what_cannot_be_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorded_hands, "ASSEMBLIES", 1)
+    monkeypatch.setattr(recorded_hands, "ASSEMBLY_S", 5.0)
     header = "pose,thumb,index,middle,ring,little\n"
     person = made_up(5)
     rows = [
