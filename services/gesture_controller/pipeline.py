@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from services.gesture_controller.calibration.drift import Drift
+from services.gesture_controller.calibration.drift import Drift, Rooms
 from services.gesture_controller.calibration.levels import Calibration
 from services.gesture_controller.finger_states import BETWEEN
 from services.gesture_controller.frames import Frame
@@ -45,6 +45,8 @@ class Senses:
     """How the chosen recognizer failed while it was used, if it did; it is not used again."""
     reader: Recognizer[Any] = field(init=False, repr=False, compare=False)
     missing: str | None = field(init=False, default=None)
+    rooms: Rooms | None = field(init=False, default=None, repr=False, compare=False)
+    """Where the fingers are expected, once the hand is calibrated."""
 
     def __post_init__(self) -> None:
         given = Given(self.thresholds, self.gestures, self.calibration, self.in_use)
@@ -54,6 +56,8 @@ class Senses:
         except (CannotRecognize, UnknownRecognizer) as error:
             reader, missing = maker_of(THRESHOLDS)(given), str(error)
         object.__setattr__(self, "reader", reader)
+        if self.calibration is not None:
+            object.__setattr__(self, "rooms", Rooms(self.calibration, self.thresholds))
         object.__setattr__(self, "missing", missing)
 
 
@@ -93,8 +97,8 @@ class Verdict(Enum):
 def see(before: Sight, frame: Frame, senses: Senses) -> Sight:
     """Return what `frame` shows, given what was seen before it."""
     drift, as_calibrated = before.drift, frame
-    if senses.calibration is not None:
-        drift = drift.after(frame.bend, frame.t_s, _settled(before), senses.calibration, senses.thresholds)
+    if senses.rooms is not None:
+        drift = drift.after(frame.bend, frame.t_s, _settled(before), senses.rooms)
         as_calibrated = Frame(frame.t_s, drift.corrected(frame.bend), frame.battery)
     seen = senses.reader.see(before.recognition, as_calibrated)
     hold = before.hold.after(seen.gesture, frame.t_s, senses.timing)

@@ -8,7 +8,7 @@ is plausible, asks for a new calibration instead.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from services.gesture_controller.calibration.levels import Calibration, FingerLevels
+from services.gesture_controller.calibration.levels import Calibration
 from services.gesture_controller.finger_states import BETWEEN, STRAIGHT
 from services.gesture_controller.thresholds import FINGERS, Threshold, Thresholds
 
@@ -67,14 +67,7 @@ class Drift:
         """Return `bend` as it would be without the drift."""
         return [value - offset for value, offset in zip(bend, self.offsets, strict=True)]
 
-    def after(
-        self,
-        bend: Sequence[float],
-        at_s: float,
-        held: str | None,
-        calibration: Calibration,
-        thresholds: Thresholds,
-    ) -> "Drift":
+    def after(self, bend: Sequence[float], at_s: float, held: str | None, rooms: "Rooms") -> "Drift":
         """Return the drift once `bend` was measured at `at_s`.
 
         `held` is the code of the gesture that is being held, None while none is. Frames more than a second
@@ -83,72 +76,91 @@ class Drift:
         passed_s = at_s - self.at_s
         if not self.bend or not 0 < passed_s <= 1.0:
             return replace(self, bend=bend, at_s=at_s, far_since_s=None, jump=None)
-        far_since_s = self._far_since_s(bend, at_s, calibration.levels)
-        jump = self._jump(bend, passed_s, at_s, calibration.levels)
-        wants = self.wants_calibration or self._wish(bend, at_s, far_since_s, jump, calibration.levels)
+        far = rooms.far_from(bend, self.offsets)
+        far_since_s = None if far is None else at_s if self.far_since_s is None else self.far_since_s
+        jump = self._jump(bend, passed_s, at_s, rooms)
+        wants = self.wants_calibration
+        if wants is None and jump is not None and at_s - jump.at_s >= JUMPED_FOR_S:
+            wants = f"the level of the {FINGERS[jump.place]} jumped by {jump.share:.0%} of its span"
+        if wants is None and far is not None and far_since_s is not None and at_s - far_since_s >= LOST_FOR_S:
+            wants = f"the {FINGERS[far]} stands far outside what it showed from fist to open hand"
         offsets = self.offsets
         if held is not None and BETWEEN not in held and wants is None:
-            rooms = [_room(held, place, calibration, thresholds.fingers[place]) for place in FINGERS_AT]
-            offsets = tuple(
-                _moved(offset, value, level, room, passed_s)
-                for offset, value, level, room in zip(offsets, bend, calibration.levels, rooms, strict=True)
-            )
+            offsets = rooms.followed(held, bend, offsets, passed_s)
+            if offsets is not self.offsets and (place := rooms.drifted(offsets)) is not None:
+                wants = f"the level of the {FINGERS[place]} has drifted by {MOST:.0%} of its span"
         return Drift(offsets, wants, bend, at_s, far_since_s, jump)
 
-    def _jump(
-        self, bend: Sequence[float], passed_s: float, at_s: float, levels: Sequence[FingerLevels]
-    ) -> Jump | None:
-        if self.jump is not None and _is_on_level(
-            bend[self.jump.place] - self.offsets[self.jump.place], levels[self.jump.place]
-        ):
-            return None  # so it was a finger after all, or a spark
+    def _jump(self, bend: Sequence[float], passed_s: float, at_s: float, rooms: "Rooms") -> Jump | None:
         if self.jump is not None:
-            return self.jump
-        for place, (before, now, level) in enumerate(zip(self.bend, bend, levels, strict=True)):
-            change = abs(now - before) / level.span
-            if change >= max(JUMP, JUMP_PER_S * passed_s) and not _is_on_level(
-                now - self.offsets[place], level
-            ):
-                return Jump(place, change, at_s)
+            place = self.jump.place
+            on_level = rooms.is_on_level(place, bend[place] - self.offsets[place])
+            return None if on_level else self.jump  # else it was a finger after all, or a spark
+        least = max(JUMP, JUMP_PER_S * passed_s)
+        for place, (before, now, span) in enumerate(zip(self.bend, bend, rooms.spans, strict=True)):
+            change = abs(now - before)
+            if change >= least * span and not rooms.is_on_level(place, now - self.offsets[place]):
+                return Jump(place, change / span, at_s)
         return None
 
-    def _wish(
-        self,
-        bend: Sequence[float],
-        at_s: float,
-        far_since_s: float | None,
-        jump: Jump | None,
-        levels: Sequence[FingerLevels],
-    ) -> str | None:
-        if jump is not None and at_s - jump.at_s >= JUMPED_FOR_S:
-            return f"the level of the {FINGERS[jump.place]} jumped by {jump.share:.0%} of its span"
-        for finger, offset, level in zip(FINGERS, self.offsets, levels, strict=True):
-            if abs(offset) >= MOST * level.span:
-                return f"the level of the {finger} has drifted by {MOST:.0%} of its span"
-        if far_since_s is not None and at_s - far_since_s >= LOST_FOR_S:
-            finger = next(
-                name
-                for name, value, level in zip(FINGERS, self.corrected(bend), levels, strict=True)
-                if _is_far(value, level)
-            )
-            return f"the {finger} stands far outside what it showed from fist to open hand"
+
+class Rooms:
+    """Where the fingers of a hand are to be expected, in raw units, by what it shows."""
+
+    def __init__(self, calibration: Calibration, thresholds: Thresholds) -> None:
+        self._calibration = calibration
+        self._thresholds = thresholds
+        self._levels = calibration.levels
+        self.spans = tuple(level.span for level in calibration.levels)
+        self._near = [
+            (level.fist + FAR_BELOW * level.span, level.fist + FAR_ABOVE * level.span)
+            for level in calibration.levels
+        ]
+        self._rooms: dict[str, list[tuple[float, float]]] = {}
+
+    def far_from(self, bend: Sequence[float], offsets: Sequence[float]) -> int | None:
+        """Return the place of a finger that is where it cannot be; None if all may be where they are."""
+        for place, (value, offset, (low, high)) in enumerate(zip(bend, offsets, self._near, strict=True)):
+            if not low <= value - offset <= high:
+                return place
         return None
 
-    def _far_since_s(
-        self, bend: Sequence[float], at_s: float, levels: Sequence[FingerLevels]
-    ) -> float | None:
-        if not any(map(_is_far, self.corrected(bend), levels)):
-            return None
-        return at_s if self.far_since_s is None else self.far_since_s
+    def is_on_level(self, place: int, value: float) -> bool:
+        """Say whether a finger is near its level in the fist or in the open hand."""
+        level, span = self._levels[place], self.spans[place]
+        return abs(value - level.fist) <= ON_LEVEL * span or abs(value - level.open) <= ON_LEVEL * span
 
+    def drifted(self, offsets: Sequence[float]) -> int | None:
+        """Return the place of a finger whose level has drifted as far as it may; None if there is none."""
+        for place, (offset, span) in enumerate(zip(offsets, self.spans, strict=True)):
+            if abs(offset) >= MOST * span:
+                return place
+        return None
 
-def _is_on_level(value: float, level: FingerLevels) -> bool:
-    share = (value - level.fist) / level.span
-    return abs(share) <= ON_LEVEL or abs(share - 1) <= ON_LEVEL
+    def followed(
+        self, code: str, bend: Sequence[float], offsets: tuple[float, ...], passed_s: float
+    ) -> tuple[float, ...]:
+        """Return `offsets` moved so that a hand that shows `code` comes nearer to its rooms."""
+        rooms = self._rooms.get(code)
+        if rooms is None:
+            rooms = self._rooms[code] = [self._room(code, place) for place in FINGERS_AT]
+        moved = None
+        for place, (value, offset, (low, high)) in enumerate(zip(bend, offsets, rooms, strict=True)):
+            stand = value - offset
+            if low <= stand <= high:
+                continue
+            outside = stand - high if stand > high else stand - low
+            span = self.spans[place]
+            most = FASTEST_PER_S * passed_s * span
+            step = min(max(outside * min(passed_s / TIME_S, 1.0), -most), most)
+            moved = list(offsets) if moved is None else moved
+            moved[place] = min(max(offset + step, -MOST * span), MOST * span)
+        return offsets if moved is None else tuple(moved)
 
-
-def _is_far(value: float, level: FingerLevels) -> bool:
-    return not FAR_BELOW <= (value - level.fist) / level.span <= FAR_ABOVE
+    def _room(self, code: str, place: int) -> tuple[float, float]:
+        level, threshold = self._levels[place], self._thresholds.fingers[place]
+        low, high = _room(code, place, self._calibration, threshold)
+        return level.fist + low * level.span, level.fist + high * level.span
 
 
 def _room(code: str, place: int, calibration: Calibration, threshold: Threshold) -> tuple[float, float]:
@@ -169,16 +181,3 @@ def _room(code: str, place: int, calibration: Calibration, threshold: Threshold)
             low = min(low, sample.shares[place] - _AROUND_SAMPLE)
             high = max(high, sample.shares[place] + _AROUND_SAMPLE)
     return low, high
-
-
-def _moved(
-    offset: float, value: float, level: FingerLevels, room: tuple[float, float], passed_s: float
-) -> float:
-    """Return `offset` moved so that `value` comes nearer to its `room`, by what `passed_s` allows."""
-    share = (value - offset - level.fist) / level.span
-    outside = max(share - room[1], 0.0) + min(share - room[0], 0.0)
-    if outside == 0.0:
-        return offset
-    most = FASTEST_PER_S * passed_s
-    step = min(max(outside * min(passed_s / TIME_S, 1.0), -most), most) * level.span
-    return min(max(offset + step, -MOST * level.span), MOST * level.span)
