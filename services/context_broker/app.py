@@ -22,6 +22,7 @@ from services.context_broker.api.exchange import (
     Disconnected,
     Exchange,
     Request,
+    of_tenant,
     path_parts,
     problem_answer,
     received,
@@ -372,10 +373,11 @@ class BrokerApplication:
         try:
             return await self._broker.answer(scope, receive)
         except Problem as problem:
-            return problem_answer(problem)
+            return of_tenant(scope, problem_answer(problem))
         except Disconnected:
             return None
         except Exception as error:  # one broken request must not end the connection without an answer
             log.exception("request failed", method=scope["method"], path=scope["path"])
             reason = f"{type(error).__name__} while answering; the log of the broker has more"
-            return problem_answer(Problem(500, "Internal error", reason, ERRORS + "InternalError"))
+            problem = Problem(500, "Internal error", reason, ERRORS + "InternalError")
+            return of_tenant(scope, problem_answer(problem))

@@ -54,6 +54,11 @@ _WITH_ENTITIES = tuple(
     for path in ("entities", "entityOperations/query", "temporal/entities", "temporal/entityOperations")
 )
 """Where entities are asked for."""
+_WITHOUT_BODY: Final[Mapping[int, tuple[tuple[bytes, bytes], ...]]] = {
+    411: (),
+    415: ((b"accept", f"{JSON}, {JSON_LD}".encode()),),
+}
+"""Refusals that have no body (clause 6.3.4), and headers that tell the way out instead (RFC 9110, 15.5.16)."""
 _BROKEN_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
 
 
@@ -179,7 +184,8 @@ class Exchange:
         if chosen is None:
             raise not_acceptable(
                 f"Accept {shown((given or b'').decode('latin-1'))} leaves nothing; accept "
-                f"{', '.join(offered[:-1])} or {offered[-1]}"
+                f"{', '.join(offered[:-1])} or {offered[-1]}",
+                offered,
             )
         return chosen
 
@@ -291,6 +297,12 @@ def told_back(request: Request, answer: Answer) -> Answer:
     return _as_preferred(request, prefer, answer)
 
 
+def of_tenant(scope: Scope, answer: Answer) -> Answer:
+    """Return the answer to a request that was refused before it was read, with its tenant told back."""
+    told = [(name, value) for name, value in scope["headers"] if name == b"ngsild-tenant"]
+    return Answer(answer.status, answer.body, [*answer.headers, *told[:1]])
+
+
 def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
     from services.context_broker.api import conformance  # noqa: PLC0415 - few ask for another version
 
@@ -312,10 +324,10 @@ def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
 
 
 def problem_answer(problem: Problem) -> Answer:
-    """Return a problem as an answer."""
-    if problem.status == 411:  # which has no body: clause 6.3.4
-        return Answer(411)
-    headers = [(b"content-type", b"application/problem+json")]
+    """Return a problem as an answer: RFC 7807 as plain JSON, for old clients (clauses 5.5.3 and 6.3.3)."""
+    if problem.status in _WITHOUT_BODY:
+        return Answer(problem.status, b"", list(_WITHOUT_BODY[problem.status]))
+    headers = [(b"content-type", JSON.encode())]
     if isinstance(problem, MethodNotAllowed):
         headers.append((b"allow", ", ".join(problem.allowed).encode()))
     return Answer(problem.status, orjson.dumps(problem.body()), headers)

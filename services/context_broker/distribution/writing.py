@@ -149,7 +149,10 @@ class SharedChange:
         return outcomes.entity_result(entity_id, good, failed)
 
     async def attributes_answer(self, shares: Shares) -> Answer:
-        """Carry the change out and return the answer of an operation on attributes (clause 5.2.18)."""
+        """Carry the change out and return the answer of an operation on attributes (clause 5.2.18).
+
+        Names in it are IRIs, for it has no @context (clause 6.3.6).
+        """
         own, found = await self._carried_out(shares)
         good, failed = outcomes.settled(found)
         result = orjson.loads(own.body) if own is not None and own.status == 207 else None
@@ -157,14 +160,13 @@ class SharedChange:
             return own if own is not None and own.status < 400 else _DONE
         if not good and result is None and (answer := outcomes.failure(failed)) is not None:
             return answer
-        compact = self._context.terms.compact
         left = list(result["notUpdated"]) if result is not None else []
         told = {one.get("attributeName") for one in left}
         for one in failed:
             reason = str((one.problem or {}).get("detail") or f"answered {one.status}")
             by = {"registrationId": one.registration.id} if one.registration is not None else {}
-            left += [{"attributeName": compact(name), "reason": reason, **by} for name in sorted(one.names)]
-        done = {compact(name) for one in good for name in one.names}
+            left += [{"attributeName": name, "reason": reason, **by} for name in sorted(one.names)]
+        done = {name for one in good for name in one.names}
         if result is not None:
             done |= set(result.get("updated", []))
         return outcomes.multi_status({"updated": sorted(done - told), "notUpdated": left})

@@ -19,7 +19,6 @@ from services.context_broker.entities.entity import (
 )
 from services.context_broker.entities.intake import DEEPEST_VALUE, Change, too_deep
 
-ABSENT = "the entity has no such attribute; append it first"
 PRESENT = "the entity has this attribute already and noOverwrite was asked for"
 
 
@@ -89,24 +88,16 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
 
 
 def updated(before: Entity, change: Change, at: str) -> Outcome:
-    """Return the entity with attributes overwritten; those that are not there are refused (clause 5.6.2).
+    """Return the entity with attributes overwritten, and added where they are not there (5.6.2 and 5.5.8).
 
     Scopes are overwritten if there are any, and else left alone without a word, as the standard has it.
     """
     attributes = dict(before.attributes)
-    refused: dict[str, str] = {}
-    written: Attributes = {}
     if change.scopes is not None and not before.scopes:
         change = replace(change, scopes=None)
     for name, instances in change.attributes.items():
-        if name in attributes:
-            written[name] = instances
-            _write(attributes, name, instances, at)
-        else:
-            refused[name] = ABSENT
-    if refused:
-        change = replace(change, attributes=written)
-    return _outcome(before, change, attributes, at, refused)
+        _write(attributes, name, instances, at)
+    return _outcome(before, change, attributes, at, {})
 
 
 def merged(before: Entity, change: Change, at: str, observed_at: str | None = None) -> Outcome:

@@ -6,7 +6,7 @@ from urllib.parse import quote
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import PREFIX, Answer, Exchange
+from services.context_broker.api.exchange import JSON, PREFIX, Answer, Exchange
 from services.context_broker.api.operation import Operation
 from services.context_broker.api.problems import already_exists, bad_request_data, invalid_request, not_found
 from services.context_broker.api.words import require_name, require_time, require_uri, shown, timestamp_now
@@ -154,7 +154,7 @@ class EntityOperations:
         change = _about(exchange, read_change(document, context.terms, nulls_in(exchange.raw, Nulls.NOWHERE)))
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         await self._carry_out(exchange, outcome)
-        return _update_result(change, outcome, context)
+        return _update_result(change, outcome)
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs."""
@@ -168,7 +168,7 @@ class EntityOperations:
         )
         outcome = changes.updated(before, change, timestamp_now())
         await self._carry_out(exchange, outcome)
-        return _update_result(change, outcome, context)
+        return DONE
 
     async def update_attribute(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs/{name}: overwrites members of the attribute."""
@@ -197,10 +197,10 @@ class EntityOperations:
     async def replace_attribute(self, exchange: Exchange) -> Answer:
         """PUT entities/{id}/attrs/{name}: replaces one instance, by datasetId; others stay."""
         document, context = await exchange.body()
-        before = self.existing(exchange, context)
         if exchange.names[1] == "scope":
             raise bad_request_data("a scope is replaced with PATCH …/attrs, or with the whole entity")
         name = self._attribute_name(exchange, context)
+        before = self.existing(exchange, context)
         kept = self._instances(exchange, before, name)
         instances = read_attribute(exchange.names[1], _without_context(document), context.terms)
         for one in instances:
@@ -214,6 +214,7 @@ class EntityOperations:
     async def delete_attribute(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}/attrs/{name}; one instance by datasetId, or every one with deleteAll."""
         context = await exchange.reader_context()
+        name = self._attribute_name(exchange, context)
         before = self.existing(exchange, context)
         if exchange.names[1] == "scope":
             if not before.scopes:
@@ -221,7 +222,6 @@ class EntityOperations:
             outcome = changes.updated(before, Change(None, (), {}, scopes=()), timestamp_now())
             await self._carry_out(exchange, outcome)
             return DONE
-        name = self._attribute_name(exchange, context)
         self._instances(exchange, before, name)
         dataset = exchange.parameter("datasetId")
         if dataset == DEFAULT_INSTANCE:
@@ -346,17 +346,15 @@ def _without_context(document: dict[str, Any]) -> dict[str, Any]:
     return {member: value for member, value in document.items() if member != "@context"}
 
 
-def _update_result(change: Change, outcome: Outcome, context: Context) -> Answer:
+def _update_result(change: Change, outcome: Outcome) -> Answer:
+    """Return what became of the attributes (5.2.18); their names are IRIs, for it has no @context (6.3.6)."""
     if not outcome.refused:
         return DONE
-    compact = context.terms.compact
     names = [*change.attributes, "scope"] if change.scopes and outcome.entity.scopes else change.attributes
     body = {
-        "updated": [
-            compact(name) for name in names if name not in outcome.refused or name in outcome.touched
-        ],
+        "updated": [name for name in names if name not in outcome.refused or name in outcome.touched],
         "notUpdated": [
-            {"attributeName": compact(name), "reason": reason} for name, reason in outcome.refused.items()
+            {"attributeName": name, "reason": reason} for name, reason in outcome.refused.items()
         ],
     }
-    return Answer(207, orjson.dumps(body), [(b"content-type", b"application/json")])
+    return Answer(207, orjson.dumps(body), [(b"content-type", JSON.encode())])
