@@ -379,5 +379,5 @@ class BrokerApplication:
         except Exception as error:  # one broken request must not end the connection without an answer
             log.exception("request failed", method=scope["method"], path=scope["path"])
             reason = f"{type(error).__name__} while answering; the log of the broker has more"
-            problem = Problem(500, "Internal error", reason, ERRORS + "InternalError")
-            return of_tenant(scope, problem_answer(problem))
+            failure = Problem(500, "Internal error", reason, ERRORS + "InternalError")
+            return of_tenant(scope, problem_answer(failure))

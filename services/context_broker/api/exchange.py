@@ -58,7 +58,7 @@ _WITHOUT_BODY: Final[Mapping[int, tuple[tuple[bytes, bytes], ...]]] = {
     411: (),
     415: ((b"accept", f"{JSON}, {JSON_LD}".encode()),),
 }
-"""Refusals that have no body (clause 6.3.4), and headers that tell the way out instead (RFC 9110, 15.5.16)."""
+"""Refusals without a body (clause 6.3.4), with headers that tell the way out instead (RFC 9110, 15.5.16)."""
 _BROKEN_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
 
 

@@ -353,8 +353,6 @@ def _update_result(change: Change, outcome: Outcome) -> Answer:
     names = [*change.attributes, "scope"] if change.scopes and outcome.entity.scopes else change.attributes
     body = {
         "updated": [name for name in names if name not in outcome.refused or name in outcome.touched],
-        "notUpdated": [
-            {"attributeName": name, "reason": reason} for name, reason in outcome.refused.items()
-        ],
+        "notUpdated": [{"attributeName": name, "reason": reason} for name, reason in outcome.refused.items()],
     }
     return Answer(207, orjson.dumps(body), [(b"content-type", JSON.encode())])

@@ -289,7 +289,7 @@ def test_an_earlier_version_is_spoken_to_who_prefers_it(http: httpx.Client) -> N
 
 def test_a_tenant_is_told_back_in_errors_too(http: httpx.Client) -> None:
     for _ in range(2):
-        for path, status in (("/entities?type=Task", 404), ("/nowhere", 404), ("/entityOperations/create", 405)):
+        for path, status in (("/types", 404), ("/nowhere", 404), ("/entityOperations/create", 405)):
             answer = http.get(path, headers={"NGSILD-Tenant": "no-such-tenant"})
             assert answer.status_code == status
             assert answer.headers.get_list("ngsild-tenant") == ["no-such-tenant"]
