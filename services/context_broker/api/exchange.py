@@ -152,7 +152,7 @@ class Exchange:
 
     async def context_of(self, document: Any, media_type: str) -> Context:
         """Return the context of a document that was sent as `media_type`."""
-        in_body = document.get("@context") if isinstance(document, Mapping) else None
+        in_body = document.get("@context") if isinstance(document, dict) else None
         link = self.link()
         if media_type == JSON_LD:
             if link is not None:
@@ -162,7 +162,7 @@ class Exchange:
             if in_body is None:
                 raise bad_request_data(f'with {JSON_LD} the body has an "@context"; add it, or send {JSON}')
             return await self.contexts.of(in_body)
-        if isinstance(document, Mapping) and "@context" in document:
+        if isinstance(document, dict) and "@context" in document:
             raise bad_request_data(
                 f"with {media_type} the @context stands in a Link header; move it there, or send {JSON_LD}"
             )

@@ -36,7 +36,10 @@ class Outcome(NamedTuple):
 def created(change: Change, at: str, seq: int) -> Entity:
     """Return the new entity that `change` tells of."""
     assert change.id is not None  # noqa: S101 - read_entity has seen to it
-    attributes = {name: _stamped(instances, {}, at) for name, instances in change.attributes.items()}
+    attributes = {
+        name: [{**one, "createdAt": at, "modifiedAt": at} for one in instances]
+        for name, instances in change.attributes.items()
+    }
     end = _end(None, change)
     first = _first_end(end, attributes)
     return Entity(change.id, change.types, attributes, at, at, seq, change.scopes or (), end, first)
@@ -72,7 +75,7 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
     attributes = dict(before.attributes)
     refused: dict[str, str] = {}
     if change.scopes and before.scopes and not overwrite:
-        change = replace(change, scopes=tuple(dict.fromkeys((*before.scopes, *change.scopes))))
+        change = change._replace(scopes=tuple(dict.fromkeys((*before.scopes, *change.scopes))))
     written: Attributes = {}
     for name, instances in change.attributes.items():
         kept = _by_dataset(before, name)
@@ -83,7 +86,7 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
             written[name] = new
             _write(attributes, name, new, at)
     if refused:
-        change = replace(change, attributes=written)
+        change = change._replace(attributes=written)
     return _outcome(before, change, attributes, at, refused)
 
 
@@ -94,7 +97,7 @@ def updated(before: Entity, change: Change, at: str) -> Outcome:
     """
     attributes = dict(before.attributes)
     if change.scopes is not None and not before.scopes:
-        change = replace(change, scopes=None)
+        change = change._replace(scopes=None)
     for name, instances in change.attributes.items():
         _write(attributes, name, instances, at)
     return _outcome(before, change, attributes, at, {})
@@ -220,14 +223,13 @@ def _by_dataset(entity: Entity, name: str) -> dict[str | None, Instance]:
 
 
 def _write(attributes: Attributes, name: str, instances: Iterable[Instance], at: str) -> None:
-    old = {dataset_of(instance): instance for instance in attributes.get(name, ())}
-    result = dict(old)
+    result = {dataset_of(instance): instance for instance in attributes.get(name, ())}
     for new in instances:
         dataset = dataset_of(new)
         if is_deletion(new):
             result.pop(dataset, None)
         else:
-            result[dataset] = _stamp(_without_nulls(new), old.get(dataset), at)
+            result[dataset] = _stamp(_without_nulls(new), result.get(dataset), at)
     if result:
         attributes[name] = list(result.values())
     else:
@@ -277,9 +279,10 @@ def _merge_values(old: Any, new: Any, depth: int = 0) -> Any:
 
 def _without_nulls(instance: Instance) -> Instance:
     """Return the instance without members, and attributes of it, that a change said to delete."""
-    if not any(
-        value == NULL or (":" in member and _tells_deletion(value)) for member, value in instance.items()
-    ):
+    for member, value in instance.items():
+        if value == NULL or (":" in member and _tells_deletion(value)):
+            break
+    else:
         return instance
     result: Instance = {}
     for member, value in instance.items():

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol
 
-from prometheus_client import Counter, Histogram
+from prometheus_client import Counter
 
 from handover.telemetry import get_logger
+from services.context_broker.api.tally import TalliedMetric
 from services.context_broker.storage.journal import Entries, Journal, NotStored
 from services.context_broker.storage.replica import News, Overtaken, Replica
 
@@ -34,8 +35,8 @@ REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the dis
 OVERTAKEN = Counter(
     "handover_broker_commits_overtaken_total", "Writes made again because another broker was quicker"
 )
-GROUPS = Histogram(
-    "handover_broker_commit_group", "Writes in one commit", buckets=(1, 2, 4, 8, 16, 32, 64, 256, 1024)
+GROUPS = TalliedMetric(
+    "handover_broker_commit_group", "Writes in one commit", (1, 2, 4, 8, 16, 32, 64, 256, 1024)
 )
 
 
@@ -227,7 +228,7 @@ class CommitQueue:
         for write in writes:
             entries.add(write.entries)
         self._journal.commit(entries)
-        GROUPS.observe(len(writes))
+        GROUPS.tally.note(len(writes))
         self._call(self._tell_success, writes)
 
     def _commit_among_others(self, replica: Replica, writes: list[Write]) -> None:
@@ -238,7 +239,7 @@ class CommitQueue:
             OVERTAKEN.inc(len(overtaken))
             self._call(self._tell_overtaken, overtaken)
         if standing:
-            GROUPS.observe(len(standing))
+            GROUPS.tally.note(len(standing))
             self._call(self._tell_success, standing)
 
     def _tell_failure(self, writes: list[Write], error: NotStored) -> None:
