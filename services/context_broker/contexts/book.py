@@ -92,6 +92,10 @@ class ContextBook:
         """Return where the asker of a request with these headers reaches the broker."""
         return self._own.told or self._own.called(headers.get(b"host", b""))
 
+    def is_ours(self, url: str) -> bool:
+        """Say whether a URL without a path leads to this broker."""
+        return self._own.is_at(url)
+
     # What the journal holds
 
     def remember(self, tenant: str, key: str, stored: bytes) -> None:

@@ -46,8 +46,17 @@ class Sources:
         return [one for one in matches if not self.has_passed(one.registration)]
 
     def has_passed(self, registration: Registration) -> bool:
-        """Say whether the request has passed a source already."""
-        return self.forwarder.alias_of(registration) in self._passed
+        """Say whether the request has passed a source already; this broker itself it is at."""
+        if self.forwarder.alias_of(registration) in self._passed:
+            return True
+        return self.forwarder.is_ourselves(registration, self.registry, self.asking.name)
+
+    def had_passed(self, registration: Registration, status: int) -> bool:
+        """Say whether a source's answer tells that it need not have been asked: the request had passed it.
+
+        Sources that say no alias are known by their first answer. What they have to do they do already.
+        """
+        return status == 508 and self.has_passed(registration)
 
     def warn(self, code: int, why: str) -> None:
         """Note something to warn of."""

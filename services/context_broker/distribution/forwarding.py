@@ -119,6 +119,15 @@ class Forwarder:
             return registration.alias
         return self._aliases.get((registration.endpoint, registration.tenant))
 
+    def is_ourselves(self, registration: Registration, registry: Registry, name: str) -> bool:
+        """Say whether a source is this very broker and tenant, whose alias is `name`: it need not ask itself.
+
+        An address that is not known as the broker's own gives itself away with its first answer.
+        """
+        if self.alias_of(registration) == name:
+            return True
+        return registration.tenant == registry.tenant and self.contexts.is_ours(registration.endpoint)
+
     async def tongue(self, registration: Registration, context: Context, *, body: str | None) -> Tongue:
         """Return how to speak to a source when the request was made in `context`.
 

@@ -22,7 +22,7 @@ from services.context_broker.distribution.distribution import (
     in_place_of,
 )
 from services.context_broker.distribution.forwarding import INVALID, SILENT, Question, Unheard, quoted
-from services.context_broker.distribution.reading import asked_by, questions_in
+from services.context_broker.distribution.questions import asked_by, questions_in, reach_of, where_of
 from services.context_broker.distribution.source_answers import answered_context, heard
 from services.context_broker.distribution.translation import translated
 from services.context_broker.entities.intake import expand
@@ -48,7 +48,8 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Performing) ->
     context = await exchange.reader_context()
     entity_id = require_uri(exchange.names[0], "the entity id in the path")
     asked = Asked((entity_id,), None, None, _names_of(exchange.parameters, context))
-    matches = sources.unasked(sources.registry.matching("retrieveTemporal", asked))
+    where = where_of(None, context, reach_of(exchange.parameters, context.terms.expand))
+    matches = sources.unasked(sources.registry.matching("retrieveTemporal", asked, where))
     if not matches:
         return await perform(exchange)
     path = f"temporal/entities/{quoted(entity_id)}"

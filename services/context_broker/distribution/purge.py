@@ -16,7 +16,7 @@ from services.context_broker.distribution import outcomes
 from services.context_broker.distribution.distribution import Performing, Sources, all_of
 from services.context_broker.distribution.forwarding import SILENT, Question, Tongue, Unheard
 from services.context_broker.distribution.outcomes import Outcome
-from services.context_broker.distribution.reading import asked_by
+from services.context_broker.distribution.questions import asked_by
 from services.context_broker.sources.registration import Match
 
 _NAMING: Final = frozenset({"q", "geoproperty"})

@@ -8,7 +8,6 @@ through the outbox, as the broker's own notifications do.
 import asyncio
 import time
 from collections.abc import Iterable
-from functools import partial
 from typing import Any, Final
 from uuid import uuid4
 
@@ -32,6 +31,7 @@ from services.context_broker.distribution.forwarding import (
 )
 from services.context_broker.distribution.fragments import Fragment, merged, read_fragment
 from services.context_broker.distribution.gathering import about
+from services.context_broker.distribution.questions import where_of
 from services.context_broker.distribution.relays import (
     PATH,
     Relay,
@@ -45,7 +45,7 @@ from services.context_broker.distribution.source_answers import place_of
 from services.context_broker.distribution.translation import translated
 from services.context_broker.distribution.via import chain
 from services.context_broker.entities.entity import Entity
-from services.context_broker.queries.selection import compiled
+from services.context_broker.sources.reach import Reach
 from services.context_broker.sources.registration import Registration
 from services.context_broker.storage.journal import Entries, Journal, Kind, Notice, NotStored
 from services.context_broker.storage.tenants import Tenant, Tenants
@@ -204,16 +204,17 @@ class SubscriptionRelays:
 
     def _sources_of(self, tenant: Tenant, one: Subscription) -> Iterable[Registration]:
         """Return the registrations by which a subscription is to be passed on."""
-        where = None
-        if csf := one.document.get("csf"):
-            holds = compiled(csf, one.names).holds
-            where = partial(_described_so, holds)
+        reach = Reach(one.places, one.scopes, None, one.view.datasets)
+        where = where_of(one.document.get("csf"), one.names, reach)
         passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
         found: dict[str, Registration] = {}
         for asked in questions(one):
             for match in tenant.registry.matching("createSubscription", asked, where):
-                if self._forwarder.alias_of(match.registration) not in passed:
-                    found[match.registration.id] = match.registration
+                source = match.registration
+                if self._forwarder.alias_of(source) not in passed and not self._forwarder.is_ourselves(
+                    source, tenant.registry, tenant.alias
+                ):
+                    found[source.id] = source
         return found.values()
 
     async def _pass_on(
@@ -324,10 +325,6 @@ class SubscriptionRelays:
         if own is not None:
             entity = merged([Fragment(fragment, (1, relay.registration.id)), Fragment(own, (0, ""))])
         return as_it_is(one, entity) if one.selects(entity) else None
-
-
-def _described_so(holds: Any, registration: Registration) -> bool:
-    return bool(holds(registration.described))
 
 
 def _refusal(source: Registration, reply: Reply) -> str:

@@ -19,8 +19,11 @@ from services.context_broker.distribution import outcomes
 from services.context_broker.distribution.distribution import Performing, Sources, all_of, in_place_of
 from services.context_broker.distribution.forwarding import SILENT, Question, Unheard, in_tongue, quoted
 from services.context_broker.distribution.outcomes import Outcome
+from services.context_broker.distribution.questions import where_of
 from services.context_broker.distribution.shares import Names, Share, Shares, shared
 from services.context_broker.entities.intake import expand
+from services.context_broker.queries.reading import datasets_of
+from services.context_broker.sources.reach import Reach, taking_in
 from services.context_broker.sources.registration import Asked
 
 NO_ATTRIBUTES: Final = frozenset(
@@ -40,7 +43,8 @@ async def create(sources: Sources, exchange: Exchange, perform: Performing) -> A
     entity_id = require_uri(document.get("id", document.get("@id")), "the entity id")
     names = attributes_in(document, context)
     types = types_in(document, context)
-    shares = shared(sources, (operation,), Asked((entity_id,), None, types), frozenset(names.values()))
+    asked = Asked((entity_id,), None, types)
+    shares = shared(sources, (operation,), asked, frozenset(names.values()), taking_in(document))
     if not shares.others:
         return await perform(exchange)
     location = f"{PREFIX}{root}entities/{quote(entity_id, safe=':')}".encode()
@@ -86,7 +90,8 @@ async def change_attribute(sources: Sources, exchange: Exchange, perform: Perfor
     name = exchange.names[1]
     iri = expand(require_name(name, "the attribute name in the path"), context.terms)
     asked = Asked((entity_id,), None, _types_of(sources, exchange, entity_id, context), frozenset({iri}))
-    shares = shared(sources, (operation,), asked, frozenset({iri}))
+    where = where_of(None, context, Reach(datasets=datasets_of(exchange.parameter("datasetId"))))
+    shares = shared(sources, (operation,), asked, frozenset({iri}), where)
     if not shares.others:
         return await perform(exchange)
     change = SharedChange(sources, exchange, perform, context, document, {name: iri}, operation, None)
@@ -183,7 +188,8 @@ class SharedChange:
                 if problem.status != 404 or problem.__cause__ is not None:
                     raise
                 found.append(Outcome(None, shares.own, 404, problem.body()))
-        found += await all_of(*(self.forwarded(share) for share in shares.others))
+        told = await all_of(*(self.forwarded(share) for share in shares.others))
+        found += [one for one in told if one is not None]
         return own, found
 
     def _own_share(self, shares: Shares) -> Exchange:
@@ -210,8 +216,8 @@ class SharedChange:
         root = "temporal/" if _is_temporal(self._exchange) else ""
         return "/".join((f"{root}entities", quoted(entity_id), "attrs", quoted(name), *map(quoted, instance)))
 
-    async def forwarded(self, share: Share) -> Outcome:
-        """Return what became of a source's share."""
+    async def forwarded(self, share: Share) -> Outcome | None:
+        """Return what became of a source's share; None if the request has passed the source before."""
         registration, names = share.registration, share.names
         if share.operation is None:
             return outcomes.of_refusal(registration, names, self._operation)
@@ -234,6 +240,8 @@ class SharedChange:
             return outcomes.of_silence(unheard, names)
         except Problem as problem:  # its @context
             return outcomes.of_silence(Unheard(registration, SILENT, 502, problem.detail), names)
+        if not registration.mode.is_proxied and self._sources.had_passed(registration, reply.status):
+            return None
         return outcomes.of_reply(registration, names, reply)
 
 
@@ -247,7 +255,8 @@ async def _of_document(
     names = attributes_in(document, context)
     types = types_in(document, context) or _types_of(sources, exchange, entity_id, context)
     asked = Asked((entity_id,), None, types)
-    shares = shared(sources, (operation,), asked, frozenset(names.values()))
+    where = taking_in(document) if operation == "replaceEntity" else None
+    shares = shared(sources, (operation,), asked, frozenset(names.values()), where)
     root = "temporal/" if _is_temporal(exchange) else ""
     path = f"{root}entities/{quoted(entity_id)}{below}"
     change = SharedChange(sources, exchange, perform, context, document, names, operation, path)

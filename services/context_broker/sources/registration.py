@@ -177,7 +177,8 @@ class Registration:
     none), `alias` what it calls itself in Via. `operations` are single operations, groups are resolved.
     `source_info` are the pairs of contextSourceInfo in their order. `places` maps location, observationSpace
     and operationSpace to the geometries given. `described` is the registration as an entity, whose attributes
-    (its own properties, plain members and places) filters can ask for. `attempts` counts on.
+    (its own properties, plain members and places) filters can ask for. `datasets` are the datasetIds that the
+    source has, with None for instances that have none; None where it may have any. `attempts` counts on.
     """
 
     id: str
@@ -194,6 +195,7 @@ class Registration:
     places: Mapping[str, Mapping[str, Any]]
     observed: Interval | None
     managed: Interval | None
+    datasets: frozenset[str | None] | None
     management: Management
     expires_at_s: float
     described: Entity

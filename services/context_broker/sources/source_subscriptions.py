@@ -17,8 +17,9 @@ from services.context_broker.entities.rendering import with_context
 from services.context_broker.queries.geo_query import geo_query_document
 from services.context_broker.queries.scope_query import scope_query
 from services.context_broker.queries.selection import Selection, compiled
+from services.context_broker.sources.reach import period_of
 from services.context_broker.sources.registration import Asked, Registration, shown_document
-from services.context_broker.sources.registration_search import Search, asked_of, period_of
+from services.context_broker.sources.registration_search import Search, asked_of
 from services.context_broker.sources.registry import Registry
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.journal import Notice
