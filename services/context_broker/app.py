@@ -89,7 +89,10 @@ class Broker:
             lambda documents: self.tenants.commits.store_later(Entries(documents=dict(documents))),
             Fetcher(settings.broker_context_timeout_s, open_addresses),
             OwnAddress(settings.broker_public_url, settings.url_of(settings.broker_port)),
+            settings.broker_default_context,
         )
+        self.contexts.on_renewal = self._renew
+        self._renewing: set[asyncio.Task[None]] = set()
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.registrations = RegistrationOperations(self.contexts)
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
@@ -253,7 +256,16 @@ class Broker:
         if body is None:
             self.contexts.forget(key)
         else:
-            self.contexts.remember(tenant, key, body)
+            # Apart, for who changes a subscription waits for a commit, and that waits for the news.
+            renewing = asyncio.create_task(self._renew(self.contexts.remember(tenant, key, body)))
+            self._renewing.add(renewing)
+            renewing.add_done_callback(self._renewing.discard)
+
+    async def _renew(self, context_id: str) -> None:
+        """Have what was made with a context that is another now made anew."""
+        for tenant in list(self.tenants):
+            for room in (self.subscriptions, self.source_subscriptions, self.registrations):
+                await room.renew(tenant, context_id)
 
     async def _follow_context_usage(self, _: str, key: str, body: bytes | None) -> None:
         if body is not None:

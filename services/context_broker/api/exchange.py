@@ -166,11 +166,11 @@ class Exchange:
             raise bad_request_data(
                 f"with {media_type} the @context stands in a Link header; move it there, or send {JSON_LD}"
             )
-        return await self.contexts.of(link)
+        return await self.contexts.of(link or self.contexts.default)
 
     async def reader_context(self) -> Context:
         """Return the context that the asker wants names in."""
-        return await self.contexts.of(self.link())
+        return await self.contexts.of(self.link() or self.contexts.default)
 
     def link(self) -> str | None:
         """Return the URL of the context in the Link header, None if there is none."""

@@ -66,6 +66,10 @@ class Context:
     link: str | None
     uses: tuple[KeptContext, ...] = ()
 
+    def is_made_of(self, own_id: str) -> bool:
+        """Say whether a kept context, by its local identifier, is part of it."""
+        return any(one.id == own_id for one in self.uses)
+
 
 class ContextBook:
     """All contexts the broker has met.
@@ -74,8 +78,17 @@ class ContextBook:
     """
 
     def __init__(
-        self, keep: Keep, keep_later: Callable[[Documents], None], fetcher: Fetcher, own: OwnAddress
+        self,
+        keep: Keep,
+        keep_later: Callable[[Documents], None],
+        fetcher: Fetcher,
+        own: OwnAddress,
+        default: str | None = None,
     ) -> None:
+        self.default = default
+        """The URL of the context of who gives none (clause 5.5.5); None is the core context alone."""
+        self.on_renewal: Callable[[str], Awaitable[None]] = _nobody
+        """Is told the local identifier of a context that was fetched anew and is another now."""
         self._keep = keep
         self._keep_later = keep_later
         self._fetcher = fetcher
@@ -98,13 +111,17 @@ class ContextBook:
 
     # What the journal holds
 
-    def remember(self, tenant: str, key: str, stored: bytes) -> None:
-        """Take a context as the journal has it, from before a restart or from another process."""
+    def remember(self, tenant: str, key: str, stored: bytes) -> str:
+        """Take a context as the journal has it, from before a restart or from another process.
+
+        Returns its local identifier.
+        """
         one = restored(tenant, key, stored)
         if (before := self._shelf.named(one.id)) is not None:
             one.hits, one.used_s, one.hits_kept = before.hits, before.used_s, before.hits_kept
             self._unready(before)
         self._shelf.put(one)
+        return one.id
 
     def remember_usage(self, key: str, stored: bytes) -> None:
         """Take how a context was used before."""
@@ -273,6 +290,7 @@ class ContextBook:
         fresh.hits, fresh.used_s = one.hits, one.used_s
         await self._keep_one(fresh)
         self._unready(one)
+        await self.on_renewal(one.id)
 
     async def _keep_one(self, one: KeptContext) -> None:
         await self._keep({(Kind.CONTEXT, one.tenant, one.key): one.stored()})
@@ -373,6 +391,10 @@ class ContextBook:
     def is_core(one: KeptContext) -> bool:
         """Say whether a context is the core context, of whichever version."""
         return one.url is not None and is_core(one.url)
+
+
+async def _nobody(_: str) -> None:
+    """Nobody has anything to do with a context that is another now."""
 
 
 def _erasing(gone: list[KeptContext]) -> dict[DocumentKey, bytes | None]:

@@ -126,6 +126,66 @@ def test_a_cached_context_is_fetched_anew_when_told_to(http: httpx.Client, publi
     assert http.get(f"{named}?details=true").status_code == 404
 
 
+def test_what_was_made_with_a_context_is_made_anew_when_it_is_fetched_anew(
+    http: httpx.Client, publisher: Any, subscriber: Any, eventually: Callable[..., Any]
+) -> None:
+    url = f"http://127.0.0.1:{publisher.port}/renewed.jsonld"
+    publisher.document = {"@context": {"Pump": "https://a.example/Pump", "flow": "https://a.example/flow"}}
+    subscription = {
+        "id": "urn:x:sub:renewed",
+        "type": "Subscription",
+        "entities": [{"type": "Pump"}],
+        "q": "flow>1",
+        "notification": {"endpoint": {"uri": subscriber.url}, "format": "keyValues"},
+    }
+    assert http.post("/subscriptions", json=subscription, headers=link(url)).status_code == 201
+    registration = {
+        "id": "urn:x:csr:renewed",
+        "type": "ContextSourceRegistration",
+        "endpoint": "http://127.0.0.1:9",
+        "information": [{"entities": [{"type": "Valve"}]}],
+        "flow": {"type": "Property", "value": 1},
+    }
+    assert http.post("/csourceRegistrations", json=registration, headers=link(url)).status_code == 201
+    pump = {"id": "urn:x:pump", "type": "Pump", "flow": 2}
+    assert http.post("/entities", json=pump, headers=link(url)).status_code == 201
+    assert eventually(lambda: subscriber.entities("urn:x:sub:renewed"))[0]["flow"] == 2
+    terms = {
+        "Pump": "https://a.example/Pump",
+        "flow": "https://a.example/rpm",
+        "stream": "https://a.example/flow",
+    }
+    publisher.document = {"@context": terms}
+    assert http.delete(f"/jsonldContexts/{quote(url, safe='')}?reload=true").status_code == 204
+    http.patch("/entities/urn:x:pump/attrs", json={"stream": 0}, headers=link(url))
+    http.patch("/entities/urn:x:pump/attrs", json={"flow": 3}, headers=link(url))
+    told = eventually(lambda: subscriber.entities("urn:x:sub:renewed")[1:])
+    assert told == [{"id": "urn:x:pump", "type": "Pump", "stream": 0, "flow": 3}]
+    assert http.get("/subscriptions/urn:x:sub:renewed").json()["notification"]["timesSent"] == 2
+    assert http.delete("/csourceRegistrations/urn:x:csr:renewed").status_code == 204
+
+
+def test_who_gives_no_context_has_the_one_that_is_set(own_broker: Any, publisher: Any) -> None:
+    url = f"http://127.0.0.1:{publisher.port}/default.jsonld"
+    publisher.document = {"@context": {"speed": "https://a.example/speed"}}
+    own_broker.extra["HANDOVER_BROKER_DEFAULT_CONTEXT"] = url
+    own_broker.start()
+    with own_broker.client() as http:
+        assert (
+            http.post("/entities", json={"id": "urn:x:set", "type": "Thing", "speed": 3}).status_code == 201
+        )
+        read = http.get("/entities/urn:x:set?options=keyValues")
+        assert (read.json()["speed"], url in read.headers["link"]) == (3, True)
+        assert (
+            http.get("/entities?type=Thing&q=speed==3", headers={"Accept": LD["Content-Type"]}).json()[0][
+                "@context"
+            ]
+            == url
+        )
+        core = http.get("/entities/urn:x:set?options=keyValues", headers=link(CORE))
+        assert core.json()["https://a.example/speed"] == 3
+
+
 def test_a_hosted_context_cannot_be_fetched_anew(http: httpx.Client) -> None:
     answer = http.delete(f"{add(http, {})}?reload=true")
     assert (answer.status_code, answer.json()["type"]) == (400, ERRORS + "BadRequestData")
