@@ -138,9 +138,9 @@ class Broker:
         await self._take_up_registrations()
         await self._take_up_subscriptions()
         await self.contexts.tidy()
-        self.snapshots.start()
+        self.snapshots.start(self.journal)
         self.tenants.ends.start()
-        self.leadership.start(self.tenants.turn, self.tenants.commits.look)
+        self.leadership.start(self._turn, self.tenants.commits.look)
         await self.relays.start(self.journal)
         self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
@@ -238,6 +238,10 @@ class Broker:
         for tenant in self.tenants:
             await self.registrations.restore(tenant, kept.get(tenant.name, ()))
 
+    def _turn(self, leads: bool) -> None:
+        self.tenants.turn(leads)
+        self.snapshots.tellings.turn(leads=leads)
+
     def _follow_others(self) -> None:
         following = self.tenants.following
         following.on(Kind.CONTEXT, self._follow_context)
@@ -248,7 +252,8 @@ class Broker:
         following.on(Kind.REGISTRATION, self._follow_registration)
         following.on(Kind.ENTITY_MAP, self._follow_entity_map)
         following.on(Kind.RELAY, self.relays.follow)
-        following.on(Kind.SNAPSHOT, self._follow_snapshot)
+        following.on(Kind.SNAPSHOT, self.snapshots.follow)
+        following.on(Kind.SNAPSHOT_TELLING, self.snapshots.tellings.follow)
         following.on(Kind.IDENTITY, self._follow_identity)
         following.on(Kind.ATTEMPTS, self._follow_attempts)
 
@@ -283,9 +288,6 @@ class Broker:
     async def _follow_entity_map(self, tenant: str, one: str, body: bytes | None) -> None:
         maps = self.tenants.kept(tenant).entity_maps
         maps.forget(one) if body is None else maps.take(body)
-
-    async def _follow_snapshot(self, tenant: str, one: str, body: bytes | None) -> None:
-        self.snapshots.follow(self.tenants.kept(tenant), one, body)
 
     async def _follow_identity(self, _: str, __: str, body: bytes | None) -> None:
         if body is not None:
