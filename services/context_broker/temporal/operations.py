@@ -111,7 +111,7 @@ class TemporalOperations:
     async def query_by_document(self, exchange: Exchange) -> Answer:
         """POST temporal/entityOperations/query with a Query document (clause 5.2.23)."""
         document, context = await exchange.body()
-        exchange.parameters = {**exchange.parameters, **_parameters(document)}
+        exchange.parameters = {**exchange.parameters, **temporal_parameters(document)}
         return await self._queried(exchange, context, selectors_of(document, context))
 
     async def _wish(self, exchange: Exchange, context: Context) -> _Wish:
@@ -197,7 +197,7 @@ def _as_entity(subject: Subject) -> Entity:
     )
 
 
-def _parameters(document: Any) -> dict[str, str]:
+def temporal_parameters(document: Any) -> dict[str, str]:
     """Return the query parameters that say the same as a Query document (clauses 5.2.21, 5.2.23, 5.2.44)."""
     if not isinstance(document, Mapping):
         raise bad_request_data(f'the body is an object with "type": "Query", not {shown(document)}')
