@@ -292,7 +292,7 @@ def told_back(request: Request, answer: Answer) -> Answer:
     if tenant is not None:
         answer = Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", tenant)])
     prefer = request.headers.get(b"prefer")
-    if prefer is None or answer.status != 200 or not request.path.startswith(_WITH_ENTITIES):
+    if prefer is None or answer.status != 200:
         return answer
     return _as_preferred(request, prefer, answer)
 
@@ -312,12 +312,14 @@ def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
         return problem_answer(problem)
     if version is None or not answer.body:
         return answer
+    applied = "ngsi-ld={}.{}".format(*min(version, conformance.OURS)).encode()
+    headers = [*answer.headers, (b"preference-applied", applied)]
+    if not request.path.startswith(_WITH_ENTITIES):
+        return Answer(200, answer.body, headers)
     said = {*request.parameters.get("options", "").split(","), request.parameters.get("format", "")}
     document = orjson.loads(answer.body)
     simplified = not said.isdisjoint({"keyValues", "simplified"})
     conformed = conformance.conformed(document, version, simplified=simplified)
-    applied = "ngsi-ld={}.{}".format(*min(version, conformance.OURS)).encode()
-    headers = [*answer.headers, (b"preference-applied", applied)]
     if conformed is document:
         return Answer(200, answer.body, headers)
     return Answer(203, orjson.dumps(conformed), headers)

@@ -20,10 +20,10 @@ from services.context_broker.subscriptions.subscription import Subscription
 PATH: Final = "relayedNotifications"
 _NOT_PASSED_ON: Final = (
     "id", "status", "isActive", "jsonldContext", "csf", "throttling", "lang", "datasetId", "localOnly",
-    "notification", "createdAt", "modifiedAt", "watchedAttributes",
+    "notification", "createdAt", "modifiedAt", "watchedAttributes", "splitEntities", "ngsildConformance",
 )  # fmt: skip
 """What is the broker's own to heed, or is said anew."""
-_FILTERS: Final = ("q", "geoQ", "scopeQ")
+_FILTERS: Final = ("q", "geoQ", "scopeQ", "expandValues", "jsonKeys")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,9 @@ def passed_on(one: Subscription, source: Registration, tongue: Tongue) -> dict[s
     document = shown_document(one, tongue.context, 0.0, sys_attrs=False)
     for name in _NOT_PASSED_ON:
         document.pop(name, None)
-    is_whole = all(piece.attributes is None for piece in source.information)
+    is_whole = not one.document.get("splitEntities") and all(
+        piece.attributes is None for piece in source.information
+    )
     if not is_whole or tongue.context.key != one.names.key or NAMES_IN in one.document:
         for name in _FILTERS:
             document.pop(name, None)

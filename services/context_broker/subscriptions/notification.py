@@ -13,6 +13,7 @@ import orjson
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
+from services.context_broker.api.negotiation import Version
 from services.context_broker.api.words import tenant_headers, timestamp
 from services.context_broker.entities.entity import NULL, SAYS, Attributes, Entity, Instance, dataset_of
 from services.context_broker.entities.rendering import Form, View, render, rendered, with_context
@@ -46,8 +47,18 @@ def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes
         data = b'{"type":"FeatureCollection","features":' + data + b"}"
         if not _prefers_plain_json(subscription):
             data = with_context(data, subscription.context)
+    if subscription.version is not None:
+        data = _conformed(data, subscription.version, subscription.view)
     body = orjson.dumps(head)[:-1] + b',"data":' + data + b"}"
     return with_context(body, subscription.context) if accept == JSON_LD else body
+
+
+def _conformed(data: bytes, version: Version, view: View) -> bytes:
+    """Return what is told as an earlier version has it (clause 4.3.6.8)."""
+    from services.context_broker.api import conformance  # noqa: PLC0415 - few ask for another version
+
+    simplified = view.form is Form.KEY_VALUES
+    return orjson.dumps(conformance.conformed(orjson.loads(data), version, simplified=simplified))
 
 
 def as_it_is(subscription: Subscription, entity: Entity, lookup: Lookup = nobody) -> bytes:

@@ -171,6 +171,8 @@ class Notifier(CourierOffice):
 
     def _candidates(self, subscription: Subscription) -> Iterable[Entity]:
         """Return the entities among which all are that a subscription is about."""
+        if not subscription.selectors:
+            return self.store.candidates()
         kinds: dict[str, None] = {}
         ids: dict[str, None] = {}
         for selector in subscription.selectors:

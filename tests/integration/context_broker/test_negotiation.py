@@ -275,6 +275,10 @@ def test_an_earlier_version_is_spoken_to_who_prefers_it(http: httpx.Client) -> N
     older = http.get(path, headers={"Prefer": "ngsi-ld=1.6"})
     assert (older.status_code, older.headers["preference-applied"]) == (203, "ngsi-ld=1.6")
     assert older.json()["kind"] == {"type": "Property", "value": "food"}
+    for prefer in ('NGSI-LD="1.0";q=0.1, respond-async', "respond-async, ngsi-ld=1.0"):
+        others = http.get("/subscriptions", headers={"Prefer": prefer})
+        assert (others.status_code, others.headers["preference-applied"]) == (200, "ngsi-ld=1.0")
+    assert "preference-applied" not in http.get("/types", headers={"Prefer": "respond-async"}).headers
     newer = http.get(path, headers={"Prefer": "ngsi-ld=2.0"})
     assert (newer.status_code, newer.headers["preference-applied"]) == (200, "ngsi-ld=1.9")
     assert newer.json()["kind"]["type"] == "VocabProperty"

@@ -110,6 +110,36 @@ def test_format_and_attributes_shape_what_is_told(
     assert subscriber.entities() == [{"id": f"urn:ngsi-ld:{kind}:demo:1", "type": kind, "status": status}]
 
 
+def test_who_knows_an_earlier_version_only_is_told_in_its_kinds(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscribe(http, "Older", subscriber.url, ngsildConformance="1.6")
+    accepts = {"endpoint": {"accept": "application/geo+json"}}
+    subscribe(
+        http,
+        "OlderMap",
+        subscriber.url,
+        ngsildConformance="1.6",
+        notification=accepts,
+        entities=[{"type": "Older"}],
+    )
+    create(http, "Older", colour={"type": "VocabProperty", "vocab": "red"})
+    eventually(lambda: len(subscriber.received) == 2)
+    for told in (one["data"] for one in subscriber.received):
+        shown = told[0] if isinstance(told, list) else told["features"][0]["properties"]
+        assert shown["colour"] == {"type": "Property", "value": "red"}
+
+
+def test_words_of_a_query_may_be_terms_of_the_context(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    members = {"expandValues": "colour", "notification": {"format": "concise"}}
+    subscribe(http, "Terms", subscriber.url, q="colour==red", **members)
+    for name, colour in (("1", "green"), ("2", "red")):
+        create(http, "Terms", name, colour={"type": "VocabProperty", "vocab": colour})
+    assert eventually(subscriber.entities)[0]["id"] == "urn:ngsi-ld:Terms:demo:2"
+
+
 def test_json_ld_carries_its_context_and_headers_are_sent_along(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
