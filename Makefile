@@ -9,7 +9,8 @@ export UV_PYTHON_DOWNLOADS := never
 export UV_NO_PROGRESS := 1
 
 # Two workers suit two cores; what a test starts is on free ports, so that they do not meet.
-PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
+# tests/shares.py says which tests stay together.
+PYTEST := $(BIN)/pytest -n 2
 
 # What needs the Node that built the page: lint and tests of its TypeScript.
 PAGE := $(BIN)/python -m webui.build

@@ -21,8 +21,8 @@ from services.context_broker.api.operation import Operation
 from services.context_broker.app import operations_of
 from services.context_broker.settings import BrokerSettings
 
-SEQUENCES = 250
-"""Of up to six requests: a quarter of a minute."""
+SEQUENCES = 4 * settings.default.max_examples
+"""Of up to six requests."""
 FROM_ELSEWHERE = {502, 503, 504, 508}
 """What is answered when a source or an @context cannot be reached."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
@@ -147,7 +147,6 @@ def lived(journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[s
     return life
 
 
-@settings(max_examples=60)
 @given(DOCUMENTS, STEPS)
 def test_what_was_written_change_by_change_is_what_is_told(
     journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[str, Any]]]
@@ -167,7 +166,6 @@ def test_what_was_written_change_by_change_is_what_is_told(
     assert sorted(gone, key=repr) == sorted(life.deleted, key=repr)
 
 
-@settings(max_examples=60)
 @given(
     st.tuples(DOCUMENTS, STEPS),
     st.sampled_from(["observedAt", "createdAt", "modifiedAt"]),
@@ -202,7 +200,6 @@ def test_a_window_tells_what_lies_in_it_and_nothing_else(
     assert sorted(told, key=repr) == sorted(expected, key=repr)
 
 
-@settings(max_examples=60)
 @given(DOCUMENTS, STEPS, st.integers(1, 4))
 def test_the_last_instances_are_the_latest_of_each_series(
     journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[str, Any]]], last: int
