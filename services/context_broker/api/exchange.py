@@ -35,6 +35,7 @@ from services.context_broker.api.problems import (
 )
 from services.context_broker.api.words import shown
 from services.context_broker.contexts.book import Context, ContextBook
+from services.context_broker.snapshots.entity_maps import EntityMap, Listed
 from services.context_broker.storage.tenants import Tenant
 
 __all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Answer", "Disconnected", "Exchange", "Request"]
@@ -87,9 +88,16 @@ class Request:
 
 
 class Exchange:
-    """A request on its way through the broker; `names` are the parts of the path that name things."""
+    """A request on its way through the broker; `names` are the parts of the path that name things.
 
-    __slots__ = ("contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
+    `entity_map` is the one that the request is answered by, `elsewhere` what the maps of sources list for one
+    that is being made; None where there is none.
+    """
+
+    __slots__ = (
+        "contexts", "elsewhere", "entity_map", "headers", "method", "names", "parameters", "path", "raw",
+        "tenant",
+    )  # fmt: skip
 
     def __init__(
         self, request: Request, names: tuple[str, ...], contexts: ContextBook, tenant: Tenant
@@ -102,6 +110,8 @@ class Exchange:
         self.names = names
         self.contexts = contexts
         self.tenant = tenant
+        self.entity_map: EntityMap | None = None
+        self.elsewhere: Listed | None = None
 
     def parameter(self, name: str) -> str | None:
         """Return a query parameter; None if it is absent."""

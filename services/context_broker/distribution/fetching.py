@@ -21,6 +21,7 @@ from services.context_broker.distribution.questions import FILTERS
 from services.context_broker.distribution.source_answers import heard, read_entities
 from services.context_broker.entities.entity import Entity
 from services.context_broker.sources.registration import Asked, Match, Registration, Where
+from services.context_broker.subscriptions.http_sender import Reply
 
 ONE: Final = ("retrieveEntity", "queryEntity", "queryBatch")
 """Operations by which one entity can be read, the best first."""
@@ -40,14 +41,28 @@ _NEXT: Final = re.compile(r'rel\s*=\s*"?next\b')
 _GEO: Final = ("georel", "geometry", "geoproperty")
 
 
-def answering(sources: Sources, asked: Asked, where: Where | None = None) -> list[Match]:
-    """Return the matches whose sources can be asked for entities."""
-    found = sources.unasked(sources.registry.matching(MANY, asked, where))
+def answering(
+    sources: Sources,
+    asked: Asked,
+    where: Where | None = None,
+    *,
+    heeds_map: bool = True,
+    or_takes: str | None = None,
+) -> list[Match]:
+    """Return the matches whose sources can be asked for entities, or take another operation that will do."""
+    operations = MANY if or_takes is None else (*MANY, or_takes)
+    found = sources.unasked(sources.registry.matching(operations, asked, where), heeds_map=heeds_map)
     return [
         one
         for one in found
-        if one.registration.takes(MANY[0]) or one.registration.takes(MANY[1]) or one.ids is not None
+        if can_be_asked(one) or (or_takes is not None and one.registration.takes(or_takes))
     ]
+
+
+def can_be_asked(match: Match) -> bool:
+    """Say whether a source takes an operation by which what is asked for can be read."""
+    takes = match.registration.takes
+    return takes(MANY[0]) or takes(MANY[1]) or (takes(MANY[2]) and match.ids is not None)
 
 
 async def fetch_one(
@@ -94,7 +109,7 @@ async def fetch_many(
     body = JSON if operation == "queryBatch" else None
     try:
         tongue = await sources.forwarder.tongue(registration, context, body=body)
-        for given in _narrowed(match, parameters, context, tongue, is_split=is_split):
+        for given in narrowed(match, parameters, context, tongue, is_split=is_split):
             async for entities in _pages(sources, registration, tongue, given, operation):
                 into.add(registration, entities)
     except Unheard as unheard:
@@ -117,7 +132,8 @@ async def _pages(
         limit = SMALL_PAGE if registration.endpoint in small else PAGE
         paged = [*given, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
         try:
-            reply = await heard(sources, registration, _question(operation, tongue, paged))
+            question = _question(operation, tongue, paged)
+            reply = await _heard_by_map(sources, registration, question)
         except Unheard as unheard:
             if unheard.answered not in {400, 403} or offset or limit == SMALL_PAGE:
                 raise
@@ -137,7 +153,7 @@ async def _pages(
     sources.warn(SILENT, f"{registration.endpoint} has more than {MOST_ENTITIES} entities of these")
 
 
-def _narrowed(
+def narrowed(
     match: Match, parameters: Mapping[str, str], context: Context, tongue: Tongue, *, is_split: bool
 ) -> Iterable[list[tuple[str, str]]]:
     """Yield the questions to ask a source: for those entities and attributes that it is registered for."""
@@ -168,6 +184,16 @@ def _narrowed(
 
 def _types_at(registration: Registration) -> set[str]:
     return {kind for piece in registration.information for one in piece.entities for kind in one.types}
+
+
+async def _heard_by_map(sources: Sources, registration: Registration, question: Question) -> Reply | None:
+    """Ask a source by its own entity map if it has one; without, if it does not know the map any more."""
+    headers = sources.map_headers(registration)
+    if headers:
+        reply = await heard(sources, registration, replace(question, headers=headers))
+        if reply is not None:
+            return reply
+    return await heard(sources, registration, question)
 
 
 def _question(operation: str, tongue: Tongue, parameters: list[tuple[str, str]]) -> Question:

@@ -6,7 +6,7 @@ totals are made of, part by part.
 
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import orjson
 
@@ -22,7 +22,7 @@ from services.context_broker.distribution.distribution import (
     in_place_of,
 )
 from services.context_broker.distribution.evolutions import Evolution
-from services.context_broker.distribution.forwarding import INVALID, SILENT, Question, Unheard
+from services.context_broker.distribution.forwarding import INVALID, SILENT, Question, Tongue, Unheard
 from services.context_broker.distribution.source_answers import answered_context, heard
 from services.context_broker.distribution.translation import translated
 from services.context_broker.sources.registration import Match, Registration
@@ -192,19 +192,13 @@ async def ask_source(
     registration = match.registration
     try:
         tongue = await sources.forwarder.tongue(registration, context, body=None)
-        names = match.attributes
-        wanted = [] if single else _who(match, parameters, tongue.name)
-        if names is not None:
-            wanted.append(("attrs", ",".join(sorted(tongue.name(one) for one in names))))
-        same = tongue.context is context
-        wanted += [
-            (name, said)
-            for name, said in parameters.items()
-            if name not in _NOT_PASSED_ON and (same or name not in _NAMING)
-        ]
+        wanted = [] if single else who(match, parameters, tongue.name)
+        wanted += of_the_past(match, parameters, tongue, same=tongue.context is context)
         if not single:
             wanted.append(("limit", parameters["limit"]))
-        reply = await heard(sources, registration, Question("GET", path, tongue, tuple(wanted)))
+        headers = sources.map_headers(registration)
+        question = Question("GET", path, tongue, tuple(wanted), headers=headers)
+        reply = await heard(sources, registration, question)
         if reply is None:
             return _NOTHING
         documents = _documents(registration, reply, single=single)
@@ -217,10 +211,27 @@ async def ask_source(
         return _NOTHING
     in_ours = (translated(plain(one), there.terms, context.terms) for one in documents)
     edge = evolutions.edge_in(reply.headers.get("content-range")) if reply.status == 206 else None
-    return Part([_limited(one, names, context) for one in in_ours], edge)
+    return Part([_limited(one, match.attributes, context) for one in in_ours], edge)
 
 
-def _who(match: Match, parameters: Mapping[str, str], name: Any) -> list[tuple[str, str]]:
+def of_the_past(
+    match: Match, parameters: Mapping[str, str], tongue: Tongue, *, same: bool
+) -> list[tuple[str, str]]:
+    """Return the parameters that a source is asked with, besides those that say which entities.
+
+    `same`: it is spoken to in the names of the request.
+    """
+    names = match.attributes
+    wanted = [] if names is None else [("attrs", ",".join(sorted(tongue.name(one) for one in names)))]
+    return wanted + [
+        (name, said)
+        for name, said in parameters.items()
+        if name not in _NOT_PASSED_ON and (same or name not in _NAMING)
+    ]
+
+
+def who(match: Match, parameters: Mapping[str, str], name: Callable[[str], str]) -> list[tuple[str, str]]:
+    """Return the parameters that say which entities a source is asked for."""
     types = {kind for part in match.parts for kind in part.types or ()} or {
         kind for piece in match.registration.information for one in piece.entities for kind in one.types
     }

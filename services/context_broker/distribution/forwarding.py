@@ -92,6 +92,7 @@ class Question:
     tongue: Tongue
     parameters: tuple[tuple[str, str], ...] = ()
     document: Any = None
+    headers: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(slots=True)
@@ -250,6 +251,7 @@ def _headers(registration: Registration, question: Question, asking: Asking) -> 
     headers = [
         ("Accept", _info(registration, "accept") or JSON),
         ("Via", lengthened(asking.headers.get(b"via", b""), asking.name)),
+        *question.headers,
     ]
     if question.document is not None:
         headers.append(("Content-Type", tongue.media_type))

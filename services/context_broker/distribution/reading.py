@@ -6,6 +6,7 @@ whole entities.
 """
 
 import copy
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from services.context_broker.distribution.distribution import (
 )
 from services.context_broker.distribution.fetching import ONE, answering, fetch_many, fetch_one
 from services.context_broker.distribution.gathering import Gathering
+from services.context_broker.distribution.mapping import MAKES, Mapper
 from services.context_broker.distribution.questions import (
     asked_by,
     names_of,
@@ -33,7 +35,7 @@ from services.context_broker.entities.entity import Entity
 from services.context_broker.queries.reading import datasets_of
 from services.context_broker.queries.type_selection import of_types
 from services.context_broker.sources.reach import Reach
-from services.context_broker.sources.registration import Asked, Match, Registration
+from services.context_broker.sources.registration import Asked, Match
 
 MOST_LINKING: Final = 1000
 """Of so many of the broker's own entities the links are followed to other sources."""
@@ -75,12 +77,6 @@ async def query(sources: Sources, exchange: Exchange, perform: Performing) -> An
     return await _query(sources, exchange, perform, context, [dict(exchange.parameters)])
 
 
-async def query_by_method(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
-    """GET or POST entityMaps, which ask as the two queries do (clause 5.14.4)."""
-    ask = query if exchange.method == "GET" else query_batch
-    return await ask(sources, exchange, perform)
-
-
 async def query_batch(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
     """POST entityOperations/query."""
     document, context = await exchange.body()
@@ -91,26 +87,45 @@ async def query_batch(sources: Sources, exchange: Exchange, perform: Performing)
     )
 
 
+async def map_entities(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
+    """GET or POST entityMaps, which ask as the two queries do (clause 5.14.4)."""
+    if exchange.method == "GET":
+        context, questions = await exchange.reader_context(), [dict(exchange.parameters)]
+    else:
+        document, context = await exchange.body()
+        if not isinstance(document, dict):
+            return await perform(exchange)
+        questions = list(questions_in(document, exchange.parameters))
+    mapper = Mapper(sources, context, exchange.parameter("entityMapLifetime"))
+    return await _query(sources, exchange, perform, context, questions, mapper=mapper)
+
+
 async def _query(
     sources: Sources,
     exchange: Exchange,
     perform: Performing,
     context: Context,
     questions: list[dict[str, str]],
+    *,
+    mapper: Mapper | None = None,
 ) -> Answer:
     gathering = Gathering()
-    proxied: dict[str, Registration] = {}
-    asked_of: list[Any] = []
+    matched: list[tuple[Match, dict[str, str], bool]] = []
     wanted: list[Asked] = []
     for parameters in questions:
         asked, where = asked_by(parameters, context, names_of(parameters, context))
         wanted.append(asked)
-        matches = answering(sources, asked, where)
+        matches = answering(sources, asked, where, or_takes=None if mapper is None else MAKES)
         is_split = _is_split(parameters, matches)
-        for match in matches:
-            if match.registration.mode.is_proxied:
-                proxied[match.registration.id] = match.registration
-            asked_of.append(fetch_many(sources, match, parameters, context, gathering, is_split=is_split))
+        matched += [(match, parameters, is_split) for match in matches]
+    times = Counter(match.registration.id for match, _, _ in matched)
+    registrations = {match.registration.id: match.registration for match, _, _ in matched}
+    asked_of: list[Any] = [
+        mapper.ask(match, parameters, gathering, is_split=is_split)
+        if mapper is not None and times[match.registration.id] == 1  # of several maps one could be linked
+        else fetch_many(sources, match, parameters, context, gathering, is_split=is_split)
+        for match, parameters, is_split in matched
+    ]
     wants_links = _wants_links(exchange)
     if not asked_of and not wants_links:
         return await perform(exchange)
@@ -120,7 +135,7 @@ async def _query(
         None if any(one.types is None for one in wanted) else [t for one in wanted for t in one.types or ()]
     )
     store = exchange.tenant.store
-    claims = list(proxied.values())
+    claims = [one for one in registrations.values() if one.mode.is_proxied]
     touched = set(gathering.fragments)
     if claims or wants_links:
         own = store.candidates(ids, None if types is None else of_types(types))
@@ -129,7 +144,9 @@ async def _query(
     await _add_linked(sources, exchange, context, others)
     mix = store.mixed(ids, None if ids is not None else types, others)
     mix.origins = gathering.origins(store)
-    return await perform(_over(exchange, mix))
+    mixed = _over(exchange, mix)
+    mixed.elsewhere = None if mapper is None else mapper.listed
+    return await perform(mixed)
 
 
 def _is_split(parameters: Mapping[str, str], matches: list[Match]) -> bool:
@@ -164,7 +181,7 @@ async def _add_linked(
             return
         gathering = Gathering()
         asked = Asked(ids=tuple(ids))
-        matches = answering(sources, asked)
+        matches = answering(sources, asked, heeds_map=False)
         await all_of(
             *(fetch_many(sources, match, {}, context, gathering, is_split=True) for match in matches)
         )

@@ -288,6 +288,15 @@ class Match:
                 found |= part.attributes
         return frozenset(found)
 
+    def among(self, holders: Mapping[str, Iterable[str]]) -> "Match":
+        """Return the match narrowed to entities of which the registration is one of the `holders`."""
+        mine = self.registration.id
+        narrowed = (
+            replace(part, ids=tuple(one for one in part.ids or holders if mine in holders.get(one, ())))
+            for part in self.parts
+        )
+        return Match(self.registration, tuple(part for part in narrowed if part.ids))
+
 
 Where = Callable[[Registration], bool]
 """A further condition on registrations, such as a context source filter."""
