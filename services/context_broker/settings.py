@@ -82,5 +82,8 @@ class BrokerSettings(Settings):
         default=True, description="whether the broker records what changes, for the temporal API to tell"
     )
     broker_history_keep_days: float = Field(
-        30.0, ge=0, description="for how many days the broker keeps what it has recorded; 0 keeps it for ever"
+        7.0,
+        ge=0,
+        description="for how many days the broker keeps what it has recorded, about a GB a day where 30 "
+        "attributes change each second; 0 keeps it for ever",
     )

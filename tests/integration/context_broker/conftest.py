@@ -119,7 +119,7 @@ class BrokerProcess:
 
 DATABASES = ("sqlite", "postgresql")
 DATABASE = os.environ.get("HANDOVER_TEST_DATABASE", "sqlite")
-"""What tests run on that do not ask for a database; the nightly run says postgresql."""
+"""What tests run on that do not ask for a database; `make thorough` says postgresql."""
 ON_BOTH = {
     "test_batches",
     "test_entities",

@@ -154,6 +154,29 @@ def test_counts_are_true_after_a_power_cut(
 
 
 @pytest.mark.slow
+def test_however_much_a_dead_endpoint_is_owed_the_memory_stays_as_it_is(
+    own_broker: Any, closing: Closing, eventually: Eventually
+) -> None:
+    """Some thousand notifications are enough to see whether a million would fill it."""
+    own_broker.start()
+    with own_broker.client() as http:
+        subscribe(http, "million", closing.url, "Million")
+        memory = psutil.Process(own_broker.process.pid).memory_info
+        things = [f"urn:ngsi-ld:Million:demo:{number}" for number in range(500)]
+        taken = []
+        for number in range(40):
+            batch = [{"id": thing, "type": "Million", "n": number} for thing in things]
+            assert http.post("/entityOperations/upsert?options=update", json=batch).is_success
+            taken.append(memory().rss)
+        assert taken[-1] - taken[9] < 6 * 1024 * 1024, taken
+        assert waiting(own_broker, "memory") <= 256
+        eventually(lambda: waiting(own_broker, "memory") + waiting(own_broker, "disk") == 20_000)
+    own_broker.kill()
+    own_broker.start()
+    eventually(lambda: waiting(own_broker, "memory") + waiting(own_broker, "disk") == 20_000)
+
+
+@pytest.mark.slow
 def test_what_a_dead_endpoint_is_owed_fills_neither_memory_nor_disk(
     own_broker: Any, closing: Closing, eventually: Eventually
 ) -> None:

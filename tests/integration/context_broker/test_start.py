@@ -1,0 +1,48 @@
+"""A start needs nothing from elsewhere: no network, and nothing that is slow to load and seldom used."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NO_TIME_S = 0.0001
+"""For what must be fetched, so that whatever is answered with success was there already."""
+CORE = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context{}.jsonld"
+CONTEXTS = [
+    *(CORE.format(version) for version in ("", "-v1.3", "-v1.5", "-v1.6", "-v1.7", "-v1.8")),
+    "https://smartdatamodels.org/context.jsonld",
+    "https://w3id.org/handover/context.jsonld",
+]
+SELDOM = ("shapely", "lxml", "psycopg", "numpy", "scipy")
+
+in_a_file = pytest.mark.parametrize("own_broker", ["sqlite"], indirect=True)
+
+
+@in_a_file
+def test_what_everybody_uses_is_there_without_a_network(own_broker: Any) -> None:
+    own_broker.extra["HANDOVER_BROKER_CONTEXT_TIMEOUT_S"] = str(NO_TIME_S)
+    own_broker.start()
+    linked = {"Content-Type": "application/ld+json"}
+    with own_broker.client() as http:
+        for number, context in enumerate([*CONTEXTS, CONTEXTS]):
+            entity = {"id": f"urn:x:{number}", "type": "Machine", "speed": 1, "@context": context}
+            answer = http.post("/entities", content=json.dumps(entity), headers=linked)
+            assert answer.status_code == 201, answer.text
+        for number, context in enumerate(CONTEXTS):
+            link = f'<{context}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
+            answer = http.get(f"/entities/urn:x:{number}", headers={"Link": link})
+            assert answer.json()["speed"]["value"] == 1, answer.text
+        entity = {"id": "urn:x:other", "type": "Machine", "@context": "http://192.0.2.1/other.jsonld"}
+        answer = http.post("/entities", content=json.dumps(entity), headers=linked)
+        assert answer.status_code == 504, "this one had to be fetched"
+
+
+@in_a_file
+def test_what_is_seldom_used_is_not_loaded_at_a_start(own_broker: Any) -> None:
+    own_broker.start()
+    loaded = Path(f"/proc/{own_broker.process.pid}/maps")
+    if not loaded.exists():
+        pytest.skip("only Linux tells what a process has loaded")
+    assert "site-packages/orjson" in loaded.read_text()
+    assert not [name for name in SELDOM if f"site-packages/{name}" in loaded.read_text()]
