@@ -205,8 +205,9 @@ def _question(operation: str, tongue: Tongue, parameters: list[tuple[str, str]])
     ids = given["id"].split(",") if "id" in given else []
     entities = [{"id": one, **selector} for one in ids] or ([selector] if selector else [])
     document: dict[str, Any] = {"type": "Query", **({"entities": entities} if entities else {})}
-    if "attrs" in given:
-        document["attrs"] = given["attrs"].split(",")
+    for name in ("attrs", "expandValues", "jsonKeys"):
+        if name in given:
+            document[name] = given[name].split(",")
     document |= {name: given[name] for name in ("q", "scopeQ") if name in given}
     if "georel" in given:
         coordinates = orjson.loads(given["coordinates"])

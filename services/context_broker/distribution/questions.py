@@ -16,7 +16,9 @@ from services.context_broker.queries.selection import compiled
 from services.context_broker.sources.reach import Reach, period_of
 from services.context_broker.sources.registration import Asked, Where
 
-FILTERS: Final = ("q", "scopeQ", "georel", "geometry", "coordinates", "geoproperty")
+FILTERS: Final = (
+    "q", "expandValues", "jsonKeys", "scopeQ", "georel", "geometry", "coordinates", "geoproperty"
+)  # fmt: skip
 """Parameters that are conditions on whole entities."""
 _NEEDS_MORE: Final = (*FILTERS, "orderBy", "join")
 """Parameters for which attributes count that are not to be shown."""
@@ -26,7 +28,7 @@ _TYPE_SIGNS: Final = re.compile(r"[,;|()]+")
 def questions_in(document: Mapping[str, Any], parameters: Mapping[str, str]) -> Iterable[dict[str, str]]:
     """Yield the parameters that a GET for the same, or for one of its selectors, would have."""
     plain = {name: said for name, said in {**parameters, **document}.items() if isinstance(said, str)}
-    for name in ("attrs", "pick", "omit", "datasetId"):
+    for name in ("attrs", "pick", "omit", "datasetId", "expandValues", "jsonKeys"):
         if isinstance(document.get(name), list):
             plain[name] = ",".join(str(one) for one in document[name])
     geo = document.get("geoQ")
