@@ -1,6 +1,5 @@
 """Changes: what each operation makes of an entity, and what of it is news."""
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -51,7 +50,7 @@ def test_only_what_was_written_is_news() -> None:
 
 def test_a_change_that_changes_nothing_makes_no_new_entity() -> None:
     before = entity(status="a")
-    assert changes.updated(before, replace(change(), scopes=("/a",)), AFTER).entity is before
+    assert changes.updated(before, change()._replace(scopes=("/a",)), AFTER).entity is before
     assert changes.appended(before, change(status=1), AFTER, overwrite=False).entity is before
 
 
