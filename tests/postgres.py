@@ -1,7 +1,7 @@
 """A real PostgreSQL for tests, from a wheel: one server for a run, a database for whoever asks.
 
 A run that is killed in the middle cannot stop its server. So somebody else stays with it, who sees the run
-end by the pipe between them.
+end by the pipe between them, and stops the server at once: nobody needs what is in it.
 """
 
 import itertools
@@ -22,15 +22,16 @@ with warnings.catch_warnings():
 WATCH = """
 import os, shutil, signal, sys, time
 sys.stdin.read()
-folder = sys.argv[1]
+running = os.path.join(sys.argv[1], "postmaster.pid")
 try:
-    server = int(open(os.path.join(folder, "postmaster.pid")).readline())
-    os.kill(server, signal.SIGQUIT)
-    while True:
-        os.kill(server, 0)
-        time.sleep(0.05)
+    with open(running) as file:
+        os.kill(int(file.readline()), signal.SIGQUIT)
+    ends = time.monotonic() + 10
+    while os.path.exists(running) and time.monotonic() < ends:
+        time.sleep(0.02)
 except (OSError, ValueError):
-    shutil.rmtree(folder, ignore_errors=True)
+    pass
+shutil.rmtree(sys.argv[1], ignore_errors=True)
 """
 """Waits until its input ends, stops the server in a folder if it still runs, and clears the folder away."""
 
@@ -64,9 +65,7 @@ def postgres_server() -> Iterator[PostgresServer]:
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # what ends the run's whole group spares it
         )
-        server = get_server(Path(folder))
         try:
-            yield PostgresServer(server.get_uri())
+            yield PostgresServer(get_server(Path(folder), cleanup_mode=None).get_uri())
         finally:
-            server.cleanup()
-            watch.communicate(timeout=20)
+            watch.communicate(timeout=100)  # a hundred databases are many files

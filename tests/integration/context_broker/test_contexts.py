@@ -277,6 +277,7 @@ def test_ten_requests_ask_a_server_that_hangs_once(own_broker: Any) -> None:
     own_broker.start()
     with socket.create_server(("127.0.0.1", 0), backlog=64) as silent, own_broker.client() as http:
         silent.setblocking(False)
+        assert http.get("/entities?type=T", headers=link("http://127.0.0.1:9/nobody")).status_code == 504
         url = f"http://127.0.0.1:{silent.getsockname()[1]}/never.jsonld"
         with ThreadPoolExecutor(10) as pool:
             answers = list(pool.map(lambda _: http.get("/entities?type=T", headers=link(url)), range(10)))
