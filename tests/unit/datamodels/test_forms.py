@@ -224,6 +224,12 @@ def test_any_json_is_read_or_refused_with_a_reason(
             assert same(read(written).to_normalized(), written)
 
 
+def test_a_keyword_of_json_ld_is_no_attribute_in_any_form() -> None:
+    entity = {"type": "Asset", "id": "urn:x:y", "@vocab": {}}
+    for form in (None, Form.KEY_VALUES):
+        assert read(entity, form).to_normalized()["@vocab"] == {}
+
+
 def read_or_refused(entity: dict[str, Any], form: Form | None) -> tuple[dict[str, Any], str | None]:
     """Return the entity as it is written again, or why it was refused; nothing else may happen."""
     try:
