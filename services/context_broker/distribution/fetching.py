@@ -5,6 +5,7 @@ those who get an answer all the same.
 """
 
 import re
+import time
 from collections.abc import AsyncIterator, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Final
@@ -33,6 +34,8 @@ SMALL_PAGE: Final = 100
 """The same for a source that refuses so many."""
 MOST_ENTITIES: Final = 20_000
 """Entities of one source that are read for one query; what goes beyond is warned of."""
+MOST_WAITS: Final = 5
+"""All pages of a source together may take so many times what one may."""
 MOST_IDS: Final = 50
 """Ids that fit into one question."""
 AT_A_TIME: Final = 16
@@ -128,7 +131,11 @@ async def _pages(
     """Yield all that a source answers to one question, page by page."""
     small = sources.forwarder.small_pages
     offset, seen = 0, set[str]()
+    until_s = time.monotonic() + MOST_WAITS * sources.forwarder.patience_s(registration)
     while offset < MOST_ENTITIES:
+        if time.monotonic() > until_s:
+            sources.warn(SILENT, f"{registration.endpoint} takes too long to tell of all its entities")
+            return
         limit = SMALL_PAGE if registration.endpoint in small else PAGE
         paged = [*given, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
         try:

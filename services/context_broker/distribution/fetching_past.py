@@ -4,6 +4,7 @@ A source is asked for what it is registered for, in the form that is wanted; or 
 totals are made of, part by part.
 """
 
+import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
@@ -40,6 +41,8 @@ SHOWING: Final = ("pick", "omit")
 """What is left of evolutions once they are put together."""
 MOST_PARTS: Final = 100
 """Parts in which the values of one source are read, a thousand of an attribute in each."""
+LONGEST_READ_S: Final = 30.0
+"""So long values may be read for totals: about as long as askers wait for an answer."""
 _NOT_PASSED_ON: Final = frozenset(
     {"local", "id", "idPattern", "type", "attrs", "pick", "omit", "limit", "offset", "count", "csf",
      "splitEntities", "entities", "temporalQ", "aggrParams", "orderBy", "collation", "entityMapLifetime"}
@@ -82,14 +85,17 @@ Asking = Callable[[Mapping[str, str]], Awaitable[Part]]
 
 
 async def values_of(
-    tellers: Iterable[tuple[Registration | None, Asking]], wish: Wish
+    tellers: Iterable[tuple[Registration | None, Asking]], wish: Wish, patience_s: float = LONGEST_READ_S
 ) -> list[evolutions.Told]:
-    """Return all values that are told, with their times, part by part."""
+    """Return all values that are told, with their times, part by part.
+
+    Raises a problem (403) when there are too many, or reading them takes longer than `patience_s`.
+    """
 
     async def read(registration: Registration | None, ask: Asking) -> list[evolutions.Told]:
         known: dict[str, Evolution] = {}
         parameters: dict[str, str] | None = wish.for_values()
-        parts = 0
+        parts, until_s = 0, time.monotonic() + patience_s
         while parameters is not None:
             part = await ask(parameters)
             for document in part.documents:
@@ -102,7 +108,7 @@ async def values_of(
                 )
             parts += 1
             parameters = None if part.edge is None else _after(parameters, part.edge, wish.query)
-            if parameters is not None and parts >= MOST_PARTS:
+            if parameters is not None and (parts >= MOST_PARTS or time.monotonic() > until_s):
                 raise _too_many()
         return [(registration, document) for document in known.values()]
 

@@ -129,6 +129,10 @@ class Forwarder:
             return True
         return registration.tenant == registry.tenant and self.contexts.is_ours(registration.endpoint)
 
+    def patience_s(self, registration: Registration) -> float:
+        """Return how long one answer of a source is waited for."""
+        return registration.management.timeout_s or self.timeout_s
+
     async def tongue(self, registration: Registration, context: Context, *, body: str | None) -> Tongue:
         """Return how to speak to a source when the request was made in `context`.
 
@@ -174,7 +178,7 @@ class Forwarder:
         url: str,
         headers: list[tuple[str, str]],
     ) -> Reply:
-        timeout_s = registration.management.timeout_s or self.timeout_s
+        timeout_s = self.patience_s(registration)
         try:
             reply = await self.asker.ask(
                 question.method, url, headers, _body(registration, question), timeout_s

@@ -1,5 +1,6 @@
 """What sources answer to those who read: entities, nothing, or a reason to warn (clause 6.3.17)."""
 
+import asyncio
 import hashlib
 import re
 import time
@@ -29,6 +30,10 @@ _FROM_ELSEWHERE: Final = 1 << 62
 the same at every request, so that pages do not shift."""
 
 
+_AT_ONCE: Final = 200
+"""Entities that are read in one go, then others get their turn."""
+
+
 async def heard(sources: Sources, registration: Registration, question: Question) -> Reply | None:
     """Return what a source answers to a question, None if it knows nothing; raises `Unheard`."""
     reply, was_kept = await sources.forwarder.ask(registration, question, sources.asking)
@@ -56,7 +61,9 @@ async def read_entities(
             raise TypeError("it is no list of entities")  # noqa: TRY301 - one way out for all that is wrong
         context = await answered_context(sources, reply, tongue)
         entities = []
-        for told in documents:
+        for number, told in enumerate(documents, 1):
+            if not number % _AT_ONCE:
+                await asyncio.sleep(0)
             one = still_there(told, time.time())
             if one is None or (not one and single):
                 continue

@@ -1,5 +1,6 @@
 """Which sources are asked, and how: none that cannot have what is asked for, each by what it takes."""
 
+import time
 from typing import Any
 
 import httpx
@@ -217,3 +218,20 @@ def test_a_broker_that_is_registered_with_itself_does_not_ask_itself(
     assert [one.status_code for one in answers] == [201, 200, 200, 200, 200, 204, 204, 204]
     assert not any("ngsild-warning" in one.headers for one in answers)
     assert "timesSent" not in near.get(path).json()
+
+
+def test_a_source_that_is_slow_with_each_of_many_pages_is_not_waited_for_to_the_end(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, management={"timeout": 400})
+
+    def page(query: dict[str, str]) -> tuple[int, list[dict[str, str]]]:
+        time.sleep(0.3)
+        first = int(query.get("offset", "0"))
+        return 200, [{"id": f"urn:x:{number}", "type": kind} for number in range(first, first + 1000)]
+
+    source.answers["GET", ENTITIES] = page
+    answer = near.get("/entities", params={"type": kind, "limit": 1})
+    assert answer.status_code == 200
+    assert answer.headers["ngsild-warning"].startswith("199")
+    assert len(source.asked) < 20
