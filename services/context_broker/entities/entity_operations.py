@@ -29,6 +29,7 @@ from services.context_broker.entities.intake import (
     refuse_nulls,
 )
 from services.context_broker.entities.purge import PURGE_PARAMETERS, purge
+from services.context_broker.entities.rendering import render
 from services.context_broker.queries.asking import answered, asking_of, join_of
 from services.context_broker.queries.reading import (
     LINK_PARAMETERS,
@@ -111,6 +112,8 @@ class EntityOperations:
         _require_type(exchange, entity, context)
         if view.attributes is not None and view.attributes.isdisjoint(entity.attributes):
             raise not_found(f"entity {entity_id} has none of the attributes {exchange.parameter('attrs')}")
+        if view.projection is not None and not render(entity, context.terms, view):
+            raise nothing_left(entity_id)
         store = exchange.tenant.store
         return entity_answer(exchange, entity, Showing(context, view, join, store.get))
 
@@ -279,6 +282,11 @@ def creation(store: Store, change: Change) -> Event:
 def absent(entity_id: str) -> Problem:
     """There is no such entity."""
     return not_found(f"there is no entity {entity_id}; create it first")
+
+
+def nothing_left(entity_id: str) -> Problem:
+    """The entity has nothing of what is picked, or nothing that is not omitted."""
+    return not_found(f"pick and omit leave nothing of entity {entity_id}; ask for something that it has")
 
 
 def _absent_instance(exchange: Exchange, dataset: str | None) -> Problem:

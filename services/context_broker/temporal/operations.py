@@ -15,7 +15,7 @@ from services.context_broker.api.problems import bad_request_data, not_read
 from services.context_broker.api.words import require_uri, shown
 from services.context_broker.contexts.book import Context
 from services.context_broker.entities.entity import Entity
-from services.context_broker.entities.entity_operations import absent
+from services.context_broker.entities.entity_operations import absent, nothing_left
 from services.context_broker.entities.rendering import with_context
 from services.context_broker.queries.ordering import Ordering, ordering
 from services.context_broker.queries.pages import PLACE
@@ -102,6 +102,8 @@ class TemporalOperations:
         if answered is None:
             raise absent(entity_id)
         found, (text,) = answered
+        if text in {b"{}", with_context(b"{}", wish.context)}:
+            raise nothing_left(entity_id)
         return _answer(text, found, wish)
 
     async def query(self, exchange: Exchange) -> Answer:
