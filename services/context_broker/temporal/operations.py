@@ -126,6 +126,11 @@ class TemporalOperations:
         self, exchange: Exchange, context: Context, any_of: tuple[Selection, ...] = ()
     ) -> Answer:
         wish = await self._wish(exchange, context)
+        if wish.query.relation is None:
+            raise bad_request_data(
+                "a query of the past needs a time that it is about: timerel and timeAt; add them, such as "
+                "timerel=after&timeAt=1970-01-01T00:00:00Z for all the past"
+            )
         window, order = temporal_window(exchange), _order_of(exchange, context)
         selection = selection_of(exchange.parameters, context, any_of)
         if selection.query is not None and selection.query.hops:

@@ -45,6 +45,7 @@ def test_members_are_picked_and_omitted(http: httpx.Client) -> None:
                 answer = http.get(path, params=nothing, headers=headers)
                 assert (answer.status_code, answer.json()["type"].split("/")[-1]) == (404, "ResourceNotFound")
 
+
 @pytest.mark.parametrize(
     "parameters",
     [

@@ -353,6 +353,7 @@ def test_forgetting_the_past_leaves_the_present_alone(http: httpx.Client, entity
         {"timerel": "between", "timeAt": at(0)},
         {"timerel": "between", "timeAt": at(1), "endTimeAt": at(1)},
         {"timerel": "after", "timeAt": "yesterday"},
+        {"timerel": "after", "timeAt": "2026-01-01T03:02:00"},
         {"timerel": "before", "timeAt": at(0), "endTimeAt": at(1)},
         {"timeproperty": "observed"},
         {"lastN": "0"},
@@ -368,16 +369,21 @@ def test_forgetting_the_past_leaves_the_present_alone(http: httpx.Client, entity
 )
 def test_what_cannot_be_asked_is_refused(http: httpx.Client, car: str, parameters: dict[str, str]) -> None:
     assert fault(http.get(f"{PAST}/{car}", params=parameters)) == (400, "BadRequestData")
-    assert fault(http.get(PAST, params={"type": "Car", **parameters})) == (400, "BadRequestData")
+    some_time = {"timerel": "after", "timeAt": at(0)}
+    for time in ({}, {} if "timerel" in parameters or "timeAt" in parameters else some_time):
+        answer = http.get(PAST, params={"type": "Car", **time, **parameters})
+        assert fault(answer) == (400, "BadRequestData")
 
 
 def test_queries_that_are_too_broad_or_unknown_are_refused(http: httpx.Client) -> None:
     assert fault(http.get(PAST, params={"timerel": "after", "timeAt": at(0)})) == (400, "BadRequestData")
+    assert fault(http.get(PAST, params={"type": "Car"})) == (400, "BadRequestData")
     assert fault(http.get(PAST, params={"type": "Car", "format": "csv"})) == (400, "InvalidRequest")
     assert fault(http.get(PAST, params={"type": "Car", "fromTime": at(0)})) == (400, "InvalidRequest")
     assert fault(http.get(PAST, params={"type": "Car", "join": "inline"})) == (400, "InvalidRequest")
     for wrong in ({"orderBy": "speed"}, {"q": 'owner{name}=="x"'}, {"id": "no uri"}, {"csf": "))("}):
-        assert fault(http.get(PAST, params={"type": "Car", **wrong})) == (400, "BadRequestData")
+        asked = {"type": "Car", "timerel": "after", "timeAt": at(0), **wrong}
+        assert fault(http.get(PAST, params=asked)) == (400, "BadRequestData")
     system = {"attrs": "createdAt", "timerel": "after", "timeAt": at(0)}
     assert fault(http.get(PAST, params=system)) == (400, "BadRequestData")
     queries: list[Any] = [
@@ -422,7 +428,8 @@ def test_tenants_have_their_own_past(http: httpx.Client, car: str, entity_id: st
     assert http.post(PAST, json=body, headers=theirs).status_code == 201
     assert values(http.get(f"{PAST}/{car}", headers=theirs).json()) == [7]
     assert values(told(http, car)) == [10, 20, 30, 40, 50]
-    found = http.get(PAST, params={"type": "Car", "attrs": "speed"}, headers=theirs).json()
+    asked = {"type": "Car", "attrs": "speed", "timerel": "after", "timeAt": "2026-01-01T03:00:00+04:00"}
+    found = http.get(PAST, params=asked, headers=theirs).json()
     assert [one["id"] for one in found] == [car]
 
 
