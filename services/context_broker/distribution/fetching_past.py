@@ -201,7 +201,9 @@ async def ask_source(
         wanted = [] if single else who(match, parameters, tongue.name)
         wanted += of_the_past(match, parameters, tongue, same=tongue.context is context)
         if not single:
-            wanted.append(("limit", parameters["limit"]))
+            wanted += [
+                (name, parameters[name]) for name in ("limit", "offset") if parameters.get(name, "0") != "0"
+            ]
         headers = sources.map_headers(registration)
         question = Question("GET", path, tongue, tuple(wanted), headers=headers)
         reply = await heard(sources, registration, question)

@@ -6,6 +6,7 @@ periods cannot be put together: where several tell of one entity they are asked 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import orjson
 
@@ -35,7 +36,15 @@ from services.context_broker.distribution.fetching_past import (
     values_of,
 )
 from services.context_broker.distribution.forwarding import quoted
-from services.context_broker.distribution.questions import asked_by, questions_in, reach_of, where_of
+from services.context_broker.distribution.questions import (
+    FILTERS,
+    asked_by,
+    may_be_split,
+    questions_in,
+    reach_of,
+    where_of,
+)
+from services.context_broker.distribution.split_evolutions import narrowed_to, split_hits
 from services.context_broker.entities.intake import expand
 from services.context_broker.queries.pages import Window
 from services.context_broker.queries.reading import DEFAULT_LIMIT, LARGEST_LIMIT, json_headers, page_links
@@ -142,13 +151,20 @@ async def _query(sources: Sources, exchange: Exchange, perform: Performing, give
         matched += [(match, parameters) for match in matches]
     if not matched:
         return await perform(exchange)
+    conditions = {name for name in FILTERS if name in given.parameters}
+    if conditions and may_be_split(given.parameters, [match for match, _ in matched]):
+        hits = await split_hits(
+            sources, exchange, perform, matched, _wish(exchange, context, given.parameters)
+        )
+        return await _page_of(hits, sources, exchange, perform, given)
     window = _window(exchange)
-    most = str(min(window.offset + window.limit, LARGEST_LIMIT))
-    own = await perform(_for_all_members(exchange, {"offset": "0", "limit": most}))
+    most = min(window.offset + window.limit, LARGEST_LIMIT) if not window.count else LARGEST_LIMIT
+    paged = {"offset": "0", "limit": str(most)}
+    own = await perform(_for_all_members(exchange, paged))
     wish = _wish(exchange, context, given.parameters)
-    found = await all_of(
+    found: list[Part] = await all_of(
         *(
-            ask_source(sources, match, "temporal/entities", {**parameters, "limit": most}, context)
+            ask_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
             for match, parameters in matched
         )
     )
@@ -157,13 +173,13 @@ async def _query(sources: Sources, exchange: Exchange, perform: Performing, give
         for one in orjson.loads(own.body)
     }
     mine = len(known)
-    for (match, _), part in zip(matched, found, strict=True):
-        for document in part.documents:
-            said = evolutions.shown(document, wish.view, context)
-            known.setdefault(document["id"], []).append((match.registration, said))
-    others = sorted(list(known)[mine:])
-    order = [*list(known)[:mine], *others]
+    _take(known, matched, found, wish)
+    order = list(known)
     page = order[window.offset : window.offset + window.limit]
+    if page and (
+        full := [one for one, part in zip(matched, found, strict=True) if len(part.documents) >= most]
+    ):
+        await _add_rest(known, sources, full, page, wish)
     edge = evolutions.common_edge([edge_of(own), *(part.edge for part in found)], wish.query)
     if wish.is_for_totals:
         edge = None
@@ -187,7 +203,7 @@ async def _query(sources: Sources, exchange: Exchange, perform: Performing, give
         documents = [evolutions.together(known[one], context, wish.query.last) for one in page]
     result = _answer(exchange, wish, documents, edge)
     result.headers += [
-        (name, str(int(value) + len(others)).encode())
+        (name, str(int(value) + len(order) - mine).encode())
         for name, value in own.headers
         if name == b"ngsild-results-count"
     ]
@@ -195,6 +211,68 @@ async def _query(sources: Sources, exchange: Exchange, perform: Performing, give
         more = len(order) > window.offset + window.limit
         result.headers += page_links(exchange, window, exchange.accept(), more=more)
     return result
+
+
+def _take(
+    known: dict[str, list[evolutions.Told]],
+    matched: list[tuple[Match, dict[str, str]]],
+    found: list[Part],
+    wish: Wish,
+) -> None:
+    """Add what sources tell, one source after the other: as long as one has more, the next is not reached.
+
+    So pages neither repeat nor miss anything, though each is read from the beginning.
+    """
+    for (match, _), part in zip(matched, found, strict=True):
+        for document in part.documents:
+            told = known.setdefault(document["id"], [])
+            if not any(one is match.registration for one, _ in told):
+                told.append((match.registration, evolutions.shown(document, wish.view, wish.context)))
+
+
+async def _add_rest(
+    known: dict[str, list[evolutions.Told]],
+    sources: Sources,
+    full: list[tuple[Match, dict[str, str]]],
+    page: list[str],
+    wish: Wish,
+) -> None:
+    """Add what sources that have more than they were asked for have of the entities of a page."""
+    asking = asking_sources(sources, full, wish.context, tuple(page))
+    parts = await all_of(*(ask(wish.parameters) for _, ask in asking))
+    for (registration, _), part in zip(asking, parts, strict=True):
+        for document in part.documents:
+            told = known.get(document["id"])
+            if told is not None and not any(one is registration for one, _ in told):
+                told.append((registration, evolutions.shown(document, wish.view, wish.context)))
+
+
+async def _page_of(
+    hits: list[str], sources: Sources, exchange: Exchange, perform: Performing, given: _Asked
+) -> Answer:
+    """Answer with a page of the entities that meet all conditions, in the form that is wanted."""
+    window = _window(exchange)
+    some = hits[window.offset : window.offset + window.limit]
+    narrowed = narrowed_to(exchange, some or [_NOBODY])
+    gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
+    shape = {"id": ",".join(some or [_NOBODY]), "limit": str(max(1, len(some)))}
+
+    def without(parameters: Mapping[str, str]) -> dict[str, str]:
+        return {**{name: said for name, said in parameters.items() if name not in gone}, **shape}
+
+    asked = _Asked(given.context, without(given.parameters), [without(one) for one in given.questions])
+    result = await _query(sources, narrowed, perform, asked)
+    headers = [one for one in result.headers if one[0] != b"link" or b"json-ld#context" in one[1]]
+    if window.count:
+        headers.append((b"ngsild-results-count", str(len(hits)).encode()))
+    if exchange.method == "GET":
+        more = window.offset + window.limit < len(hits)
+        headers += page_links(exchange, window, exchange.accept(), more=more)
+    return Answer(result.status, result.body, headers)
+
+
+_NOBODY: Final = "urn:ngsi-ld:Entity:nobody"
+"""Asked for where a page has nothing, so that an empty answer looks as the asker wants it."""
 
 
 def _for_all_members(exchange: Exchange, window: Mapping[str, str]) -> Exchange:
@@ -224,7 +302,9 @@ def _window(exchange: Exchange) -> Window:
         given = exchange.parameter(name) or ""
         return int(given) if given.isascii() and given.isdecimal() and len(given) < 10 else default
 
-    return Window(number("offset", 0), number("limit", DEFAULT_LIMIT), False)
+    options = (exchange.parameter("options") or "").split(",")
+    counts = exchange.parameter("count") == "true" or "count" in options
+    return Window(number("offset", 0), number("limit", DEFAULT_LIMIT), counts)
 
 
 def _answer(

@@ -14,7 +14,7 @@ from services.context_broker.queries.reading import datasets_of
 from services.context_broker.queries.scope_query import scope_query
 from services.context_broker.queries.selection import compiled
 from services.context_broker.sources.reach import Reach, period_of
-from services.context_broker.sources.registration import Asked, Where
+from services.context_broker.sources.registration import Asked, Match, Where
 
 FILTERS: Final = (
     "q", "expandValues", "jsonKeys", "scopeQ", "georel", "geometry", "coordinates", "geoproperty"
@@ -103,3 +103,15 @@ def names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] 
 
 
 _PLAIN_NAMES: Final = re.compile(r"[^{}()\[\].|;]+")
+
+
+def may_be_split(parameters: Mapping[str, str], matches: Iterable[Match]) -> bool:
+    """Say whether one entity may be told by several sources, each a part, so that filters must wait.
+
+    The standard leaves it to the deployment where splitEntities is not given (clause 5.7.2.4). Here entities
+    are taken to be split where a registration names attributes: then its source has a part of them.
+    """
+    given = parameters.get("splitEntities")
+    if given is not None:
+        return given == "true"
+    return any(piece.attributes is not None for one in matches for piece in one.registration.information)

@@ -7,7 +7,7 @@ whole entities.
 
 import copy
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Final
 
 from handover.errors import Problem
@@ -26,6 +26,7 @@ from services.context_broker.distribution.gathering import Gathering
 from services.context_broker.distribution.mapping import MAKES, Mapper
 from services.context_broker.distribution.questions import (
     asked_by,
+    may_be_split,
     names_of,
     questions_in,
     types_of,
@@ -116,7 +117,7 @@ async def _query(
         asked, where = asked_by(parameters, context, names_of(parameters, context))
         wanted.append(asked)
         matches = answering(sources, asked, where, or_takes=None if mapper is None else MAKES)
-        is_split = _is_split(parameters, matches)
+        is_split = may_be_split(parameters, matches)
         matched += [(match, parameters, is_split) for match in matches]
     times = Counter(match.registration.id for match, _, _ in matched)
     registrations = {match.registration.id: match.registration for match, _, _ in matched}
@@ -147,18 +148,6 @@ async def _query(
     mixed = _over(exchange, mix)
     mixed.elsewhere = None if mapper is None else mapper.listed
     return await perform(mixed)
-
-
-def _is_split(parameters: Mapping[str, str], matches: list[Match]) -> bool:
-    """Say whether one entity may be told by several sources, each a part, so that filters must wait.
-
-    The standard leaves it to the deployment where splitEntities is not given (clause 5.7.2.4). Here entities
-    are taken to be split where a registration names attributes: then its source has a part of them.
-    """
-    given = parameters.get("splitEntities")
-    if given is not None:
-        return given == "true"
-    return any(piece.attributes is not None for one in matches for piece in one.registration.information)
 
 
 def _wants_links(exchange: Exchange) -> bool:

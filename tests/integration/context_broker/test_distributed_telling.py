@@ -225,3 +225,59 @@ def test_what_is_more_than_one_answer_is_told_up_to_the_same_moment_by_all(
         "sum"
     ] == [1550]
     assert near.get(f"/temporal/entities/{entity_id}", params=AGGREGATES).status_code == 403
+
+
+def test_pages_of_the_past_do_not_depend_on_the_order_of_ids(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
+    register(near, brokers[2].url, {"type": kind}, operations=TEMPORAL)
+    with brokers[2].client() as third:
+        for name in "dabc":
+            tell(far, f"urn:ngsi-ld:{kind}:{name}", kind, a={1: 1})
+        for name in "zbx":
+            tell(third, f"urn:ngsi-ld:{kind}:{name}", kind, b={1: 1})
+    tell(near, f"urn:ngsi-ld:{kind}:x", kind, c={1: 1})
+    seen: dict[str, set[str]] = {}
+    for offset in range(7):
+        asked = {"type": kind, "limit": 1, "offset": offset, **THAT_DAY}
+        for one in near.get("/temporal/entities", params=asked).json():
+            assert one["id"] not in seen
+            seen[one["id"]] = one.keys() & {"a", "b", "c"}
+    assert {one[-1]: names for one, names in seen.items()} == {
+        "x": {"b", "c"},
+        "a": {"a"},
+        "b": {"a", "b"},
+        "c": {"a"},
+        "d": {"a"},
+        "z": {"b"},
+    }
+
+
+def test_conditions_on_the_past_are_looked_at_on_whole_entities(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    register(near, brokers[1].url, {"type": kind}, ["there"], operations=TEMPORAL)
+    ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(5)]
+    for number, one in enumerate(ids):
+        tell(near, one, kind, here={1: number})
+        tell(far, one, kind, there={1: 0, 2: 10 * number})
+    tell(far, f"urn:ngsi-ld:{kind}:elsewhere", kind, there={1: 50})
+    asked = {"type": kind, "q": "here>1;there<40", **THAT_DAY}
+    answer = near.get("/temporal/entities", params={**asked, "limit": 2, "count": "true"})
+    assert [one["id"] for one in answer.json()] == ids[2:4], answer.text
+    assert told(answer.json()[0], "there") == [0, 20]
+    assert answer.headers["ngsild-results-count"] == "3"  # of the last one, 0 is below 40, too
+    assert "next" in answer.links
+    rest = near.get("/temporal/entities", params={**asked, "limit": 2, "offset": 2}).json()
+    assert [one["id"] for one in rest] == [ids[4]]
+    assert near.get("/temporal/entities", params={**asked, "offset": 9}).json() == []
+    pairs = near.get("/temporal/entities", params={**asked, "options": "temporalValues", "pick": "id,there"})
+    assert [one["there"]["values"][-1][0] for one in pairs.json()] == [20, 30, 40]
+    assert "here" not in pairs.json()[0]
+    query = {"type": "Query", "entities": [{"type": kind}], "q": asked["q"], "temporalQ": THAT_DAY}
+    posted = near.post("/temporal/entityOperations/query", json=query, params={**AGGREGATES})
+    assert posted.status_code == 200, posted.text
+    assert [totals(one, "there")["max"] for one in posted.json()] == [[20], [30], [40]]
+    whole = near.get("/temporal/entities", params={**asked, "splitEntities": "false"}).json()
+    assert whole == []
