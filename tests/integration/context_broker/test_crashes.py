@@ -16,7 +16,7 @@ WRITERS = 6
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("own_broker", ["sqlite", "postgresql"], indirect=True)
 def test_power_cuts_take_nothing_back_that_was_acknowledged(own_broker: Any) -> None:
     writers = [Writer(own_broker, number) for number in range(WRITERS)]
