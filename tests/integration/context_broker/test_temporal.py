@@ -295,6 +295,35 @@ def test_the_past_is_added_to(http: httpx.Client, car: str) -> None:
     assert http.get(f"/entities/{car}").status_code == 404  # the present knows nothing of it
 
 
+def test_what_is_said_twice_is_known_once(http: httpx.Client, car: str) -> None:
+    before = told(http, car, options="sysAttrs")
+    again = {
+        "id": car,
+        "type": "Car",
+        "speed": [*readings([11, 20]), *readings([60], 5)],
+        "heading": [*readings([7], 1, datasetId="urn:x:gps"), *readings([3], 9)],
+        "scope": readings(["/a"]),
+    }
+    for _ in range(2):
+        assert http.post(PAST, json=again).status_code == 204
+        past = told(http, car, options="sysAttrs")
+        assert values(past) == [11, 20, 30, 40, 50, 60]
+        assert values(past, "scope") == ["/a"]
+        headings = [(one["value"], one.get("datasetId")) for one in past["heading"]]
+        assert sorted(headings, key=str) == [
+            (1, None),
+            (2, None),
+            (3, None),
+            (7, "urn:x:gps"),
+            (8, "urn:x:gps"),
+        ]
+        first, was = past["speed"][0], before["speed"][0]
+        assert (first["instanceId"], first["createdAt"]) == (was["instanceId"], was["createdAt"])
+        assert first["modifiedAt"] > was["modifiedAt"]
+    http.post(f"{PAST}/{car}/attrs", json={"speed": readings([12])})
+    assert sorted(values(told(http, car))) == [11, 12, 20, 30, 40, 50, 60]
+
+
 def test_an_instance_is_corrected_and_deleted(http: httpx.Client, car: str) -> None:
     first, second, *_ = told(http, car)["speed"]
     path = f"{PAST}/{car}/attrs/speed"
