@@ -23,6 +23,7 @@ from services.context_broker.distribution.distribution import (
     in_place_of,
 )
 from services.context_broker.distribution.evolutions import Evolution
+from services.context_broker.distribution.fetching import MOST_IDS
 from services.context_broker.distribution.forwarding import INVALID, SILENT, Question, Tongue, Unheard
 from services.context_broker.distribution.source_answers import answered_context, heard
 from services.context_broker.distribution.translation import translated
@@ -195,6 +196,24 @@ async def ask_source(
     single: bool = False,
 ) -> Part:
     """Return what a source tells, as documents in the names of `context`."""
+    pieces = [match] if single else list(match.in_questions(MOST_IDS))
+    if len(pieces) == 1:
+        return await _asked(sources, match, path, parameters, context, single=single)
+    parts = await all_of(*(_asked(sources, one, path, parameters, context) for one in pieces))
+    edges = [part.edge for part in parts if part.edge is not None]
+    edge = None if not edges else max(edges) if "lastN" in parameters else min(edges)
+    return Part([document for part in parts for document in part.documents], edge)
+
+
+async def _asked(
+    sources: Sources,
+    match: Match,
+    path: str,
+    parameters: Mapping[str, str],
+    context: Context,
+    *,
+    single: bool = False,
+) -> Part:
     registration = match.registration
     try:
         tongue = await sources.forwarder.tongue(registration, context, body=None)

@@ -14,6 +14,7 @@ from services.context_broker.api.exchange import Answer, Exchange
 from services.context_broker.contexts.book import Context
 from services.context_broker.distribution import outcomes
 from services.context_broker.distribution.distribution import Performing, Sources, all_of
+from services.context_broker.distribution.fetching import MOST_IDS
 from services.context_broker.distribution.forwarding import SILENT, Question, Tongue, Unheard
 from services.context_broker.distribution.outcomes import Outcome
 from services.context_broker.distribution.questions import asked_by
@@ -29,7 +30,8 @@ async def purge(sources: Sources, exchange: Exchange, perform: Performing) -> An
     asked, where = asked_by(exchange.parameters, context, None)
     matches = sources.unasked(sources.registry.matching("purgeEntity", asked, where))
     own = await perform(exchange)
-    found = await all_of(*(_purge_at(sources, one, exchange.parameters, context) for one in matches))
+    pieces = [piece for one in matches for piece in one.in_questions(MOST_IDS)]
+    found = await all_of(*(_purge_at(sources, one, exchange.parameters, context) for one in pieces))
     failed = [one for one in found if one.problem is not None and one.status != 404]
     if not failed:
         return own
@@ -53,6 +55,8 @@ async def _purge_at(
             return Outcome(one, nothing, 204)
         question = Question("DELETE", "entities", tongue, tuple(wanted))
         reply, _ = await sources.forwarder.ask(one, question, sources.asking)
+        if sources.had_passed(one, reply.status):
+            return Outcome(one, nothing, 204)
     except Unheard as unheard:
         return outcomes.of_silence(unheard, nothing)
     except Problem as problem:  # its @context

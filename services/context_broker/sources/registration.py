@@ -5,7 +5,7 @@ registration made ready for matching; `registration_intake` reads what is sent, 
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, Final
@@ -287,6 +287,19 @@ class Match:
                     return None
                 found |= part.attributes
         return frozenset(found)
+
+    def in_questions(self, most_ids: int) -> Iterator["Match"]:
+        """Yield the match in pieces with so many ids at most; itself if it does not go by ids."""
+        ids = self.ids
+        if ids is None or len(ids) <= most_ids:
+            yield self
+            return
+        for start in range(0, len(ids), most_ids):
+            some = frozenset(ids[start : start + most_ids])
+            parts = (
+                replace(part, ids=tuple(filter(some.__contains__, part.ids or ()))) for part in self.parts
+            )
+            yield Match(self.registration, tuple(part for part in parts if part.ids))
 
     def among(self, holders: Mapping[str, Iterable[str]]) -> "Match":
         """Return the match narrowed to entities of which the registration is one of the `holders`."""

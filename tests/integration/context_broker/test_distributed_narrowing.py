@@ -235,3 +235,28 @@ def test_a_source_that_is_slow_with_each_of_many_pages_is_not_waited_for_to_the_
     assert answer.status_code == 200
     assert answer.headers["ngsild-warning"].startswith("199")
     assert len(source.asked) < 20
+
+
+def test_a_source_that_is_registered_for_many_ids_is_asked_in_questions_of_bearable_length(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    ids = [f"urn:ngsi-ld:{kind}:{number:03}" for number in range(120)]
+    operations = ["queryEntity", "queryTemporal", "purgeEntity"]
+    path = register(near, source.url, {"type": kind}, operations=operations)
+    entities = [{"type": kind, "id": one} for one in ids]
+    assert near.patch(path, json={"information": [{"entities": entities}]}).status_code == 204
+    past = "/ngsi-ld/v1/temporal/entities"
+
+    def told(query: dict[str, str]) -> tuple[int, list[dict[str, Any]]]:
+        n = {"type": "Property", "value": 1, "observedAt": "2026-01-01T00:00:00Z"}
+        return 200, [{"id": one, "type": kind, "n": [n]} for one in query["id"].split(",")]
+
+    source.answers["GET", past] = told
+    source.answers["DELETE", ENTITIES] = 204, None
+    since = {"timerel": "after", "timeAt": "2020-01-01T00:00:00Z"}
+    found = near.get("/temporal/entities", params={"type": kind, "limit": 1000, **since}).json()
+    assert [one["id"] for one in found] == ids
+    near.get("/entities", params={"type": kind})
+    assert near.delete("/entities", params={"type": kind}).status_code == 204
+    assert len(source.asked) == 9
+    assert all(len(one[2]["id"].split(",")) <= 50 for one in source.asked)
