@@ -24,16 +24,13 @@ from starlette.types import ASGIApp, Lifespan, Message, Receive, Scope, Send
 
 from handover.errors import Problem, UsageError
 from handover.ports import require_free
-from handover.settings import PREFIX, Settings
+from handover.settings import LIFELINE, PREFIX, Settings
 from handover.telemetry import get_logger, set_up_logging
 
 log = get_logger(__name__)
 
 Check = Callable[[], Awaitable[None]]
 """A readiness probe: returns when the thing answers, raises (with a sentence) when it does not."""
-
-LIFELINE = f"{PREFIX}LIFELINE"
-"""Set by the launcher: the service ends when its standard input closes, so that no orphan stays."""
 
 
 def create_app(

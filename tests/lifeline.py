@@ -6,7 +6,7 @@ Services that are told of it end with it, so that a run which was killed leaves 
 import os
 from typing import Final
 
-from handover.service import LIFELINE
+from handover.settings import LIFELINE
 
 STDIN, _HELD = os.pipe()  # nothing is ever written: only this process holds the other end
 TOLD: Final = {LIFELINE: "1"}
