@@ -21,6 +21,7 @@ from services.context_broker.api.problems import bad_request_data, too_large
 from services.context_broker.api.words import moment
 from services.context_broker.contexts.fetching import LARGEST_CONTEXT, Fetcher, unavailable
 from services.context_broker.contexts.kept import (
+    ContextKind,
     ContextShelf,
     KeptContext,
     cached,
@@ -314,6 +315,15 @@ class ContextBook:
             one.used_s = now_s
             if one.expires_s <= now_s:
                 self._refresh(one)
+        self._write_usage_soon()
+
+    def seen(self, one: KeptContext) -> None:
+        """Count that a client looked at a context: one in the cache was found there (clause 5.13.3.5)."""
+        if one.kind is ContextKind.CACHED and not self.is_shipped(one):
+            one.hits += 1
+            self._write_usage_soon()
+
+    def _write_usage_soon(self) -> None:
         if self._usage_due is None:
             self._usage_due = asyncio.get_running_loop().call_later(USAGE_KEPT_S, self.write_usage)
 

@@ -99,7 +99,9 @@ def test_what_a_hosted_context_refers_to_is_fetched_and_cached(http: httpx.Clien
     hosted = str(http.base_url).rstrip("/") + path
     entity = {"id": "urn:x:parts", "type": "Thing", "speed": 3}
     assert http.post("/entities", json=entity, headers=link(hosted)).status_code == 201
-    assert details(http, url)["kind"] == "Cached"
+    assert [details(http, url)[told] for told in ("kind", "numberOfHits")] == ["Cached", 2]
+    assert details(http, url)["numberOfHits"] == 3  # it was found there, to be looked at
+    assert details(http, path.rpartition("/")[2])["numberOfHits"] == 1
     read = http.get("/entities/urn:x:parts?options=keyValues").json()
     assert read["https://a.example/speed"] == 3
     refused = http.get(f"/jsonldContexts/{quote(url, safe='')}")
@@ -236,7 +238,9 @@ def test_a_subscription_that_brings_its_context_gets_one_that_a_link_can_name(
     assert http.post("/subscriptions", content=json.dumps(wanted), headers=LD).status_code == 201
     url = http.get("/subscriptions/urn:x:sub:implicit").json()["jsonldContext"]
     assert url in http.get("/jsonldContexts?kind=ImplicitlyCreated").json()
-    assert details(http, url.rpartition("/")[2])["kind"] == "ImplicitlyCreated"
+    implicit = details(http, url.rpartition("/")[2])
+    assert (implicit["kind"], implicit["numberOfHits"]) == ("ImplicitlyCreated", 1)
+    assert details(http, url)["numberOfHits"] == 1
     assert httpx.get(url, trust_env=False).json() == {"@context": context}
     lamp = {"id": "urn:x:lamp", "type": "Lamp", "glow": 5, "@context": context}
     assert http.post("/entities", content=json.dumps(lamp), headers=LD).status_code == 201
