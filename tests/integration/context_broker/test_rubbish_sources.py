@@ -18,7 +18,7 @@ OPERATIONS = [
     "redirectionOps", "createSubscription", "deleteSubscription", "retrieveTemporal", "queryTemporal",
     "createEntityMapQueryTemporal", "upsertBatch", "upsertTemporal",
 ]  # fmt: skip
-PATIENCE_MS = 1500
+PATIENCE_MS = 3000
 
 
 def page(body: bytes, head: bytes = HEAD) -> bytes:
