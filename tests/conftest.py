@@ -33,7 +33,12 @@ EXAMPLES = int(os.environ.get("HANDOVER_TEST_EXAMPLES", "25"))
 further, but in CI: what it says of a change must not depend on luck."""
 
 hypothesis.settings.register_profile(
-    "ours", max_examples=EXAMPLES, derandomize=EXAMPLES <= 25 or bool(os.environ.get("CI")), deadline=None
+    "ours",
+    max_examples=EXAMPLES,
+    derandomize=EXAMPLES <= 25 or bool(os.environ.get("CI")),
+    # How long an example takes is no concern of a test: machines are slow at times.
+    deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
 )
 hypothesis.settings.load_profile("ours")
 
