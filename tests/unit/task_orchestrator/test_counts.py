@@ -97,7 +97,7 @@ TASKS = st.lists(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(drawn=TASKS)
 def test_the_database_counts_as_we_do(store: Store, drawn: list[dict[str, Any]]) -> None:
     engine = store._engine
