@@ -16,6 +16,8 @@ from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnav
 from handover.settings import Settings
 from tests.context_sources import ScriptedSource
 
+pytestmark = pytest.mark.slow
+
 LAMP = "urn:ngsi-ld:Device:demo:lamp-1"
 HERE = Path(__file__).parent
 
