@@ -1,7 +1,6 @@
 """The broker as an application: NGSI-LD under /ngsi-ld/v1 in plain ASGI, health and metrics beside it."""
 
 import asyncio
-import gc
 import time
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
@@ -43,6 +42,7 @@ from services.context_broker.distribution.subscriptions import SubscriptionRelay
 from services.context_broker.entities.batch_operations import BatchOperations
 from services.context_broker.entities.discovery_operations import DiscoveryOperations
 from services.context_broker.entities.entity_operations import EntityOperations
+from services.context_broker.garbage import look_rarely
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots.entity_map_operations import EntityMapOperations, wants_map
 from services.context_broker.snapshots.making import HEADER as SNAPSHOT
@@ -145,7 +145,7 @@ class Broker:
         self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
         LEADS.set_function(lambda: self.leadership.leads)
-        gc.freeze()  # what was loaded stays: collections need not walk through it again and again
+        look_rarely()
         log.info("broker ready", entities=self.tenants.entities(), database=self.journal.name)
 
     async def stop(self) -> None:

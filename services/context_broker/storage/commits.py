@@ -99,7 +99,8 @@ class CommitQueue:
         self._on_news = on_news
         self._taking: asyncio.Task[None] | None = None
         self._after_news: deque[Callable[[], None]] = deque()
-        self._queue: queue.SimpleQueue[Write | Known | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[list[Write] | Known | None] = queue.SimpleQueue()
+        self._gathered: list[Write] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
         self._era = 0
@@ -114,6 +115,7 @@ class CommitQueue:
 
     def knows(self, number: int) -> None:
         """Note that the memory is up to this number of the news of others."""
+        self._send()
         self._known = number
         self._queue.put(Known(number))
 
@@ -130,6 +132,7 @@ class CommitQueue:
     async def stop(self) -> None:
         """Commit what is queued, and end."""
         self._send_later()
+        self._send()
         self._queue.put(None)
         await asyncio.to_thread(self._thread.join)
 
@@ -144,7 +147,18 @@ class CommitQueue:
             together.add(later)
             together.add(entries)
             entries = together
-        self._queue.put(Write(entries, self._era, self._known, done, failed))
+        if not self._gathered:
+            asyncio.get_running_loop().call_soon(self._send)
+        self._gathered.append(Write(entries, self._era, self._known, done, failed))
+
+    def _send(self) -> None:
+        """Hand over what one turn of the event loop has brought.
+
+        One by one, the first write would wake the thread and be committed alone, and the others wait for it.
+        """
+        if self._gathered:
+            writes, self._gathered = self._gathered, []
+            self._queue.put(writes)
 
     async def store(self, entries: Entries) -> None:
         """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
@@ -183,7 +197,7 @@ class CommitQueue:
                     if one is not LOOK or not group:
                         break
                 else:
-                    group.append(one)
+                    group += one
                 if len(group) >= LARGEST_GROUP:
                     break
                 try:
