@@ -218,7 +218,7 @@ class BatchOperations:
         before = store.latest(entity_id)
         if before is None:
             raise absent(entity_id)
-        return _Change(entity_id, store.stage(Event(before, None)))
+        return _Change(entity_id, store.stage(Event.end_of(before)))
 
     @staticmethod
     def _create(store: Store, given: Any, context: Context) -> _Change:

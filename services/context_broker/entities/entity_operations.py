@@ -120,7 +120,7 @@ class EntityOperations:
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}."""
         context = await exchange.reader_context() if exchange.parameters else None
-        await exchange.tenant.store.stage(Event(self.existing(exchange, context), None))
+        await exchange.tenant.store.stage(Event.end_of(self.existing(exchange, context)))
         return DONE
 
     async def replace(self, exchange: Exchange) -> Answer:

@@ -63,7 +63,7 @@ async def purge(exchange: Exchange) -> Answer:
 def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | None:
     """Return what the purge makes of an entity, None if it has nothing of what is to go."""
     if names is None:
-        return Event(entity, None)
+        return Event.end_of(entity)
     outcome = changes.pruned(entity, names, timestamp_now(), keep=keep)
     return None if outcome.entity is entity else Event(entity, outcome.entity, outcome.touched)
 

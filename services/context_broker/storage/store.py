@@ -34,9 +34,13 @@ MOST_INDEXES: Final = 64
 class Staged:
     """A change on its way to disk: the entity before and after (None where there is none)."""
 
-    before: Entity | None
-    after: Entity | None
+    event: Event
     notices: list[Notice]
+
+    @property
+    def after(self) -> Entity | None:
+        """Return how the entity will be."""
+        return self.event.after
 
 
 Announce = Callable[[Event], list[Notice]]
@@ -179,7 +183,7 @@ class Store:
                 self._recorder.record(self.tenant, event, entries)
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
-        staged = Staged(before, after, self._announce(event))
+        staged = Staged(event, self._announce(event))
         entries.owed = staged.notices
         self._staged[one.id] = staged
         fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -197,7 +201,8 @@ class Store:
         return fate
 
     def _take(self, entity_id: str, staged: Staged) -> None:
-        self._put(self._every.by_id.get(entity_id), staged.after)
+        event, before = staged.event, self._every.by_id.get(entity_id)
+        self._put(before, event.after, event.written if before is event.before else None)
         if self._staged.get(entity_id) is staged:
             del self._staged[entity_id]
         if staged.notices:
@@ -227,7 +232,9 @@ class Store:
 
     # Keeping order
 
-    def _put(self, before: Entity | None, after: Entity | None) -> None:
+    def _put(
+        self, before: Entity | None, after: Entity | None, written: frozenset[str] | None = None
+    ) -> None:
         if before is not None and (after is None or after.seq != before.seq):
             self._every.remove(before.id)  # a new entity of the same id goes to the end of the order
         if after is not None:
@@ -236,7 +243,7 @@ class Store:
                 self._ends.watch(self, after)
         elif before is not None and before.ends_at is not None and self._ends is not None:
             self._ends.forget(self, before.id)
-        self.census.note(before, after)
+        self.census.note(before, after, written)
         self._file_by_type(before, after)
         for index in self._indexes.values():
             index.refile(before, after)
