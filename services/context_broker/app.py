@@ -1,37 +1,30 @@
-"""The broker as an application: NGSI-LD under /ngsi-ld/v1 in plain ASGI, health and metrics beside it."""
+"""The broker: its parts put together, and the way of a request through them."""
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Mapping
 from functools import partial
 from typing import Final
 
 import orjson
-from fastapi import FastAPI
 from prometheus_client import Gauge
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope
 
 from handover.errors import Problem
-from handover.service import create_app
 from handover.telemetry import get_logger
 from services.context_broker.api.exchange import (
-    PREFIX,
     Answer,
-    Disconnected,
     Exchange,
     Request,
-    of_tenant,
     path_parts,
     problem_answer,
     received,
-    send_answer,
     told_back,
 )
-from services.context_broker.api.http_protocol import BrokerProtocol
 from services.context_broker.api.operation import Directory, Operation
-from services.context_broker.api.problems import ERRORS, not_stored
+from services.context_broker.api.problems import not_stored
 from services.context_broker.api.request_metrics import RequestMetrics
+from services.context_broker.application import BrokerApplication
 from services.context_broker.contexts.book import ContextBook, Documents
 from services.context_broker.contexts.fetching import Fetcher
 from services.context_broker.contexts.operations import ContextOperations
@@ -348,50 +341,4 @@ def create_broker(settings: BrokerSettings) -> "BrokerApplication":
     journal = Journal(database)
     journal.open()
     broker = Broker(settings, journal, leadership, Replica(journal) if url else None)
-
-    @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        await broker.start()
-        yield
-        await broker.stop()
-
-    operations = create_app(
-        "Context broker",
-        description="The embedded NGSI-LD broker (ETSI GS CIM 009). NGSI-LD itself is under /ngsi-ld/v1.",
-        lifespan=lifespan,
-        checks={"database": leadership.check},
-    )
-
-    return BrokerApplication(broker, operations)
-
-
-class BrokerApplication:
-    """The broker as an ASGI application; its server may also take the short way in, by `protocol`."""
-
-    def __init__(self, broker: Broker, operations: ASGIApp) -> None:
-        self._broker = broker
-        self._operations = operations
-        self.protocol = partial(BrokerProtocol, door=self.answer)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request that came in over ASGI."""
-        if scope["type"] != "http" or not scope["path"].startswith(PREFIX):
-            await self._operations(scope, receive, send)
-            return
-        answer = await self.answer(scope, receive)
-        if answer is not None:
-            await send_answer(send, answer)
-
-    async def answer(self, scope: Scope, receive: Receive) -> Answer | None:
-        """Return the answer to a request about NGSI-LD; None if the asker has gone."""
-        try:
-            return await self._broker.answer(scope, receive)
-        except Problem as problem:
-            return of_tenant(scope, problem_answer(problem))
-        except Disconnected:
-            return None
-        except Exception as error:  # one broken request must not end the connection without an answer
-            log.exception("request failed", method=scope["method"], path=scope["path"])
-            reason = f"{type(error).__name__} while answering; the log of the broker has more"
-            failure = Problem(500, "Internal error", reason, ERRORS + "InternalError")
-            return of_tenant(scope, problem_answer(failure))
+    return BrokerApplication(broker, {"database": leadership.check})

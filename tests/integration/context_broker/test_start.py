@@ -1,6 +1,8 @@
 """A start needs nothing from elsewhere: no network, and nothing that is slow to load and seldom used."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -46,3 +48,20 @@ def test_what_is_seldom_used_is_not_loaded_at_a_start(own_broker: Any) -> None:
         pytest.skip("only Linux tells what a process has loaded")
     assert "site-packages/orjson" in loaded.read_text()
     assert not [name for name in SELDOM if f"site-packages/{name}" in loaded.read_text()]
+
+
+def test_a_start_does_not_wait_for_the_web_framework() -> None:
+    started = "import sys, services.context_broker.app, handover.serving; print('fastapi' in sys.modules)"
+    said = subprocess.run([sys.executable, "-c", started], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "False"
+
+
+@in_a_file
+def test_health_and_metrics_are_there_though_they_are_loaded_later(own_broker: Any) -> None:
+    own_broker.start()
+    with own_broker.client() as http:
+        assert http.get("/types").status_code == 200
+        root = str(http.base_url).partition("/ngsi-ld")[0]
+        for path in ("/healthz", "/readyz", "/metrics", "/context.jsonld", "/docs"):
+            assert http.get(f"{root}{path}").status_code == 200, path
+        assert http.get(f"{root}/nothing").json()["title"] == "Not Found"
