@@ -32,7 +32,8 @@ OpenPage = Callable[..., Page]
 def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
     """Answer a Task as its performer would, in the broker."""
     entity = f"{cell.url('context_broker')}/ngsi-ld/v1/entities/{task}"
-    wait_until(lambda: httpx.get(entity).status_code == 200)  # the orchestrator knows of it first
+    # Its own performer takes it up first, and would write over what was answered before that.
+    wait_until(lambda: '"inProgress"' in httpx.get(entity).text)
     stamp = iso(datetime.now(UTC))
     body = {
         "status": {"type": "Property", "value": status, "observedAt": stamp},
