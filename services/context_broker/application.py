@@ -1,7 +1,7 @@
 """The broker as an application: NGSI-LD under /ngsi-ld/v1 in plain ASGI, health and metrics beside it."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -22,18 +22,16 @@ from services.context_broker.api.http_protocol import BrokerProtocol
 from services.context_broker.api.problems import ERRORS
 
 if TYPE_CHECKING:
+    from handover.service import Check
     from services.context_broker.app import Broker
 
 log = get_logger(__name__)
-
-Check = Callable[[], Awaitable[None]]
-"""Returns when what the broker needs is there, raises (with a sentence) when it is not."""
 
 
 class BrokerApplication:
     """The broker as an ASGI application; its server may also take the short way in, by `protocol`."""
 
-    def __init__(self, broker: "Broker", checks: Mapping[str, Check]) -> None:
+    def __init__(self, broker: "Broker", checks: "Mapping[str, Check]") -> None:
         self._broker = broker
         self._checks = checks
         self._rest: ASGIApp | None = None

@@ -11,6 +11,8 @@ import httpx
 import psutil
 import pytest
 
+from tests.integration.context_broker import acts
+
 Eventually = Callable[..., Any]
 
 
@@ -44,17 +46,8 @@ def closing() -> Iterator[Closing]:
 
 
 def subscribe(http: httpx.Client, name: str, url: str, kind: str, **endpoint: Any) -> str:
-    answer = http.post(
-        "/subscriptions",
-        json={
-            "id": f"urn:ngsi-ld:Subscription:demo:{name}",
-            "type": "Subscription",
-            "entities": [{"type": kind}],
-            "notification": {"endpoint": {"uri": url, **endpoint}},
-        },
-    )
-    assert answer.status_code == 201, answer.text
-    return f"/subscriptions/urn:ngsi-ld:Subscription:demo:{name}"
+    told = {"entities": [{"type": kind}], "notification": {"endpoint": endpoint}}
+    return f"/subscriptions/{acts.subscribe(http, name, url, **told)}"
 
 
 def create(http: httpx.Client, kind: str, **attributes: Any) -> str:
