@@ -15,7 +15,6 @@ from services.gesture_controller.people.people import People
 from services.gesture_controller.people.person import OwnGesture
 from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.thresholds import M2O2P_THRESHOLDS
-from tests.postgres import postgres_server
 
 Open = Callable[..., People]
 MINE = OwnGesture(Shape("20000"))
@@ -153,25 +152,24 @@ async def test_changes_that_come_at_once_are_all_kept(open_people: Open) -> None
     assert again.title == "Anna"
 
 
-async def test_people_and_gloves_are_kept_in_postgresql_too(tmp_path_factory: pytest.TempPathFactory) -> None:
-    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
-        engine = connect(url)
-        people, gloves = People(built_in(), PeopleStore(engine)), GloveStore(engine)
-        assert gloves.load() == {}
-        await people.add("anna", "Anna")
-        await people.define("anna", "Mine", MINE)
-        await people.give_commands("anna", {3: "Mine", 8: None}, whole=True)
-        glove, fit = StoredGlove("glove-1", person="anna"), Fit(M2O2P_THRESHOLDS, learnt={"a": [1.5, None]})
-        kept = gloves.save_fit(glove, "anna", fit)
-        again = PeopleStore(engine).load()["anna"]
-        assert again == people.named("anna")
-        assert (GloveStore(engine).load(), GloveStore(engine).fits()) == (
-            {"glove-1": glove},
-            {("glove-1", "anna"): kept},
-        )
-        await people.remove("anna")
-        assert (PeopleStore(engine).load(), GloveStore(engine).fits()) == ({}, {})
-        engine.dispose()
+async def test_people_and_gloves_are_kept_in_postgresql_too(new_database: Callable[[], str]) -> None:
+    engine = connect(new_database())
+    people, gloves = People(built_in(), PeopleStore(engine)), GloveStore(engine)
+    assert gloves.load() == {}
+    await people.add("anna", "Anna")
+    await people.define("anna", "Mine", MINE)
+    await people.give_commands("anna", {3: "Mine", 8: None}, whole=True)
+    glove, fit = StoredGlove("glove-1", person="anna"), Fit(M2O2P_THRESHOLDS, learnt={"a": [1.5, None]})
+    kept = gloves.save_fit(glove, "anna", fit)
+    again = PeopleStore(engine).load()["anna"]
+    assert again == people.named("anna")
+    assert (GloveStore(engine).load(), GloveStore(engine).fits()) == (
+        {"glove-1": glove},
+        {("glove-1", "anna"): kept},
+    )
+    await people.remove("anna")
+    assert (PeopleStore(engine).load(), GloveStore(engine).fits()) == ({}, {})
+    engine.dispose()
 
 
 async def test_nobody_is_known_who_was_never_named(open_people: Open) -> None:

@@ -11,18 +11,10 @@ from handover.database import connect
 from services.gesture_controller.specifications import file, table
 from services.gesture_controller.specifications.database import SpecificationDatabase, State
 from services.gesture_controller.specifications.definition import Definition, needs_definition
-from tests.postgres import postgres_server
 
 URN = "urn:ngsi-ld:TaskDefinition:demo:confirm"
 GRIP = Definition("Confirm the grip", "Look whether it holds", None, 4)
 BIN = Definition(None, "Look into the bin", "Horns", None)
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A PostgreSQL."""
-    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
-        yield url
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -30,12 +22,8 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """An empty specification database of either kind."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path / 'specifications.db'}"
-    url: str = request.getfixturevalue("server")
-    engine = connect(url)
-    with engine.begin() as connection:
-        connection.exec_driver_sql("DROP TABLE IF EXISTS task_definitions, specifications_schema")
-    engine.dispose()
-    return url
+    new_database: Callable[[], str] = request.getfixturevalue("new_database")
+    return new_database()
 
 
 @pytest.fixture

@@ -11,21 +11,14 @@ from handover.database import connect
 from handover.errors import Problem
 from services.gesture_controller.study.protocol import FINISHED, STEPS, Answer, Session
 from services.gesture_controller.study.store import StudyStore
-from tests.postgres import postgres_server
 
 AT = "2026-03-02T09:00:00.000000Z"
-
-
-@pytest.fixture(scope="module")
-def postgres_url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
-        yield url
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def engine(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Engine]:
     sqlite = f"sqlite:///{tmp_path / 'controller.db'}"
-    made = connect(sqlite if request.param == "sqlite" else request.getfixturevalue("postgres_url"))
+    made = connect(sqlite if request.param == "sqlite" else request.getfixturevalue("new_database")())
     yield made
     made.dispose()
 
@@ -34,8 +27,6 @@ def engine(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Engine]:
 def store(engine: Engine) -> StudyStore:
     made = StudyStore(engine)
     made.prepare()
-    for left in made.sessions():
-        made.delete(left.id)
     return made
 
 
