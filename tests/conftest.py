@@ -157,6 +157,15 @@ class Cell:
         for service in services:
             self.wait_ready(service)
 
+    def run(self, *services: str) -> None:
+        """Start those of the services that do not run."""
+        self.start(*(service for service in services if not self.runs(service)))
+
+    def runs(self, service: str) -> bool:
+        """Whether a service has been started and has not ended."""
+        process = self.processes.get(service)
+        return process is not None and process.poll() is None
+
     def wait_ready(self, service: str, within_s: float = 30.0) -> None:
         """Wait until a service says that it is ready."""
 
@@ -209,12 +218,21 @@ def new_cell(data_dir: Path) -> Iterator[Cell]:
     """A cell of which nothing runs yet; what runs at the end is ended."""
     names = ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "glove", "webui")
     made = Cell(data_dir, {name: next_free_port() for name in names})
-    yield made
-    made.stop()
+    try:
+        yield made
+    finally:
+        made.stop()
 
 
 @pytest.fixture
 def cell(tmp_path: Path) -> Iterator[Cell]:
     """A cell of which nothing runs yet, for one test."""
     with new_cell(tmp_path) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def shared_cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """A cell for all tests of a module, whose names do not meet; each sees to it that what it needs runs."""
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
         yield made
