@@ -20,6 +20,7 @@ import hypothesis
 import pytest
 from httpx._transports import default as transports
 
+from handover.settings import Settings
 from tests import lifeline
 
 REPOSITORY = Path(__file__).parent.parent
@@ -50,6 +51,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background jo
 
 _worker = int(re.sub(r"\D", "", os.environ.get("PYTEST_XDIST_WORKER", "")) or 0)
 _candidates = itertools.count(15_000 + 2_000 * (_worker % 8) + os.getpid() * 37 % 1_200)
+
+
+_tenants = itertools.count(1)
 
 
 def next_free_port() -> int:
@@ -114,6 +118,14 @@ class Cell:
     ports: dict[str, int]
     extra: dict[str, str] = field(default_factory=dict)
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    host: "Cell | None" = None
+    """Whose broker this cell uses, as a tenant of its own."""
+    tenant: str = ""
+
+    @property
+    def settings(self) -> Settings:
+        """What a client of this cell's broker is told."""
+        return Settings.load(broker_url=self.url("context_broker"), broker_tenant=self.tenant or None)
 
     @property
     def environment(self) -> dict[str, str]:
@@ -129,6 +141,7 @@ class Cell:
             "HANDOVER_GLOVE_PORT": str(self.ports["glove"]),
             "HANDOVER_WEBUI_PORT": str(self.ports["webui"]),
             "HANDOVER_RECONCILE_S": "1",
+            **({"HANDOVER_BROKER_TENANT": self.tenant} if self.tenant else {}),
             "COLUMNS": "200",
             "NO_COLOR": "1",
             **self.extra,
@@ -144,6 +157,9 @@ class Cell:
 
     def start(self, *services: str) -> None:
         """Start services and wait until each is ready."""
+        if self.host and "context_broker" in services:
+            self.host.start("context_broker")
+            services = tuple(service for service in services if service != "context_broker")
         for service in services:
             with (self.data_dir / f"{service}.log").open("ab") as log:
                 self.processes[service] = subprocess.Popen(
@@ -163,6 +179,8 @@ class Cell:
 
     def runs(self, service: str) -> bool:
         """Whether a service has been started and has not ended."""
+        if self.host and service == "context_broker":
+            return self.host.runs(service)
         process = self.processes.get(service)
         return process is not None and process.poll() is None
 
@@ -181,6 +199,9 @@ class Cell:
 
     def kill(self, service: str) -> None:
         """End a service as a power cut would."""
+        if self.host and service == "context_broker":
+            self.host.kill(service)
+            return
         process = self.processes.pop(service)
         process.send_signal(signal.SIGKILL)
         process.wait(timeout=10)
@@ -229,6 +250,22 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
     """A cell of which nothing runs yet, for one test."""
     with new_cell(tmp_path) as made:
         yield made
+
+
+@pytest.fixture(scope="session")
+def host_cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """A cell of a broker alone, for cells that are its tenants."""
+    with new_cell(tmp_path_factory.mktemp("host")) as made:
+        yield made
+
+
+@pytest.fixture
+def tenant_cell(cell: Cell, host_cell: Cell) -> Cell:
+    """A cell with a broker in which there is nothing yet: one that others use too, each as another tenant."""
+    host_cell.run("context_broker")
+    cell.host, cell.tenant = host_cell, f"cell-{next(_tenants)}"
+    cell.ports["context_broker"] = host_cell.ports["context_broker"]
+    return cell
 
 
 @pytest.fixture(scope="module")
