@@ -77,6 +77,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Shares(config, log)
 
 
+STARTS_SERVICES = frozenset({"cell", "shared_cell", "host_cell", "own_broker"})
+"""The fixtures with which a test starts services for itself or for its module."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Who starts services is slow, if nobody has said so: an everyday change does not wait for that."""
+    for item in items:
+        if isinstance(item, pytest.Function) and not STARTS_SERVICES.isdisjoint(item.fixturenames):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
     """In CI nothing is left out but what needs recordings that are not ours to ship."""
