@@ -5,7 +5,7 @@ an operation does not have, and `operations.md` is checked against them.
 """
 
 from collections.abc import Awaitable, Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from services.context_broker.api.exchange import PREFIX, Answer, Exchange
@@ -22,7 +22,8 @@ class Operation:
 
     `name` is the operation's name in the standard (table 4.20-1 where it has one there), `clause` where the
     standard tells of its HTTP binding; `makes_tenant` says that it may be the first thing of a new tenant,
-    `of_no_tenant` that it finds out itself whose it is.
+    `of_no_tenant` that it finds out itself whose it is, `is_brief` that it waits for nothing but the disk and
+    an @context: it is carried out without a task of its own.
     """
 
     method: str
@@ -33,11 +34,17 @@ class Operation:
     parameters: frozenset[str] = frozenset()
     makes_tenant: bool = False
     of_no_tenant: bool = False
+    is_brief: bool = False
 
     @property
     def title(self) -> str:
         """Return what it is called in metrics."""
         return f"{self.method} {self.path}"
+
+
+def brief(*operations: Operation) -> tuple[Operation, ...]:
+    """Return operations as brief ones."""
+    return tuple(replace(one, is_brief=True) for one in operations)
 
 
 @dataclass(slots=True)

@@ -7,7 +7,7 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker.api.exchange import JSON, PREFIX, Answer, Exchange
-from services.context_broker.api.operation import Operation
+from services.context_broker.api.operation import Operation, brief
 from services.context_broker.api.problems import already_exists, bad_request_data, invalid_request, not_found
 from services.context_broker.api.words import require_name, require_time, require_uri, shown, timestamp_now
 from services.context_broker.contexts.book import Context
@@ -60,7 +60,7 @@ class EntityOperations:
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
         one, attributes, attribute = "entities/{id}", "entities/{id}/attrs", "entities/{id}/attrs/{name}"
-        return (
+        return brief(
             Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _CREATE, True),
             Operation(
                 "GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS | MAP_PARAMETERS
