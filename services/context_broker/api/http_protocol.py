@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import httptools
 from starlette.types import Message, Receive
-from uvicorn.protocols.http.httptools_impl import HEADER_VALUE_RE, STATUS_LINE, HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from handover.telemetry import get_logger
 from services.context_broker.api.exchange import PREFIX, Answer, Request, by_name
@@ -26,6 +26,8 @@ log = get_logger(__name__)
 _PREFIX: Final = PREFIX.encode()
 _ONE_PIECE: Final = 256 * 1024
 """Bytes of an answer up to which its head and body leave in one call to the system."""
+
+_CONTROLS: Final = bytes({*range(32), 127} - {ord("\t")})
 
 Door = Callable[[Request, bytes | Receive], Coroutine[Any, Any, Answer | None]]
 """Answers a request whose body is there or still to be received; None where the asker has gone."""
@@ -68,13 +70,18 @@ class BrokerProtocol(HttpToolsProtocol):
         self.headers = []
         self.expect_100_continue = False
 
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Note a header."""
+        self.headers.append((name.lower(), value))
+
     def on_headers_complete(self) -> None:
         """Take a request whose head is there."""
         if not self.url.startswith(_PREFIX) or self.parser.should_upgrade():
-            url, headers, expects = self.url, self.headers, self.expect_100_continue
+            url, headers = self.url, self.headers
             super().on_message_begin()
-            self.url, self.expect_100_continue = url, expects
-            self.headers += headers
+            self.url = url
+            for header in headers:
+                super().on_header(*header)
             super().on_headers_complete()
             return
         target = httptools.parse_url(self.url)
@@ -183,7 +190,7 @@ class Turn:
         self.keep_alive: bool = parser.get_http_version() != "1.0" and parser.should_keep_alive()
         self._protocol = protocol
         self._asked = asked
-        self._expects = protocol.expect_100_continue
+        self._expects = asked.headers.get(b"expect", b"").lower() == b"100-continue"
         self._news: asyncio.Future[None] | None = None
         self.message_event = self
 
@@ -245,8 +252,7 @@ class Turn:
         head = [STATUS_LINE[answer.status], protocol.said_always()]
         for name, value in answer.headers:
             # What clients sent, and is told back in a header, must not become a header of its own.
-            plain = HEADER_VALUE_RE.sub(b"", value) if HEADER_VALUE_RE.search(value) else value
-            head += (name, b": ", plain, b"\r\n")
+            head += (name, b": ", value.translate(None, _CONTROLS), b"\r\n")
         body = answer.body
         if answer.status != 204:
             head.append(b"content-length: %d\r\n" % len(body))
