@@ -161,11 +161,10 @@ class Broker:
 
     async def answer(self, request: Request, body: bytes | Receive) -> Answer:
         """Answer one request, whose body is there or still to be received."""
-        parts = request.path_parts()
         if request.method == "OPTIONS":
-            allowed = self.directory.allowed(parts, request.path)
+            allowed = self.directory.allowed(request)
             return Answer(204, b"", [(b"allow", ", ".join(allowed).encode())])
-        operation, names = self.directory.find(request.method, parts, request.path)
+        operation, names = self.directory.find(request)
         await read(request, body, self.settings.broker_max_body_bytes)
         started_s = time.perf_counter()
         try:
@@ -192,7 +191,8 @@ class Broker:
         tenant = self.tenants.of(named, makes=operation.makes_tenant)
         try:
             exchange = Exchange(request, names, self.contexts, tenant)
-            exchange.require_known(operation.parameters)
+            if request.parameters:
+                exchange.require_known(operation.parameters)
             if tenant.notifier.passes_headers_on:
                 REQUEST_HEADERS.set(request.headers)
             is_alone = tenant.registry.is_empty and SNAPSHOT not in request.headers

@@ -49,6 +49,7 @@ LONGEST_REMEMBERED: Final = 1024
 """Characters of the query of a URL that is kept parsed."""
 
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
+_PLAINLY_SAID: Final = {one.encode(): one for one in _READABLE}
 _WITH_BODY = {"POST", "PATCH", "PUT"}
 _WITH_ENTITIES = tuple(
     PREFIX + path
@@ -184,18 +185,22 @@ class Exchange:
         """Return the body and the context that its names are in."""
         media_type = self.content_type()
         document = self.document()
+        if document.__class__ is dict and media_type != JSON_LD and "@context" not in document:
+            ready = self.contexts.at_hand(self.link() or self.contexts.default or b"null")
+            if ready is not None:
+                return document, ready
         if isinstance(document, list):
             raise bad_request_data("the body is a list; this operation takes one JSON object")
         return document, await self.context_of(document, media_type)
 
     def content_type(self) -> str:
         """Return the media type of the body; raise a problem (415) if the broker cannot read it."""
-        given = self.headers.get(b"content-type", b"").decode("latin-1")
-        media_type = given.partition(";")[0].strip().lower()
+        given = self.headers.get(b"content-type", b"")
+        media_type = _PLAINLY_SAID.get(given) or given.decode("latin-1").partition(";")[0].strip().lower()
         if media_type not in _READABLE or (media_type == MERGE_PATCH and self.method != "PATCH"):
             raise unsupported_media_type(
-                f"Content-Type {shown(given)} is not read here; send {JSON} (@context in a Link header) or "
-                f"{JSON_LD} (@context in the body)"
+                f"Content-Type {shown(given.decode('latin-1'))} is not read here; send {JSON} (@context in a "
+                f"Link header) or {JSON_LD} (@context in the body)"
             )
         return media_type
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import httptools
 from starlette.types import Message, Receive
+from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from handover.telemetry import get_logger
@@ -94,6 +95,23 @@ class BrokerProtocol(HttpToolsProtocol):
         else:  # asked before the answer to the last one was there: one after the other
             self.flow.pause_reading()
             self.pipeline.appendleft((turn, self.app))
+
+    def on_body(self, body: bytes) -> None:
+        """Take a piece of a body."""
+        turn: Any = self.cycle
+        if not isinstance(turn, Turn):
+            super().on_body(body)
+        elif not turn.response_complete:
+            turn.take(body)
+
+    def on_message_complete(self) -> None:
+        """Note that a request is there as a whole."""
+        turn: Any = self.cycle
+        if not isinstance(turn, Turn):
+            super().on_message_complete()
+        else:
+            turn.more_body = False
+            turn.set()
 
     # What goes out
 
@@ -193,6 +211,13 @@ class Turn:
         self._expects = asked.headers.get(b"expect", b"").lower() == b"100-continue"
         self._news: asyncio.Future[None] | None = None
         self.message_event = self
+
+    def take(self, piece: bytes) -> None:
+        """Take a piece of the body; nobody sends on while nobody reads."""
+        self.body += piece
+        if len(self.body) > HIGH_WATER_LIMIT:
+            self._protocol.flow.pause_reading()
+        self.set()
 
     def set(self) -> None:
         """Hear that more of the body is there, or that the asker has gone."""
