@@ -204,11 +204,13 @@ class Turn:
         self.response_complete = False
         self.body = b""
         self.more_body = True
-        parser = protocol.parser
-        self.keep_alive: bool = parser.get_http_version() != "1.0" and parser.should_keep_alive()
+        headers, parser = asked.headers, protocol.parser
+        # Only who says "connection" can have a connection kept by HTTP/1.0, in which we keep none.
+        is_plain = b"connection" not in headers or parser.get_http_version() != "1.0"
+        self.keep_alive: bool = is_plain and parser.should_keep_alive()
         self._protocol = protocol
         self._asked = asked
-        self._expects = asked.headers.get(b"expect", b"").lower() == b"100-continue"
+        self._expects = b"expect" in headers and headers[b"expect"].lower() == b"100-continue"
         self._news: asyncio.Future[None] | None = None
         self.message_event = self
 

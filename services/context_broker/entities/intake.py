@@ -190,6 +190,8 @@ def too_deep() -> Problem:
 
 def read_types(given: Any, terms: Terms) -> tuple[str, ...]:
     """Return the IRIs of one type or a list of them."""
+    if given.__class__ is str and given != NULL:
+        return (_iri_of(given, "the entity type", terms),)
     names = given if isinstance(given, list) else [given]
     if not names or NULL in names:
         raise bad_request_data("an entity has at least one type; none is given, and none can be deleted")
@@ -205,9 +207,9 @@ def expand(name: str, terms: Terms) -> str:
 
 
 @lru_cache(maxsize=8192)
-def attribute_iri(name: str, terms: Terms) -> str:
-    """Return the IRI of an attribute; remembered, for the same names come again and again."""
-    return expand(require_name(name, "the attribute name"), terms)
+def _iri_of(name: str, what: str, terms: Terms) -> str:
+    """Return the IRI of what is called `name`; remembered, for the same names come again and again."""
+    return expand(require_name(name, what), terms)
 
 
 def read_attribute(name: str, given: Any, terms: Terms, depth: int = 0) -> list[Instance]:
@@ -248,7 +250,7 @@ def _end(given: Any, what: str, nulls: Nulls = Nulls.VALUES) -> str:
 
 
 def _take_attribute(into: Attributes, name: str, given: Any, terms: Terms, depth: int) -> None:
-    iri = attribute_iri(name, terms)
+    iri = _iri_of(name, "the attribute name", terms)
     if iri in into:
         raise bad_request_data(f"attribute {shown(name)} is given twice, once by another name of {iri}")
     into[iri] = read_attribute(name, given, terms, depth)
