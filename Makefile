@@ -11,9 +11,10 @@ export UV_NO_PROGRESS := 1
 # Else every service would compile itself at each start, and the tests start some hundreds.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Two workers suit two cores; what a test starts is on free ports, so that they do not meet.
-# tests/shares.py says which tests stay together.
-PYTEST := $(BIN)/pytest -n 2
+# Three workers suit two cores, since tests wait a third of their time; what a test starts is on free ports,
+# so that they do not meet. tests/shares.py says which tests stay together.
+WORKERS ?= 3
+PYTEST := $(BIN)/pytest -n $(WORKERS)
 
 # What needs the Node that built the page: lint and tests of its TypeScript.
 PAGE := $(BIN)/python -m webui.build

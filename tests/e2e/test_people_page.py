@@ -32,6 +32,7 @@ def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page("/people")
+    page.get_by_role("button", name="Add a person").wait_for()
     page.keyboard.press("n")
     page.get_by_label("Short name").fill("anna")
     page.get_by_label("What people call them").fill("Anna K.")
@@ -54,7 +55,7 @@ def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None]
 ) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}).raise_for_status()
-    page = open_page("/people?person=ben")
+    page = open_page("/people?person=ben", forgives=("a status of 409",))
     page.get_by_label("What it is called").fill("Mine")
     page.get_by_role("radio", name="thumb straight").click()
     page.get_by_role("button", name="Add the gesture").click()
