@@ -113,7 +113,7 @@ def _add_gestures(app: FastAPI, controller: Controller) -> None:
         Those that are composed have no code but `left` and `right`, or `sequence`, each part with its code.
         """
         return [
-            {**one, "pictures": picture_urls(one["name"])} if "code" in one else one
+            {**one, "pictures": picture_urls(one["name"])}
             for one in listed(controller.configuration.gestures, controller.configuration.commands)
         ]
 
