@@ -89,10 +89,14 @@ def _about_the_hand(glove: Glove, asked: Asked) -> Message:
     still_ms = (hold.seen_s - sight.states_since_s) * 1000
     if sight.gesture is None and 0 < len(differs) <= 2 and still_ms >= timing.announce_ms:
         return wording.almost(due.gesture, wording.advice(differs, due.code))
-    return _invitation(asked, due, glove.hand)
+    return _invitation(glove, asked, due)
 
 
-def _invitation(asked: Asked, due: Part, hand: str) -> Message:
+def _invitation(glove: Glove, asked: Asked, due: Part) -> Message:
     if isinstance(asked.composed, InTurn):
         return wording.first(asked.gesture, due.gesture)
-    return wording.show_with(due.gesture, hand) if due.hand else wording.show(due.gesture)
+    if not due.hand:
+        return wording.show(due.gesture)
+    if any(glove.shows(part) for part in asked.parts):
+        return wording.show_with(due.gesture, glove.hand)
+    return wording.show_both(*(part.gesture for part in asked.parts))
