@@ -14,11 +14,12 @@ THANKS_S = 5.0
 
 
 def differing_fingers(glove: Glove) -> list[str]:
-    """Return the fingers that are not as the Task's gesture has them."""
+    """Return the fingers that are not as the Task's gesture has them, or not clearly enough."""
     if glove.errand is None or not glove.connected or not glove.sight.states:
         return []
-    due = glove.due
-    return wording.differing(glove.sight.states, due.code if due else glove.errand.asked.code)
+    due, seen = glove.due, glove.sight.recognition
+    differing = wording.differing(glove.sight.states, due.code if due else glove.errand.asked.code)
+    return differing or list(seen.doubtful if seen is not None else ())
 
 
 def said_to(glove: Glove, now_s: float) -> Message:

@@ -95,7 +95,7 @@ async def test_wrong_thresholds_change_nothing(open_gloves: Open) -> None:
 async def test_a_calibration_is_kept(open_gloves: Open) -> None:
     gloves = open_gloves()
     await gloves.calibrate(gloves.named("glove-1"), [[300.0] * 5] * 20, [[700.0] * 5] * 20)
-    assert open_gloves().named("glove-1").senses.thresholds.fingers[2] == Threshold(620, 500)
+    assert open_gloves().named("glove-1").senses.thresholds.fingers[2] == Threshold(620, 520)
 
 
 async def test_a_calibration_that_fails_names_the_finger_and_changes_nothing(open_gloves: Open) -> None:
