@@ -12,6 +12,9 @@ from playwright.sync_api import Page, expect
 from tests.conftest import Cell, new_cell, wait_until
 from tests.e2e.conftest import OpenPage
 
+REFUSED = "the server responded with a status of 409"
+"""What Chromium logs of an answer that the page shows."""
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
 
 
@@ -33,6 +36,7 @@ def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page("/people")
+    page.get_by_role("heading", name="People and gestures").wait_for()
     page.keyboard.press("n")
     page.get_by_label("Short name").fill("anna")
     page.get_by_label("What people call them").fill("Anna K.")
@@ -55,9 +59,9 @@ def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None]
 ) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}).raise_for_status()
-    page = open_page("/people?person=ben")
+    page = open_page("/people?person=ben", forgives=(REFUSED,))
     page.get_by_label("What it is called").fill("Mine")
-    page.get_by_role("radio", name="thumb straight").click()
+    page.get_by_role("radiogroup", name="thumb").get_by_role("radio", name="straight").click()
     page.get_by_role("button", name="Add the gesture").click()
     refused = page.get_by_role("alert")
     expect(refused).to_contain_text("Thumbs up")
