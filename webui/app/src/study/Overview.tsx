@@ -87,6 +87,7 @@ function Begin({ open }: { open: (session: string) => void }) {
           options={languages.map((one) => ({ value: one, name: t(`language.${one}`) }))}
           onChange={setLanguage}
         />
+        {language !== "en" && <p className="quiet">{t("begin.translated")}</p>}
         {gloves.length > 0 && <Pick label={t("begin.glove")} value={glove} options={options} onChange={setGlove} />}
         {glove !== "" && <p className="quiet">{person === null ? t("begin.nobody") : t("begin.gestures", { person })}</p>}
         {failure !== null && <Problem>{failure}</Problem>}
