@@ -65,7 +65,7 @@ export interface GloveView {
 export interface GuideView {
   step: "fist" | "open" | "gesture";
   steps: ("fist" | "open" | "gesture")[];
-  phase: "countdown" | "capture" | "done" | "givenUp";
+  phase: "countdown" | "capture" | "done" | "givenUp" | "interrupted";
   gesture: string | null;
   /** The shape to show: five finger states. */
   code: string;
