@@ -66,6 +66,14 @@ def screen(cell: Cell) -> Cell:
 
 
 @pytest.fixture
+def glove_screen(cell: Cell) -> Cell:
+    """A cell with the screen and what gloves need, but no processes and no robot."""
+    for services in (["context_broker"], ["gesture_controller", "webui"]):
+        cell.start(*(service for service in services if service not in cell.processes))
+    return cell
+
+
+@pytest.fixture
 def open_page(browser: Browser, cell: Cell) -> Iterator[OpenPage]:
     """Open pages of the cell's screen; a page that logs an error or throws fails the test at its end.
 

@@ -22,8 +22,8 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 
 @pytest.fixture
-def glove(screen: Cell) -> Iterator[TcpGlove]:
-    made = TcpGlove(screen.ports["glove"])
+def glove(glove_screen: Cell) -> Iterator[TcpGlove]:
+    made = TcpGlove(glove_screen.ports["glove"])
     yield made
     made.close()
 
