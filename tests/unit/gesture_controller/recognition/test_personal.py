@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
@@ -55,7 +55,6 @@ def test_gestures_are_recognized_at_any_rate(name: str, hz: float) -> None:
     assert recognizer.odds(seen[-1])[name] == pytest.approx(seen[-1].certainty, abs=1e-3)
 
 
-@settings(max_examples=20)
 @given(st.sampled_from(sorted(GESTURES.codes)), st.integers(0, 10_000))
 def test_odds_are_probabilities_and_agree_with_the_answer(name: str, seed: int) -> None:
     recognizer = PersonalRecognizer(calibrated(), GESTURES)
