@@ -97,7 +97,7 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     add_pictures(app, controller.configuration.gestures)
     _add_gloves(app, controller)
     add_people(app, controller.people, controller.gloves)
-    add_calibration(app, Guidance(controller.gloves), controller.gloves)
+    add_calibration(app, Guidance(controller.gloves, controller.logbook), controller.gloves)
     _add_acts(app, controller)
     _add_streams(app, controller)
     add_tests(app, examiner, controller.gloves)
@@ -113,7 +113,7 @@ def _add_gestures(app: FastAPI, controller: Controller) -> None:
         Those that are composed have no code but `left` and `right`, or `sequence`, each part with its code.
         """
         return [
-            {**one, "pictures": picture_urls(one["name"])} if "code" in one else one
+            {**one, "pictures": picture_urls(one["name"])}
             for one in listed(controller.configuration.gestures, controller.configuration.commands)
         ]
 

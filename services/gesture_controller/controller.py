@@ -11,6 +11,8 @@ from handover.database import connect
 from handover.errors import Problem
 from handover.performer import Job, Performer, TaskFailed, Wants
 from handover.telemetry import get_logger
+from services.gesture_controller.calibration.keeping import KEEP_EVERY_S, Keeping
+from services.gesture_controller.calibration.logbook import Logbook
 from services.gesture_controller.configuration import Configuration
 from services.gesture_controller.device import Devices
 from services.gesture_controller.errand import Answer, Asked, Errand
@@ -56,9 +58,17 @@ class Controller(Performer):
         store = GloveStore(self.database, settings.data_dir / "gloves")
         self.people = People(configuration, PeopleStore(self.database))
         self.gloves = Gloves(settings, store, self.people, self, self._adopt)
+        self.logbook = Logbook(self.database)
+        self._keeping = Keeping(self.logbook, self.gloves)
 
     async def __aenter__(self) -> Self:
-        for duty in (self._welcome_newcomers(), self._look_after_gloves(), self._tell_again()):
+        duties = (
+            self._welcome_newcomers(),
+            self._look_after_gloves(),
+            self._keep_drifts(),
+            self._tell_again(),
+        )
+        for duty in duties:
             chore = asyncio.create_task(duty)
             chore.add_done_callback(_speak_of_failure)
             self._duties.push_async_callback(_end, chore)
@@ -68,6 +78,7 @@ class Controller(Performer):
     async def __aexit__(self, *error: object) -> None:
         await super().__aexit__(*error)
         await self._duties.aclose()
+        await self._keeping.keep(least=0.0)
         self.database.dispose()
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
@@ -303,6 +314,11 @@ class Controller(Performer):
                     glove.look_after(now_s, self._silence_s)
                     self._join_hands(glove)
             looked_s = now_s
+
+    async def _keep_drifts(self) -> None:
+        while True:
+            await asyncio.sleep(KEEP_EVERY_S)
+            await self._keeping.keep()
 
     async def _tell_again(self) -> None:
         while True:

@@ -51,6 +51,8 @@ class Gloves:
         """Gloves that are asked for the site's gestures, whatever their wearer's own are."""
         self._listener = listener
         self._adopted = adopted
+        self.newcomers: list[Callable[[Glove], None]] = []
+        """Called with each glove that becomes known from now on."""
         self._gloves: dict[str, Glove] = {}
         self._stored: dict[str, StoredGlove] = store.load()
         self._fits: dict[tuple[str, str], Fit] = store.fits()
@@ -309,6 +311,8 @@ class Gloves:
         glove.other_hand = lambda: self.partner_of(glove)
         self._gloves[glove.name] = glove
         self._adopted(glove)
+        for welcome in self.newcomers:
+            welcome(glove)
         return glove
 
     def _senses(self, glove: str, person: str | None, thresholds: Thresholds, like: Senses) -> Senses:

@@ -14,11 +14,12 @@ THANKS_S = 5.0
 
 
 def differing_fingers(glove: Glove) -> list[str]:
-    """Return the fingers that are not as the Task's gesture has them."""
+    """Return the fingers that are not as the Task's gesture has them, or not clearly enough."""
     if glove.errand is None or not glove.connected or not glove.sight.states:
         return []
-    due = glove.due
-    return wording.differing(glove.sight.states, due.code if due else glove.errand.asked.code)
+    due, seen = glove.due, glove.sight.recognition
+    differing = wording.differing(glove.sight.states, due.code if due else glove.errand.asked.code)
+    return differing or list(seen.doubtful if seen is not None else ())
 
 
 def said_to(glove: Glove, now_s: float) -> Message:
@@ -89,10 +90,14 @@ def _about_the_hand(glove: Glove, asked: Asked) -> Message:
     still_ms = (hold.seen_s - sight.states_since_s) * 1000
     if sight.gesture is None and 0 < len(differs) <= 2 and still_ms >= timing.announce_ms:
         return wording.almost(due.gesture, wording.advice(differs, due.code))
-    return _invitation(asked, due, glove.hand)
+    return _invitation(glove, asked, due)
 
 
-def _invitation(asked: Asked, due: Part, hand: str) -> Message:
+def _invitation(glove: Glove, asked: Asked, due: Part) -> Message:
     if isinstance(asked.composed, InTurn):
         return wording.first(asked.gesture, due.gesture)
-    return wording.show_with(due.gesture, hand) if due.hand else wording.show(due.gesture)
+    if not due.hand:
+        return wording.show(due.gesture)
+    if any(glove.shows(part) for part in asked.parts):
+        return wording.show_with(due.gesture, glove.hand)
+    return wording.show_both(*(part.gesture for part in asked.parts))

@@ -111,6 +111,8 @@ def _settled(sight: Sight) -> str | None:
     seen = sight.recognition
     if seen is None or seen.at_s - sight.states_since_s < SETTLED_S or BETWEEN in seen.states:
         return None
+    if seen.doubtful:
+        return None  # following would make the fingers clearer than the person does
     return seen.states if seen.certainty > 0.5 else None
 
 

@@ -85,6 +85,12 @@ def show_with(gesture: str, hand: str) -> Message:
     return Message(key, f"Show with your {hand} hand: {gesture}.", {"gesture": gesture, "hand": hand})
 
 
+def show_both(left: str, right: str) -> Message:
+    """Return the invitation to show a gesture of both hands."""
+    text = f"Show with both hands: {left} with the left, {right} with the right."
+    return Message("showBoth", text, {"left": left, "right": right})
+
+
 def other_hand(gesture: str, hand: str) -> Message:
     """Return what is said when this hand is right, and the other one is not yet."""
     text = f"Right. Now your {hand} hand as well: {gesture}."

@@ -10,6 +10,7 @@ from playwright.sync_api import Page, expect
 
 from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
+from tests.gloves import TcpGlove
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -25,7 +26,7 @@ def thresholds(cell: Cell) -> dict[str, Any]:
     return dict(httpx.get(f"{cell.url('gesture_controller')}/gloves/glove-1").json()["thresholds"])
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("glove_screen")
 def test_thresholds_count_once_they_are_saved_and_can_be_exchanged_with_the_ones_before(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
@@ -48,7 +49,7 @@ def test_thresholds_count_once_they_are_saved_and_can_be_exchanged_with_the_ones
     assert thresholds(cell) == before
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("glove_screen")
 def test_a_line_is_dragged_over_the_live_signal_and_let_go_unsaved(cell: Cell, open_page: OpenPage) -> None:
     before = thresholds(cell)
     page = open_page("/calibrate?glove=glove-1&finger=ring")
@@ -76,7 +77,7 @@ def test_a_line_is_dragged_over_the_live_signal_and_let_go_unsaved(cell: Cell, o
     assert thresholds(cell) == before
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("glove_screen")
 def test_what_cannot_be_a_threshold_is_never_sent(cell: Cell, open_page: OpenPage) -> None:
     before = thresholds(cell)
     page = open_page("/calibrate?glove=glove-1&finger=thumb")
@@ -88,3 +89,29 @@ def test_what_cannot_be_a_threshold_is_never_sent(cell: Cell, open_page: OpenPag
     lower.press("Enter")
     expect(lower).to_have_value(f"{before['thumb']['upper']:g}")
     assert thresholds(cell) == before
+
+
+def test_a_hand_is_led_through_a_calibration_that_names_the_finger_in_doubt(
+    glove_screen: Cell,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
+) -> None:
+    glove = TcpGlove(glove_screen.ports["glove"])
+    page = open_page("/calibrate?glove=glove-1")
+    page.get_by_role("button", name="Calibrate in ten seconds").click()
+    page.get_by_text("Make a fist").wait_for()
+    keep(page, "calibrate-guided")
+    shown = {"fist": "22202", "open": "00000"}  # a ring finger that stays as it is
+
+    def is_led() -> bool:
+        guide = httpx.get(f"{glove_screen.url('gesture_controller')}/gloves/glove-1").json()["calibration"]
+        glove.show(shown[guide["step"]], 0.2)
+        return guide["outcome"] is not None
+
+    wait_until(is_led)
+    doubted = page.locator(".guided__outcome li").filter(has_text="ring finger")
+    expect(doubted).to_contain_text("shows the same value whatever you do")
+    accessible(page)
+    keep(page, "calibrate-doubt")
+    glove.close()

@@ -20,6 +20,7 @@ PAGES = {
     "processes": "/processes",
     "system": "/system",
     "calibrate": "/calibrate",
+    "people": "/people",
     "test": "/test",
     "study": "/study",
 }
@@ -63,8 +64,9 @@ def test_every_page_looks_right_in_every_look(
 def test_pages_for_engineers_fit_a_phone(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
+    page = open_page(viewport=PHONE, has_touch=True, is_mobile=True)
     for path in ("/", "/system", "/calibrate", "/people", "/test", "/study"):
-        page = open_page(path, viewport=PHONE, has_touch=True, is_mobile=True)
+        page.goto(path)
         settled(page)
         nothing_is_cut_off(page)
         accessible(page)

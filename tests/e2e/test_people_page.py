@@ -11,6 +11,10 @@ from playwright.sync_api import Page, expect
 
 from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
+from tests.gloves import TcpGlove
+
+REFUSED = "the server responded with a status of 409"
+"""What Chromium logs of an answer that the page shows."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -27,7 +31,7 @@ def person(cell: Cell, name: str) -> dict[str, Any]:
     return dict(answer.raise_for_status().json())
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("glove_screen")
 def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
@@ -50,14 +54,14 @@ def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
     assert (kept["commands"]["3"], kept["commands"]["8"]) == ("Horns", "Thumbs up")
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("glove_screen")
 def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is_one_like_it(
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None]
 ) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}).raise_for_status()
-    page = open_page("/people?person=ben", forgives=("a status of 409",))
+    page = open_page("/people?person=ben", forgives=(REFUSED,))
     page.get_by_label("What it is called").fill("Mine")
-    page.get_by_role("radio", name="thumb straight").click()
+    page.get_by_role("radiogroup", name="thumb").get_by_role("radio", name="straight").click()
     page.get_by_role("button", name="Add the gesture").click()
     refused = page.get_by_role("alert")
     expect(refused).to_contain_text("Thumbs up")
@@ -69,3 +73,40 @@ def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is
     expect(page.get_by_text("Mine is there")).to_be_visible()
     expect(page.get_by_role("button", name="Delete Mine")).to_be_visible()
     wait_until(lambda: "Mine" in person(cell, "ben")["ownGestures"])
+
+
+def test_a_gesture_is_recorded_by_making_it_and_taken_along_in_the_profile(
+    glove_screen: Cell, open_page: OpenPage
+) -> None:
+    controller = glove_screen.url("gesture_controller")
+    for name in ("carl", "dora"):
+        httpx.put(f"{controller}/people/{name}", json={}).raise_for_status()
+    httpx.put(f"{controller}/gloves/glove-1/person", json={"person": "carl"}).raise_for_status()
+    glove = TcpGlove(glove_screen.ports["glove"])
+    page = open_page("/people?person=carl")
+    page.get_by_role("radio", name="By making it").click()
+    page.get_by_label("What it is called").fill("Three")
+    page.get_by_role("button", name="Record it now").click()
+    delete = page.get_by_role("button", name="Delete Three")
+
+    def is_recorded() -> bool:
+        glove.show("00002", 0.1)
+        return delete.is_visible()
+
+    wait_until(is_recorded)
+    glove.close()
+    expect(page.get_by_text("Three is there; the nearest other is")).to_be_visible()
+    assert person(glove_screen, "carl")["ownGestures"]["Three"]["code"] == "00002"
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save as a file").click()
+    profile = download.value.path()
+    assert download.value.suggested_filename == "carl.yaml"
+    page.get_by_role("button", name=re.compile("^dora")).click()
+    page.get_by_role("heading", name="dora").wait_for()
+    with page.expect_file_chooser() as chooser:
+        page.get_by_role("button", name="Take from a file").click()
+    chooser.value.set_files(
+        {"name": "carl.yaml", "mimeType": "application/yaml", "buffer": profile.read_bytes()}
+    )
+    delete.wait_for()
+    assert "Three" in person(glove_screen, "dora")["ownGestures"]

@@ -37,7 +37,10 @@ def tlx(page: Page, keep: Callable[[Page, str], Path], name: str, steps_up: int)
 
 
 def test_a_participant_is_led_through_the_study_and_the_answers_are_shown(
-    screen: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+    glove_screen: Cell,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
 ) -> None:
     page = open_page("/study")
     page.get_by_role("heading", name="No answers yet").or_(page.get_by_text("No answers yet")).wait_for()
@@ -79,7 +82,7 @@ def test_a_participant_is_led_through_the_study_and_the_answers_are_shown(
     page.get_by_text("Mean 75.00").wait_for()
     accessible(page)
     keep(page, "study-results")
-    (session,) = httpx.get(f"{screen.url('gesture_controller')}/study/sessions").json()
+    (session,) = httpx.get(f"{glove_screen.url('gesture_controller')}/study/sessions").json()
     assert (session["step"], session["pseudonym"]) == ("finished", "P01")
     page.get_by_role("button", name="Delete P01").click()
     page.get_by_role("dialog").get_by_role("button", name="Delete P01").click()
@@ -87,9 +90,12 @@ def test_a_participant_is_led_through_the_study_and_the_answers_are_shown(
 
 
 def test_a_participant_reads_their_own_language_whatever_the_screen_speaks(
-    screen: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+    glove_screen: Cell,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
 ) -> None:
-    url = screen.url("gesture_controller")
+    url = glove_screen.url("gesture_controller")
     begun = httpx.post(f"{url}/study/sessions", json={"language": "fi"}).raise_for_status().json()
     consent = {"agreed": True, "text": begun["consentVersion"]}
     for step, content in (("consent", consent), ("introduction", {}), ("sample", {})):

@@ -21,8 +21,8 @@ def cell(shared_cell: Cell) -> Cell:
 
 
 @pytest.fixture
-def glove(screen: Cell) -> Iterator[TcpGlove]:
-    made = TcpGlove(screen.ports["glove"])
+def glove(glove_screen: Cell) -> Iterator[TcpGlove]:
+    made = TcpGlove(glove_screen.ports["glove"])
     yield made
     made.close()
 

@@ -1,7 +1,8 @@
 """Guidance: calibrations on their way with worn gloves, and what becomes of them.
 
 While a hand is guided its glove is in testing mode: no gesture that is shown then answers a Task. What was
-measured is applied at once, or kept as offered until somebody accepts it; both survive a restart.
+measured is applied at once, or kept as offered until somebody accepts it; both survive a restart. What was
+not finished then is told as interrupted: a person who kept still for it has to begin again.
 """
 
 import asyncio
@@ -15,10 +16,12 @@ from services.gesture_controller.calibration.doubts import Doubt, doubts_about, 
 from services.gesture_controller.calibration.fitting import OFFERED, SAMPLES, calibration_from, learnt_from
 from services.gesture_controller.calibration.guide import HAND, SAMPLE, Guide, Phase, Step
 from services.gesture_controller.calibration.levels import Calibration, CalibrationFailed, calibrate
+from services.gesture_controller.calibration.logbook import Logbook
 from services.gesture_controller.calibration.samples import sample_of, with_sample
 from services.gesture_controller.finger_states import BENT, STRAIGHT
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.gloves import Gloves
+from services.gesture_controller.people.people import on_disk
 from services.gesture_controller.recognition.registry import UnknownRecognizer, maker_of
 from services.gesture_controller.thresholds import FINGERS, M2O2P_THRESHOLDS
 from services.gesture_controller.wording import Message
@@ -62,12 +65,21 @@ class Guided:
 class Guidance:
     """All calibrations that are on their way."""
 
-    def __init__(self, gloves: Gloves) -> None:
+    def __init__(self, gloves: Gloves, logbook: Logbook) -> None:
         self._gloves = gloves
+        self._logbook = logbook
         self._guided: dict[str, Guided] = {}
         self._ending: set[asyncio.Task[None]] = set()
+        self._writing = asyncio.Lock()
+        self._interrupted = logbook.guided()
+        """By glove, the gesture that it was being guided to show when the controller stopped."""
+        for glove in gloves:
+            self._tell_of_interruption(glove)
+        gloves.newcomers.append(self._tell_of_interruption)
 
-    def begin(self, glove: Glove, *, gesture: str | None, apply: bool, countdown_s: float) -> dict[str, Any]:
+    async def begin(
+        self, glove: Glove, *, gesture: str | None, apply: bool, countdown_s: float
+    ) -> dict[str, Any]:
         """Begin to guide the hand in `glove`: fist and open hand, or `gesture`; raises `Problem`.
 
         One that is on its way begins anew.
@@ -82,7 +94,7 @@ class Guidance:
         if gesture is not None:
             code = self._code_of(glove, gesture)
             self._calibration_of(glove)
-        self.stop(glove)
+        self._drop(glove)
         guide = Guide(HAND if gesture is None else SAMPLE, countdown_s)
         guided = Guided(glove, guide, apply=apply, gesture=gesture, code=code)
         glove.switch(testing=True, filtering=None)
@@ -90,14 +102,16 @@ class Guidance:
         glove.watchers.add(guided.watch)
         self._guided[glove.name] = guided
         glove.guidance = guided.view
+        async with self._writing:
+            await on_disk(lambda: self._logbook.guide_began(glove.name, gesture))
         return guided.view()
 
-    def stop(self, glove: Glove) -> None:
+    async def stop(self, glove: Glove) -> None:
         """Give up the calibration of `glove`, if there is one; nothing is changed by it."""
-        guided = self._guided.pop(glove.name, None)
-        glove.guidance = None
-        if guided is not None:
-            _let_go(guided)
+        if self._drop(glove):
+            async with self._writing:
+                if glove.name not in self._guided:
+                    await on_disk(lambda: self._logbook.guide_ended(glove.name))
 
     def view(self, glove: Glove) -> dict[str, Any] | None:
         """Return how far the calibration of `glove` is, or how its last one ended."""
@@ -177,6 +191,39 @@ class Guidance:
             guided.outcome = {"applied": False, "problem": problem.detail, "doubts": []}
         finally:
             _let_go(guided)
+        await self._forget(guided)
+
+    async def _forget(self, guided: Guided) -> None:
+        """Have it no longer told as interrupted, unless another has begun with the glove meanwhile."""
+        name = guided.glove.name
+        async with self._writing:
+            if self._guided.get(name) is guided:
+                try:
+                    await on_disk(lambda: self._logbook.guide_ended(name))
+                except Problem as problem:
+                    log.warning("the end of a calibration was not kept", glove=name, why=problem.detail)
+
+    def _drop(self, glove: Glove) -> bool:
+        """Let go of the calibration of `glove`; say whether there was one."""
+        guided = self._guided.pop(glove.name, None)
+        glove.guidance = None
+        if guided is not None:
+            _let_go(guided)
+        return guided is not None
+
+    def _tell_of_interruption(self, glove: Glove) -> None:
+        if glove.name not in self._interrupted:
+            return
+        gesture = self._interrupted.pop(glove.name)
+        code = None if gesture is None else glove.senses.gestures.codes.get(gesture)
+        guide = Guide(HAND if gesture is None else SAMPLE, phase=Phase.INTERRUPTED)
+        guided = Guided(glove, guide, apply=False, gesture=gesture, code=code)
+        what = "showing the fist and the open hand" if gesture is None else f'showing "{gesture}"'
+        guided.outcome = _told(
+            False, f"the controller stopped while you were {what}; nothing was changed, begin again", []
+        )
+        self._guided[glove.name] = guided
+        glove.guidance = guided.view
 
     async def _outcome(self, guided: Guided) -> dict[str, Any]:
         glove, guide = guided.glove, guided.guide

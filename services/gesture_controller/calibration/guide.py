@@ -52,6 +52,8 @@ class Phase(Enum):
     CAPTURE = "capture"
     DONE = "done"
     GIVEN_UP = "givenUp"
+    INTERRUPTED = "interrupted"
+    """The controller stopped meanwhile."""
 
 
 HAND = (Step.FIST, Step.OPEN)
@@ -81,7 +83,7 @@ class Guide:
     @property
     def is_over(self) -> bool:
         """Say whether no more frames are needed."""
-        return self.phase in {Phase.DONE, Phase.GIVEN_UP}
+        return self.phase in {Phase.DONE, Phase.GIVEN_UP, Phase.INTERRUPTED}
 
     @property
     def step(self) -> Step:

@@ -11,11 +11,14 @@ from statistics import median
 
 from services.gesture_controller.thresholds import FINGERS, Threshold, Thresholds
 
-BENT_BELOW = 0.50
+BENT_BELOW = (0.45, 0.55, 0.55, 0.55, 0.50)
 STRAIGHT_ABOVE = (0.60, 0.80, 0.80, 0.80, 0.60)
 """Where the thresholds stand in the span from fist (0) to open hand (1), thumb first.
 
-A thumb or a little finger that is stretched alone falls short of the open hand, the others hardly do.
+A finger that is dragged along counts as bent up to three standard deviations above where such fingers stand
+(0.2 ± 0.12, `population.py`). A thumb or a little finger that is stretched alone falls short of the open
+hand, the others hardly do. The thumb's thresholds are where it is as likely bent as straight: the lower
+beside a bent index finger, the upper beside a straight one.
 """
 
 LEAST_FRAMES = 10
@@ -112,7 +115,8 @@ def levels_of(fist: Sequence[float], open_hand: Sequence[float]) -> FingerLevels
 
 def _finger(name: str, fist: Sequence[float], open_hand: Sequence[float]) -> _Finger:
     levels = levels_of(fist, open_hand)
-    threshold = Threshold(levels.at(STRAIGHT_ABOVE[FINGERS.index(name)]), levels.at(BENT_BELOW))
+    place = FINGERS.index(name)
+    threshold = Threshold(levels.at(STRAIGHT_ABOVE[place]), levels.at(BENT_BELOW[place]))
     bent = sum(value < threshold.lower for value in fist) / len(fist)
     straight = sum(value > threshold.upper for value in open_hand) / len(open_hand)
     return _Finger(name, levels, threshold, bent, straight)

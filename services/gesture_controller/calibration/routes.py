@@ -78,7 +78,7 @@ def add_calibration(app: FastAPI, guidance: Guidance, gloves: Gloves) -> None:
     async def begin(glove: str, new: NewGuide | None = None) -> dict[str, Any]:
         """Begin to guide the hand, as the live view shows; no gesture answers a Task meanwhile."""
         chosen = new or NewGuide()
-        return guidance.begin(
+        return await guidance.begin(
             gloves.named(glove),
             gesture=chosen.gesture,
             apply=chosen.apply,
@@ -93,7 +93,7 @@ def add_calibration(app: FastAPI, guidance: Guidance, gloves: Gloves) -> None:
     @app.delete("/gloves/{glove}/calibration/guide", status_code=204, tags=["calibration"])
     async def stop(glove: str) -> None:
         """Give the calibration up; nothing is changed by it."""
-        guidance.stop(gloves.named(glove))
+        await guidance.stop(gloves.named(glove))
 
     @app.post("/gloves/{glove}/calibration/accept", tags=["calibration"])
     async def accept(glove: str) -> dict[str, Any]:

@@ -14,15 +14,7 @@ from services.gesture_controller.pictures.hand import (
     palm_lines,
     shape_of,
 )
-from services.gesture_controller.pictures.motion import (
-    MOVE_S,
-    MOVING_STEPS,
-    OPEN_S,
-    STAY_S,
-    Hand,
-    Motion,
-    moments,
-)
+from services.gesture_controller.pictures.motion import Hand, Moment, Motion, Pose, moments, whole_s
 from services.gesture_controller.pictures.svg import FOLDED, LINE, NAIL, SKIN
 
 if TYPE_CHECKING:
@@ -39,16 +31,24 @@ EDGE = 3.0
 """Half the width of the outline."""
 
 
-def gif_of(states: str, hand: Hand = "right", motion: Motion = "loop") -> bytes:
-    """Return the picture of the five `states`, thumb first. Takes some tenths of a second of computing."""
+def gif_of(poses: Sequence[Pose], motion: Motion = "loop") -> bytes:
+    """Return the picture of hands beside each other. Takes some tenths of a second of computing a hand.
+
+    At rest, hands that show several gestures in turn are seen once for each.
+    """
     from PIL import Image  # noqa: PLC0415 - heavy, and seldom asked for
 
     if motion == "none":
-        pictures, durations_ms = [_picture(bends_of(states), hand)], [0]
+        hands = [_picture(bends_of(states), pose.hand) for pose in poses for states in pose.states]
+        pictures, durations_ms = [_beside(hands)], [0]
     else:
-        pictures = [_picture(moment.bends, hand) for moment in moments(states)]
-        step_ms = round(MOVE_S * 1000 / MOVING_STEPS / 10) * 10  # a GIF counts in hundredths of a second
-        durations_ms = [round(OPEN_S * 1000), *[step_ms] * (MOVING_STEPS - 1), round(STAY_S * 1000)]
+        ways = [moments(*pose.states) for pose in poses]
+        steps = _steps(ways)
+        pictures = [
+            _beside([_picture(way[nth].bends, pose.hand) for way, pose in zip(ways, poses, strict=True)])
+            for nth, _ in steps
+        ]
+        durations_ms = [duration_ms for _, duration_ms in steps]
     palette = _palette()
     first, *others = (picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     file = io.BytesIO()
@@ -56,6 +56,32 @@ def gif_of(states: str, hand: Hand = "right", motion: Motion = "loop") -> bytes:
     forever = {"loop": 0} if motion == "loop" else {}
     first.save(file, "GIF", optimize=True, **moving, **forever)
     return file.getvalue()
+
+
+def _steps(ways: Sequence[Sequence[Moment]]) -> list[tuple[int, int]]:
+    """Return the moments that differ from the ones before, and for how long (ms) each is seen."""
+    first, steps = ways[0], list[tuple[int, int]]()
+    for nth, moment in enumerate(first):
+        end_s = first[nth + 1].at_s if nth + 1 < len(first) else whole_s(first)
+        # A GIF counts in hundredths of a second.
+        duration_ms = round((end_s - (moment.at_s if nth else 0.0)) * 100) * 10
+        if steps and all(way[nth].bends == way[steps[-1][0]].bends for way in ways):
+            steps[-1] = (steps[-1][0], steps[-1][1] + duration_ms)
+        else:
+            steps.append((nth, duration_ms))
+    return steps
+
+
+def _beside(hands: "Sequence[Image.Image]") -> "Image.Image":
+    from PIL import Image  # noqa: PLC0415 - heavy, and seldom asked for
+
+    if len(hands) == 1:
+        return hands[0]
+    width, height = hands[0].size
+    both = Image.new("RGB", (width * len(hands), height), "white")
+    for nth, hand in enumerate(hands):
+        both.paste(hand, (nth * width, 0))
+    return both
 
 
 def _palette() -> "Image.Image":

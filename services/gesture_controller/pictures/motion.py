@@ -1,5 +1,9 @@
-"""The motion of a picture: from an open hand to the gesture, which then stays long enough to be copied."""
+"""The motion of a picture: from an open hand to the gesture, which then stays long enough to be copied.
 
+Of two gestures in turn, the first stays for a moment before the hand goes on to the second.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,9 +15,24 @@ Motion = Literal["loop", "once", "none"]
 OPEN_S = 0.7
 """How long the open hand is seen first."""
 MOVE_S = 0.7
+BETWEEN_S = 1.2
+"""How long the first of two gestures is seen before the second."""
 STAY_S = 2.6
-WHOLE_S = OPEN_S + MOVE_S + STAY_S
 MOVING_STEPS = 10
+OPEN_HAND = "00000"
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """What one hand of a picture shows: five finger states, thumb first, or several such in turn."""
+
+    hand: Hand
+    states: tuple[str, ...]
+
+    @property
+    def mark(self) -> str:
+        """What its parts are called in a file: two hands of one picture never have the same."""
+        return "".join((self.hand, *self.states))
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +43,38 @@ class Moment:
     bends: tuple[float, ...]
 
 
-def moments(states: str) -> tuple[Moment, ...]:
-    """Return the way from an open hand to `states`: evenly spaced in time, slow at both ends."""
-    aim = bends_of(states)
-    return tuple(
-        Moment(
-            OPEN_S + MOVE_S * step / MOVING_STEPS,
-            tuple(bend * _eased(step / MOVING_STEPS) for bend in aim),
-        )
-        for step in range(MOVING_STEPS + 1)
-    )
+def moments(*shown: str) -> tuple[Moment, ...]:
+    """Return the way from an open hand to each of `shown` in turn: evenly spaced, slow at both ends.
+
+    Between two that are the same the hand opens, or nobody would see that there are two.
+    """
+    way: list[Moment] = []
+    start_s, before = OPEN_S, bends_of(OPEN_HAND)
+    for states in _stations(shown):
+        aim = bends_of(states)
+        way += [
+            Moment(start_s + MOVE_S * step / MOVING_STEPS, _between(before, aim, _eased(step / MOVING_STEPS)))
+            for step in range(MOVING_STEPS + 1)
+        ]
+        start_s, before = start_s + MOVE_S + BETWEEN_S, aim
+    return tuple(way)
+
+
+def whole_s(way: Sequence[Moment]) -> float:
+    """Return how long a picture takes that goes `way` and stays at its end."""
+    return way[-1].at_s + STAY_S
+
+
+def _stations(shown: Sequence[str]) -> Iterator[str]:
+    before = None
+    for states in shown:
+        if states == before:
+            yield OPEN_HAND
+        yield (before := states)
+
+
+def _between(before: Sequence[float], aim: Sequence[float], part: float) -> tuple[float, ...]:
+    return tuple(start + (end - start) * part for start, end in zip(before, aim, strict=True))
 
 
 def _eased(part: float) -> float:

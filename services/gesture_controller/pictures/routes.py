@@ -10,8 +10,8 @@ from urllib.parse import quote
 from fastapi import FastAPI, Header, Response
 
 from handover.errors import Problem
-from services.gesture_controller.gestures import Gestures
-from services.gesture_controller.pictures.motion import Hand, Motion
+from services.gesture_controller.gestures import Gestures, TwoHanded
+from services.gesture_controller.pictures.motion import Hand, Motion, Pose
 from services.gesture_controller.pictures.svg import svg_of
 
 FRESH_S = 3600
@@ -34,9 +34,12 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
         motion: Motion = "loop",
         if_none_match: Annotated[str | None, Header()] = None,
     ) -> Response:
-        """Draw a gesture, by its name or its five states; it moves from an open hand, or rests."""
-        known, states = _states_of(name, gestures)
-        return _answer(svg_of(known, states, hand, motion).encode(), "image/svg+xml", if_none_match)
+        """Draw a gesture, by its name or its five states; it moves from an open hand, or rests.
+
+        A gesture of both hands shows both, whatever `hand` says; one of two in turn plays them in turn.
+        """
+        known, poses = _poses_of(name, gestures, hand)
+        return _answer(svg_of(known, poses, motion).encode(), "image/svg+xml", if_none_match)
 
     @app.get("/gestures/{name}.gif", tags=["gestures"], response_class=Response)
     async def gif(
@@ -46,22 +49,23 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
         if_none_match: Annotated[str | None, Header()] = None,
     ) -> Response:
         """Draw the same as a GIF (less than 100 kB, on white) for systems that show nothing else."""
-        _, states = _states_of(name, gestures)
-        return _answer(await asyncio.to_thread(_gif, states, hand, motion), "image/gif", if_none_match)
+        _, poses = _poses_of(name, gestures, hand)
+        return _answer(await asyncio.to_thread(_gif, poses, motion), "image/gif", if_none_match)
 
 
 @lru_cache(maxsize=256)
-def _gif(states: str, hand: Hand, motion: Motion) -> bytes:
+def _gif(poses: tuple[Pose, ...], motion: Motion) -> bytes:
     from services.gesture_controller.pictures.gif import gif_of  # noqa: PLC0415 - loads Pillow
 
-    return gif_of(states, hand, motion)
+    return gif_of(poses, motion)
 
 
-def _states_of(name: str, gestures: Gestures) -> tuple[str, str]:
-    """Return how the gesture is called and its states; `name` may be spelt as in a file name."""
+def _poses_of(name: str, gestures: Gestures, hand: Hand) -> tuple[str, tuple[Pose, ...]]:
+    """Return how the gesture is called and what is seen of it; `name` may be spelt as in a file name."""
     if _STATES.fullmatch(name):
-        return gestures.names.get(name, name), name
-    known = gestures.find(name) or next((one for one, _ in gestures if _plain(one) == _plain(name)), None)
+        return gestures.names.get(name, name), (Pose(hand, (name,)),)
+    everything = (*gestures.codes, *gestures.composed)
+    known = gestures.find(name) or next((one for one in everything if _plain(one) == _plain(name)), None)
     if known is None:
         raise Problem(
             404,
@@ -69,7 +73,10 @@ def _states_of(name: str, gestures: Gestures) -> tuple[str, str]:
             f'there is no gesture "{name}"; {gestures.like(name)}, or give five states, thumb first, '
             "such as 02222 (0 straight, 1 between, 2 bent)",
         )
-    return known, gestures.codes[known]
+    parts = gestures.parts_of(known)
+    if isinstance(gestures.composed.get(known), TwoHanded):
+        return known, tuple(Pose(part.hand or hand, (part.code,)) for part in parts)
+    return known, (Pose(hand, tuple(part.code for part in parts)),)
 
 
 def _plain(name: str) -> str:

@@ -1,6 +1,7 @@
 """The picture as SVG: one file that needs nothing else, and that rests for who prefers no motion."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from html import escape
 
 from services.gesture_controller.pictures.hand import (
@@ -13,7 +14,7 @@ from services.gesture_controller.pictures.hand import (
     palm_lines,
     shape_of,
 )
-from services.gesture_controller.pictures.motion import WHOLE_S, Hand, Motion, moments
+from services.gesture_controller.pictures.motion import Hand, Moment, Motion, Pose, moments, whole_s
 
 LINE, SKIN, FOLDED, NAIL = "#27324a", "#f2e6da", "#d3b8a0", "#fffaf5"
 
@@ -21,38 +22,117 @@ _STYLE = (
     f".e{{fill:{LINE};stroke:{LINE};stroke-width:6;stroke-linejoin:round}}.s{{fill:{SKIN}}}"
     f".f{{fill:{FOLDED}}}.c{{fill:none;stroke:{LINE};stroke-width:2;stroke-linecap:round;opacity:.5}}"
     f".n{{fill:{NAIL};stroke:{LINE};stroke-width:1.5}}"
+    f".a{{fill:none;stroke:{LINE};stroke-width:5;stroke-linecap:round;stroke-linejoin:round}}"
 )
 _REST = (
     ".still{display:none}@media (prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}"
 )
 
+BESIDE = 48
+"""What lies between two hands beside each other."""
+ARROW = "M-18 0H18M6 -12L18 0L6 12"
+
+Size = tuple[int, int]
+Drawing = tuple[Size, str]
+"""Something drawn, and the size of its box."""
 Part = Callable[[FingerShape], str | None]
 """What is drawn of a finger: the data of a path, or None where it is out of sight."""
 
 
-def svg_of(name: str, states: str, hand: Hand = "right", motion: Motion = "loop") -> str:
-    """Return the picture of the gesture `name` with the five `states`, thumb first."""
-    width, height = box()
-    mirror = f' transform="translate({width} 0) scale(-1 1)"' if hand == "left" else ""
-    still = _drawing([shape_of(bends_of(states))], motion, f"{hand}{states}s")
+def svg_of(name: str, poses: Sequence[Pose], motion: Motion = "loop") -> str:
+    """Return the picture of the gesture `name`: one hand, or the left and the right one beside each other.
+
+    Hands that show several gestures in turn do so in motion; at rest all are seen, in their order.
+    """
+    resting, still = _beside([_resting(pose) for pose in poses])
     if motion == "none":
-        style, body = _STYLE, still
+        size, style, body = resting, _STYLE, still
     else:
-        moving = _drawing([shape_of(moment.bends) for moment in moments(states)], motion, f"{hand}{states}m")
-        style, body = _STYLE + _REST, f'<g class="moving">{moving}</g><g class="still">{still}</g>'
+        size, moving = _beside([_moving_hand(pose, motion) for pose in poses])
+        style = _STYLE + _REST
+        body = f'<g class="moving">{moving}</g><g class="still"{_fitted(resting, size)}>{still}</g>'
+    width, height = size
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
-        f'height="{height}" role="img"><title>{escape(name)}</title><style>{style}</style>'
-        f"<g{mirror}>{body}</g></svg>"
+        f'height="{height}" role="img"><title>{escape(name)}</title><style>{style}</style>{body}</svg>'
     )
 
 
-def _drawing(hands: Sequence[Sequence[FingerShape]], motion: Motion, mark: str) -> str:
+def _beside(drawings: Sequence[Drawing]) -> Drawing:
+    """Return drawings of hands beside each other."""
+    x, parts = 0, []
+    for (width, _), drawing in drawings:
+        parts.append(f'<g transform="translate({x} 0)">{drawing}</g>' if x else drawing)
+        x += width + BESIDE
+    return (x - BESIDE, box()[1]), "".join(parts)
+
+
+def _fitted(inner: Size, outer: Size) -> str:
+    """Return how a drawing of the size `inner` comes to lie in the middle of `outer`."""
+    if inner == outer:
+        return ""
+    scale = min(outer[0] / inner[0], outer[1] / inner[1])
+    x, y = ((outer[axis] - inner[axis] * scale) / 2 for axis in (0, 1))
+    return f' transform="translate({x:g} {y:g}) scale({scale:.4g})"'
+
+
+def _resting(pose: Pose) -> Drawing:
+    """Return a hand at rest; of gestures in turn, each, with an arrow to the next."""
+    way = moments(pose.states[0])
+    drawn = [
+        _sided(_drawing([shape_of(bends_of(states))], Pace("none", way), f"{pose.mark}s{nth}"), pose.hand)
+        for nth, states in enumerate(pose.states)
+    ]
+    size, hands = _beside([(box(), drawing) for drawing in drawn])
+    step = box()[0] + BESIDE
+    arrows = "".join(
+        f'<path class="a" transform="translate({nth * step - BESIDE / 2:g} {box()[1] * 0.6:g})" d="{ARROW}"/>'
+        for nth in range(1, len(drawn))
+    )
+    return size, hands + arrows
+
+
+def _moving_hand(pose: Pose, motion: Motion) -> Drawing:
+    way = moments(*pose.states)
+    drawing = _drawing([shape_of(moment.bends) for moment in way], Pace(motion, way), f"{pose.mark}m")
+    return box(), _sided(drawing, pose.hand)
+
+
+def _sided(drawing: str, hand: Hand) -> str:
+    mirror = f' transform="translate({box()[0]} 0) scale(-1 1)"' if hand == "left" else ""
+    return f"<g{mirror}>{drawing}</g>"
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """When what is drawn moves, and whether it begins again."""
+
+    motion: Motion
+    way: tuple[Moment, ...]
+
+    def animation(self, attribute: str, values: Sequence[str]) -> str:
+        """Return the movement of `attribute` through `values`, one for each moment of the way."""
+        once = self.motion == "once"
+        lasts_s = self.way[-1].at_s if once else whole_s(self.way)
+        times = [0.0, *(moment.at_s for moment in self.way)]
+        every = [values[0], *values]
+        if not once:
+            times, every = [*times, lasts_s], [*every, values[-1]]
+        keys = ";".join(f"{at_s / lasts_s:.3f}".rstrip("0").rstrip(".") for at_s in times)
+        how = 'fill="freeze"' if once else 'repeatCount="indefinite"'
+        mode = ' calcMode="discrete"' if attribute == "visibility" else ""
+        return (
+            f'<animate attributeName="{attribute}" dur="{lasts_s:g}s" {how}{mode} keyTimes="{keys}" '
+            f'values="{";".join(every)}"/>'
+        )
+
+
+def _drawing(hands: Sequence[Sequence[FingerShape]], pace: Pace, mark: str) -> str:
     """Return the hand in layers: all outlines first, then all fills, so that no line runs where parts join.
 
     `hands` are the hands to be gone through in turn; one alone stays as it is. `mark` begins its ids.
     """
-    fingers = [_Finger([hand[nth] for hand in hands], motion, f"{mark}{nth}") for nth in range(5)]
+    fingers = [_Finger([hand[nth] for hand in hands], pace, f"{mark}{nth}") for nth in range(5)]
     palm_path = _polygon(palm())
     defined = "".join(part for finger in fingers for part in finger.bones.values())
     edges = f'<path class="e" d="{palm_path}"/>' + "".join(finger.layer("e", "0") for finger in fingers)
@@ -64,11 +144,11 @@ def _drawing(hands: Sequence[Sequence[FingerShape]], motion: Motion, mark: str) 
 class _Finger:
     """A finger on its way; each bone is defined once and used for its outline and its fill."""
 
-    def __init__(self, shapes: Sequence[FingerShape], motion: Motion, mark: str) -> None:
-        self._shapes, self._motion, self._mark = shapes, motion, mark
+    def __init__(self, shapes: Sequence[FingerShape], pace: Pace, mark: str) -> None:
+        self._shapes, self._pace, self._mark = shapes, pace, mark
         made = {
             f"{folded:d}{nth}": _moving(
-                f'id="{mark}{folded:d}{nth}"', shapes, _bone(nth, folded=folded), motion
+                f'id="{mark}{folded:d}{nth}"', shapes, _bone(nth, folded=folded), pace
             )
             for folded in (False, True)
             for nth in range(3)
@@ -83,38 +163,25 @@ class _Finger:
 
     def drawing(self) -> str:
         """Return all that lies over the palm."""
-        creases = _moving('class="c"', self._shapes, _creases, self._motion)
-        nail = _moving('class="n"', self._shapes, _nail, self._motion)
+        creases = _moving('class="c"', self._shapes, _creases, self._pace)
+        nail = _moving('class="n"', self._shapes, _nail, self._pace)
         return self.layer("s", "0") + self.layer("e", "1") + self.layer("f", "1") + creases + nail
 
 
-def _moving(attributes: str, finger: Sequence[FingerShape], part: Part, motion: Motion) -> str:
+def _moving(attributes: str, finger: Sequence[FingerShape], part: Part, pace: Pace) -> str:
     """Return a path that goes through `part` of each of the shapes; nothing if it is never in sight."""
     paths = [part(shape) for shape in finger]
-    seen = [path for path in paths if path is not None]
-    if not seen:
+    first = next((path for path in paths if path is not None), None)
+    if first is None:
         return ""
     if len(set(paths)) == 1:
-        return f'<path {attributes} d="{seen[0]}"/>'
+        return f'<path {attributes} d="{first}"/>'
     seen_when = ["visible" if path else "hidden" for path in paths]
-    shown = _animation("visibility", seen_when, motion) if None in paths else ""
-    nearest = [path or seen[0 if nth < paths.index(seen[0]) else -1] for nth, path in enumerate(paths)]
-    return f'<path {attributes} d="{nearest[-1]}">{_animation("d", nearest, motion)}{shown}</path>'
-
-
-def _animation(attribute: str, values: Sequence[str], motion: Motion) -> str:
-    times = [0.0, *(moment.at_s for moment in moments("00000"))]
-    whole_s = times[-1] if motion == "once" else WHOLE_S
-    every = [values[0], *values]
-    if motion != "once":
-        times, every = [*times, whole_s], [*every, values[-1]]
-    keys = ";".join(f"{at_s / whole_s:.3f}".rstrip("0").rstrip(".") for at_s in times)
-    how = 'fill="freeze"' if motion == "once" else 'repeatCount="indefinite"'
-    mode = ' calcMode="discrete"' if attribute == "visibility" else ""
-    return (
-        f'<animate attributeName="{attribute}" dur="{whole_s:g}s" {how}{mode} keyTimes="{keys}" '
-        f'values="{";".join(every)}"/>'
-    )
+    shown = pace.animation("visibility", seen_when) if None in paths else ""
+    where = [first]  # while it is out of sight it stays where it was seen last
+    for path in paths[1:]:
+        where.append(path or where[-1])
+    return f'<path {attributes} d="{where[-1]}">{pace.animation("d", where)}{shown}</path>'
 
 
 def _bone(nth: int, *, folded: bool) -> Part:

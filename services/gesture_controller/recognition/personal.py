@@ -89,6 +89,9 @@ class _Shapes:
     row_weight: Numbers
     finger: NDArray[np.intp]
     share: Numbers
+    least: Numbers
+    most: Numbers
+    """No finger is too bent to be bent, or too straight to be straight: less or more away does not count."""
     narrowness: Numbers
     """One over the deviation and over the root of the degrees of freedom."""
     steepness: Numbers
@@ -167,6 +170,8 @@ class PersonalRecognizer:
         shapes = self._shapes
         away = np.minimum(np.maximum(shares, LOWEST), HIGHEST).take(shapes.finger)
         away -= shapes.share
+        np.maximum(away, shapes.least, out=away)
+        np.minimum(away, shapes.most, out=away)
         away *= shapes.narrowness
         away *= away
         terms = shapes.height - shapes.steepness * np.log1p(away, out=away)
@@ -181,8 +186,9 @@ _CODES = tuple("".join(states) for states in product(STRAIGHT + BETWEEN + BENT, 
 _NORMAL = 1e6
 """Student's t with so many degrees of freedom is the normal distribution: a half-bent finger is near half."""
 
-Term = tuple[int, float, float, float]
-"""A way in which a finger may stand: its place, the share, the standard deviation, degrees of freedom."""
+Term = tuple[int, float, float, float, str]
+"""A way in which a finger may stand: its place, the share, the standard deviation, degrees of freedom, and
+its state; one that is bent may be more bent than that, and one that is straight straighter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +204,7 @@ def _shapes_of(calibration: Calibration, in_use: frozenset[str], population: Pop
     rows = [*_hands_at_large(population, unrest, in_use, shown), *_hands_at_work(unrest), *shown]
     terms = list(dict.fromkeys(term for row in rows for term in row.terms))
     place = {term: number for number, term in enumerate(terms)}
-    finger, share, scale, tails = (np.array(column) for column in zip(*terms, strict=True))
+    finger, share, scale, tails, state = (np.array(column) for column in zip(*terms, strict=True))
     codes = tuple(dict.fromkeys(row.code for row in rows))
     number = {code: place for place, code in enumerate(codes)}
     return _Shapes(
@@ -208,6 +214,8 @@ def _shapes_of(calibration: Calibration, in_use: frozenset[str], population: Pop
         np.array([row.weight for row in rows]),
         finger.astype(np.intp),
         share,
+        np.where(state == BENT, 0.0, -np.inf),
+        np.where(state == STRAIGHT, 0.0, np.inf),
         1 / (scale * np.sqrt(tails)),
         (tails + 1) / 2,
         -np.log(scale),
@@ -230,6 +238,7 @@ def _samples(calibration: Calibration) -> Iterator[_Row]:
                 float(np.clip(stand, LOWEST, HIGHEST)),
                 float(np.hypot(np.hypot(SAMPLE_SPREAD, noise), RAW_UNREST[place] / 2 / level.span)),
                 SAMPLE_TAILS,
+                BETWEEN,
             )
             for place, (stand, noise, level) in enumerate(
                 zip(sample.shares, sample.noise, calibration.levels, strict=True)
@@ -247,8 +256,14 @@ def _hands_at_large(
         weight += code[0].count(BETWEEN) * float(np.log(HALF_THUMB))
         weight += code[1:].count(BETWEEN) * float(np.log(HALF))
         terms = tuple(
-            (place, stand.share, float(np.hypot(stand.spread, unrest[place])), _NORMAL if half else TAILS)
-            for place, (stand, half) in enumerate(stands)
+            (
+                place,
+                stand.share,
+                float(np.hypot(stand.spread, unrest[place])),
+                _NORMAL if state == BETWEEN else TAILS,
+                state,
+            )
+            for place, (stand, state) in enumerate(zip(stands, code, strict=True))
         )
         if BETWEEN not in code and any(row.code != code and _is_near(row, terms) for row in shown):
             weight -= OVERRULED
@@ -258,18 +273,15 @@ def _hands_at_large(
 def _hands_at_work(unrest: Sequence[float]) -> Iterator[_Row]:
     for code, stands in HOLDING:
         terms = tuple(
-            (place, stand.share, float(np.hypot(stand.spread, unrest[place])), _NORMAL)
+            (place, stand.share, float(np.hypot(stand.spread, unrest[place])), _NORMAL, BETWEEN)
             for place, stand in enumerate(stands)
         )
         yield _Row(code, float(np.log(AT_WORK)), terms)
 
 
-def _stands(population: Population) -> Iterator[tuple[str, Sequence[tuple[Stand, bool]]]]:
+def _stands(population: Population) -> Iterator[tuple[str, Sequence[Stand]]]:
     for code in _CODES:
-        yield (
-            code,
-            [(population.kinds[kind_of(code, place)], state == BETWEEN) for place, state in enumerate(code)],
-        )
+        yield code, [population.kinds[kind_of(code, place)] for place in range(len(code))]
 
 
 def _is_near(sample: _Row, terms: Sequence[Term]) -> bool:

@@ -30,7 +30,8 @@ class Recognition:
 
     `states` are the five fingers for the page, thumb first (0 straight, 1 between, 2 bent); `gesture` is the
     name of what the hand shows, None for no gesture or in doubt; `certainty` (0 to 1) is that of this
-    answer. `memory` is the recognizer's own, and is read by nobody else.
+    answer. `memory` is the recognizer's own, and is read by nobody else. `doubtful` names the fingers that
+    keep it from answering a gesture whose states the hand shows: they should be shown more clearly.
     """
 
     states: str
@@ -38,6 +39,7 @@ class Recognition:
     certainty: float
     at_s: float
     memory: Any = field(default=None, repr=False, compare=False)
+    doubtful: tuple[str, ...] = ()
 
 
 class Recognizer(Protocol[FrameT_contra]):

@@ -1,12 +1,14 @@
 """The recognizer by thresholds: bent below the lower, straight above the upper; it explains itself.
 
-A finger that wavers between its thresholds keeps what it was for `KEEP_S`, so that a tremble does not break a
-hold. A finger that stays between is half bent, and the hand then shows no gesture.
+A finger between its thresholds is half bent, and the hand then shows no gesture; but near the threshold that
+it passed last, and anywhere for `KEEP_S`, it keeps what it was, so that a tremble does not break a hold. Once
+the hand is calibrated, a thumb in between goes by the index finger, and what holds something is doubted.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from services.gesture_controller.calibration.levels import FingerLevels
 from services.gesture_controller.finger_states import BENT, BETWEEN, STRAIGHT, finger_states
 from services.gesture_controller.frames import Frame
 from services.gesture_controller.gestures import Gestures
@@ -15,14 +17,38 @@ from services.gesture_controller.thresholds import FINGERS, Threshold, Threshold
 
 KEEP_S = 0.3
 
+LEEWAY = 1 / 3
+"""Up to this share of the way to the other threshold, a finger is near the one that it passed last."""
+
+APART, GRIP_APART = 0.4, 0.6
+"""How far straight fingers stand above bent ones at least, on average, as shares of their spans; the second
+is for `GRIPS`.
+
+An object keeps some fingers from closing and others from stretching, so those of a hand at work stand nearer
+together, though each by itself may pass its threshold.
+"""
+
+GRIPS = frozenset({"02222", "20222", "00222", "00022", "22000", "20000"})
+"""Gestures that look like a hand round an object: a key or handle, a tool with the index finger along it, a
+pinch, three fingertips, a pinch with the other fingers away, a plate. (T. Feix et al.: The GRASP Taxonomy of
+Human Grasp Types, IEEE Trans. Human-Machine Systems 46, 2016.)
+"""
+
+SHORT = 0.2
+"""A finger that falls so far short of the open hand, or of the fist, makes such a hand doubtful."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Steadied:
-    """`code` is what counts, `since_s` when each finger came between its thresholds, `bend` as measured."""
+    """`code` is what counts, `since_s` when each finger came between its thresholds, `bend` as measured.
+
+    `close_since_s` is since when straight and bent fingers have stood too near together for the gesture.
+    """
 
     code: str
     since_s: tuple[float | None, ...]
     bend: list[float]
+    close_since_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,21 +57,32 @@ class ThresholdRecognizer:
 
     thresholds: Thresholds
     gestures: Gestures
+    levels: tuple[FingerLevels, ...] | None = None
+    """What the fingers show in the fist and in the open hand; None until the hand is calibrated."""
 
     @classmethod
     def made_from(cls, given: Given) -> "ThresholdRecognizer":
         """Return the recognizer for the hand that `given` tells of."""
-        return cls(given.thresholds, given.gestures)
+        levels = None if given.calibration is None else given.calibration.levels
+        return cls(given.thresholds, given.gestures, levels)
 
     def see(self, before: Recognition | None, frame: Frame) -> Recognition:
         """Return what `frame` shows."""
         states = finger_states(frame.bend, self.thresholds)
-        if BETWEEN not in states:
-            memory = _Steadied(states, _NOBODY, frame.bend)
-        else:
-            memory = _steadied(states, None if before is None else before.memory, frame)
-        gesture = self.gestures.names.get(memory.code)
-        return Recognition(states, gesture, 1.0, frame.t_s, memory)
+        code, since_s = states, _NOBODY
+        if BETWEEN in states:
+            code = states if self.levels is None else _in_company(states)
+            if BETWEEN in code and before is not None:
+                code, since_s = self._steadied(code, before.memory, frame)
+        gesture = self.gestures.names.get(code)
+        if gesture is None or not self._is_close(code, frame.bend):
+            return Recognition(states, gesture, 1.0, frame.t_s, _Steadied(code, since_s, frame.bend))
+        close_since_s = _close_since_s(before, frame.t_s)
+        memory = _Steadied(code, since_s, frame.bend, close_since_s)
+        if before is not None and before.gesture == gesture and frame.t_s - close_since_s < KEEP_S:
+            return Recognition(states, gesture, 1.0, frame.t_s, memory)
+        doubtful = self._short_fingers(code, frame.bend)
+        return Recognition(states, None, 1.0, frame.t_s, memory, doubtful)
 
     def odds(self, seen: Recognition) -> Mapping[str, float]:
         """Return for each gesture how far its worst finger is between its thresholds, towards it."""
@@ -62,24 +99,87 @@ class ThresholdRecognizer:
 
     def why(self, seen: Recognition) -> str:
         """Return each finger's value beside its thresholds, and what that makes."""
-        fingers = zip(FINGERS, seen.memory.bend, self.thresholds.fingers, seen.states, strict=True)
+        memory = seen.memory
+        fingers = zip(FINGERS, memory.bend, self.thresholds.fingers, memory.code, strict=True)
         told = "; ".join(_told(*finger) for finger in fingers)
+        meant = self.gestures.names.get(memory.code)
+        if seen.gesture is None and meant is not None:
+            apart, least = self._apart(memory.code, memory.bend), _least_apart(memory.code)
+            return (
+                f"{told}: {meant}, but as in a hand that holds something: straight fingers stand {apart:.0%} "
+                f"above bent ones, and must stand {least:.0%} above them"
+            )
         return f"{told}: {seen.gesture or 'no gesture has these states'}"
+
+    def _is_close(self, code: str, bend: Sequence[float]) -> bool:
+        if self.levels is None or len(set(code)) == 1:
+            return False
+        return self._apart(code, bend) < _least_apart(code)
+
+    def _apart(self, code: str, bend: Sequence[float]) -> float:
+        """Return how far straight fingers stand above bent ones, on average."""
+        shares = self._shares(bend)
+        straight = [share for share, state in zip(shares, code, strict=True) if state == STRAIGHT]
+        return sum(straight) / len(straight) - (sum(shares) - sum(straight)) / (len(code) - len(straight))
+
+    def _short_fingers(self, code: str, bend: Sequence[float]) -> tuple[str, ...]:
+        """Return the one or two fingers that fall furthest short of the open hand, or of the fist."""
+        short = {
+            finger: 1 - share if state == STRAIGHT else share
+            for finger, share, state in zip(FINGERS, self._shares(bend), code, strict=True)
+        }
+        worst = sorted(short, key=lambda finger: short[finger])[-2:]
+        return tuple(finger for finger in FINGERS if finger in worst and short[finger] > SHORT)
+
+    def _shares(self, bend: Sequence[float]) -> list[float]:
+        levels = self.levels or ()
+        return [(value - level.fist) / level.span for value, level in zip(bend, levels, strict=True)]
+
+    def _steadied(self, states: str, before: _Steadied, frame: Frame) -> tuple[str, tuple[float | None, ...]]:
+        code, since_s = list(states), list(_NOBODY)
+        for place, (now, was) in enumerate(zip(states, before.code, strict=True)):
+            if now != BETWEEN:
+                continue
+            if was != BETWEEN and self._is_near(place, was, frame.bend[place]):
+                code[place] = was
+                continue
+            began_s = before.since_s[place]
+            since_s[place] = from_s = frame.t_s if began_s is None else began_s
+            if was != BETWEEN and 0 <= frame.t_s - from_s < KEEP_S:
+                code[place] = was
+        return "".join(code), tuple(since_s)
+
+    def _is_near(self, place: int, state: str, value: float) -> bool:
+        threshold = self.thresholds.fingers[place]
+        leeway = LEEWAY * (threshold.upper - threshold.lower)
+        if state == STRAIGHT:
+            return value >= threshold.upper - leeway
+        return value <= threshold.lower + leeway
 
 
 _NOBODY: tuple[float | None, ...] = (None,) * len(FINGERS)
 
 
-def _steadied(states: str, before: _Steadied | None, frame: Frame) -> _Steadied:
-    if before is None:
-        return _Steadied(states, _NOBODY, frame.bend)
-    code, since_s = "", []
-    for now, was, began_s in zip(states, before.code, before.since_s, strict=True):
-        from_s = frame.t_s if began_s is None else began_s
-        keeps = now == BETWEEN and was != BETWEEN and 0 <= frame.t_s - from_s < KEEP_S
-        code += was if keeps else now
-        since_s.append(from_s if now == BETWEEN else None)
-    return _Steadied(code, tuple(since_s), frame.bend)
+def _in_company(states: str) -> str:
+    """Return `states` with a thumb that is between taken for what the index finger beside it makes likely.
+
+    A straight index finger drags a bent thumb up. Beside a bent one, a thumb that is stretched with other
+    fingers falls short of the open hand; one that is stretched by itself goes all the way.
+    """
+    thumb, index = states[0], states[1]
+    if thumb != BETWEEN or index == BETWEEN:
+        return states
+    return (STRAIGHT if index == BENT and STRAIGHT in states else BENT) + states[1:]
+
+
+def _least_apart(code: str) -> float:
+    return GRIP_APART if code in GRIPS else APART
+
+
+def _close_since_s(before: Recognition | None, at_s: float) -> float:
+    """Return since when straight fingers have stood too little above bent ones, as they do at `at_s`."""
+    since_s = None if before is None else before.memory.close_since_s
+    return at_s if since_s is None or since_s > at_s else float(since_s)
 
 
 def _share(value: float, threshold: Threshold) -> float:
@@ -90,8 +190,9 @@ def _share(value: float, threshold: Threshold) -> float:
 
 
 def _told(finger: str, value: float, threshold: Threshold, state: str) -> str:
-    if state == STRAIGHT:
+    if threshold.lower <= value <= threshold.upper:
+        taken = {STRAIGHT: ", taken for straight", BENT: ", taken for bent"}.get(state, "")
+        return f"{finger} {value:g} is between {threshold.lower:g} and {threshold.upper:g}{taken}"
+    if value > threshold.upper:
         return f"{finger} {value:g} is above {threshold.upper:g}, straight"
-    if state == BENT:
-        return f"{finger} {value:g} is below {threshold.lower:g}, bent"
-    return f"{finger} {value:g} is between {threshold.lower:g} and {threshold.upper:g}"
+    return f"{finger} {value:g} is below {threshold.lower:g}, bent"

@@ -316,6 +316,14 @@ class Examiner:
                 raise Problem(
                     422, "Unknown gesture", f'there is no gesture "{name}"; {self._gestures.like(name)}'
                 )
+            if known in self._gestures.composed:
+                parts = " and ".join(f'"{part.gesture}"' for part in self._gestures.parts_of(known))
+                raise Problem(
+                    422,
+                    "Composed gesture",
+                    f'"{known}" is composed of {parts}; an accuracy test asks for one shape of one hand at a '
+                    "time, so test those instead",
+                )
             codes[known] = self._gestures.codes[known]
         return codes
 

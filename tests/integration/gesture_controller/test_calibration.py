@@ -1,13 +1,17 @@
 """Calibration with the real controller: guided by the hand's own frames, chosen, kept through `kill -9`."""
 
 import asyncio
+import sqlite3
 from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import orjson
 import pytest
 
 from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
+from services.gesture_controller.calibration.keeping import KEEP_FROM
 
 POINT: Posture = (0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -85,6 +89,72 @@ async def test_a_hand_is_guided_and_read_by_what_it_showed_after_a_crash_too(
     told = bench.screen.get("/gloves/glove-1/recognition").json()
     assert told["odds"]["Point with index"] > 0.9
     assert "index" in told["why"]
+
+
+async def test_a_drift_that_was_followed_outlives_a_crash_and_ends_with_the_next_calibration(
+    bench: Any,
+    wearer: SimulatedWearer,
+    put_on: Callable[..., Any],
+    running_cell: Any,
+    eventually: Callable[..., None],
+) -> None:
+    frames = {"fist": [[300.0] * 5] * 50, "open": [[700.0] * 5] * 50}
+    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
+    wearer.send([[300.0, 636, 636, 300, 300]] * 4000)  # 84 % of the span, where it should be 92 %
+    eventually(lambda: bench.view()["frames"] > 4000)
+    followed = bench.view()["drift"]
+    assert followed["index"] < -20
+    database = running_cell.data_dir / "gesture_controller.db"
+    followed_to = pytest.approx(list(followed.values()), abs=KEEP_FROM * 400)
+    eventually(lambda: kept_drift(database) == followed_to)
+    kept = kept_drift(database)
+
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    assert list(bench.view()["drift"].values()) == pytest.approx(kept, abs=0.01)
+    again = SimulatedWearer(put_on())
+    again.send([[300.0, 636, 636, 300, 300]] * 10)
+    eventually(lambda: bench.view()["gesture"] == "Index and middle straight")
+    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    assert set(bench.view()["drift"].values()) == {0.0}, "it belonged to the calibration before"
+
+
+async def test_a_guide_that_a_crash_interrupted_is_told_of_until_another_begins(
+    bench: Any,
+    wearer: SimulatedWearer,
+    put_on: Callable[..., Any],
+    running_cell: Any,
+    eventually: Callable[..., None],
+) -> None:
+    thresholds = bench.view()["thresholds"]
+    guide(bench)
+    wearer.show(FIST, 4.5)
+    eventually(lambda: bench.view()["calibration"]["step"] == "open")
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    view = bench.view()
+    assert view["calibration"]["phase"] == "interrupted"
+    assert "nothing was changed, begin again" in view["calibration"]["outcome"]["problem"]
+    assert not view["testing"], "Tasks are answered again"
+    assert view["thresholds"] == thresholds
+    again = SimulatedWearer(put_on())
+    again.show(AT_REST, 0.2)
+    guide(bench, countdownMs=0)
+    again.show(FIST, 2)
+    again.show(OPEN_HAND, 3)
+    eventually(lambda: outcome(bench) == {"applied": True, "problem": None, "doubts": []})
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    assert bench.view()["calibration"] is None
+
+
+def kept_drift(database: Path) -> list[float] | None:
+    """What the controller has kept so far of how glove-1 has drifted."""
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
+        rows = connection.execute("SELECT offsets FROM controller_drifts WHERE glove = 'glove-1'").fetchall()
+    return orjson.loads(rows[0][0]) if rows else None
 
 
 async def test_what_is_offered_counts_once_it_is_accepted(

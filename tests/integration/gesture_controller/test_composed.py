@@ -54,6 +54,15 @@ async def test_both_hands_complete_a_task_also_when_the_second_glove_comes_later
     await asked(bench, task, "left-1")
     assert await bench.status(task) == "inProgress"
     await show_both(left, right, (OPEN, OPEN), 0.3)
+    assert bench.view()["message"]["key"] == "showBoth"
+    await show_both(left, right, (UP, OPEN), 0.3)
+    assert bench.view()["message"] == {
+        "key": "showWithRight",
+        "values": {"gesture": "Thumbs up", "hand": "right"},
+        "text": "Show with your right hand: Thumbs up.",
+    }
+    assert [part["state"] for part in bench.view()["task"]["parts"]] == ["held", "now"]
+    await show_both(left, right, (OPEN, OPEN), 0.3)
     await show_both(left, right, (UP, UP), 1.8)
     await ends(bench, task, "completed")
     assert await bench.outputs(task) == {
@@ -77,6 +86,9 @@ async def test_two_in_turn_complete_a_task_and_without_filtering_are_commands(
     bench: Any, put_on: Callable[..., Any]
 ) -> None:
     glove = put_on()
+    refused = bench.screen.post("/tests", json={"glove": "glove-1", "gestures": ["wave off"]})
+    assert refused.status_code == 422
+    assert '"Wave off" is composed of "Point with index" and "Horns"' in refused.json()["detail"]
     task = await bench.put("t1", commandId=3)
     await asked(bench, task)
     glove.show(HORNS, 3)

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,10 +93,27 @@ async def test_wrong_thresholds_change_nothing(open_gloves: Open) -> None:
         await gloves.restore(glove)
 
 
+async def test_the_profile_chooses_what_reads_the_hand_and_the_setting_where_it_does_not(
+    open_gloves: Open,
+) -> None:
+    gloves = open_gloves(recognizer="personal")
+    glove = gloves.named("glove-1")
+    for person in ("anna", "ben"):
+        await gloves.wear(glove, person)
+        await gloves.calibrate(glove, [[300.0] * 5] * 20, [[700.0] * 5] * 20)
+    await gloves.keep_fit(glove, replace(gloves.fit_of(glove), recognizer="thresholds"))
+    gloves = open_gloves(recognizer="personal")
+    glove = gloves.named("glove-1")
+    assert (glove.person, glove.senses.recognizer) == ("ben", "thresholds")
+    await gloves.wear(glove, "anna")
+    assert (glove.senses.recognizer, glove.senses.missing) == ("personal", None)
+    assert open_gloves().named("glove-1").senses.recognizer == "thresholds"
+
+
 async def test_a_calibration_is_kept(open_gloves: Open) -> None:
     gloves = open_gloves()
     await gloves.calibrate(gloves.named("glove-1"), [[300.0] * 5] * 20, [[700.0] * 5] * 20)
-    assert open_gloves().named("glove-1").senses.thresholds.fingers[2] == Threshold(620, 500)
+    assert open_gloves().named("glove-1").senses.thresholds.fingers[2] == Threshold(620, 520)
 
 
 async def test_a_calibration_that_fails_names_the_finger_and_changes_nothing(open_gloves: Open) -> None:

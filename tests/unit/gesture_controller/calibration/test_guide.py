@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
@@ -39,6 +39,8 @@ def guided(shown: Sequence[Shown], hz: float = 50, guide: Guide | None = None, s
     made = [guide or Guide()]
     for bend, at_s in frames(shown, hz, seed):
         made.append(made[-1].after(bend, at_s))
+        if made[-1].is_over:
+            break
     return made
 
 
@@ -55,8 +57,7 @@ def test_a_fist_and_an_open_hand_take_eight_seconds_at_any_rate(hz: float) -> No
     assert calibrate(fist, open_hand).levels[1].span > 150
 
 
-@settings(deadline=None, max_examples=12)
-@given(st.floats(0, 9), st.floats(0, 9), st.sampled_from([20, 50, 200]), st.integers(0, 1000))
+@given(st.floats(0, 9), st.floats(0, 9), st.sampled_from([20, 50]), st.integers(0, 1000))
 def test_who_is_late_is_waited_for(before_s: float, between_s: float, hz: float, seed: int) -> None:
     """The hand rests, or stays a fist, too long; a fist and an open hand are captured all the same."""
     made = guided([(OPEN_HAND, before_s), (FIST, 4.5 + between_s), (OPEN_HAND, 12)], hz, seed=seed)
@@ -119,7 +120,6 @@ def test_a_sample_takes_one_step() -> None:
     assert len(made[-1].captured) == 1
 
 
-@settings(deadline=None, max_examples=40)
 @given(
     st.lists(
         st.tuples(

@@ -22,7 +22,7 @@ def test_a_fist_reads_bent_and_an_open_hand_straight() -> None:
     calibration = calibrate(shown(FIST), shown(OPEN))
     assert finger_states(FIST, calibration.thresholds) == "22222"
     assert finger_states(OPEN, calibration.thresholds) == "00000"
-    middle = [bent + 0.55 * (straight - bent) for bent, straight in zip(FIST, OPEN, strict=True)]
+    middle = [bent + 0.58 * (straight - bent) for bent, straight in zip(FIST, OPEN, strict=True)]
     assert finger_states(middle, calibration.thresholds) == "11111"
 
 

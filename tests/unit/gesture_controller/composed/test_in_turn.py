@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gesture_controller.composed.in_turn import Turn
@@ -118,7 +118,6 @@ def runs(frames: Sequence[Frame]) -> list[tuple[str | None, float, float]]:
     return made
 
 
-@settings(deadline=None)
 @given(STEPS, st.sampled_from([A_B, A_A]))
 def test_whatever_a_hand_does_what_counts_was_held_as_long_as_a_single_gesture(
     steps: list[tuple[str | None, int, int]], asked: InTurn
@@ -139,7 +138,6 @@ def test_whatever_a_hand_does_what_counts_was_held_as_long_as_a_single_gesture(
             assert round((second[1] - firsts[-1][2]) * 1000) <= 3000
 
 
-@settings(deadline=None)
 @given(STEPS, st.integers(1, 40))
 def test_a_clock_that_jumps_begins_it_anew(steps: list[tuple[str | None, int, int]], back: int) -> None:
     hand = Hand(A_B)

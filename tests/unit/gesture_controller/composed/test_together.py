@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gesture_controller.composed.together import Shown, Together
@@ -97,7 +97,6 @@ MOVES = st.lists(
 )
 
 
-@settings(deadline=None)
 @given(MOVES)
 def test_whatever_hands_do_both_have_held_their_parts_for_1500_ms_when_it_counts(
     moves: list[tuple[str | None, str | None, int, str]],

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from services.gesture_controller.configuration import built_in
@@ -61,7 +61,6 @@ FITS = st.dictionaries(
 TITLES = st.none() | st.text("Aä 0:#'-", min_size=1, max_size=9).filter(lambda text: bool(text.strip()))
 
 
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(TITLES, OWN, FITS, st.booleans())
 def test_what_goes_out_comes_in_again_unchanged(
     title: str | None, own: Mapping[str, OwnGesture], fits: Mapping[str, Fit], composed: bool

@@ -26,7 +26,7 @@ from benchmarks.recorded_hands import (
 )
 from services.gesture_controller.frames import Frame
 from services.gesture_controller.recognition.population import USUAL, learn
-from services.gesture_controller.recognition.registry import PERSONAL
+from services.gesture_controller.recognition.registry import PERSONAL, THRESHOLDS
 
 FIST_LEVELS, OPEN_LEVELS = (300.0, 500, 500, 500, 450), (400.0, 700, 700, 690, 680)
 
@@ -120,6 +120,19 @@ def test_half_way_thresholds_give_what_was_measured_before(recordings: Path) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("name", "least"), [("a", 0.82), ("b", 0.997), ("c", 0.985)])
+def test_thresholds_are_better_than_half_way_and_confirm_nothing_that_was_not_meant(
+    recordings: Path, name: str, least: float
+) -> None:
+    people = [read(path) for path in sorted(recordings.glob("*.csv"))]
+    person = next(one for one in people if one.name.endswith(name))
+    score = measure(person, senses_for(person, people, THRESHOLDS))
+    assert score.accuracy(SIX) >= least
+    assert score.accuracy(SIX) > half_way(person, whole_poses=False).accuracy(SIX) + 0.009
+    assert {what: names for what, names in score.confirmed.items() if names} == {}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "least"), [("a", 0.86), ("b", 0.999), ("c", 0.99)])
 def test_a_fist_and_an_open_hand_suffice_for_gestures_in_use(
     recordings: Path, name: str, least: float
@@ -150,9 +163,10 @@ def test_a_second_of_each_gesture_leaves_hardly_an_error(recordings: Path, name:
         assert right / len(seen) >= 0.995
 
 
-def test_a_minute_of_assembly_confirms_nothing() -> None:
+@pytest.mark.parametrize("recognizer", [THRESHOLDS, PERSONAL])
+def test_a_minute_of_assembly_confirms_nothing(recognizer: str) -> None:
     person = made_up(1)
-    senses = senses_for(person, [person], PERSONAL)
+    senses = senses_for(person, [person], recognizer)
     for seed in range(2):
         assert not {*confirmed(look(at_work(person, seed), senses, person.hz))} - {"Fist", "Open hand"}
 

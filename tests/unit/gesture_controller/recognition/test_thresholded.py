@@ -1,13 +1,27 @@
-"""Thresholds: a finger that wavers keeps what it was for a moment; one that stays between is half bent."""
+"""Thresholds: a finger that wavers keeps what it was for a moment; one that stays between is half bent.
+
+Once the hand is calibrated, a thumb in between goes by the index finger, and what holds something is doubted.
+"""
+
+import random
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
+from services.gesture_controller.calibration.levels import BENT_BELOW, STRAIGHT_ABOVE, calibrate
 from services.gesture_controller.frames import Frame
 from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.recognition.population import BEFOREHAND, Stand
 from services.gesture_controller.recognition.recognizer import Given, Recognition
-from services.gesture_controller.recognition.thresholded import KEEP_S, ThresholdRecognizer
+from services.gesture_controller.recognition.thresholded import (
+    GRIP_APART,
+    KEEP_S,
+    LEEWAY,
+    ThresholdRecognizer,
+)
 from services.gesture_controller.thresholds import Threshold, Thresholds
 
 RECOGNIZER = ThresholdRecognizer.made_from(
@@ -60,3 +74,115 @@ def test_it_says_why_and_how_near_each_gesture_is() -> None:
     odds = RECOGNIZER.odds(seen)
     assert odds["Thumbs up"] == pytest.approx(0.5)
     assert odds["Horns"] == 0
+
+
+HAND = calibrate([[300.0] * 5] * 20, [[700.0] * 5] * 20)
+CALIBRATED = ThresholdRecognizer.made_from(Given(HAND.thresholds, Gestures(M2O2P_GESTURES), HAND))
+
+
+def stand(*postures: Sequence[float], seconds: float = 1.0) -> list[Recognition]:
+    """What is seen in fingers that stand so (0 as in the fist, 1 as in the open hand), each for `seconds`."""
+    seen: list[Recognition] = []
+    for posture in postures:
+        for _ in range(round(seconds * 50)):
+            frame = Frame(len(seen) / 50, [300 + 400 * share for share in posture])
+            seen.append(CALIBRATED.see(seen[-1] if seen else None, frame))
+    return seen
+
+
+def test_a_finger_near_the_threshold_that_it_passed_keeps_what_it_was_for_good() -> None:
+    near = BENT_BELOW[1] + 0.9 * LEEWAY * (STRAIGHT_ABOVE[1] - BENT_BELOW[1])
+    beyond = BENT_BELOW[1] + 1.1 * LEEWAY * (STRAIGHT_ABOVE[1] - BENT_BELOW[1])
+    clear, keeps, lifted = (0.9, 0.1, 0, 0, 0.9), (0.9, near, 0, 0, 0.9), (0.9, beyond, 0, 0, 0.9)
+    assert stand(clear, keeps, seconds=3)[-1].gesture == "Thumb and little straight"
+    assert stand(clear, lifted, seconds=3)[-1].gesture is None
+    assert stand(keeps)[-1].gesture is None, "nobody saw it bent"
+
+
+@pytest.mark.parametrize(
+    ("posture", "gesture"),
+    [
+        ((0.53, 1, 1, 0, 0), "Index and middle straight"),
+        ((0.53, 0, 0, 0, 0.9), "Thumb and little straight"),
+        ((0.53, 0, 0, 0, 0), None),
+        ((0.95, 0, 0, 0, 0), "Thumbs up"),
+        ((0.53, 0.65, 0, 0, 0.9), None),
+    ],
+)
+def test_a_thumb_in_between_is_what_the_index_finger_makes_likely(
+    posture: Sequence[float], gesture: str | None
+) -> None:
+    assert stand(posture)[-1].gesture == gesture
+
+
+@pytest.mark.parametrize(
+    ("held", "looks_like"),
+    [
+        ((0.75, 0.3, 0.25, 0.25, 0.25), "Thumbs up"),
+        ((0.4, 0.85, 0.3, 0.3, 0.3), "Point with index"),
+        ((0.7, 0.85, 0.85, 0.35, 0.35), "Thumb, index and middle straight"),
+    ],
+)
+def test_a_hand_that_holds_something_shows_no_gesture_and_it_says_why(
+    held: Sequence[float], looks_like: str
+) -> None:
+    seen = stand(held)[-1]
+    assert seen.gesture is None
+    assert 1 <= len(seen.doubtful) <= 2
+    assert f"{looks_like}, but as in a hand that holds something" in CALIBRATED.why(seen)
+    assert f"must stand {GRIP_APART:.0%} above them" in CALIBRATED.why(seen)
+    clear = [1.0 if share > 0.6 else 0.1 for share in held]
+    assert stand(clear)[-1].gesture == looks_like
+    assert stand(clear)[-1].doubtful == ()
+
+
+def test_a_tremble_towards_a_grip_does_not_break_a_hold_but_a_grip_ends_it() -> None:
+    clear, gripped = (0.95, 0.1, 0.1, 0.1, 0.1), (0.7, 0.2, 0.2, 0.2, 0.2)
+    tremble = stand(clear, gripped, clear, seconds=0.9 * KEEP_S)
+    assert {one.gesture for one in tremble} == {"Thumbs up"}
+    ended = stand(clear, gripped, seconds=2)[100:]
+    assert [one.gesture for one in ended].count("Thumbs up") == pytest.approx(KEEP_S * 50, abs=1)
+    assert ended[-1].gesture is None
+
+
+def test_hands_that_stand_anyhow_but_half_closed_show_no_gesture() -> None:
+    chance = random.Random(5)
+    hand = SimulatedHand(5, posture=FIST)
+    fist = [list(hand.read()) for _ in range(50)]
+    hand.move(OPEN_HAND, 0.2)
+    calibration = calibrate(fist, [list(hand.read()) for _ in range(60)][10:])
+    reader = ThresholdRecognizer.made_from(
+        Given(calibration.thresholds, Gestures(M2O2P_GESTURES), calibration)
+    )
+    for _ in range(100):
+        posture: Posture = (
+            chance.uniform(0.2, 0.6),
+            chance.uniform(0.2, 0.6),
+            chance.uniform(0.2, 0.6),
+            chance.uniform(0.2, 0.6),
+            chance.uniform(0.2, 0.6),
+        )
+        hand.move(posture, 0.3)
+        seen: Recognition | None = None
+        shown = []
+        for number in range(90):
+            seen = reader.see(seen, Frame(number / 50, list(hand.read())))
+            shown.append(seen.gesture)
+        assert len(set(shown[15:])) > 1 or shown[-1] is None, "nothing is held for a second and a half"
+
+
+def test_thresholds_stand_where_people_at_large_say() -> None:
+    """Whoever is left out of the population, its numbers are near: nobody's own hand was needed for them."""
+    kinds = BEFOREHAND.kinds
+    dragged = kinds["bent beside"]
+    assert BENT_BELOW[1] == pytest.approx(dragged.share + 3 * dragged.spread, abs=0.02)
+    assert BENT_BELOW[0] == pytest.approx(
+        meeting(kinds["bent thumb"], kinds["straight thumb alone"]), abs=0.06
+    )
+    upper = meeting(kinds["bent thumb beside"], kinds["straight thumb"])
+    assert STRAIGHT_ABOVE[0] == pytest.approx(upper, abs=0.06)
+
+
+def meeting(bent: Stand, straight: Stand) -> float:
+    """Where a finger is as many deviations from the one as from the other."""
+    return (bent.share * straight.spread + straight.share * bent.spread) / (bent.spread + straight.spread)

@@ -168,6 +168,17 @@ def test_too_little_is_said_to_be_too_little(twenty: list[Any]) -> None:
     assert "why" in wilcoxon([(1, 1)])
 
 
+@pytest.mark.parametrize(
+    "differences", [(5, 5), (5, -5, 10), (10, 5, -5, 20, 15, 10), (5, 5, 5, -5, 10, 10, 25, 30)]
+)
+def test_tied_pairs_are_tested_exactly_as_by_scipy(differences: tuple[float, ...]) -> None:
+    from scipy import stats
+
+    ours = wilcoxon([(one, 0) for one in differences])
+    theirs = stats.wilcoxon(differences, method=stats.PermutationMethod())
+    assert (ours["w"], ours["p"]) == pytest.approx((theirs.statistic, theirs.pvalue))
+
+
 def test_a_session_that_is_not_finished_counts_as_far_as_it_goes(twenty: list[Any]) -> None:
     from dataclasses import replace
 

@@ -157,7 +157,7 @@ function ByHand({ glove }: { glove: string }) {
         ))}
       </div>
       {failure !== null && <Problem>{failure}</Problem>}
-      <div className="calibrate__acts">
+      <div className="calibrate__acts" data-unsaved={changes !== null || undefined}>
         <Button kind="main" isDisabled={changes === null} onPress={save}>
           {t("save")}
         </Button>

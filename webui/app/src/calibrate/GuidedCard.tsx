@@ -46,13 +46,21 @@ export function GuidedCard({ glove }: { glove: string }) {
       ) : (
         <>
           <p className="quiet">{t(isConnected ? "guided.means" : "guided.away")}</p>
-          {guide?.outcome != null && <Outcome outcome={guide.outcome} />}
+          {guide?.phase === "interrupted" ? (
+            <State tone="attention">{t("guided.interrupted")}</State>
+          ) : (
+            guide?.outcome != null && <Outcome outcome={guide.outcome} />
+          )}
+          {guide?.gesture != null && guide.outcome?.applied === true && (
+            <Learnt glove={glove} onUse={() => act("recognizer", "PUT", { name: "personal" })} />
+          )}
           <div className="guided__acts">
             <Button kind="main" size="large" icon={<HandIcon aria-hidden size={28} />} isDisabled={!isConnected} onPress={() => act("calibration/guide", "POST", {})}>
               {t("guided.act")}
             </Button>
             <Sample isDisabled={!isConnected} onShow={(gesture) => act("calibration/guide", "POST", { gesture })} />
           </div>
+          <p className="quiet">{t("guided.readersMean")}</p>
         </>
       )}
     </Card>
@@ -100,6 +108,20 @@ function Outcome({ outcome }: { outcome: NonNullable<GuideView["outcome"]> }) {
         ))}
       </ul>
     </div>
+  );
+}
+
+/** A sample was taken, but thresholds read the hand: they learn nothing from it. */
+function Learnt({ glove, onUse }: { glove: string; onUse: () => void }) {
+  const { t } = useTranslation("calibrate");
+  const name = usePick(`glove/${glove}`, (view) => view?.recognizer?.name ?? "");
+  if (name !== "thresholds") {
+    return null;
+  }
+  return (
+    <p className="guided__learnt">
+      {t("guided.learnt")} <Button onPress={onUse}>{t("guided.useModel")}</Button>
+    </p>
   );
 }
 

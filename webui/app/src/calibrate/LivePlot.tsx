@@ -96,7 +96,7 @@ function drawLine(plot: uPlot, bound: Bound, at: number, name: string, line: str
   ctx.moveTo(bbox.left, y);
   ctx.lineTo(bbox.left + bbox.width, y);
   ctx.stroke();
-  ctx.font = `600 ${13 * scale}px ${getComputedStyle(plot.root).fontFamily}`;
+  ctx.font = `600 ${13 * scale}px ${getComputedStyle(plot.root.parentElement ?? plot.root).fontFamily}`;
   const words = `${name} ${at}`;
   const [width, room] = [ctx.measureText(words).width, 6 * scale];
   const below = bound === "lower";

@@ -65,7 +65,7 @@ export interface GloveView {
 export interface GuideView {
   step: "fist" | "open" | "gesture";
   steps: ("fist" | "open" | "gesture")[];
-  phase: "countdown" | "capture" | "done" | "givenUp";
+  phase: "countdown" | "capture" | "done" | "givenUp" | "interrupted";
   gesture: string | null;
   /** The shape to show: five finger states. */
   code: string;
@@ -109,8 +109,16 @@ export interface GloveTask {
   code: string;
   commandId: number | null;
   /** What a gesture of both hands, or of two in turn, consists of, and how far each part is; none of a single one. */
-  parts?: { gesture: string; code: string; hand: "left" | "right" | null; state: "done" | "held" | "now" | "next" }[];
+  parts?: GesturePart[];
   status: Status;
+}
+
+/** One of the two that a composed gesture consists of; `hand` is null where they are shown in turn by one. */
+export interface GesturePart {
+  gesture: string;
+  code: string;
+  hand: "left" | "right" | null;
+  state: "done" | "held" | "now" | "next";
 }
 
 /** What the controller says: `key` and `values` for the page's own languages, `text` in English. */

@@ -1,6 +1,6 @@
 /** A new gesture: by its five fingers, by making it, for both hands, or two in turn. */
 import { Hand as HandIcon } from "lucide-react";
-import { useState } from "react";
+import { Fragment, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { describe } from "~/api/http";
 import { Button } from "~/design/Button";
@@ -76,16 +76,18 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
           <Hand states={code} size="140px" moveMs={160} />
           <div className="new-gesture__states">
             {fingers.map((finger, nth) => (
-              <Choice
-                key={finger}
-                label={t(`hand:finger.${finger}`)}
-                value={code[nth] ?? "2"}
-                options={[
-                  { value: "0", name: t("new.straight", { finger: t(`hand:finger.${finger}`) }) },
-                  { value: "2", name: t("new.bent", { finger: t(`hand:finger.${finger}`) }) },
-                ]}
-                onChange={(state) => setCode(code.slice(0, nth) + state + code.slice(nth + 1))}
-              />
+              <Fragment key={finger}>
+                <span aria-hidden>{t(`hand:finger.${finger}`)}</span>
+                <Choice
+                  label={t(`hand:finger.${finger}`)}
+                  value={code[nth] ?? "2"}
+                  options={[
+                    { value: "0", name: t("new.straight") },
+                    { value: "2", name: t("new.bent") },
+                  ]}
+                  onChange={(state) => setCode(code.slice(0, nth) + state + code.slice(nth + 1))}
+                />
+              </Fragment>
             ))}
           </div>
         </div>

@@ -21,27 +21,29 @@ export function BoxPlot({ label, rows, line }: BoxPlotProps) {
   const topOf = (nth: number) => heights.slice(0, nth).reduce((sum, height) => sum + height, 6);
   const bottom = topOf(rows.length);
   return (
-    <svg className="boxes" viewBox={`0 0 ${WIDTH} ${bottom + 24}`} role="img" aria-label={label}>
-      {Array.from({ length: 11 }, (_, nth) => nth * 10).map((value) => (
-        <g key={value}>
-          <line className="boxes__grid" x1={at(value)} x2={at(value)} y1={0} y2={bottom} />
-          <text className="boxes__tick" x={at(value)} y={bottom + 17} textAnchor="middle">
-            {value}
-          </text>
-        </g>
-      ))}
-      {line !== undefined && <line className="boxes__line" x1={at(line)} x2={at(line)} y1={0} y2={bottom} />}
-      {rows.map((row, nth) => (
-        <g key={row.name}>
-          <text className="boxes__name" x={LEFT - 12} y={topOf(nth) + ((heights[nth] ?? 0) - GAP) / 2 + 3} textAnchor="end">
-            {row.name}
-          </text>
-          {row.parts.map(({ tone, summary }, place) => (
-            <Box key={tone} tone={tone} summary={summary} y={topOf(nth) + place * (PART + 4)} />
-          ))}
-        </g>
-      ))}
-    </svg>
+    <div className="boxes__scroll" role="region" tabIndex={0} aria-label={label}>
+      <svg className="boxes" viewBox={`0 0 ${WIDTH} ${bottom + 24}`} role="img" aria-label={label}>
+        {Array.from({ length: 11 }, (_, nth) => nth * 10).map((value) => (
+          <g key={value}>
+            <line className="boxes__grid" x1={at(value)} x2={at(value)} y1={0} y2={bottom} />
+            <text className="boxes__tick" x={at(value)} y={bottom + 17} textAnchor="middle">
+              {value}
+            </text>
+          </g>
+        ))}
+        {line !== undefined && <line className="boxes__line" x1={at(line)} x2={at(line)} y1={0} y2={bottom} />}
+        {rows.map((row, nth) => (
+          <g key={row.name}>
+            <text className="boxes__name" x={LEFT - 12} y={topOf(nth) + ((heights[nth] ?? 0) - GAP) / 2 + 3} textAnchor="end">
+              {row.name}
+            </text>
+            {row.parts.map(({ tone, summary }, place) => (
+              <Box key={tone} tone={tone} summary={summary} y={topOf(nth) + place * (PART + 4)} />
+            ))}
+          </g>
+        ))}
+      </svg>
+    </div>
   );
 }
 

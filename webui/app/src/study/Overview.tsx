@@ -20,7 +20,7 @@ import { beginSession, deleteSession, languages, type Analysis, type Language, t
 export function Overview({ open }: { open: (session: string) => void }) {
   const { t } = useTranslation("study");
   const { value: sessions, failure, reload } = useLoaded<Session[]>("gesture-controller", "study/sessions");
-  const { value: analysis, reload: reloadAnalysis } = useLoaded<Analysis>("gesture-controller", "study/analysis");
+  const { value: analysis, failure: analysisFailure, reload: reloadAnalysis } = useLoaded<Analysis>("gesture-controller", "study/analysis");
   return (
     <div className="study">
       <h1>{t("title")}</h1>
@@ -37,7 +37,13 @@ export function Overview({ open }: { open: (session: string) => void }) {
             }}
           />
         </div>
-        {analysis !== null && <Results analysis={analysis} />}
+        {analysis !== null ? (
+          <Results analysis={analysis} />
+        ) : (
+          <Card title={t("results.title")}>
+            {analysisFailure !== null ? <Problem>{analysisFailure}</Problem> : <p className="quiet">{t("results.awaited")}</p>}
+          </Card>
+        )}
       </div>
     </div>
   );
@@ -87,6 +93,7 @@ function Begin({ open }: { open: (session: string) => void }) {
           options={languages.map((one) => ({ value: one, name: t(`language.${one}`) }))}
           onChange={setLanguage}
         />
+        {language !== "en" && <p className="quiet">{t("begin.translated")}</p>}
         {gloves.length > 0 && <Pick label={t("begin.glove")} value={glove} options={options} onChange={setGlove} />}
         {glove !== "" && <p className="quiet">{person === null ? t("begin.nobody") : t("begin.gestures", { person })}</p>}
         {failure !== null && <Problem>{failure}</Problem>}

@@ -9,6 +9,7 @@ import { Problem } from "~/design/Problem";
 import { About, Consent, Preference, Task } from "./Steps";
 import { SusForm } from "./SusForm";
 import { TlxForm } from "./TlxForm";
+import "./Participant.css";
 import { answerStep, sessionPath, type Session, type Wording } from "./study";
 
 export interface StepProps {

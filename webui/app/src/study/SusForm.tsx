@@ -45,6 +45,7 @@ export function SusForm({ words, session, answer, busy }: StepProps) {
         </Button>
         {open > 0 && <p role="status">{t("open", { count: open })}</p>}
       </div>
+      <p className="participant__source">{t("source", { source: sus.source })}</p>
     </>
   );
 }

@@ -66,6 +66,7 @@ function Ratings({ words, session, ratings, rate, done }: RatingsProps) {
         </Button>
         {open > 0 && <p role="status">{t("open", { count: open })}</p>}
       </div>
+      <p className="participant__source">{t("source", { source: tlx.source })}</p>
     </>
   );
 }

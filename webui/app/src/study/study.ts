@@ -42,8 +42,9 @@ export interface Wording {
   };
   preference: Record<"personal" | "predefined" | "none" | "recalibrated" | "comment", string>;
   introduction: Record<"age" | "experience" | "low" | "medium" | "high", string>;
-  sus: { title: string; ask: string; disagree: string; agree: string; items: string[] };
-  tlx: { title: string; ask: string; choose: string; scales: Record<string, Scale> };
+  /** `source`: whose wording it is, and whether it has been validated. */
+  sus: { title: string; source: string; ask: string; disagree: string; agree: string; items: string[] };
+  tlx: { title: string; source: string; ask: string; choose: string; scales: Record<string, Scale> };
   scales: string[];
   scaleStep: number;
 }

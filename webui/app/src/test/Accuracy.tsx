@@ -22,6 +22,7 @@ const rounds = ["1", "3", "5", "10"] as const;
 const tones: Partial<Record<Phase, Tone>> = { finished: "ok", interrupted: "attention", stopped: "neutral" };
 
 export function Accuracy({ glove }: { glove: string }) {
+  const { t } = useTranslation("test");
   const onItsWay = usePick(`glove/${glove}`, (view) => view?.examination?.id ?? null);
   const [asked, setTest] = useQuery("test");
   const { value: tests, failure, reload } = useLoaded<TestSummary[]>("gesture-controller", "tests");
@@ -34,8 +35,13 @@ export function Accuracy({ glove }: { glove: string }) {
       <div className="test__column">
         <Planning glove={glove} />
         {failure !== null && <Problem>{failure}</Problem>}
-        <Earlier tests={mine} shown={shown?.id ?? null} show={setTest} reload={reload} />
+        {shown !== undefined && <Earlier tests={mine} shown={shown.id} show={setTest} reload={reload} />}
       </div>
+      {tests !== null && shown === undefined && (
+        <Card title={t("report.title")}>
+          <Empty title={t("earlier.none.title")}>{t("earlier.none.means")}</Empty>
+        </Card>
+      )}
       {shown !== undefined && <TestReport key={`${shown.id} ${shown.phase}`} test={shown.id} />}
     </div>
   );
@@ -77,6 +83,7 @@ function Planning({ glove }: { glove: string }) {
       {failure !== null && <Problem>{failure}</Problem>}
       <details className="test__which">
         <summary>{t("plan.which", { chosen: chosen.length, all: plain.length })}</summary>
+        {plain.length < (gestures ?? []).length && <p className="quiet">{t("plan.composed")}</p>}
         <div className="test__gestures">
           {plain.map((one) => (
             <Tick
@@ -95,7 +102,7 @@ function Planning({ glove }: { glove: string }) {
 
 interface EarlierProps {
   tests: readonly TestSummary[];
-  shown: string | null;
+  shown: string;
   show: (test: string) => void;
   reload: () => void;
 }
@@ -111,7 +118,6 @@ function Earlier({ tests, shown, show, reload }: EarlierProps) {
   };
   return (
     <Card title={t("earlier.title")}>
-      {tests.length === 0 && <Empty title={t("earlier.none.title")}>{t("earlier.none.means")}</Empty>}
       {failure !== null && <Problem>{failure}</Problem>}
       <ul className="test__list">
         {tests.map((test) => (

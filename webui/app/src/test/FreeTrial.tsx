@@ -68,9 +68,9 @@ export function FreeTrial({ glove }: { glove: string }) {
             </p>
             {states !== null && <Hand states={states} side={side} moveMs={140} size="min(44vh, 420px)" differs={differs} />}
           </section>
+          <Values glove={glove} differs={differs} />
         </div>
       )}
-      <Values glove={glove} differs={differs} />
     </Card>
   );
 }

@@ -2,10 +2,14 @@
 import { CirclePause } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { useGestureName } from "~/hand/Hand";
-import type { GloveTask, GloveView } from "~/live/messages";
+import type { GesturePart, GloveTask, GloveView } from "~/live/messages";
+import { ComposedFigure } from "./ComposedFigure";
 import { Figure } from "./Figure";
-import { LiveHand } from "./LiveHand";
+import { LiveHands } from "./LiveHand";
 import { useSaid } from "./said";
+
+const single: readonly GesturePart[] = [];
+const partsOf = (task: GloveTask): readonly GesturePart[] => task.parts ?? single;
 
 export interface AskedStageProps {
   glove: GloveView;
@@ -22,7 +26,7 @@ export function AskedStage({ glove, task, paused, answerWaits }: AskedStageProps
   const isRight = glove.message.key === "holdOn";
   return (
     <>
-      <Figure glove={glove} gesture={task.gesture} code={task.code} open={!paused && !glove.testing} />
+      <TaskFigure glove={glove} task={task} open={!paused && !glove.testing} />
       <div className="work__words">
         <h1 className="work__what">{task.description}</h1>
         <p className={gesture.length > 18 ? "work__gesture work__gesture--long" : "work__gesture"}>
@@ -38,9 +42,25 @@ export function AskedStage({ glove, task, paused, answerWaits }: AskedStageProps
         </p>
         {!glove.filtering && <p className="work__notice">{t("unfiltered")}</p>}
         {answerWaits && <p className="work__notice">{t("answerWaits")}</p>}
-        <LiveHand glove={glove} />
+        <LiveHands glove={glove} parts={partsOf(task)} />
       </div>
     </>
+  );
+}
+
+interface TaskFigureProps {
+  glove: GloveView;
+  task: GloveTask;
+  open: boolean;
+  done?: boolean;
+}
+
+function TaskFigure({ glove, task, open, done = false }: TaskFigureProps) {
+  const parts = partsOf(task);
+  return parts.length > 0 ? (
+    <ComposedFigure glove={glove} parts={parts} open={open} done={done} />
+  ) : (
+    <Figure glove={glove} gesture={task.gesture} code={task.code} open={open} done={done} />
   );
 }
 
@@ -49,7 +69,7 @@ export function DoneStage({ glove, task, operator }: { glove: GloveView; task: G
   const { t } = useTranslation("work");
   return (
     <>
-      <Figure glove={glove} gesture={task.gesture} code={task.code} open={false} done />
+      <TaskFigure glove={glove} task={task} open={false} done />
       <div className="work__words" role="status">
         <h1 className="work__what quiet">{task.description}</h1>
         <p className="work__gesture work__gesture--done">

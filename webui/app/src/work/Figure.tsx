@@ -21,17 +21,21 @@ export function Figure({ glove, gesture, code, open, done = false }: FigureProps
     <div className="figure">
       <HoldRing hold={glove.hold} right={right} closed={done} />
       <AskedHand code={code} side={glove.hand} gesture={gesture} />
-      {done && (
-        <span className="figure__check">
-          <Check aria-hidden strokeWidth={3} />
-        </span>
-      )}
+      {done && <DoneCheck />}
     </div>
   );
 }
 
+export function DoneCheck() {
+  return (
+    <span className="figure__check">
+      <Check aria-hidden strokeWidth={3} />
+    </span>
+  );
+}
+
 /** It is drawn once a step, not with every frame of the glove. */
-const AskedHand = memo(function AskedHand({ code, side, gesture }: { code: string; side: "left" | "right"; gesture: string }) {
+export const AskedHand = memo(function AskedHand({ code, side, gesture }: { code: string; side: "left" | "right"; gesture: string }) {
   const nameOf = useGestureName();
   return <Hand states={code} side={side} animateFrom="00000" label={nameOf(gesture)} />;
 });

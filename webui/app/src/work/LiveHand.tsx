@@ -1,23 +1,54 @@
 /** The hand in the glove as the controller reads it, small, with the fingers that differ pointed out. */
 import { memo } from "react";
 import { useTranslation } from "react-i18next";
+import { fingers } from "~/hand/geometry";
 import { Hand } from "~/hand/Hand";
-import type { Finger, GloveView } from "~/live/messages";
+import { useFamily } from "~/live/hooks";
+import type { Finger, GesturePart, GloveView } from "~/live/messages";
 
 export function LiveHand({ glove }: { glove: GloveView }) {
   const { t } = useTranslation("work");
-  // An open hand differs in everything; fingers are pointed out when the controller speaks of them.
-  const isTold = glove.message.key === "almost" || glove.message.key === "wrong";
   if (glove.states === null) return <p className="work__live quiet">{t("noHand")}</p>;
   return (
     <div className="work__live">
       <span className="work__live-word">{t("yourHand")}</span>
-      <Drawn states={glove.states} side={glove.hand} differs={isTold ? glove.differs.join(" ") : ""} />
+      <Drawn states={glove.states} side={glove.hand} differs={isTold(glove) ? glove.differs.join(" ") : ""} />
     </div>
   );
 }
 
+/** The same of both hands where both are asked. */
+export function LiveHands({ glove, parts }: { glove: GloveView; parts: readonly GesturePart[] }) {
+  const { t } = useTranslation("work");
+  const gloves = useFamily("glove");
+  const other = gloves.find((one) => glove.person !== null && one.person === glove.person && one.hand !== glove.hand);
+  if (other === undefined || parts.every(({ hand }) => hand === null)) return <LiveHand glove={glove} />;
+  const worn = [glove, other].sort((a, b) => (a.hand < b.hand ? -1 : 1));
+  return (
+    <div className="work__live">
+      <span className="work__live-word">{t("yourHands")}</span>
+      {worn.map(({ glove: name, states, hand }) =>
+        states === null ? (
+          <span key={name}>{t("silentHand", { glove: name })}</span>
+        ) : (
+          <Drawn key={name} states={states} side={hand} differs={isTold(glove) ? differing(states, hand, parts) : ""} />
+        ),
+      )}
+    </div>
+  );
+}
+
+/** An open hand differs in everything; fingers are pointed out when the controller speaks of them. */
+function isTold({ message }: GloveView): boolean {
+  return message.key === "almost" || message.key === "wrong";
+}
+
+function differing(states: string, side: GloveView["hand"], parts: readonly GesturePart[]): string {
+  const code = parts.find(({ hand }) => hand === side)?.code ?? states;
+  return fingers.filter((_, nth) => states[nth] !== code[nth]).join(" ");
+}
+
 const Drawn = memo(function Drawn({ states, side, differs }: { states: string; side: "left" | "right"; differs: string }) {
-  const fingers = differs === "" ? [] : (differs.split(" ") as Finger[]);
-  return <Hand states={states} side={side} moveMs={140} size="clamp(128px, 19vh, 210px)" differs={fingers} />;
+  const named = differs === "" ? [] : (differs.split(" ") as Finger[]);
+  return <Hand states={states} side={side} moveMs={140} size="clamp(128px, 19vh, 210px)" differs={named} />;
 });

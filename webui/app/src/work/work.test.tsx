@@ -70,6 +70,38 @@ describe("the operator's page", () => {
     await act(() => speak("en"));
   });
 
+  it("shows both hands of a gesture that takes both, and says which is right", async () => {
+    const parts = [
+      { gesture: "Thumbs up", code: "02222", hand: "left", state: "now" },
+      { gesture: "Horns", code: "20220", hand: "right", state: "held" },
+    ] as const;
+    const both = { ...task, gesture: "Both", code: "20220", parts: [...parts] };
+    const right = asks({ task: both, person: "anna", states: "20220" });
+    await open(right, ["glove/left-1", glove({ glove: "left-1", hand: "left", person: "anna" })]);
+    await act(async () => {
+      screen.getByRole("button", { name: /glove-1/ }).click();
+      await Promise.resolve();
+    });
+    const [left, other] = screen.getAllByRole("listitem");
+    expect(left?.textContent).toBe("Left handThumbs upshow it now");
+    expect(other?.textContent).toBe("Right handHornsright");
+    expect(screen.getByText("Your hands now")).toBeTruthy();
+    expect(screen.getAllByRole("img")).toHaveLength(4);
+  });
+
+  it("shows two gestures in turn, and which of them is due", async () => {
+    const parts = [
+      { gesture: "Point with index", code: "20222", hand: null, state: "done" },
+      { gesture: "Horns", code: "20220", hand: null, state: "now" },
+    ] as const;
+    await open(asks({ task: { ...task, gesture: "Wave off", code: "20220", parts: [...parts] } }));
+    expect(screen.getAllByRole("listitem").map(({ textContent }) => textContent)).toEqual([
+      "FirstPoint with indexdone",
+      "ThenHornsshow it now",
+    ]);
+    expect(screen.getByText("Your hand now")).toBeTruthy();
+  });
+
   it("leaves in English what a newer controller says and this page does not know", async () => {
     await open(asks({ message: { key: "newer", values: {}, text: "Something new." } }));
     expect(screen.getByText("Something new.")).toBeTruthy();

@@ -1,0 +1,58 @@
+/** A gesture of both hands, or of two in turn: both parts, which of them is right, and which is due. */
+import { ArrowRight } from "lucide-react";
+import { Fragment } from "react";
+import { useTranslation } from "react-i18next";
+import { State, type Tone } from "~/design/State";
+import { useGestureName } from "~/hand/Hand";
+import type { GesturePart, GloveView } from "~/live/messages";
+import { AskedHand, DoneCheck } from "./Figure";
+import { HoldRing } from "./HoldRing";
+import "./ComposedFigure.css";
+
+export interface ComposedFigureProps {
+  glove: GloveView;
+  parts: readonly GesturePart[];
+  /** Whether holding it counts now. */
+  open: boolean;
+  done?: boolean;
+}
+
+const tones: Record<GesturePart["state"], Tone> = { done: "ok", held: "ok", now: "accent", next: "neutral" };
+
+export function ComposedFigure({ glove, parts, open, done = false }: ComposedFigureProps) {
+  const { t } = useTranslation("work");
+  const nameOf = useGestureName();
+  const inTurn = parts.every(({ hand }) => hand === null);
+  return (
+    <ul className="figures">
+      {parts.map((part, nth) => {
+        const state = done ? "done" : part.state;
+        return (
+          <Fragment key={nth}>
+            {inTurn && nth > 0 && (
+              <li className="figures__then" aria-hidden>
+                <ArrowRight width="100%" />
+              </li>
+            )}
+            <li className="figures__part" data-state={state}>
+              <div className="figure">
+                <HoldRing hold={glove.hold} right={open && isHeld(glove, parts, part)} closed={state === "done"} />
+                <AskedHand code={part.code} side={part.hand ?? glove.hand} gesture={part.gesture} />
+                {done && <DoneCheck />}
+              </div>
+              <p className="figures__place">{t(`part.${part.hand ?? (nth === 0 ? "first" : "second")}`)}</p>
+              <p className="figures__name">{nameOf(part.gesture)}</p>
+              <State tone={tones[state]}>{t(`part.is.${state}`)}</State>
+            </li>
+          </Fragment>
+        );
+      })}
+    </ul>
+  );
+}
+
+/** Whether the ring of a part fills: of both hands once both are right, of two in turn that of the one that is due. */
+function isHeld(glove: GloveView, parts: readonly GesturePart[], part: GesturePart): boolean {
+  if (part.hand !== null) return parts.every(({ state }) => state === "held");
+  return part.state === "now" && glove.states === part.code && glove.hold.gesture !== null && !glove.hold.spent;
+}
