@@ -128,7 +128,5 @@ def test_a_bomb_of_aliases_is_refused() -> None:
 
 
 def test_a_file_that_is_not_there_says_which_are() -> None:
-    with pytest.raises(
-        UsageError, match=r"there is no mapping file nowhere\.yaml; those that are shipped"
-    ):
+    with pytest.raises(UsageError, match=r"there is no mapping file nowhere\.yaml; those that are shipped"):
         load(Path("nowhere.yaml"))
