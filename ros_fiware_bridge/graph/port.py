@@ -30,7 +30,12 @@ class Received(Protocol):
     """When it was taken from the network, in seconds since 1970 (UTC)."""
     sent_at_s: float | None
     """When its sender handed it to the network, by the sender's clock; None where that is not told."""
-    size_bytes: int
+    ours: bool | None
+    """Whether a publisher of this graph object sent it; None where the adapter cannot know."""
+
+    @property
+    def size_bytes(self) -> int:
+        """How long it is on the wire."""
 
     @property
     def message(self) -> Message:
@@ -41,7 +46,7 @@ class Received(Protocol):
         """
 
     def value(self, path: str) -> Any:
-        """Return one field, `position[0]` or `pose.pose.position`, without making a dict of the rest.
+        """Return one field, `position[0]` or `pose.pose.position`.
 
         An index beyond the end of an array that has no fixed length gives None.
 
@@ -220,7 +225,10 @@ ActionHandler = Callable[[ServedGoal], Awaitable[Message]]
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One publisher or subscriber of a topic, as it made itself known."""
+    """One publisher or subscriber of a topic, as it made itself known.
+
+    Its history and depth are not told over DDS; `qos` has the default's.
+    """
 
     node: str | None
     """The full name of its node, `/robot/driver`; None until its participant has told."""
@@ -256,7 +264,7 @@ class ServiceInfo:
 
 @dataclass(frozen=True, slots=True)
 class ActionInfo:
-    """An action of the graph; `types` are names such as `control_msgs/action/FollowJointTrajectory`."""
+    """An action of the graph; `type_names` such as `control_msgs/action/FollowJointTrajectory`."""
 
     name: str
     type_names: tuple[str, ...]
