@@ -316,7 +316,7 @@ class RosGraph(Protocol):
         """Call a service and return its response; `timeout_s` includes waiting for the server to be found.
 
         Raises:
-            UnknownType, UnsupportedType, BadName, BadMessage, VendorNotShared.
+            UnknownType, UnsupportedType, BadName, BadMessage, VendorNotShared, TypeHashDiffers.
             ServiceUnavailable: nobody serves it within the time.
             CallTimeout: it is served but did not answer within the time.
         """

@@ -2,10 +2,9 @@
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
-from ros_fiware_bridge.errors import AdapterUnavailable, GraphClosed, GraphError
+from ros_fiware_bridge.errors import GraphClosed, GraphError
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.cyclone import view
 from ros_fiware_bridge.graph.cyclone.action_client import CycloneActionClient
@@ -14,6 +13,7 @@ from ros_fiware_bridge.graph.cyclone.domain import DomainSettings
 from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.services import CycloneClient, CycloneServer
 from ros_fiware_bridge.graph.cyclone.topics import CyclonePublisher, CycloneSubscription
+from ros_fiware_bridge.graph.joining import JoinSettings
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,
@@ -27,27 +27,11 @@ from ros_fiware_bridge.graph.port import (
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 
-MOST_BYTES = 16 * 2**20
-
-
-@dataclass(frozen=True, slots=True)
-class CycloneSettings:
-    """How the bridge joins the graph: its name, and the network it speaks on.
-
-    `most_bytes` is the size of the biggest message that is let through, either way.
-    """
-
-    node: str = "handover_bridge"
-    namespace: str = "/"
-    enclave: str = "/"
-    domain: DomainSettings = field(default_factory=DomainSettings)
-    most_bytes: int = MOST_BYTES
-
 
 class CycloneGraph:
-    """A node on the graph; see `port.RosGraph`. Made by `open_graph` or `CycloneGraph.join`."""
+    """A node on the graph; see `port.RosGraph`. Made by `joining.join`."""
 
-    def __init__(self, store: TypeStore, settings: CycloneSettings, node: OwnNode) -> None:
+    def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnNode) -> None:
         self.store = store
         self._settings = settings
         self._node = node
@@ -57,24 +41,19 @@ class CycloneGraph:
         self.node_name = names.full_name(settings.node, settings.namespace, settings.node)
 
     @classmethod
-    async def join(cls, store: TypeStore, settings: CycloneSettings | None = None) -> "CycloneGraph":
+    async def join(cls, store: TypeStore, settings: JoinSettings) -> "CycloneGraph":
         """Join the graph.
 
         Raises:
             BadName: the node or its namespace cannot be called so.
-            AdapterUnavailable: cyclonedds is not installed, or the domain cannot be opened.
+            AdapterUnavailable: the domain cannot be opened.
         """
-        chosen = settings or CycloneSettings()
-        name, namespace = names.node_name(chosen.node), names.namespace(chosen.namespace)
-        try:
-            import cyclonedds  # noqa: F401, PLC0415 - heavy, and may not be there
-            import rosbags  # noqa: F401, PLC0415
-        except ImportError as error:
-            raise AdapterUnavailable(
-                f"{error.name} is not installed; install the extra: pip install 'handover[ros]'"
-            ) from error
-        node = await asyncio.to_thread(OwnNode, chosen.domain, store, name, namespace, chosen.enclave)
-        return cls(store, chosen, node)
+        name, namespace = names.node_name(settings.node), names.namespace(settings.namespace)
+        network = DomainSettings(
+            settings.domain_id, settings.interfaces, settings.peers, multicast=settings.multicast
+        )
+        node = await asyncio.to_thread(OwnNode, network, store, name, namespace, settings.enclave)
+        return cls(store, settings, node)
 
     def _full(self, name: str) -> str:
         if self._closed:

@@ -1,0 +1,83 @@
+import random
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
+from ros_fiware_bridge.graph.port import RosGraph
+from ros_fiware_bridge.types.type_store import TypeStore
+
+Joined = Callable[..., AbstractAsyncContextManager[RosGraph]]
+
+
+@pytest.fixture(scope="module", params=installed() or [None], ids=str)
+def adapter(request: pytest.FixtureRequest) -> Adapter:
+    if request.param is None:
+        pytest.skip("no adapter is installed")
+    return Adapter(request.param)
+
+
+@pytest.fixture(scope="module")
+def domain_id() -> int:
+    return random.randint(1, 100)
+
+
+@contextmanager
+def running_peer(adapter: Adapter, domain_id: int, *type_paths: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, str(Path(__file__).parent / "peer.py"), adapter.value, str(domain_id)]
+    with subprocess.Popen(
+        [*command, *map(str, type_paths)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        try:
+            assert process.stdout.readline() == "ready\n"
+            yield process
+        finally:
+            process.stdin.close()
+            try:
+                process.wait(10)
+            finally:
+                process.kill()
+
+
+@pytest.fixture(scope="module")
+def peer(adapter: Adapter, domain_id: int) -> Iterator[subprocess.Popen[str]]:
+    with running_peer(adapter, domain_id) as process:
+        yield process
+
+
+@pytest.fixture(scope="session")
+def store() -> TypeStore:
+    return TypeStore()
+
+
+@pytest.fixture
+def joined(adapter: Adapter, domain_id: int, store: TypeStore) -> Joined:
+    @asynccontextmanager
+    async def graph(**settings: Any) -> AsyncIterator[RosGraph]:
+        types = settings.pop("store", store)
+        opened = await join(
+            types,
+            JoinSettings(
+                **{"node": "tested", "domain_id": domain_id, "interfaces": ("127.0.0.1",), **settings}
+            ),
+            adapter,
+        )
+        try:
+            yield opened
+        finally:
+            await opened.close()
+
+    return graph
+
+
+@pytest.fixture
+async def graph(joined: Joined) -> AsyncIterator[RosGraph]:
+    async with joined() as opened:
+        yield opened
