@@ -6,12 +6,15 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from ros_fiware_bridge.mapping.part import Part, PathText, Plain, TemplateText, short_form
-from ros_fiware_bridge.mapping.templates import Template
 
 Kind = Literal["Property", "GeoProperty", "LanguageProperty", "Relationship", "JsonProperty"]
 
 _CONVERSION = re.compile(r"\s*(?P<given>[^>]+?)\s*->\s*(?P<wanted>[^>]+?)\s*")
 _NOT_IN_NAMES = re.compile(r"[\s<>\"'=;()]")
+OBSERVED_AT = "observedAt"
+"""By this name texts find when an attribute was observed: `{observedAt.status}`."""
+OF_EVERY_ENTITY = frozenset({"id", "entityId", "type"})
+"""By these names texts find the last part of an entity's id, the id, and the type."""
 _ENTITY_MEMBERS = {"id", "type", "scope", "@context", "createdAt", "modifiedAt"}
 
 
@@ -87,6 +90,8 @@ class Attribute(Conversion):
     text: TemplateText | None = None
     constant: Any = None
     point: tuple[PathText, ...] | None = Field(None, min_length=2, max_length=3)
+    list: tuple[PathText, ...] | None = Field(None, min_length=1)
+    """Several fields, as a list: a position of x, y and z."""
     languages: dict[str, PathText] | None = Field(None, min_length=1)
     object: TemplateText | None = None
     """The entity that a Relationship leads to, as `entity` is written: `Device:{child_frame_id}`."""
@@ -112,7 +117,7 @@ class Attribute(Conversion):
 
     @model_validator(mode="after")
     def _made_of_one_thing(self) -> Self:
-        of = ("field", "text", "constant", "point", "languages", "object")
+        of = ("field", "text", "constant", "list", "point", "languages", "object")
         given = [name for name in of if name in self.model_fields_set]
         if len(given) != 1:
             raise ValueError(
@@ -123,8 +128,8 @@ class Attribute(Conversion):
 
     def _fits_its_kind(self, made_of: str) -> None:
         allowed = {
-            "Property": {"field", "text", "constant"},
-            "JsonProperty": {"field", "constant"},
+            "Property": {"field", "text", "constant", "list"},
+            "JsonProperty": {"field", "constant", "list"},
             "GeoProperty": {"field", "point", "constant"},
             "LanguageProperty": {"languages", "constant"},
             "Relationship": {"object"},
@@ -149,6 +154,8 @@ class Source(Conversion):
     observed_at: str | None = None
     """The attribute whose observedAt a time field takes."""
     now: Literal[True] | None = None
+    json_fields: dict[str, PathText] | None = Field(None, min_length=1)
+    """An object that becomes JSON text, each of its members from an attribute: `{taskName: description}`."""
     json_of: str | None = None
     """The attribute whose value becomes JSON text; `.` for the whole entity as key-values."""
     default: Any = None
@@ -158,7 +165,7 @@ class Source(Conversion):
 
     @model_validator(mode="after")
     def _from_one_place(self) -> Self:
-        places = ("attribute", "name", "text", "constant", "observed_at", "now", "json_of")
+        places = ("attribute", "name", "text", "constant", "observed_at", "now", "json_of", "json_fields")
         given = [name for name in places if name in self.model_fields_set]
         if len(given) != 1:
             raise ValueError(
@@ -171,9 +178,13 @@ class Source(Conversion):
         found = {name for name in (self.name, self.observed_at, self.json_of) if name and name != "."}
         if self.attribute is not None and self.attribute.root:
             found.add(self.attribute.root)
-        if isinstance(self.text, Template):
-            found |= {path.root for path in self.text.paths if path.root}
-        return found - {"id", "type"}
+        paths = [*(self.text.paths if self.text else ()), *(self.json_fields or {}).values()]
+        for path in paths:
+            if path.root == OBSERVED_AT and len(path.steps) > 1:
+                found.add(str(path.steps[1]).removeprefix("."))
+            elif path.root:
+                found.add(path.root)
+        return found - OF_EVERY_ENTITY
 
 
 class Condition(Part):

@@ -105,6 +105,13 @@ def _value(attribute: Attribute, anatomy: Anatomy, values: JsonValues, settings:
         return lambda scope: to_json(find(scope))
     if attribute.text is not None:
         return text(attribute.text, anatomy, settings)
+    if attribute.list is not None:
+        nan = attribute.nan if "nan" in attribute.model_fields_set else absent()
+        makes = [
+            _then(anatomy.find(path), values.maker(anatomy.leads(path), str(path), nan))
+            for path in attribute.list
+        ]
+        return lambda scope: [make(scope) for make in makes]
     constant = attribute.constant
     if constant is None:
         raise WrongRule("`constant` is empty; NGSI-LD has no attribute without a value")

@@ -181,7 +181,7 @@ def _found(path: Path, source: Source, leads: Leads, settings: Mapping[str, str]
         return lambda scope: scope.values.get(name)
     if source.observed_at is not None or source.now:
         return _moment(path, source, leads)
-    if source.text is not None or source.json_of is not None:
+    if source.text is not None or source.json_of is not None or source.json_fields is not None:
         return _words(path, source, leads, settings)
     constant = source.constant
     return lambda _: constant
@@ -200,6 +200,9 @@ def _words(path: Path, source: Source, leads: Leads, settings: Mapping[str, str]
         raise WrongRule(f"{path} is {leads}, and text goes into a string")
     if source.text is not None:
         return source.text.with_settings(settings).filler(_by_path)
+    if source.json_fields is not None:
+        finds = {name: _by_path(path) for name, path in source.json_fields.items()}
+        return lambda scope: _json({name: _or_none(find, scope) for name, find in finds.items()})
     of = str(source.json_of)
     return lambda scope: _json(scope.values if of == "." else scope.values.get(of))
 
@@ -209,6 +212,13 @@ def _by_path(path: Path) -> Fill:
         raise WrongRule(f"{path}: here nothing is gone through element by element; drop the []")
     find = paths.getter(path)
     return lambda scope: find(scope.values)
+
+
+def _or_none(find: Fill, scope: Scope) -> Any:
+    try:
+        return find(scope)
+    except NotThere:
+        return None
 
 
 def _json(value: Any) -> str | None:

@@ -6,21 +6,26 @@ not said again; and what a bridge itself wrote from the ROS graph is not sent ba
 
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from datamodels.times import parse
+from ros_fiware_bridge.mapping.values import OBSERVED_AT
 from ros_fiware_bridge.rules import origin
 from ros_fiware_bridge.rules.inward import Scope
 
 MOST_REMEMBERED = 10_000
+ECHO_WITHIN_S = 5.0
+"""What comes back from the graph later than this is said by somebody, not an echo."""
 _MEMBERS = ("value", "object", "languageMap", "json")
 
 
 @dataclass(slots=True)
 class _Known:
-    digests: Mapping[str, str]
-    observed: Mapping[str, str]
+    digests: dict[str, str] = field(default_factory=dict)
+    observed: dict[str, str] = field(default_factory=dict)
+    foreign: dict[str, tuple[str, float]] = field(default_factory=dict)
+    """Digests of what others wrote, and when, as long as nothing of the graph has been written over it."""
 
 
 class Latest:
@@ -30,7 +35,7 @@ class Latest:
         self._attributes = frozenset(attributes)
         self._known: OrderedDict[str, _Known] = OrderedDict()
 
-    def take(self, entity: Mapping[str, Any]) -> bool:
+    def take(self, entity: Mapping[str, Any], now_s: float) -> bool:
         """Take notice of an entity (normalized); say whether it has news for the ROS graph."""
         entity_id = str(entity.get("id"))
         seen = {
@@ -38,26 +43,33 @@ class Latest:
             for name, attribute in entity.items()
             if isinstance(attribute, Mapping) and (not self._attributes or name in self._attributes)
         }
-        known = self._known.get(entity_id, _Known({}, {}))
-        digests, observed, news = dict(known.digests), dict(known.observed), False
+        known = self._known.setdefault(entity_id, _Known())
+        news = False
         for name, attribute in seen.items():
             at = str(attribute.get("observedAt", ""))
-            if _is_older(at, observed.get(name, "")):
+            if _is_older(at, known.observed.get(name, "")):
                 continue
             now = origin.digest(attribute)
-            if digests.get(name) != now or observed.get(name, "") != at:
-                news = news or not origin.is_ours(attribute)
-            digests[name], observed[name] = now, at
-        self._known[entity_id] = _Known(digests, observed)
+            if known.digests.get(name) != now or known.observed.get(name, "") != at:
+                known.foreign.pop(name, None)
+                if not origin.is_ours(attribute):
+                    news, known.foreign[name] = True, (now, now_s)
+            known.digests[name], known.observed[name] = now, at
         self._known.move_to_end(entity_id)
         while len(self._known) > MOST_REMEMBERED:
             self._known.popitem(last=False)
         return news
 
-    def knows(self, entity_id: str, attribute: str, value: Any) -> bool:
-        """Say whether the broker is known to hold this very value; then it need not be written again."""
+    def is_echo(self, entity_id: str, attribute: str, value: Any, now_s: float) -> bool:
+        """Say whether this value is what somebody else wrote just now, which need not be written again."""
         known = self._known.get(entity_id)
-        return known is not None and known.digests.get(attribute) == origin.digest({"value": value})
+        written, at_s = known.foreign.get(attribute, ("", 0.0)) if known is not None else ("", 0.0)
+        return now_s - at_s <= ECHO_WITHIN_S and written == origin.digest({"value": value})
+
+    def wrote(self, entity_id: str, attribute: str) -> None:
+        """Take notice that something from the ROS graph is being written over what others wrote."""
+        if (known := self._known.get(entity_id)) is not None:
+            known.foreign.pop(attribute, None)
 
 
 def scope_of(entity: Mapping[str, Any], now_s: float) -> Scope:
@@ -72,6 +84,7 @@ def scope_of(entity: Mapping[str, Any], now_s: float) -> Scope:
                 values[name] = _plain(attribute[member])
         if isinstance(at := attribute.get("observedAt"), str):
             observed[name] = at
+    values[OBSERVED_AT] = observed
     values["entityId"] = str(entity.get("id"))
     values["id"] = str(entity.get("id")).rsplit(":", 1)[-1]
     values["type"] = entity.get("type")

@@ -16,35 +16,45 @@ def entity(value: Any, at: str | None = None, **more: Any) -> dict[str, Any]:
 
 def test_the_same_state_is_news_once() -> None:
     latest = Latest(["speed"])
-    assert [latest.take(entity(1)), latest.take(entity(1)), latest.take(entity(2))] == [True, False, True]
+    assert [latest.take(entity(value), 0.0) for value in (1, 1, 2)] == [True, False, True]
 
 
 def test_the_same_value_observed_later_is_news_and_earlier_is_not() -> None:
     latest = Latest(["speed"])
-    told = [latest.take(entity(3, f"2026-01-01T00:00:0{second}Z")) for second in (2, 3, 1, 3)]
+    told = [latest.take(entity(3, f"2026-01-01T00:00:0{second}Z"), 0.0) for second in (2, 3, 1, 3)]
     assert told == [True, True, False, False]
 
 
 def test_attributes_that_nobody_listens_to_are_no_news() -> None:
     latest = Latest(["speed"])
-    assert not latest.take({"id": "e", "type": "Device", "mode": {"type": "Property", "value": 1}})
+    assert not latest.take({"id": "e", "type": "Device", "mode": {"type": "Property", "value": 1}}, 0.0)
 
 
 def test_what_came_from_the_graph_is_not_sent_back_until_somebody_changes_it() -> None:
     ours = origin.marked({"type": "Property", "value": 1.0}, "/bridge")
     latest = Latest(["speed"])
-    assert not latest.take({"id": "e", "speed": ours})
-    assert not Latest(["speed"]).take({"id": "e", "speed": ours}), "not even after a restart"
-    assert latest.take({"id": "e", "speed": {**ours, "value": 2}}), "changed, the mark left in place"
-    assert latest.take({"id": "e", "speed": {"type": "Property", "value": 3}})
+    assert not latest.take({"id": "e", "speed": ours}, 0.0)
+    assert not Latest(["speed"]).take({"id": "e", "speed": ours}, 0.0), "not even after a restart"
+    assert latest.take({"id": "e", "speed": {**ours, "value": 2}}, 0.0), "changed, the mark left in place"
+    assert latest.take({"id": "e", "speed": {"type": "Property", "value": 3}}, 0.0)
 
 
-def test_what_the_broker_holds_need_not_be_written_again() -> None:
+def test_what_others_wrote_need_not_be_written_again() -> None:
     latest = Latest(["speed"])
-    latest.take(entity(1.0))
-    assert latest.knows("e", "speed", 1)
-    assert not latest.knows("e", "speed", 2)
-    assert not latest.knows("f", "speed", 1)
+    latest.take(entity(1.0), 0.0)
+    assert latest.is_echo("e", "speed", 1, 1.0)
+    assert not latest.is_echo("e", "speed", 2, 1.0)
+    assert not latest.is_echo("f", "speed", 1, 1.0)
+    assert not latest.is_echo("e", "speed", 1, 6.0), "after a while somebody says it"
+
+
+def test_what_the_graph_says_after_something_else_is_no_echo() -> None:
+    latest = Latest(["speed"])
+    latest.take(entity(1.0), 0.0)
+    latest.wrote("e", "speed")
+    assert not latest.is_echo("e", "speed", 1, 1.0)
+    latest.take({"id": "e", "speed": origin.marked({"type": "Property", "value": 2}, "/bridge")}, 0.0)
+    assert not latest.is_echo("e", "speed", 2, 1.0)
 
 
 values = st.recursive(
