@@ -151,6 +151,11 @@ class BrokerClient:
             change = {key: value for key, value in subscription.items() if key not in {"id", "@context"}}
             await self._call("PATCH", f"/subscriptions/{_in_path(subscription['id'])}", body=change)
 
+    async def types(self) -> list[str]:
+        """Return the types of the entities that there are."""
+        response = await self._call("GET", "/types")
+        return [str(name) for name in orjson.loads(response.content).get("typeList", [])]
+
     async def subscriptions(self) -> list[dict[str, Any]]:
         """Return the subscriptions that there are."""
         return [subscription async for subscription in self._pages({}, "/subscriptions")]

@@ -37,3 +37,20 @@ def of(graph: RosGraph) -> dict[str, Any]:
 def _endpoints(endpoints: Iterable[Endpoint]) -> Iterable[dict[str, Any]]:
     for one in endpoints:
         yield {"node": one.node, "qos": str(one.qos), "middleware": one.vendor, "ours": one.ours}
+
+
+def lines(view: dict[str, Any]) -> Iterable[str]:
+    """Yield `view` as lines to read."""
+    for node in view["nodes"]:
+        yield f"node      {node['name']} ({node['middleware']}){' - the bridge' if node['ours'] else ''}"
+    for topic in view["topics"]:
+        yield f"topic     {topic['name']}  {', '.join(topic['types'])}"
+        for role, verb in (("publishers", "from"), ("subscribers", "to")):
+            for one in topic[role]:
+                yield f"            {verb} {one['node'] or 'a node without a name yet'} ({one['qos']})"
+    for kind in ("services", "actions"):
+        for one in view[kind]:
+            served = ", ".join(filter(None, one["servers"])) or "nobody yet"
+            yield f"{kind[:-1]:<9} {one['name']}  {', '.join(one['types'])}, served by {served}"
+    for problem in view["problems"]:
+        yield f"problem   {problem}"

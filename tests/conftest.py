@@ -21,6 +21,9 @@ import pytest
 REPOSITORY = Path(__file__).parent.parent
 RECORDINGS = REPOSITORY.parent / "shared" / "data" / "glove_recordings"
 
+OUTSIDE = frozenset({"webui", "ros_fiware_bridge"})
+"""Services whose folder is not in `services`."""
+
 NOT_OURS = "are not here"
 """Part of the reason for which tests of published examples and recordings skip where those are absent."""
 
@@ -94,6 +97,7 @@ class Cell:
             "HANDOVER_TRAJECTORY_PORT": str(self.ports["trajectory_tool"]),
             "HANDOVER_GLOVE_PORT": str(self.ports["glove"]),
             "HANDOVER_WEBUI_PORT": str(self.ports["webui"]),
+            "HANDOVER_BRIDGE_PORT": str(self.ports["ros_fiware_bridge"]),
             "HANDOVER_RECONCILE_S": "1",
             "COLUMNS": "200",
             "NO_COLOR": "1",
@@ -113,7 +117,7 @@ class Cell:
         for service in services:
             with (self.data_dir / f"{service}.log").open("ab") as log:
                 self.processes[service] = subprocess.Popen(
-                    [sys.executable, "-m", service if service == "webui" else f"services.{service}"],
+                    [sys.executable, "-m", service if service in OUTSIDE else f"services.{service}"],
                     env=self.environment,
                     cwd=self.data_dir,
                     stdin=subprocess.DEVNULL,
@@ -173,7 +177,15 @@ def eventually() -> Callable[..., None]:
 @contextmanager
 def new_cell(data_dir: Path) -> Iterator[Cell]:
     """A cell of which nothing runs yet; what runs at the end is ended."""
-    names = ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "glove", "webui")
+    names = (
+        "context_broker",
+        "task_orchestrator",
+        "gesture_controller",
+        "trajectory_tool",
+        "glove",
+        "webui",
+        "ros_fiware_bridge",
+    )
     made = Cell(data_dir, {name: next_free_port() for name in names})
     yield made
     made.stop()

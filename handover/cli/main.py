@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
-from handover.cli import process
+from handover.cli import bridge, process
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_words
 from handover.cli.launcher import Launcher
-from handover.cli.services import SERVICES, service_named
+from handover.cli.services import BESIDES, SERVICES, service_named
 from handover.errors import HandoverError, Problem, UsageError
 from handover.settings import Settings, origins
 
@@ -25,6 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(process.app, name="process")
+app.add_typer(bridge.app, name="bridge")
 
 DataDir = Annotated[
     Path | None, typer.Option("--data-dir", help="Where everything that must survive is kept.")
@@ -60,7 +61,7 @@ async def _up(settings: Settings) -> None:
 
 @app.command()
 def run(
-    service: Annotated[str, typer.Argument(help=", ".join(service.name for service in SERVICES))],
+    service: Annotated[str, typer.Argument(help=", ".join(one.name for one in (*SERVICES, *BESIDES)))],
     port: Annotated[int | None, typer.Option("--port", help="Listen here instead.")] = None,
     data_dir: DataDir = None,
 ) -> None:
@@ -85,7 +86,7 @@ def glove(context: typer.Context) -> None:
 @app.command()
 def settings() -> None:
     """Every setting, its value and where it comes from."""
-    known = list(origins([service.settings for service in SERVICES]))
+    known = list(origins([service.settings for service in (*SERVICES, *BESIDES)]))
     width = max(len(setting.name) for setting in known)
     for setting in known:
         say(f"{setting.name:<{width}}  {setting.value or '-':<36} {setting.origin:<12} {setting.description}")

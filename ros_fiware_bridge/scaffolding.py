@@ -1,0 +1,84 @@
+"""Scaffolding: a first mapping for a topic, with every field a context broker can use, to be cut down."""
+
+from collections.abc import Iterator
+
+from ros_fiware_bridge.graph.qos import DEFAULT, PROFILES, Qos
+from ros_fiware_bridge.rules.definitions import HEADER
+from ros_fiware_bridge.types.definition import FieldType, Many
+from ros_fiware_bridge.types.type_store import TypeStore
+
+DEEPEST = 4
+MOST_ATTRIBUTES = 40
+SMALL = 4
+"""Messages of at most so many fields, all of them plain, become one attribute."""
+
+
+def mapping_for(topic: str, type_name: str, qos: Qos | None, store: TypeStore) -> str:
+    """Return the text of a mapping for `topic`. Raises `GraphError` when the type is not known."""
+    store.sound(type_name)
+    name = topic.strip("/").replace("/", "-").lower()
+    device = topic.strip("/").split("/")[0] if "/" in topic.strip("/") else "robot-1"
+    lines = [
+        f"# What is said on {topic} becomes attributes of a Device. Take away what nobody needs, and",
+        "# say how often it is worth telling; `handover bridge check FILE` says what the mapping would do.",
+        "ros_to_ngsild:",
+        f"  {name}:",
+        f"    topic: {topic}",
+        f"    type: {type_name}",
+        *_qos(qos),
+        f"    entity: Device:{device}",
+        "    every_ms: 1000",
+        "    on_change: true",
+        "    attributes:",
+    ]
+    attributes = list(_attributes(FieldType(type_name), "", store, 0))
+    used: set[str] = set()
+    for path, remark in attributes[:MOST_ATTRIBUTES]:
+        lines.append(f"      {_named(path, used)}: {path}  # {remark}")
+    if len(attributes) > MOST_ATTRIBUTES:
+        lines.append(f"      # and {len(attributes) - MOST_ATTRIBUTES} more")
+    if not attributes:
+        lines.append("      heard: {constant: true}")
+    return "\n".join(lines) + "\n"
+
+
+def _qos(qos: Qos | None) -> Iterator[str]:
+    if qos is None or qos == DEFAULT:
+        return
+    named = next((name for name, one in PROFILES.items() if one == qos), None)
+    if named is not None:
+        yield f"    qos: {named}"
+    else:
+        yield f"    qos: {{reliability: {qos.reliability.value}, durability: {qos.durability.value}}}"
+
+
+def _attributes(found: FieldType, path: str, store: TypeStore, depth: int) -> Iterator[tuple[str, str]]:
+    if found.many is not Many.ONE:
+        if found.is_octets or (found.is_message and found.many is Many.SEQUENCE):
+            return
+        yield path, str(found)
+        return
+    if not found.is_message:
+        yield path, str(found)
+        return
+    fields = store.definition(found.base).fields
+    small = len(fields) <= SMALL and all(not one.type.is_message for one in fields)
+    if path and (small or depth >= DEEPEST):
+        yield path, found.base
+        return
+    for one in fields:
+        if one.type == FieldType(HEADER):
+            continue
+        yield from _attributes(one.type, f"{path}.{one.name}" if path else one.name, store, depth + 1)
+
+
+def _named(path: str, used: set[str]) -> str:
+    """Return a name for the attribute made of `path`: its last words, as many as tell it from the others."""
+    words = path.split(".")
+    for many in range(1, len(words) + 1):
+        parts = "_".join(words[-many:]).split("_")
+        name = parts[0] + "".join(part.capitalize() for part in parts[1:])
+        if name not in used and name not in {"id", "type", "scope"}:
+            used.add(name)
+            return name
+    return "_".join(words)
