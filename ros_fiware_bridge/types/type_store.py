@@ -25,6 +25,7 @@ _DEFAULTS: Mapping[str, Mapping[str, Any]] = {
     "geometry_msgs/msg/Quaternion": {"w": 1.0},
     "sensor_msgs/msg/NavSatStatus": {"status": -2},
 }
+_MOST_PATHS = 10_000  # more than the rules of a bridge name
 _SERVICE_PARTS = ("_Request", "_Response")
 _ACTION_PARTS = ("_Goal", "_Result", "_Feedback")
 
@@ -42,6 +43,7 @@ class TypeStore:
         self._definitions: dict[str, Definition] = {}
         self._hashes: dict[str, str] = {}
         self._sound: set[str] = set()
+        self._paths: dict[tuple[str, str], FieldPath] = {}
         own: dict[str, Path] = {}
         for path in type_paths:
             for type_name, file in definition_files.find(Path(path)):
@@ -178,7 +180,13 @@ class TypeStore:
         Raises:
             UnknownField: there is no such field.
         """
-        return field_path(path, type_name, self.definition)
+        key = (type_name, path)
+        known = self._paths.get(key)
+        if known is None:
+            known = field_path(path, type_name, self.definition)
+            if len(self._paths) < _MOST_PATHS:
+                self._paths[key] = known
+        return known
 
     def encode(self, type_name: str, message: Mapping[str, Any]) -> bytes:
         """Return `message` as CDR (XCDR1, little endian, with its 4 bytes of header).
