@@ -95,8 +95,8 @@ async def listen(rate_hz: float, seconds: float, depth: int, look: Callable[[Any
     late_ms.sort()
     p50, p99 = (late_ms[int(len(late_ms) * share)] for share in (0.5, 0.99))
     return (
-        f"{len(late_ms):>6} of {count:<6} p50 {p50:6.2f} ms  p99 {p99:6.2f} ms  listener {share:5.0%} of a core"
-        f"  publisher {float(sender_share):5.0%} at {sent_hz} Hz  memory {grown_mb:+.1f} MB"
+        f"{len(late_ms):>6} of {count:<6} p50 {p50:6.2f} ms  p99 {p99:6.2f} ms  listener {share:5.0%} of "
+        f"a core  publisher {float(sender_share):5.0%} at {sent_hz} Hz  memory {grown_mb:+.1f} MB"
     )
 
 
