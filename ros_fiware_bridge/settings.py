@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field
 
@@ -28,6 +29,9 @@ class BridgeSettings(Settings):
     )
     ros_mapping: Path | None = Field(
         None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
+    )
+    ros_adapter: Literal["cyclone", "rclpy"] = Field(
+        "cyclone", description="what carries the ROS graph: DDS from a wheel, or an installed ROS (rclpy)"
     )
     ros_domain_id: int = Field(
         default_factory=_ros_domain_id, ge=0, le=232, description="the ROS domain; ROS_DOMAIN_ID if absent"

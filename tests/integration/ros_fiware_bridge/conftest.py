@@ -16,8 +16,7 @@ from handover.settings import Settings
 
 pytest.importorskip("cyclonedds", reason="the extra [ros] is not installed")
 
-from ros_fiware_bridge.graph.cyclone.domain import DomainSettings
-from ros_fiware_bridge.graph.cyclone.graph import CycloneGraph, CycloneSettings
+from ros_fiware_bridge.graph.joining import JoinSettings, join
 from ros_fiware_bridge.graph.port import Publisher, Received, Subscription
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
@@ -52,8 +51,8 @@ class Shop:
     @asynccontextmanager
     async def opened(self) -> AsyncIterator[None]:
         """Have a client of the broker, and the robot on the graph."""
-        domain = DomainSettings(domain_id=self.domain, interfaces=("127.0.0.1",))
-        self.robot = await CycloneGraph.join(TypeStore(), CycloneSettings(node="robot", domain=domain))
+        asked = JoinSettings(node="robot", domain_id=self.domain, interfaces=("127.0.0.1",))
+        self.robot = await join(TypeStore(), asked)
         try:
             settings = Settings.load(broker_url=self.cell.url("context_broker"))
             async with BrokerClient(settings) as self.broker:
