@@ -1,5 +1,6 @@
 """The face of the ROS bridge: its rules with their rates, last values and errors, and the live graph."""
 
+import secrets
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
@@ -112,13 +113,14 @@ def _add_rules(app: FastAPI, at: _At) -> None:
             "subscribed": bridge.listeners.subscribed,
         }
 
-    @app.post("/notifications/{rule}", status_code=204, tags=["notifications"])
-    async def notify(rule: str, request: Request) -> Response:
-        """Take notice of entities that changed."""
-        listener = at.the_bridge().listeners.named(rule)
+    @app.post("/notifications/{key}/{rule}", status_code=204, tags=["notifications"])
+    async def notify(key: str, rule: str, request: Request) -> Response:
+        """Take notice of entities that changed; `key` is known to those who can read our subscriptions."""
+        bridge = at.the_bridge()
+        listener = bridge.listeners.named(rule)
+        if listener is None or not secrets.compare_digest(key.encode(), bridge.key.encode()):
+            raise Problem(404, "No such rule", f'no rule "{rule}" listens to the broker at this address')
         entities = await notified_entities(request)
-        if listener is None:
-            raise Problem(404, "No such rule", f'no rule "{rule}" listens to the broker')
         for entity in entities:
             listener.take(entity)
         return Response(status_code=204)

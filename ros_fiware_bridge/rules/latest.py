@@ -17,6 +17,7 @@ from ros_fiware_bridge.rules.inward import Scope
 MOST_REMEMBERED = 10_000
 ECHO_WITHIN_S = 5.0
 """What comes back from the graph later than this is said by somebody, not an echo."""
+NULL = "urn:ngsi-ld:null"
 _MEMBERS = ("value", "object", "languageMap", "json")
 
 
@@ -41,7 +42,7 @@ class Latest:
         seen = {
             name: attribute
             for name, attribute in entity.items()
-            if isinstance(attribute, Mapping) and (not self._attributes or name in self._attributes)
+            if (not self._attributes or name in self._attributes) and _says_something(attribute)
         }
         known = self._known.setdefault(entity_id, _Known())
         news = False
@@ -53,7 +54,7 @@ class Latest:
             if known.digests.get(name) != now or known.observed.get(name, "") != at:
                 known.foreign.pop(name, None)
                 if not origin.is_ours(attribute):
-                    news, known.foreign[name] = True, (now, now_s)
+                    news, known.foreign[name] = True, (origin.coarse_digest(_value_of(attribute)), now_s)
             known.digests[name], known.observed[name] = now, at
         self._known.move_to_end(entity_id)
         while len(self._known) > MOST_REMEMBERED:
@@ -64,7 +65,7 @@ class Latest:
         """Say whether this value is what somebody else wrote just now, which need not be written again."""
         known = self._known.get(entity_id)
         written, at_s = known.foreign.get(attribute, ("", 0.0)) if known is not None else ("", 0.0)
-        return now_s - at_s <= ECHO_WITHIN_S and written == origin.digest({"value": value})
+        return now_s - at_s <= ECHO_WITHIN_S and written == origin.coarse_digest(value)
 
     def wrote(self, entity_id: str, attribute: str) -> None:
         """Take notice that something from the ROS graph is being written over what others wrote."""
@@ -89,6 +90,18 @@ def scope_of(entity: Mapping[str, Any], now_s: float) -> Scope:
     values["id"] = str(entity.get("id")).rsplit(":", 1)[-1]
     values["type"] = entity.get("type")
     return Scope(values, observed, now_s)
+
+
+def _value_of(attribute: Mapping[str, Any]) -> Any:
+    return next((attribute[member] for member in _MEMBERS if member in attribute), None)
+
+
+def _says_something(attribute: Any) -> bool:
+    """Say whether `attribute` has a value; one that was deleted has none, or NGSI-LD's null."""
+    if not isinstance(attribute, Mapping):
+        return False
+    values = (attribute[member] for member in _MEMBERS if member in attribute)
+    return any(value is not None and value != NULL for value in values)
 
 
 def _plain(value: Any) -> Any:

@@ -36,6 +36,21 @@ def digest(attribute: Mapping[str, Any]) -> str:
     return f"{zlib.crc32(written):08x}"
 
 
+def coarse_digest(value: Any) -> str:
+    """Return a digest that is the same for numbers that a `float32` cannot tell apart."""
+    return digest({"value": _rounded(value)})
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(f"{value:.6g}")
+    if isinstance(value, Mapping):
+        return {key: _rounded(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(one) for one in value]
+    return value
+
+
 def _plain(value: Any) -> Any:
     """Return `value` with numbers as every broker would tell them: 1.0 is 1."""
     if isinstance(value, float):

@@ -1,6 +1,7 @@
 """The bridge: every rule of a mapping at work, between one ROS graph and one broker."""
 
 import asyncio
+import secrets
 from collections.abc import Coroutine, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
 from typing import Any, Self
@@ -61,7 +62,9 @@ class Bridge:
             refused=self._refused,
             dropped=lambda rule, number: self.tallies[rule].drop(number),
         )
-        self.listeners = Listeners(settings, broker, f"{url}/notifications", f"{name}-rule-")
+        self.key = secrets.token_urlsafe(18)
+        """What the broker shows when it notifies: a robot must not move because anybody says so."""
+        self.listeners = Listeners(settings, broker, f"{url}/notifications/{self.key}", f"{name}-rule-")
         self.tasks = TaskAsking(name, settings, broker, notify_url=f"{url}/notifications-of-tasks")
         self.alerts = AlertDesk(broker, settings)
         self._memory = Memory(settings.data_dir / f"{name}.json")

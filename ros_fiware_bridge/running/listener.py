@@ -4,6 +4,7 @@ Its subscription has a deterministic id, so making it twice makes one; it is del
 good order. Every few seconds the broker is asked for the state itself, since notifications may be lost.
 """
 
+import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
@@ -81,8 +82,21 @@ class Listener:
 
     def take(self, entity: Mapping[str, Any], *, only_notice: bool = False) -> None:
         """Take notice of an entity; what is news is passed on unless it is `only_notice`d."""
+        if not self._is_chosen(entity):
+            return
         if self.latest.take(entity, time.monotonic()) and self.enabled and not only_notice:
             self._effect(entity, scope_of(entity, time.time()))
+
+    def _is_chosen(self, entity: Mapping[str, Any]) -> bool:
+        """Say whether this is an entity that the rule is about, whoever tells of it."""
+        entity_id, types, chosen = entity.get("id"), entity.get("type"), self.selector
+        if not isinstance(entity_id, str) or chosen.type not in (
+            types if isinstance(types, list) else [types]
+        ):
+            return False
+        if chosen.id is not None:
+            return entity_id == chosen.id
+        return chosen.id_pattern is None or re.search(chosen.id_pattern, entity_id) is not None
 
 
 class Listeners:
@@ -166,6 +180,11 @@ class Listeners:
 
     def _id(self, name: str) -> str:
         return self._settings.entity_id("Subscription", f"{self._prefix}{name}")
+
+
+def _short(kind: Any) -> str:
+    """Return the name of a type, which some brokers tell as a URI."""
+    return re.split(r"[/#]", str(kind))[-1]
 
 
 def _ours(there: Iterable[str], beginning: str) -> set[str]:

@@ -83,10 +83,10 @@ class Outgoing:
         self._pace.forget(letter.entity_id)
 
     def _heard(self, received: Received) -> None:
+        if received.ours or self.outward is None:
+            return  # what the bridge says itself came from the broker
         now_s = self._clock()
         self.tally.hear(now_s)
-        if self.outward is None:
-            return
         only = self._only_entity
         if only is not None and (wait_s := self._pace.waits_s(only, now_s)) > 0:
             self._hold(only, received, wait_s)  # it is not even decoded unless it is the last
