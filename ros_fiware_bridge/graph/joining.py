@@ -57,6 +57,10 @@ async def join(store: TypeStore, settings: JoinSettings, adapter: Adapter = Adap
             Adapter.RCLPY: "run the bridge where ROS 2 is installed and its setup.bash was sourced",
         }
         raise AdapterUnavailable(f"the adapter {adapter.value} is not installed; {way[adapter]}")
-    from ros_fiware_bridge.graph.cyclone.graph import CycloneGraph  # noqa: PLC0415 - only if it is chosen
+    if adapter is Adapter.RCLPY:
+        from ros_fiware_bridge.graph.ros_installed.graph import RosInstalledGraph  # noqa: PLC0415 - if chosen
+
+        return await RosInstalledGraph.join(store, settings)
+    from ros_fiware_bridge.graph.cyclone.graph import CycloneGraph  # noqa: PLC0415 - if chosen
 
     return await CycloneGraph.join(store, settings)

@@ -12,17 +12,19 @@ import numpy as np
 
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
-from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, RosGraph, ServedGoal
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
+from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, ServedGoal
+from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 
+TYPES = Path(__file__).parent / "types"
 
-async def add(request: dict[str, Any]) -> dict[str, Any]:
-    if request["a"] == 13:
+
+async def repeat(request: dict[str, Any]) -> dict[str, Any]:
+    if request["depth"] == 13:
         raise RuntimeError("an unlucky number")
-    if request["a"] == 99:
+    if request["depth"] == 99:
         await asyncio.sleep(3)
-    return {"sum": request["a"] + request["b"]}
+    return {"result": {"names": request["prefixes"] * request["depth"]}}
 
 
 async def fibonacci(goal: ServedGoal) -> dict[str, Any]:
@@ -41,21 +43,21 @@ async def fibonacci(goal: ServedGoal) -> dict[str, Any]:
     return {"sequence": numbers}
 
 
-async def answers(graph: RosGraph) -> None:
+async def answers(graph: Any, own_types: bool) -> None:
     echo = await graph.publisher("/echo", "sensor_msgs/msg/JointState")
     await graph.subscribe("/say", "sensor_msgs/msg/JointState", lambda got: echo.publish(got.message))
     greeting = await graph.publisher("greeting", "std_msgs/msg/String", LATCHED)
     for word in ("overtaken", "welcome"):
         greeting.publish({"data": word})
-    await graph.serve("/add", "example_interfaces/srv/AddTwoInts", add)
+    await graph.serve("/repeat", "rcl_interfaces/srv/ListParameters", repeat)
     await graph.serve_action(
         "/fibonacci",
-        "example_interfaces/action/Fibonacci",
+        "test_msgs/action/Fibonacci",
         fibonacci,
         accept=lambda goal: goal["order"] < 1000,
     )
 
-    numbered = await graph.publisher("/numbered", "std_msgs/msg/UInt32")
+    numbered = await graph.publisher("/numbered", "std_msgs/msg/UInt32", Qos(depth=1000))
 
     def count(received: Any) -> None:
         for number in range(received.message["data"]):
@@ -83,7 +85,7 @@ async def answers(graph: RosGraph) -> None:
     noise = await graph.publisher("/noise", "std_msgs/msg/Float32", SENSOR_DATA)
     image = await graph.publisher("/image", "sensor_msgs/msg/Image")
     own = None
-    if "cell_msgs/msg/Part" in graph.store.type_names():
+    if own_types:
         own = await graph.publisher("/part", "cell_msgs/msg/Part")
     while True:
         await asyncio.sleep(0.05)
@@ -97,11 +99,13 @@ async def answers(graph: RosGraph) -> None:
 async def main() -> None:
     adapter, domain, *paths = sys.argv[1:]
     settings = JoinSettings(node="peer", namespace="/cell", domain_id=int(domain), interfaces=("127.0.0.1",))
-    graph = await join(TypeStore(map(Path, paths)), settings, Adapter(adapter))
-    work = asyncio.ensure_future(answers(graph))
+    graph = await join(TypeStore([TYPES, *map(Path, paths)]), settings, Adapter(adapter))
+    work = asyncio.ensure_future(answers(graph, bool(paths)))
     print("ready", flush=True)
     ended = asyncio.ensure_future(asyncio.to_thread(sys.stdin.read))
     await asyncio.wait([work, ended], return_when=asyncio.FIRST_COMPLETED)
+    if work.done():
+        work.result()
     work.cancel()
     await graph.close()
 
