@@ -419,3 +419,23 @@ async def test_a_peer_that_goes_is_gone_and_one_that_comes_back_is_heard(
                 assert heard.publishers() == 1
             await true(lambda: not heard.publishers())
             await true(lambda: not {one.name: one for one in graph.topics()}["/part"].publishers)
+
+
+@pytest.mark.slow
+async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
+    joined: Joined, adapter: Adapter, domain_id: int
+) -> None:
+    elsewhere = domain_id + 100
+    async with joined(domain_id=elsewhere) as graph:
+        action = await graph.action_client("/fibonacci", FIBONACCI)
+        with running_peer(adapter, elsewhere) as peer:
+            goal = await action.send_goal({"order": 900}, timeout_s=10)
+            waiting = asyncio.ensure_future(goal.result())
+            await asyncio.sleep(0.2)
+            peer.kill()
+            # DDS gives a program that says nothing ten seconds (ROS 2 Fast DDS: twenty).
+            with pytest.raises(ServiceUnavailable, match=r"the server of .* went away before"):
+                await asyncio.wait_for(waiting, 40)
+        with running_peer(adapter, elsewhere):
+            ended = await (await action.send_goal({"order": 4}, timeout_s=10)).result(10)
+            assert ended.status is GoalStatus.SUCCEEDED
