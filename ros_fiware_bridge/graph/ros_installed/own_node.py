@@ -10,12 +10,17 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import structlog
+
 from ros_fiware_bridge.errors import AdapterUnavailable, TypeHashDiffers, UnknownType
 from ros_fiware_bridge.graph.joining import JoinSettings
 from ros_fiware_bridge.graph.port import Message
 from ros_fiware_bridge.graph.qos import Durability, History, Qos, Reliability
 from ros_fiware_bridge.types.type_store import TypeStore
 
+log = structlog.get_logger(__name__)
+
+_ROUND_S = 1.0
 _THREADS = 64
 """Handlers of services and goals keep a thread each while they work."""
 
@@ -52,8 +57,22 @@ class OwnRosNode:
         self.group = ReentrantCallbackGroup()
         self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._executor.spin, name="ros-graph", daemon=True)
+        self._stopping = False
+        self._thread = threading.Thread(target=self._spin, name="ros-graph", daemon=True)
         self._thread.start()
+
+    def _spin(self) -> None:
+        from rclpy.executors import ExternalShutdownException, ShutdownException  # noqa: PLC0415 - where ROS is
+
+        while not self._stopping and self._context.ok():
+            try:
+                self._executor.spin_once(timeout_sec=_ROUND_S)
+            except (ExternalShutdownException, ShutdownException):
+                return
+            except Exception:
+                # One callback's fault, or what was closed while it was waited on: the others go on.
+                if not self._stopping:
+                    log.exception("the ROS graph had a fault")
 
     def interface(self, type_name: str) -> Any:
         """Return the Python class of a message, service or action type.
@@ -104,6 +123,7 @@ class OwnRosNode:
         """End the node and its threads."""
         import rclpy  # noqa: PLC0415 - is only there where ROS is
 
+        self._stopping = True
         self._executor.shutdown(timeout_sec=2.0)
         self._thread.join(5.0)
         self.node.destroy_node()
