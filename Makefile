@@ -14,7 +14,7 @@ PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
 # What needs the Node that built the page: lint and tests of its TypeScript.
 PAGE := $(BIN)/python -m webui.build
 
-.PHONY: help setup demo up test crashes check lint lock bench bench-broker bench-gestures bench-handover bench-screen clean
+.PHONY: help setup demo up test crashes check lint lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -65,7 +65,7 @@ lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds has
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
 
-bench: bench-broker bench-gestures bench-handover  ## measure everything
+bench: bench-broker bench-gestures bench-handover bench-bridge  ## measure everything
 
 bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
 	@$(BIN)/python -m benchmarks.broker
@@ -75,6 +75,10 @@ bench-gestures: setup  ## the gesture controller: frames a second, cost of 50 gl
 
 bench-handover: setup  ## from the held gesture to the robot; cold start; memory
 	@$(BIN)/python -m benchmarks.handover
+
+bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker, 1,000 messages a second
+	@$(BIN)/python -m benchmarks.ros_graph
+	@$(BIN)/python -m benchmarks.ros_bridge $(ARGS)
 
 bench-screen: setup  ## the screen in Chromium: how fast it answers, whether its memory grows
 	@$(BIN)/python -m benchmarks.screen $(ARGS)

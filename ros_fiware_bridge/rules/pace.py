@@ -72,8 +72,10 @@ class Pace:
 def differs(before: Any, now: Any, band: DeadBand | None = None) -> bool:
     """Say whether `now` is another value than `before`: for numbers, by more than `band`."""
     if isinstance(before, list) and isinstance(now, list):
-        return len(before) != len(now) or any(
-            differs(old, new, band) for old, new in zip(before, now, strict=True)
+        if len(before) != len(now) or band is None:
+            return before != now
+        return before != now and any(
+            differs(old, new, band) for old, new in zip(before, now, strict=True) if old != new
         )
     if isinstance(before, dict) and isinstance(now, dict):
         return before.keys() != now.keys() or any(differs(before[key], now[key], band) for key in now)
