@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from ros_fiware_bridge.graph.qos import DEFAULT, PROFILES, Qos
+from ros_fiware_bridge.graph.qos import PROFILES, Qos
 from ros_fiware_bridge.rules.definitions import HEADER
 from ros_fiware_bridge.types.definition import FieldType, Many
 from ros_fiware_bridge.types.type_store import TypeStore
@@ -43,11 +43,18 @@ def mapping_for(topic: str, type_name: str, qos: Qos | None, store: TypeStore) -
 
 
 def _qos(qos: Qos | None) -> Iterator[str]:
-    if qos is None or qos == DEFAULT:
+    """Yield the line for `qos`; how many messages are kept is not told on the graph, so it does not count."""
+    if qos is None:
         return
-    named = next((name for name, one in PROFILES.items() if one == qos), None)
-    if named is not None:
-        yield f"    qos: {named}"
+    alike = [
+        name
+        for name, one in PROFILES.items()
+        if (one.reliability, one.durability) == (qos.reliability, qos.durability)
+    ]
+    if "default" in alike:
+        return
+    if alike:
+        yield f"    qos: {alike[0]}"
     else:
         yield f"    qos: {{reliability: {qos.reliability.value}, durability: {qos.durability.value}}}"
 
@@ -62,7 +69,7 @@ def _attributes(found: FieldType, path: str, store: TypeStore, depth: int) -> It
         yield path, str(found)
         return
     fields = store.definition(found.base).fields
-    small = len(fields) <= SMALL and all(not one.type.is_message for one in fields)
+    small = len(fields) <= SMALL and not any(one.type.is_message or one.type.is_octets for one in fields)
     if path and (small or depth >= DEEPEST):
         yield path, found.base
         return
@@ -73,7 +80,10 @@ def _attributes(found: FieldType, path: str, store: TypeStore, depth: int) -> It
 
 
 def _named(path: str, used: set[str]) -> str:
-    """Return a name for the attribute made of `path`: its last words, as many as tell it from the others."""
+    """Return a name for the attribute made of `path`: its last words, as many as tell it from the others.
+
+    A field called like what every entity has (id, type) gets `ros` in front.
+    """
     words = path.split(".")
     for many in range(1, len(words) + 1):
         parts = "_".join(words[-many:]).split("_")
@@ -81,4 +91,6 @@ def _named(path: str, used: set[str]) -> str:
         if name not in used and name not in {"id", "type", "scope"}:
             used.add(name)
             return name
-    return "_".join(words)
+    spare = f"ros{words[-1][:1].upper()}{words[-1][1:]}"
+    used.add(spare)
+    return spare

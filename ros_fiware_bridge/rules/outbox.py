@@ -4,12 +4,14 @@ Of each entity at most one request is under way; what comes meanwhile waits: of 
 last so many if the rule says `keep`. So nothing grows without end, however long the broker is away. Pure.
 """
 
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 MOST_IN_A_BATCH = 200
+MOST_VERSIONS = 50
+"""Of one entity so many go in one request, in order; only rules that `keep` several have more than one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,27 +29,39 @@ class Letter:
 
 @dataclass(frozen=True, slots=True)
 class Parcel:
-    """Letters about one entity that go together: the newest version of each attribute counts."""
+    """Letters about one entity that go together: its versions in order, each of letters of several rules."""
 
-    letters: tuple[Letter, ...]
+    versions: tuple[tuple[Letter, ...], ...]
+
+    @property
+    def letters(self) -> tuple[Letter, ...]:
+        """Return all letters, the oldest first."""
+        return tuple(letter for version in self.versions for letter in version)
 
     @property
     def entity_id(self) -> str:
         """Return the entity that it is about."""
-        return self.letters[0].entity_id
+        return self.versions[0][0].entity_id
 
     @property
     def create(self) -> bool:
         """Say whether the entity may be made."""
         return any(letter.create for letter in self.letters)
 
-    def entity(self) -> dict[str, Any]:
-        """Return it as the broker takes it."""
-        return {
-            "id": self.entity_id,
-            "type": self.letters[0].entity_type,
-            **{name: value for letter in self.letters for name, value in letter.attributes.items()},
-        }
+    def one_by_one(self) -> "list[Parcel]":
+        """Return a parcel for each version."""
+        return [Parcel((version,)) for version in self.versions]
+
+    def entities(self) -> list[dict[str, Any]]:
+        """Return the versions as the broker takes them."""
+        return [
+            {
+                "id": self.entity_id,
+                "type": version[0].entity_type,
+                **{name: value for letter in version for name, value in letter.attributes.items()},
+            }
+            for version in self.versions
+        ]
 
 
 @dataclass(slots=True)
@@ -78,16 +92,20 @@ class Outbox:
         return gone
 
     def take(self, most: int = MOST_IN_A_BATCH) -> list[Parcel]:
-        """Return what may go now, the longest waiting first: of each rule the oldest letter of an entity."""
+        """Return what may go now, the longest waiting first."""
         parcels: list[Parcel] = []
         while self._ready and len(parcels) < most:
             entity_id, _ = self._ready.popitem(last=False)
             hole = self._holes[entity_id]
-            letters = tuple(queue.popleft() for queue in hole.waiting.values() if queue)
-            if letters:
+            versions: list[tuple[Letter, ...]] = []
+            while len(versions) < MOST_VERSIONS and (
+                letters := tuple(queue.popleft() for queue in hole.waiting.values() if queue)
+            ):
+                versions.append(letters)
+            if versions:
                 hole.under_way = True
                 self.under_way += 1
-                parcels.append(Parcel(letters))
+                parcels.append(Parcel(tuple(versions)))
         return parcels
 
     def arrived(self, parcels: Iterable[Parcel]) -> None:
@@ -95,17 +113,17 @@ class Outbox:
         for parcel in parcels:
             self._landed(parcel)
 
-    def came_back(self, parcels: Iterable[Parcel]) -> int:
-        """Put back what the broker could not take now; return how many letters had to go, being older."""
-        gone = 0
+    def came_back(self, parcels: Iterable[Parcel]) -> Counter[str]:
+        """Put back what the broker could not take now; return how many letters of each rule had to go."""
+        gone: Counter[str] = Counter()
         for parcel in parcels:
             hole = self._holes[parcel.entity_id]
-            for letter in parcel.letters:
+            for letter in reversed(parcel.letters):
                 queue = hole.waiting.setdefault(letter.rule, deque())
                 if len(queue) < letter.keep:
                     queue.appendleft(letter)
                 else:
-                    gone += 1
+                    gone[letter.rule] += 1
             self._landed(parcel)
         return gone
 

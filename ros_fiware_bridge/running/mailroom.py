@@ -93,33 +93,54 @@ class Mailroom:
 
     async def _send(self, parcels: Sequence[Parcel]) -> None:
         made = [parcel for parcel in parcels if parcel.create]
-        changed = [[parcel] for parcel in parcels if not parcel.create]
-        for together in ([made] if made else []) + changed:
-            await self._deliver(together)
+        if made:
+            await self._deliver(made)
+        for parcel in parcels:
+            if not parcel.create:
+                await self._deliver([parcel])
 
     async def _deliver(self, parcels: list[Parcel]) -> None:
         try:
-            if parcels[0].create:
-                await self._broker.upsert([parcel.entity() for parcel in parcels])
-            else:
-                await self._broker.append(parcels[0].entity_id, _attributes(parcels[0]))
+            await self._write(parcels)
         except BrokerUnavailable as error:
             await self._wait_for_broker(parcels, error)
-        except BrokerError as error:
-            if len(parcels) > 1:  # which of them it is that the broker does not take is found one by one
-                for parcel in parcels:
-                    await self._deliver([parcel])
-                return
-            self.outbox.arrived(parcels)
-            for letter in parcels[0].letters:
-                self._refused(letter, str(error))
-            self._is_back()
+        except BrokerError:
+            await self._deliver_one_by_one(parcels)
         except BaseException:
             self._count_lost(parcels)
             raise
         else:
             self.outbox.arrived(parcels)
             self._is_back()
+
+    async def _deliver_one_by_one(self, parcels: Sequence[Parcel]) -> None:
+        """Find out what it is that the broker does not take, so that the rest arrives all the same."""
+        for place, parcel in enumerate(parcels):
+            try:
+                for version in parcel.one_by_one():
+                    try:
+                        await self._write([version])
+                    except BrokerUnavailable:
+                        raise
+                    except BrokerError as error:
+                        for letter in version.letters:
+                            self._refused(letter, str(error))
+            except BrokerUnavailable as error:
+                await self._wait_for_broker(parcels[place:], error)
+                return
+            except BaseException:
+                self._count_lost(parcels[place:])
+                raise
+            self.outbox.arrived([parcel])
+            self._is_back()
+
+    async def _write(self, parcels: Sequence[Parcel]) -> None:
+        if parcels[0].create:
+            await self._broker.upsert([entity for parcel in parcels for entity in parcel.entities()])
+            return
+        for entity in parcels[0].entities():
+            attributes = {name: value for name, value in entity.items() if name not in {"id", "type"}}
+            await self._broker.append(parcels[0].entity_id, attributes)
 
     async def _wait_for_broker(self, parcels: Sequence[Parcel], error: BrokerUnavailable) -> None:
         if self.away_since_s is None:
@@ -133,9 +154,8 @@ class Mailroom:
             self._count_lost(parcels)
 
     def _count_lost(self, parcels: Sequence[Parcel]) -> None:
-        gone = self.outbox.came_back(parcels)
-        if gone:
-            self._lost(parcels[0].letters[0].rule, gone)
+        for rule, number in self.outbox.came_back(parcels).items():
+            self._lost(rule, number)
 
     def _lost(self, rule: str, number: int) -> None:
         if number:
@@ -149,7 +169,3 @@ class Mailroom:
             self.away_since_s = None
             BROKER_AWAY.set(0)
         self._retry_s = FIRST_RETRY_S
-
-
-def _attributes(parcel: Parcel) -> dict[str, object]:
-    return {name: value for name, value in parcel.entity().items() if name not in {"id", "type"}}

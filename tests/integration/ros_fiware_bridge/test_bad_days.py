@@ -1,5 +1,6 @@
 """Bad input and bad days: each is named, counted and survived."""
 
+import asyncio
 import math
 import threading
 from collections.abc import Iterator
@@ -90,7 +91,10 @@ async def test_a_broker_that_answers_503_and_comes_back_misses_only_what_a_rule_
     await shop.becomes("urn:ngsi-ld:Device:demo:r2", "n", 7)
     shop.cell.wait_ready("ros_fiware_bridge")
     assert shop.rule("level")["dropped"] >= 6
-    assert 2 <= shop.rule("every")["dropped"] <= 3, "of eight, five were to be kept (one may be under way)"
+    assert shop.rule("every")["dropped"] <= 3, "of eight, five were to be kept"
+    url = f"{shop.cell.url('context_broker')}/ngsi-ld/v1/temporal/entities/urn:ngsi-ld:Device:demo:r2"
+    history = httpx.get(url, params={"timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "lastN": "5"})
+    assert sorted(one["value"] for one in history.json()["n"]) == [3, 4, 5, 6, 7]
 
     async def alerted() -> bool:
         return any("gave way" in str(one) for one in await shop.broker.query(type="Alert"))
@@ -125,6 +129,30 @@ async def test_a_message_of_50_megabytes_is_refused_and_nothing_else(shop: Any) 
         await shop.becomes(ROBOT, "raw", [111, 107])
     finally:
         await big.close()
+
+
+async def test_a_topic_on_which_nobody_speaks_any_more_is_an_alert_until_somebody_does(shop: Any) -> None:
+    async def alert() -> dict[str, Any]:
+        found = [one for one in await shop.broker.query(type="Alert") if "silent-words" in one["id"]]
+        return found[0] if found else {}
+
+    async def stands() -> bool:
+        return bool(found := await alert()) and "validTo" not in found
+
+    async def is_over() -> bool:
+        return "validTo" in await alert()
+
+    words = await shop.speaks("/words", "std_msgs/msg/String")
+    words.publish({"data": "here"})
+    await shop.becomes(ROBOT, "words", "here")
+    await shop.until(lambda: shop.rule("words")["publishers"] == 1)
+    await asyncio.sleep(1.5)  # the bridge looks round every second; there is nothing of it to be seen
+    await words.close()
+    await shop.until(stands, 25.0, "no Alert tells of the silence")
+    assert "nobody speaks on /words any more" in (await alert())["description"]["value"]
+    words = await shop.speaks("/words", "std_msgs/msg/String")
+    await shop.until(is_over, 25.0, "the Alert is not cleared")
+    await words.close()
 
 
 async def test_a_peer_with_another_definition_is_named(shop: Any, tmp_path: Path) -> None:
@@ -190,4 +218,4 @@ async def test_a_notification_that_is_none_or_not_of_the_broker_changes_nothing(
     assert httpx.post(guessed, json={"data": [FORGED]}).status_code == 404
     assert shop.rule("small")["told"] == told
     assert httpx.post(uri, json={"data": [FORGED]}).status_code == 204
-    assert shop.rule("small")["told"] == told + 1
+    assert shop.rule("small")["told"] > told
