@@ -1,3 +1,4 @@
+import asyncio
 import os
 import random
 import subprocess
@@ -16,6 +17,7 @@ from ros_fiware_bridge.types.type_store import TypeStore
 # An installed ROS keeps to this machine too; our own DDS is told so by its settings.
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 TYPES = Path(__file__).parent / "types"
+REPEAT = "rcl_interfaces/srv/ListParameters"
 Joined = Callable[..., AbstractAsyncContextManager[RosGraph]]
 
 
@@ -90,3 +92,27 @@ def joined(adapter: Adapter, domain_id: int, store: TypeStore) -> Joined:
 async def graph(joined: Joined) -> AsyncIterator[RosGraph]:
     async with joined() as opened:
         yield opened
+
+
+@pytest.fixture
+def only_cyclone(adapter: Adapter) -> None:
+    if adapter is not Adapter.CYCLONE:
+        pytest.skip("an installed ROS knows only types that were built for it")
+
+
+async def true(holds: Callable[[], Any], timeout_s: float = 20.0) -> None:
+    async with asyncio.timeout(timeout_s):
+        while not holds():
+            await asyncio.sleep(0.01)
+
+
+async def repeated(graph: RosGraph, text: str, times: int, timeout_s: float = 10) -> list[str]:
+    answer = await graph.call("/repeat", REPEAT, {"prefixes": [text], "depth": times}, timeout_s)
+    return list(answer["result"]["names"])
+
+
+def part(folder: Path, text: str) -> Path:
+    file = folder / "cell_msgs" / "msg" / "Part.msg"
+    file.parent.mkdir(parents=True)
+    file.write_text(text)
+    return folder

@@ -2,7 +2,7 @@
 
 import asyncio
 import random
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
 import pytest
@@ -12,12 +12,11 @@ from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, jo
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.integration.ros_fiware_bridge.graph.conftest import running_peer
+from tests.integration.ros_fiware_bridge.graph.conftest import running_peer, true
 
-pytestmark = [
-    pytest.mark.skipif(len(installed()) < 2, reason="rclpy and cyclonedds are not both installed"),
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-]
+if len(installed()) < len(Adapter):
+    pytest.skip("rclpy and cyclonedds are not both installed", allow_module_level=True)
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 JOINTS = "sensor_msgs/msg/JointState"
 DOMAIN_ID = random.randint(1, 100)
 
@@ -33,12 +32,6 @@ async def graph(store: TypeStore) -> AsyncIterator[RosGraph]:
     opened = await join(store, JoinSettings(node="bridge", domain_id=DOMAIN_ID, interfaces=("127.0.0.1",)))
     yield opened
     await opened.close()
-
-
-async def true(holds: Callable[[], Any], timeout_s: float = 20.0) -> None:
-    async with asyncio.timeout(timeout_s):
-        while not holds():
-            await asyncio.sleep(0.02)
 
 
 async def test_a_genuine_node_hears_us_and_is_heard(graph: RosGraph) -> None:
