@@ -6,7 +6,7 @@ import secrets
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from ros_fiware_bridge.errors import CallTimeout, GoalRefused
+from ros_fiware_bridge.errors import CallTimeout, GoalRefused, GraphClosed
 from ros_fiware_bridge.graph.cyclone.services import CycloneClient
 from ros_fiware_bridge.graph.port import GoalResult, GoalStatus, Message, Received, Subscription
 from ros_fiware_bridge.graph.qos import DEFAULT, LATCHED, Qos
@@ -53,6 +53,10 @@ class CycloneGoal:
             self._result = asyncio.get_running_loop().create_task(self._client.ask_result(self))
         try:
             return await asyncio.wait_for(asyncio.shield(self._result), timeout_s)
+        except asyncio.CancelledError:
+            if self._result.cancelled():  # by `forget`, not whoever waits here
+                raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
+            raise
         except TimeoutError:
             raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
 

@@ -9,11 +9,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import structlog
+
 from ros_fiware_bridge.errors import BadMessage
 from ros_fiware_bridge.graph.cyclone import dds_names, dds_qos
 from ros_fiware_bridge.graph.cyclone.samples import Sample
 from ros_fiware_bridge.graph.qos import Qos
 from ros_fiware_bridge.types.type_store import TypeStore
+
+log = structlog.get_logger(__name__)
 
 _AT_ONCE = 100
 _ALIVE = 16
@@ -117,7 +121,10 @@ class Discovery:
                 with self._lock:
                     self._picture = None
                     for sample in samples:
-                        seen(sample)
+                        try:
+                            seen(sample)
+                        except Exception:  # one odd peer must not hide the others
+                            log.exception("a peer on the ROS graph cannot be understood")
 
         return take
 

@@ -222,6 +222,9 @@ class CycloneServer:
         self._loop = asyncio.get_running_loop()
         self._working: set[asyncio.Task[None]] = set()
         self._is_open = True
+        # Each is counted by one thread alone: what listening hands over, and what the loop has taken.
+        self._handed = 0
+        self._taken = 0
         user = {"serviceid": _id_of_pair(), "typehash": node.store.hash(base)}
         self._reply_topic = dds_names.of_reply(service)
         self._writer = node.writer(self._reply_topic, f"{base}_Response", SERVICES, user=user, header=True)
@@ -238,12 +241,17 @@ class CycloneServer:
             if client is None:
                 self._node.discovery.look()
                 client = self._node.discovery.writer(sample.writer)
+            if self._handed - self._taken >= _MOST_AT_ONCE:
+                self._fault(f"{self.name}: {_MOST_AT_ONCE} requests wait to be answered; one was let go")
+                continue
+            self._handed += 1
             try:
                 self._loop.call_soon_threadsafe(self._asked, client, sample.data)
             except RuntimeError:  # the loop is closed
                 return
 
     def _asked(self, client: Known | None, data: bytes) -> None:
+        self._taken += 1
         if not self._is_open:
             return
         self.calls += 1

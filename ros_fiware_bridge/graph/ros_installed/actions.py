@@ -9,7 +9,7 @@ from typing import Any
 
 import structlog
 
-from ros_fiware_bridge.errors import CallTimeout, GoalRefused, ServiceUnavailable
+from ros_fiware_bridge.errors import CallTimeout, GoalRefused, GraphClosed, ServiceUnavailable
 from ros_fiware_bridge.graph.port import ActionHandler, GoalEnded, GoalResult, GoalStatus, Message
 from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, as_future, call
 from ros_fiware_bridge.graph.waiting import until
@@ -42,6 +42,10 @@ class RosGoal:
             self._ended = asyncio.get_running_loop().create_task(self._client.ask_result(self._handle))
         try:
             return await asyncio.wait_for(asyncio.shield(self._ended), timeout_s)
+        except asyncio.CancelledError:
+            if self._ended.cancelled():  # by `forget`, not whoever waits here
+                raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
+            raise
         except TimeoutError:
             raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
 

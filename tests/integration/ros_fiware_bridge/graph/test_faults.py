@@ -102,11 +102,14 @@ async def test_what_is_closed_is_quiet_and_says_so(graph: RosGraph) -> None:
 
 async def test_who_waits_for_an_answer_is_told_when_the_graph_closes(graph: RosGraph) -> None:
     await repeated(graph, "a", 1)
-    waiting = asyncio.ensure_future(repeated(graph, "a", 99))
+    action = await graph.action_client("/fibonacci", "test_msgs/action/Fibonacci")
+    goal = await action.send_goal({"order": 900}, timeout_s=10)
+    waiting = [asyncio.ensure_future(repeated(graph, "a", 99)), asyncio.ensure_future(goal.result())]
     await asyncio.sleep(0.1)
     await graph.close()
-    with pytest.raises(GraphClosed):
-        await waiting
+    for one in waiting:
+        with pytest.raises(GraphClosed):
+            await one
 
 
 @pytest.mark.usefixtures("only_cyclone")
