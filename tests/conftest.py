@@ -112,7 +112,7 @@ class Cell:
         """What a service has logged."""
         return (self.data_dir / f"{service}.log").read_text(errors="replace")
 
-    def start(self, *services: str) -> None:
+    def start(self, *services: str, within_s: float = 30.0) -> None:
         """Start services and wait until each is ready."""
         for service in services:
             with (self.data_dir / f"{service}.log").open("ab") as log:
@@ -125,7 +125,7 @@ class Cell:
                     stderr=log,
                 )
         for service in services:
-            self.wait_ready(service)
+            self.wait_ready(service, within_s)
 
     def wait_ready(self, service: str, within_s: float = 30.0) -> None:
         """Wait until a service says that it is ready."""

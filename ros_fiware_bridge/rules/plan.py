@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 
 from handover.errors import UsageError
-from ros_fiware_bridge.errors import GraphError
+from ros_fiware_bridge.errors import AdapterUnavailable, GraphError
 from ros_fiware_bridge.graph.qos import Durability, History, Qos, Reliability
 from ros_fiware_bridge.mapping import model, names
 from ros_fiware_bridge.mapping.document import Document, Fault, WrongMapping
@@ -119,10 +119,15 @@ def make(
 ) -> Plan:
     """Return the plan of a mapping; `types_of` helps out where a rule does not say the type of its topic.
 
-    Raises `WrongMapping` with every mistake.
+    Raises `WrongMapping` with every mistake, `AdapterUnavailable` without the libraries it takes.
     """
     maker = _Maker(Plan(document, definitions, {"factory": factory}), types_of)
-    maker.all()
+    try:
+        maker.all()
+    except ModuleNotFoundError as error:
+        raise AdapterUnavailable(
+            f"{error.name} is not installed; install the extra: pip install 'handover[ros]'"
+        ) from None
     if maker.faults:
         raise WrongMapping(document.file, sorted(set(maker.faults), key=lambda fault: fault.line))
     return maker.plan

@@ -201,9 +201,13 @@ class ChangeAsking:
         self._put = put
         self._waiting: deque[Scope] = deque()
         self._something = asyncio.Event()
-        used = {change.attribute}
         self.listener = Listener(
-            asking.planned.name, asking.planned.selector, used, self._take, at_start=False
+            asking.planned.name,
+            asking.planned.selector,
+            {change.attribute},
+            self._take,
+            at_start=False,
+            complain=lambda why: asking.tally.fault(why, asyncio.get_running_loop().time()),
         )
 
     async def keep(self) -> None:

@@ -112,6 +112,8 @@ class Bridge:
         """Return when the broker knows where to tell us of changes; raise if it does not."""
         if not self.listeners.subscribed:
             raise BrokerUnavailable(503, "Not subscribed", "the broker has not taken the subscriptions yet")
+        if any(True for _ in self.tasks.resources()):
+            await self.tasks.probe()
 
     async def switch(self, name: str, *, on: bool) -> None:
         """Switch a rule on or off, for good. Raises `Problem`."""

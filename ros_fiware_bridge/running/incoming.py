@@ -41,6 +41,7 @@ class Incoming:
             planned.rule.attributes,
             self._take,
             at_start=planned.at_start,
+            complain=lambda why: tally.fault(why, self._clock()),
         )
 
     async def start(self) -> None:

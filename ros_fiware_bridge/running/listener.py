@@ -38,12 +38,15 @@ class Listener:
         effect: Effect,
         *,
         at_start: bool,
+        complain: Callable[[str], None],
     ) -> None:
         self.name = name
         self.selector = selector
         self.attributes = tuple(attributes)
         self.latest = Latest(self.attributes)
         self.enabled = True
+        self.complain = complain
+        """Told why the broker does not let us listen."""
         self._effect = effect
         self._at_start = at_start
         self._began = False
@@ -150,33 +153,37 @@ class Listeners:
 
     async def _go(self) -> bool:
         try:
-            await self._reconcile()
-            for listener in self._listeners.values():
+            there = {str(one.get("id")) for one in await self._broker.subscriptions()}
+            await self._clear_away(there)
+            for name, listener in self._listeners.items():
                 if listener.enabled:
-                    await listener.ask(self._broker)
-        except BrokerUnavailable as error:
+                    await self._listen(self._id(name), listener, there)
+        except BrokerError as error:
             log.info("the broker cannot be asked", error=str(error))
             self.subscribed = False
             return False
-        except BrokerError as error:
-            log.warning("the broker refuses a subscription or a query", error=str(error))
-            self.subscribed = False
-            return True
         self.subscribed = True
         return True
 
-    async def _reconcile(self) -> None:
-        """Make the subscriptions that lack, and delete those that rules of an earlier mapping left behind."""
-        there = {str(one.get("id")) for one in await self._broker.subscriptions()}
-        wanted = {self._id(name): one for name, one in self._listeners.items() if one.enabled}
-        for subscription_id in _ours(there, self._id("")) - wanted.keys():
+    async def _clear_away(self, there: set[str]) -> None:
+        """Delete the subscriptions of rules that are off, or that an earlier mapping left behind."""
+        wanted = {self._id(name) for name, one in self._listeners.items() if one.enabled}
+        for subscription_id in {one for one in there if one.startswith(self._id(""))} - wanted:
             with suppress(NotFound):
                 await self._broker.delete_subscription(subscription_id)
-        for subscription_id, listener in wanted.items():
+
+    async def _listen(self, subscription_id: str, listener: Listener, there: set[str]) -> None:
+        """Make the subscription if it lacks, and ask for what it may have missed."""
+        try:
             if subscription_id not in there or not self.subscribed:
                 await self._broker.ensure_subscription(
                     listener.subscription(subscription_id, self._notify_url)
                 )
+            await listener.ask(self._broker)
+        except BrokerUnavailable:
+            raise
+        except BrokerError as error:
+            listener.complain(f"the broker does not let us listen: {error}")
 
     def _id(self, name: str) -> str:
         return self._settings.entity_id("Subscription", f"{self._prefix}{name}")
@@ -185,7 +192,3 @@ class Listeners:
 def _short(kind: Any) -> str:
     """Return the name of a type, which some brokers tell as a URI."""
     return re.split(r"[/#]", str(kind))[-1]
-
-
-def _ours(there: Iterable[str], beginning: str) -> set[str]:
-    return {one for one in there if one.startswith(beginning)}

@@ -46,7 +46,7 @@ class Shop:
         )
         if "context_broker" not in self.cell.processes:
             self.cell.start("context_broker")
-        self.cell.start("ros_fiware_bridge")
+        self.cell.start("ros_fiware_bridge", within_s=90.0)  # it loads a middleware
 
     @asynccontextmanager
     async def opened(self) -> AsyncIterator[None]:
@@ -125,8 +125,11 @@ def at_work(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     """A broker and a bridge that works by the `MAPPING` of the test's module, for all tests of it."""
     with new_cell(tmp_path_factory.mktemp("cell")) as cell:
         made = Shop(cell, random.randint(1, 100))
-        made.begin(request.module.MAPPING)
-        yield made
+        try:
+            made.begin(request.module.MAPPING)
+            yield made
+        finally:
+            cell.stop()
 
 
 @pytest.fixture

@@ -31,7 +31,14 @@ ros_to_ngsild:
     entity: Device:r1
     attributes: {words: data}
   valve-from-ros: {topic: /valve, type: std_msgs/Float32, entity: Device:valve-1, attributes: {opening: data}}
+  paced:
+    topic: /paced
+    type: std_msgs/Int32
+    entity: Device:paced-1
+    every_ms: 400
+    attributes: {number: data}
 ngsild_to_ros:
+  wrong: {entity: {type: Device, q: "a==("}, topic: /a, type: std_msgs/Float32, fields: {data: a}}
   valve-to-ros: {entity: Device:valve-1, topic: /valve, type: std_msgs/Float32, fields: {data: opening}}
   speed:
     entity: Device:belt-1
@@ -68,6 +75,20 @@ async def test_a_dead_band_keeps_small_changes_from_the_broker(shop: Any) -> Non
     await shop.becomes(ROBOT, "level", 3)
     seen = await shop.until(lambda: (rule := shop.rule("level"))["heard"] == 6 and rule)
     assert seen["told"] == 3
+
+
+async def test_an_entity_is_written_so_often_at_most_and_the_last_word_is_told(shop: Any) -> None:
+    speaker = await shop.speaks("/paced", "std_msgs/msg/Int32")
+    for number in range(20):
+        speaker.publish({"data": number})
+    await shop.becomes("urn:ngsi-ld:Device:demo:paced-1", "number", 19)
+    assert shop.rule("paced")["told"] <= 4
+
+
+async def test_a_rule_that_the_broker_does_not_understand_says_so_and_hinders_no_other(shop: Any) -> None:
+    await shop.until(lambda: "the broker does not let us listen" in (shop.rule("wrong")["lastError"] or ""))
+    names = [one["id"].rsplit(":", 1)[-1] for one in await shop.broker.subscriptions()]
+    assert sorted(names) == ["ros-bridge-rule-speed", "ros-bridge-rule-valve-to-ros"]
 
 
 async def test_a_type_that_only_the_graph_knows_is_learnt(shop: Any) -> None:
