@@ -45,7 +45,7 @@ class Shop:
             }
         )
         if "context_broker" not in self.cell.processes:
-            self.cell.start("context_broker")
+            self.cell.start("context_broker", within_s=90.0)
         self.cell.start("ros_fiware_bridge", within_s=90.0)  # it loads a middleware
 
     @asynccontextmanager
