@@ -5,11 +5,11 @@ and `X_Feedback`; the messages that carry these on the wire are made of them in 
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from ros_fiware_bridge.errors import BadDefinition, UnsupportedType
-from ros_fiware_bridge.types.definition import PRIMITIVES, Definition, Field, FieldType, Many
+from ros_fiware_bridge.types.definition import Definition, Field, FieldType, Many
 
 KINDS = ("msg", "srv", "action")
 SECTIONS = {"msg": ("",), "srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
@@ -117,7 +117,7 @@ def _definition(type_name: str, package: str, lines: list[str], where: str, offs
                 "(TYPE NAME VALUE) or a constant (TYPE NAME=VALUE)"
             ) from None
         for constant in message.constants:
-            constants[constant.name] = constant.value
+            constants[constant.name] = _bare(constant.value)
         for one in message.fields:
             if any(one.name == other.name for other in fields):
                 raise BadDefinition(f'{where}, line {number}: the field "{one.name}" is there twice')
@@ -126,10 +126,13 @@ def _definition(type_name: str, package: str, lines: list[str], where: str, offs
             many = cardinality[one.typ.cardinality.value]
             if many is Many.FIXED and one.typ.size < 1:
                 raise BadDefinition(f'{where}, line {number}: "{bare}" has an array without items')
-            fields.append(Field(one.name, FieldType(base, many, one.typ.size, one.typ.str_size), one.value))
+            kind = FieldType(base, many, one.typ.size, one.typ.str_size)
+            fields.append(Field(one.name, kind, _bare(one.value)))
     return Definition(type_name, tuple(fields), constants)
 
 
-def references(definitions: Iterable[Definition]) -> set[str]:
-    """Return the message types that the fields of `definitions` name."""
-    return {one.type.base for each in definitions for one in each.fields if one.type.base not in PRIMITIVES}
+def _bare(value: object) -> object:
+    """Return a default or constant as it is meant: a quote inside quotes is written with a backslash."""
+    if isinstance(value, list):
+        return [_bare(one) for one in value]
+    return re.sub(r"\\(['\"])", r"\1", value) if isinstance(value, str) else value

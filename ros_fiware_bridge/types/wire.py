@@ -11,6 +11,7 @@ from typing import Any
 from ros_fiware_bridge.errors import BadMessage
 from ros_fiware_bridge.types.definition import Definition, FieldType, Many
 
+_HEADER_BYTES = 4
 _MEMBER = "structure_needs_at_least_one_member"
 
 
@@ -41,8 +42,16 @@ class Wire:
             BadMessage: it is not a message of this type.
         """
         self._meet(type_name)
+        if data[:2] not in (b"\x00\x00", b"\x00\x01") or len(data) < _HEADER_BYTES:
+            raise BadMessage(
+                f"what came is not a message of {type_name}: it is not CDR (XCDR1) but begins with "
+                f"{data[:_HEADER_BYTES].hex() or 'nothing'}"
+            )
+        described = self._store.get_msgdef(type_name)
+        read = described.deserialize_cdr_le if data[1] else described.deserialize_cdr_be
         try:
-            message: dict[str, Any] = self._store.deserialize_cdr(data, type_name)
+            # What follows the message is let be: the serializer of Fast DDS hands out all that it reserved.
+            message: dict[str, Any] = read(memoryview(data)[_HEADER_BYTES:], 0, described.cls, self._store)[0]
         except (self._fault, IndexError, struct.error, ValueError, OverflowError) as error:
             raise BadMessage(f"what came is not a message of {type_name}: {error}") from error
         return message

@@ -46,6 +46,25 @@ def test_a_default_of_an_own_message_is_kept(tmp_path: Path) -> None:
     assert message["loose"] is True
 
 
+def test_quotes_in_a_default_are_kept(tmp_path: Path) -> None:
+    lines = (
+        'string a "it\'s"',
+        "string b 'it\\'s'",
+        'string c "\\"so\\""',
+        "string[] d ['x', \"y\"]",
+        "string e bare words",
+    )
+    text = "\n".join(lines)
+    message = TypeStore([written(tmp_path, text)]).default("cell_msgs/msg/Part")
+    assert message == {"a": "it's", "b": "it's", "c": '"so"', "d": ["x", "y"], "e": "bare words"}
+
+
+def test_what_follows_a_message_on_the_wire_is_let_be() -> None:
+    # The serializer of Fast DDS hands out the space that it reserved to align empty arrays.
+    data = store.encode(JOINT_STATE, {"name": ["a"]})
+    assert store.decode(JOINT_STATE, data + b"\x6f\x73\x69" * 5)["name"] == ["a"]
+
+
 def test_octets_are_bytes_and_numbers_are_arrays_that_cannot_be_written_to() -> None:
     image = store.decode(
         "sensor_msgs/msg/Image", store.encode("sensor_msgs/msg/Image", {"data": [0, 255, 128]})
