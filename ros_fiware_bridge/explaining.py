@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.mapping.model import RosToNgsild, ServiceCall
-from ros_fiware_bridge.mapping.values import Source
+from ros_fiware_bridge.mapping.values import MADE_OF, Source
 from ros_fiware_bridge.rules.plan import Plan, PlannedAsk, PlannedOutward
 
 
@@ -67,7 +67,7 @@ def _outward(plan: Plan, planned: PlannedOutward) -> Iterator[str]:
     made = planned.outward.attributes if planned.outward else ()
     for attribute in made:
         asked = rule.attributes[attribute.name]
-        of = asked.field or asked.text or asked.object or asked.constant or asked.list or asked.point
+        of = next(getattr(asked, one) for one in MADE_OF if one in asked.model_fields_set)
         shown = ", ".join(map(str, of)) if isinstance(of, tuple) else of
         unit = f", {asked.convert}" if asked.convert else ""
         code = f" [{attribute.unit_code}]" if attribute.unit_code else ""

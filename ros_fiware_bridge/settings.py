@@ -2,17 +2,16 @@
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from handover.settings import Settings
 
 
-def _ros_domain_id() -> int:
+def _ros_domain_id() -> Any:
     """Return what ROS 2 itself goes by, so that the bridge is where the robots are."""
-    told = os.environ.get("ROS_DOMAIN_ID", "")
-    return int(told) if told.isdecimal() else 0
+    return os.environ.get("ROS_DOMAIN_ID") or 0
 
 
 class BridgeSettings(Settings):
@@ -34,7 +33,11 @@ class BridgeSettings(Settings):
         "cyclone", description="what carries the ROS graph: DDS from a wheel, or an installed ROS (rclpy)"
     )
     ros_domain_id: int = Field(
-        default_factory=_ros_domain_id, ge=0, le=232, description="the ROS domain; ROS_DOMAIN_ID if absent"
+        default_factory=_ros_domain_id,
+        validate_default=True,
+        ge=0,
+        le=232,
+        description="the ROS domain; ROS_DOMAIN_ID if absent",
     )
     ros_node: str = Field("handover_bridge", description="the name of the bridge's node")
     ros_namespace: str = Field("/", description="the namespace of the bridge's node")

@@ -15,6 +15,8 @@ OBSERVED_AT = "observedAt"
 """By this name texts find when an attribute was observed: `{observedAt.status}`."""
 OF_EVERY_ENTITY = frozenset({"id", "entityId", "type"})
 """By these names texts find the last part of an entity's id, the id, and the type."""
+MADE_OF = ("field", "text", "constant", "list", "point", "languages", "object")
+"""What an attribute may be made of."""
 _ENTITY_MEMBERS = {"id", "type", "scope", "@context", "createdAt", "modifiedAt"}
 
 
@@ -117,11 +119,11 @@ class Attribute(Conversion):
 
     @model_validator(mode="after")
     def _made_of_one_thing(self) -> Self:
-        of = ("field", "text", "constant", "list", "point", "languages", "object")
-        given = [name for name in of if name in self.model_fields_set]
+        given = [name for name in MADE_OF if name in self.model_fields_set]
         if len(given) != 1:
             raise ValueError(
-                f"an attribute is made of one of {', '.join(of)}; here is {' and '.join(given) or 'none'}"
+                f"an attribute is made of one of {', '.join(MADE_OF)}; "
+                f"here is {' and '.join(given) or 'none'}"
             )
         self._fits_its_kind(given[0])
         return self

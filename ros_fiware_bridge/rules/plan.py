@@ -107,8 +107,11 @@ class Plan:
 
 
 def type_store(document: Document) -> TypeStore:
-    """Return the types that the mapping may use. Raises `UsageError`."""
-    return TypeStore([FilePath(document.folder, path) for path in document.mapping.type_paths])
+    """Return the types that the mapping may use. Raises `WrongMapping`."""
+    try:
+        return TypeStore([FilePath(document.folder, path) for path in document.mapping.type_paths])
+    except GraphError as error:
+        raise WrongMapping(document.file, [document.fault(("type_paths",), str(error))]) from None
 
 
 def make(

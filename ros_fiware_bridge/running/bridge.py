@@ -156,6 +156,7 @@ class Bridge:
                 "qos": str(outgoing.planned.qos),
                 "publishers": subscription.publishers() if subscription else 0,
                 "unread": subscription.refused if subscription else 0,
+                "lastUnread": subscription.last_error if subscription else None,
                 "overtaken": subscription.dropped if subscription else 0,
             }
         if (incoming := self._incoming.get(name)) is not None:

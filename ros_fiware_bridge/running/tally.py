@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+import orjson
+
 from datamodels.times import iso
 from handover.telemetry import get_logger
 from ros_fiware_bridge.metrics import DROPPED, FAULTS, HEARD, TOLD
@@ -15,6 +17,8 @@ log = get_logger(__name__)
 SETTLES_S = 5.0
 LOG_EVERY_S = 10.0
 LONGEST_SHOWN = 500
+LONGEST_VALUE = 4096
+"""In bytes of JSON; what is shown every few seconds must stay small."""
 
 
 @dataclass(slots=True)
@@ -98,7 +102,15 @@ class Tally:
             "toldPerS": round(self.telling.per_s(now_s), 2),
             "dropped": self.dropped,
             "faults": self.faults,
-            "lastValue": self.last_value,
+            "lastValue": _shown(self.last_value),
             "lastError": self.last_fault,
             "lastErrorAt": self.last_fault_at,
         }
+
+
+def _shown(value: Any) -> Any:
+    """Return `value`, or of a long one its beginning."""
+    written = orjson.dumps(value, option=orjson.OPT_NON_STR_KEYS, default=str)
+    if len(written) <= LONGEST_VALUE:
+        return value
+    return f"{written[:LONGEST_SHOWN].decode(errors='ignore')}… ({len(written)} bytes)"

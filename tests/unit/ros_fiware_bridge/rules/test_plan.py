@@ -1,8 +1,11 @@
 """A mapping is checked against the message definitions before anything starts."""
 
 import re
+from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ros_fiware_bridge.mapping import WrongMapping, parse
 from ros_fiware_bridge.rules import plan
@@ -132,3 +135,43 @@ tasks_from_ros:
     assert 'no field "percent"' in whys[17]
     assert 'there is no "result" to answer' in whys[23]
     assert any("is done by the rule" in why for why in whys.values())
+
+
+def test_types_of_ones_own_are_found_from_where_the_mapping_lies(tmp_path: Path) -> None:
+    folder = tmp_path / "msgs" / "cell_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Grip.msg").write_text("float32 force\nbool[<=2] fingers\n")
+    text = "type_paths: [./msgs]\n" + outward("cell_msgs/Grip", "{field: force, unit_code: NEW}")
+    document = parse(text, "cell.yaml", tmp_path)
+    made = plan.make(document, plan.type_store(document), "demo").outward[0].outward
+    assert made is not None
+    assert made.harvest({"force": 2.5, "fingers": [True]}, 0.0).updates[0].values == {"a": 2.5}
+    missing = parse("\ntype_paths: [./nowhere]\n", "cell.yaml", tmp_path)
+    with pytest.raises(WrongMapping, match=r"cell\.yaml:2: type_paths: .*nowhere"):
+        plan.type_store(missing)
+
+
+MESSAGES = [name for name in TYPES.type_names() if "/msg/" in name]
+WORDS = sorted({field.name for name in MESSAGES for field in TYPES.definition(name).fields})
+steps = st.builds(
+    "{}{}".format, st.sampled_from(WORDS), st.sampled_from(["", "", "", "[0]", "[name=a]", "[7]", "[]"])
+)
+paths = st.one_of(st.just("."), st.lists(steps, min_size=1, max_size=4).map(".".join))
+options = st.sampled_from(["", ", convert: m -> km", ", kind: GeoProperty", ", round: 1", ", nan: 0"])
+
+
+@given(st.sampled_from(MESSAGES), paths, options)
+def test_any_path_into_any_message_works_or_is_refused_with_a_line(
+    type_name: str, path: str, option: str
+) -> None:
+    text = outward(type_name, f"{{field: '{path}'{option}}}")
+    lines: list[int] = []
+    try:
+        made = planned(text).outward[0].outward
+    except WrongMapping as wrong:
+        lines = [fault.line for fault in wrong.faults]
+    else:
+        assert made is not None
+        harvest = made.harvest(TYPES.default(type_name), 1_770_000_000.0)
+        assert harvest.updates or harvest.faults
+    assert all(line == 7 for line in lines)
