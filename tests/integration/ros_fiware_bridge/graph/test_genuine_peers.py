@@ -1,7 +1,6 @@
 """Our own DDS against nodes of a ROS that is installed, where there is one (`import rclpy`)."""
 
 import asyncio
-import random
 from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
@@ -18,18 +17,17 @@ if len(installed()) < len(Adapter):
     pytest.skip("rclpy and cyclonedds are not both installed", allow_module_level=True)
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 JOINTS = "sensor_msgs/msg/JointState"
-DOMAIN_ID = random.randint(1, 100)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def robot() -> Iterator[None]:
-    with running_peer(Adapter.RCLPY, DOMAIN_ID):
+def robot(domain_id: int) -> Iterator[None]:
+    with running_peer(Adapter.RCLPY, domain_id):
         yield
 
 
 @pytest.fixture
-async def graph(store: TypeStore) -> AsyncIterator[RosGraph]:
-    opened = await join(store, JoinSettings(node="bridge", domain_id=DOMAIN_ID, interfaces=("127.0.0.1",)))
+async def graph(store: TypeStore, domain_id: int) -> AsyncIterator[RosGraph]:
+    opened = await join(store, JoinSettings(node="bridge", domain_id=domain_id, interfaces=("127.0.0.1",)))
     yield opened
     await opened.close()
 
@@ -87,10 +85,10 @@ async def test_a_service_that_fast_dds_carries_is_refused_before_anything_is_sen
 
 
 async def test_a_genuine_node_sees_us_as_a_node_with_topics_and_hashes(
-    graph: RosGraph, store: TypeStore
+    graph: RosGraph, store: TypeStore, domain_id: int
 ) -> None:
     await graph.publisher("~/state", "std_msgs/msg/String", LATCHED)
-    other = await join(store, JoinSettings(node="genuine", domain_id=DOMAIN_ID), Adapter.RCLPY)
+    other = await join(store, JoinSettings(node="genuine", domain_id=domain_id), Adapter.RCLPY)
     try:
         await true(lambda: "/bridge" in {one.full_name for one in other.nodes()})
 

@@ -138,7 +138,7 @@ async def test_goals_of_others_are_served(joined: Joined, graph: RosGraph) -> No
 async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
     joined: Joined, adapter: Adapter, domain_id: int
 ) -> None:
-    elsewhere = domain_id + 100
+    elsewhere = domain_id + 1
     async with joined(domain_id=elsewhere) as graph:
         action = await graph.action_client("/fibonacci", FIBONACCI)
         with running_peer(adapter, elsewhere) as peer:

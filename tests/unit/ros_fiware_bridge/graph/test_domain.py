@@ -38,7 +38,7 @@ def test_an_interface_that_is_not_there_is_named() -> None:
     with pytest.raises(
         AdapterUnavailable, match="cannot be opened on eth99; check the names of the interfaces"
     ):
-        domain.enter(DomainSettings(101, ("eth99",)))
+        domain.enter(DomainSettings(97, ("eth99",)))
 
 
 async def test_a_node_that_cannot_be_called_so_does_not_join() -> None:
@@ -49,13 +49,13 @@ async def test_a_node_that_cannot_be_called_so_does_not_join() -> None:
 
 
 async def test_two_graphs_share_a_domain_in_one_process_if_they_agree_on_the_network() -> None:
-    settings = JoinSettings(domain_id=102, interfaces=("127.0.0.1",))
+    settings = JoinSettings(domain_id=99, interfaces=("127.0.0.1",))
     one = await join(TypeStore(), settings)
     other = await join(TypeStore(), settings)
     with pytest.raises(AdapterUnavailable, match="with other settings"):
-        await join(TypeStore(), JoinSettings(domain_id=102, interfaces=("lo",)))
+        await join(TypeStore(), JoinSettings(domain_id=99, interfaces=("lo",)))
     await one.close()
     assert any(node.ours for node in other.nodes())
     await other.close()
-    again = await join(TypeStore(), JoinSettings(domain_id=102, interfaces=("lo",)))
+    again = await join(TypeStore(), JoinSettings(domain_id=99, interfaces=("lo",)))
     await again.close()
