@@ -72,11 +72,7 @@ class Pace:
 def differs(before: Any, now: Any, band: DeadBand | None = None) -> bool:
     """Say whether `now` is another value than `before`: for numbers, by more than `band`."""
     if isinstance(before, list) and isinstance(now, list):
-        if len(before) != len(now) or band is None:
-            return before != now
-        return before != now and any(
-            differs(old, new, band) for old, new in zip(before, now, strict=True) if old != new
-        )
+        return before != now and (band is None or _lists_differ(before, now, band))
     if isinstance(before, dict) and isinstance(now, dict):
         return before.keys() != now.keys() or any(differs(before[key], now[key], band) for key in now)
     if band is None or not (_is_number(before) and _is_number(now)):
@@ -87,6 +83,15 @@ def differs(before: Any, now: Any, band: DeadBand | None = None) -> bool:
     if band.absolute is not None and band.relative is not None:
         return beyond_absolute and beyond_relative
     return beyond_absolute or beyond_relative
+
+
+def _lists_differ(before: list[Any], now: list[Any], band: DeadBand) -> bool:
+    if len(before) != len(now):
+        return True
+    if band.relative is None and {*map(type, before), *map(type, now)} == {float}:
+        limit = band.absolute or 0.0  # the common case, of joints a thousand times a second
+        return any(abs(new - old) > limit for old, new in zip(before, now, strict=True))
+    return any(differs(old, new, band) for old, new in zip(before, now, strict=True))
 
 
 def _is_number(value: Any) -> bool:
