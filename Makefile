@@ -9,12 +9,13 @@ export UV_PYTHON_DOWNLOADS := never
 export UV_NO_PROGRESS := 1
 
 # Two workers suit two cores; what a test starts is on free ports, so that they do not meet.
-PYTEST := $(BIN)/pytest -n 2 --dist loadgroup
+# tests/shares.py says which tests stay together.
+PYTEST := $(BIN)/pytest -n 2
 
 # What needs the Node that built the page: lint and tests of its TypeScript.
 PAGE := $(BIN)/python -m webui.build
 
-.PHONY: help setup demo up test crashes check lint lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
+.PHONY: help setup demo up test crashes thorough check lint lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -43,7 +44,10 @@ test: setup lint  ## every check and every test
 	@$(PYTEST) $(ARGS)
 
 crashes: setup  ## kill the broker a hundred times in the middle of writing, and look what is left
-	@HANDOVER_TEST_CRASHES=100 $(BIN)/pytest -q tests/integration/context_broker/test_crashes.py $(ARGS)
+	@HANDOVER_TEST_CRASHES=100 $(PYTEST) -q tests/integration/context_broker/test_crashes*.py $(ARGS)
+
+thorough: crashes  ## the crashes, every test of the broker on PostgreSQL, and many more examples
+	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit tests/integration/context_broker $(ARGS)
 
 check: setup lint  ## what an everyday change needs: lint, types, structure and the quick tests
 	@$(PAGE) test

@@ -99,7 +99,7 @@ class Entity(BaseModel):
         if not isinstance(data, Mapping):
             raise DataModelError(f"an entity is a JSON object, not {type(data).__name__}")
         given = {
-            key: Bare(value) if form is Form.KEY_VALUES and key not in forms.ENTITY_MEMBERS else value
+            key: Bare(value) if form is Form.KEY_VALUES and not forms.is_entity_member(key) else value
             for key, value in data.items()
         }
         for name in (given.keys() & _names(cls)) - _aliases(
@@ -150,7 +150,7 @@ class Entity(BaseModel):
             if key in declared:
                 if not _is_deleted(value):
                     data[key] = value
-            elif key in forms.ENTITY_MEMBERS or key.startswith("@"):
+            elif forms.is_entity_member(key):
                 data[key] = value
             else:
                 data[key] = forms.normalized_attribute(value)

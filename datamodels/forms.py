@@ -111,7 +111,7 @@ def with_normalized_members(attribute: Mapping[str, Any], member: str) -> dict[s
 def to_concise(entity: Mapping[str, Any]) -> dict[str, Any]:
     """Return a normalized entity in concise form; `normalized_attribute` brings every attribute back."""
     return {
-        name: attribute if _is_entity_member(name) else _concise(attribute)
+        name: attribute if is_entity_member(name) else _concise(attribute)
         for name, attribute in entity.items()
     }
 
@@ -122,7 +122,7 @@ def to_key_values(entity: Mapping[str, Any], link_lists: Collection[str] = ()) -
     `link_lists` names the Properties whose value is a list of Relationships; they become lists of URIs.
     """
     bare = {
-        name: attribute if _is_entity_member(name) else _bare(attribute) for name, attribute in entity.items()
+        name: attribute if is_entity_member(name) else _bare(attribute) for name, attribute in entity.items()
     }
     return bare | {name: [link["object"] for link in bare[name]] for name in link_lists}
 
@@ -131,7 +131,8 @@ def _is_metadata(name: str) -> bool:
     return name in METADATA or name.startswith("@")
 
 
-def _is_entity_member(name: str) -> bool:
+def is_entity_member(name: str) -> bool:
+    """Say whether a member of an entity is no attribute."""
     return name in ENTITY_MEMBERS or name.startswith("@")
 
 

@@ -116,9 +116,9 @@ class BrokerClient:
         return found
 
     async def update(self, entity_id: str, attributes: NgsiLd) -> None:
-        """Overwrite existing attributes (PATCH …/attrs).
+        """Overwrite attributes (PATCH …/attrs); brokers add those that are not there, or refuse them.
 
-        Raises `NotFound` if the entity is not there, `BrokerError` with the reasons if an attribute is not.
+        Raises `NotFound` if the entity is not there, `BrokerError` with the reasons if something was refused.
         """
         answer = await self._call("PATCH", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
         _require_all_done(

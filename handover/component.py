@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from handover.broker import BrokerClient
 from handover.performer import Performer
 from handover.service import create_app
-from handover.service import serve as serve_app
+from handover.serving import serve as serve_app
 from handover.settings import Settings
 
 

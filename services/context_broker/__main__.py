@@ -1,6 +1,6 @@
 """Run the broker: `python -m services.context_broker`."""
 
-from handover.service import run
+from handover.serving import run
 from services.context_broker.app import create_broker
 from services.context_broker.settings import BrokerSettings
 

@@ -1,37 +1,30 @@
-"""The broker as an application: NGSI-LD under /ngsi-ld/v1 in plain ASGI, health and metrics beside it."""
+"""The broker: its parts put together, and the way of a request through them."""
 
 import asyncio
-import gc
 import time
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Mapping
 from functools import partial
 from typing import Final
 
 import orjson
-from fastapi import FastAPI
 from prometheus_client import Gauge
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope
 
 from handover.errors import Problem
-from handover.service import create_app
 from handover.telemetry import get_logger
 from services.context_broker.api.exchange import (
-    PREFIX,
     Answer,
-    Disconnected,
     Exchange,
     Request,
     path_parts,
     problem_answer,
     received,
-    send_answer,
     told_back,
 )
-from services.context_broker.api.http_protocol import BrokerProtocol
 from services.context_broker.api.operation import Directory, Operation
-from services.context_broker.api.problems import ERRORS, not_stored
+from services.context_broker.api.problems import not_stored
 from services.context_broker.api.request_metrics import RequestMetrics
+from services.context_broker.application import BrokerApplication
 from services.context_broker.contexts.book import ContextBook, Documents
 from services.context_broker.contexts.fetching import Fetcher
 from services.context_broker.contexts.operations import ContextOperations
@@ -42,6 +35,7 @@ from services.context_broker.distribution.subscriptions import SubscriptionRelay
 from services.context_broker.entities.batch_operations import BatchOperations
 from services.context_broker.entities.discovery_operations import DiscoveryOperations
 from services.context_broker.entities.entity_operations import EntityOperations
+from services.context_broker.garbage import look_rarely
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots.entity_map_operations import EntityMapOperations, wants_map
 from services.context_broker.snapshots.making import HEADER as SNAPSHOT
@@ -88,7 +82,10 @@ class Broker:
             lambda documents: self.tenants.commits.store_later(Entries(documents=dict(documents))),
             Fetcher(settings.broker_context_timeout_s, open_addresses),
             OwnAddress(settings.broker_public_url, settings.url_of(settings.broker_port)),
+            settings.broker_default_context,
         )
+        self.contexts.on_renewal = self._renew
+        self._renewing: set[asyncio.Task[None]] = set()
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.registrations = RegistrationOperations(self.contexts)
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
@@ -134,14 +131,14 @@ class Broker:
         await self._take_up_registrations()
         await self._take_up_subscriptions()
         await self.contexts.tidy()
-        self.snapshots.start()
+        self.snapshots.start(self.journal)
         self.tenants.ends.start()
-        self.leadership.start(self.tenants.turn, self.tenants.commits.look)
+        self.leadership.start(self._turn, self.tenants.commits.look)
         await self.relays.start(self.journal)
         self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
         LEADS.set_function(lambda: self.leadership.leads)
-        gc.freeze()  # what was loaded stays: collections need not walk through it again and again
+        look_rarely()
         log.info("broker ready", entities=self.tenants.entities(), database=self.journal.name)
 
     async def stop(self) -> None:
@@ -234,6 +231,10 @@ class Broker:
         for tenant in self.tenants:
             await self.registrations.restore(tenant, kept.get(tenant.name, ()))
 
+    def _turn(self, leads: bool) -> None:
+        self.tenants.turn(leads)
+        self.snapshots.tellings.turn(leads=leads)
+
     def _follow_others(self) -> None:
         following = self.tenants.following
         following.on(Kind.CONTEXT, self._follow_context)
@@ -244,7 +245,8 @@ class Broker:
         following.on(Kind.REGISTRATION, self._follow_registration)
         following.on(Kind.ENTITY_MAP, self._follow_entity_map)
         following.on(Kind.RELAY, self.relays.follow)
-        following.on(Kind.SNAPSHOT, self._follow_snapshot)
+        following.on(Kind.SNAPSHOT, self.snapshots.follow)
+        following.on(Kind.SNAPSHOT_TELLING, self.snapshots.tellings.follow)
         following.on(Kind.IDENTITY, self._follow_identity)
         following.on(Kind.ATTEMPTS, self._follow_attempts)
 
@@ -252,7 +254,16 @@ class Broker:
         if body is None:
             self.contexts.forget(key)
         else:
-            self.contexts.remember(tenant, key, body)
+            # Apart, for who changes a subscription waits for a commit, and that waits for the news.
+            renewing = asyncio.create_task(self._renew(self.contexts.remember(tenant, key, body)))
+            self._renewing.add(renewing)
+            renewing.add_done_callback(self._renewing.discard)
+
+    async def _renew(self, context_id: str) -> None:
+        """Have what was made with a context that is another now made anew."""
+        for tenant in list(self.tenants):
+            for room in (self.subscriptions, self.source_subscriptions, self.registrations):
+                await room.renew(tenant, context_id)
 
     async def _follow_context_usage(self, _: str, key: str, body: bytes | None) -> None:
         if body is not None:
@@ -270,9 +281,6 @@ class Broker:
     async def _follow_entity_map(self, tenant: str, one: str, body: bytes | None) -> None:
         maps = self.tenants.kept(tenant).entity_maps
         maps.forget(one) if body is None else maps.take(body)
-
-    async def _follow_snapshot(self, tenant: str, one: str, body: bytes | None) -> None:
-        self.snapshots.follow(self.tenants.kept(tenant), one, body)
 
     async def _follow_identity(self, _: str, __: str, body: bytes | None) -> None:
         if body is not None:
@@ -333,49 +341,4 @@ def create_broker(settings: BrokerSettings) -> "BrokerApplication":
     journal = Journal(database)
     journal.open()
     broker = Broker(settings, journal, leadership, Replica(journal) if url else None)
-
-    @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        await broker.start()
-        yield
-        await broker.stop()
-
-    operations = create_app(
-        "Context broker",
-        description="The embedded NGSI-LD broker (ETSI GS CIM 009). NGSI-LD itself is under /ngsi-ld/v1.",
-        lifespan=lifespan,
-        checks={"database": leadership.check},
-    )
-
-    return BrokerApplication(broker, operations)
-
-
-class BrokerApplication:
-    """The broker as an ASGI application; its server may also take the short way in, by `protocol`."""
-
-    def __init__(self, broker: Broker, operations: ASGIApp) -> None:
-        self._broker = broker
-        self._operations = operations
-        self.protocol = partial(BrokerProtocol, door=self.answer)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request that came in over ASGI."""
-        if scope["type"] != "http" or not scope["path"].startswith(PREFIX):
-            await self._operations(scope, receive, send)
-            return
-        answer = await self.answer(scope, receive)
-        if answer is not None:
-            await send_answer(send, answer)
-
-    async def answer(self, scope: Scope, receive: Receive) -> Answer | None:
-        """Return the answer to a request about NGSI-LD; None if the asker has gone."""
-        try:
-            return await self._broker.answer(scope, receive)
-        except Problem as problem:
-            return problem_answer(problem)
-        except Disconnected:
-            return None
-        except Exception as error:  # one broken request must not end the connection without an answer
-            log.exception("request failed", method=scope["method"], path=scope["path"])
-            reason = f"{type(error).__name__} while answering; the log of the broker has more"
-            return problem_answer(Problem(500, "Internal error", reason, ERRORS + "InternalError"))
+    return BrokerApplication(broker, {"database": leadership.check})

@@ -48,17 +48,27 @@ class BrokerSettings(Settings):
         5.0, gt=0, description="how long the broker waits for an @context that it must fetch"
     )
 
+    broker_default_context: str | None = Field(
+        None,
+        description="the URL of the @context of who gives none, in a Link header or in a body; "
+        "if absent, the core @context alone",
+    )
     broker_public_url: str | None = Field(
         None,
         description="where others reach the broker, without /ngsi-ld/v1: the @contexts that it hosts have "
         "their URLs there, and context sources notify it there; if absent, where it was called",
     )
 
-    @field_validator("broker_public_url")
+    @field_validator("broker_public_url", "broker_default_context")
     @classmethod
     def _is_address(cls, url: str | None) -> str | None:
-        if url is not None and not url.startswith(("http://", "https://")):
+        if url and not url.startswith(("http://", "https://")):
             raise ValueError("must start with http:// or https://")
+        return url or None
+
+    @field_validator("broker_public_url")
+    @classmethod
+    def _is_root(cls, url: str | None) -> str | None:
         return None if url is None else url.rstrip("/").removesuffix("/ngsi-ld/v1")
 
     def destinations(self) -> Destinations:
@@ -72,5 +82,8 @@ class BrokerSettings(Settings):
         default=True, description="whether the broker records what changes, for the temporal API to tell"
     )
     broker_history_keep_days: float = Field(
-        30.0, ge=0, description="for how many days the broker keeps what it has recorded; 0 keeps it for ever"
+        7.0,
+        ge=0,
+        description="for how many days the broker keeps what it has recorded, about a GB a day where 30 "
+        "attributes change each second; 0 keeps it for ever",
     )

@@ -1,6 +1,6 @@
 """Run the gesture controller: `python -m services.gesture_controller`."""
 
-from handover.service import run
+from handover.serving import run
 from services.gesture_controller.app import make_app
 from services.gesture_controller.settings import ControllerSettings
 

@@ -1,6 +1,6 @@
 """Run the orchestrator: `python -m services.task_orchestrator`."""
 
-from handover.service import run
+from handover.serving import run
 from services.task_orchestrator.app import make_app
 from services.task_orchestrator.settings import OrchestratorSettings
 

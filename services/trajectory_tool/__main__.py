@@ -1,6 +1,6 @@
 """Run the trajectory tool: `python -m services.trajectory_tool`."""
 
-from handover.service import run
+from handover.serving import run
 from services.trajectory_tool.app import make_app
 from services.trajectory_tool.settings import TrajectorySettings
 

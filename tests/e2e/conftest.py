@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from datamodels.times import iso
-from tests.conftest import REPOSITORY, Cell
+from tests.conftest import REPOSITORY, Cell, wait_until
 
 SCREENSHOTS = REPOSITORY / "build" / "screenshots"
 """Where the pictures of a run stay, to be looked at."""
@@ -31,13 +31,15 @@ OpenPage = Callable[..., Page]
 
 def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
     """Answer a Task as its performer would, in the broker."""
-    broker = f"{cell.url('context_broker')}/ngsi-ld/v1/entities/{task}/attrs"
+    entity = f"{cell.url('context_broker')}/ngsi-ld/v1/entities/{task}"
+    # Its own performer takes it up first, and would write over what was answered before that.
+    wait_until(lambda: '"inProgress"' in httpx.get(entity).text)
     stamp = iso(datetime.now(UTC))
     body = {
         "status": {"type": "Property", "value": status, "observedAt": stamp},
         "outputParameters": {"type": "Property", "value": outputs, "observedAt": stamp},
     }
-    httpx.post(broker, json=body).raise_for_status()
+    httpx.post(f"{entity}/attrs", json=body).raise_for_status()
 
 
 @pytest.fixture(scope="module")  # while Playwright is there, its loop runs and no other test may run one

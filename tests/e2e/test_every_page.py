@@ -9,7 +9,7 @@ from playwright.sync_api import Page
 from tests.conftest import Cell, new_cell
 from tests.e2e.conftest import OpenPage
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 SIZES = {"panel": {"width": 1280, "height": 800}, "desk": {"width": 1920, "height": 1080}}
 PHONE = {"width": 390, "height": 844}

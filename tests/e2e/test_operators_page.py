@@ -16,7 +16,7 @@ from playwright.sync_api import Page
 from tests.conftest import Cell
 from tests.e2e.conftest import OpenPage
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 WORK = "/work?glove=glove-1"
 

@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.conftest import REPOSITORY, Cell
 from tests.e2e.conftest import OpenPage, answer
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 SHIPPED = REPOSITORY / "services" / "task_orchestrator" / "processes" / "bin_picking.bpmn"
 REFUSED = "the server responded with a status of 422"

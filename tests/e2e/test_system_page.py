@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.conftest import Cell, new_cell, wait_until
 from tests.e2e.conftest import OpenPage, answer
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 FORGIVEN = ("WebSocket connection", "Failed to load resource")
 """What a browser logs of a service that the test has killed."""

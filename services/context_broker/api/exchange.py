@@ -35,6 +35,7 @@ from services.context_broker.api.problems import (
 )
 from services.context_broker.api.words import shown
 from services.context_broker.contexts.book import Context, ContextBook
+from services.context_broker.snapshots.entity_maps import EntityMap, Listed
 from services.context_broker.storage.tenants import Tenant
 
 __all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Answer", "Disconnected", "Exchange", "Request"]
@@ -54,6 +55,11 @@ _WITH_ENTITIES = tuple(
     for path in ("entities", "entityOperations/query", "temporal/entities", "temporal/entityOperations")
 )
 """Where entities are asked for."""
+_WITHOUT_BODY: Final[Mapping[int, tuple[tuple[bytes, bytes], ...]]] = {
+    411: (),
+    415: ((b"accept", f"{JSON}, {JSON_LD}".encode()),),
+}
+"""Refusals without a body (clause 6.3.4), with headers that tell the way out instead (RFC 9110, 15.5.16)."""
 _BROKEN_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
 
 
@@ -82,9 +88,16 @@ class Request:
 
 
 class Exchange:
-    """A request on its way through the broker; `names` are the parts of the path that name things."""
+    """A request on its way through the broker; `names` are the parts of the path that name things.
 
-    __slots__ = ("contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
+    `entity_map` is the one that the request is answered by, `elsewhere` what the maps of sources list for one
+    that is being made; None where there is none.
+    """
+
+    __slots__ = (
+        "contexts", "elsewhere", "entity_map", "headers", "method", "names", "parameters", "path", "raw",
+        "tenant",
+    )  # fmt: skip
 
     def __init__(
         self, request: Request, names: tuple[str, ...], contexts: ContextBook, tenant: Tenant
@@ -97,6 +110,8 @@ class Exchange:
         self.names = names
         self.contexts = contexts
         self.tenant = tenant
+        self.entity_map: EntityMap | None = None
+        self.elsewhere: Listed | None = None
 
     def parameter(self, name: str) -> str | None:
         """Return a query parameter; None if it is absent."""
@@ -147,7 +162,7 @@ class Exchange:
 
     async def context_of(self, document: Any, media_type: str) -> Context:
         """Return the context of a document that was sent as `media_type`."""
-        in_body = document.get("@context") if isinstance(document, Mapping) else None
+        in_body = document.get("@context") if isinstance(document, dict) else None
         link = self.link()
         if media_type == JSON_LD:
             if link is not None:
@@ -157,15 +172,15 @@ class Exchange:
             if in_body is None:
                 raise bad_request_data(f'with {JSON_LD} the body has an "@context"; add it, or send {JSON}')
             return await self.contexts.of(in_body)
-        if isinstance(document, Mapping) and "@context" in document:
+        if isinstance(document, dict) and "@context" in document:
             raise bad_request_data(
                 f"with {media_type} the @context stands in a Link header; move it there, or send {JSON_LD}"
             )
-        return await self.contexts.of(link)
+        return await self.contexts.of(link or self.contexts.default)
 
     async def reader_context(self) -> Context:
         """Return the context that the asker wants names in."""
-        return await self.contexts.of(self.link())
+        return await self.contexts.of(self.link() or self.contexts.default)
 
     def link(self) -> str | None:
         """Return the URL of the context in the Link header, None if there is none."""
@@ -179,7 +194,8 @@ class Exchange:
         if chosen is None:
             raise not_acceptable(
                 f"Accept {shown((given or b'').decode('latin-1'))} leaves nothing; accept "
-                f"{', '.join(offered[:-1])} or {offered[-1]}"
+                f"{', '.join(offered[:-1])} or {offered[-1]}",
+                offered,
             )
         return chosen
 
@@ -286,9 +302,15 @@ def told_back(request: Request, answer: Answer) -> Answer:
     if tenant is not None:
         answer = Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", tenant)])
     prefer = request.headers.get(b"prefer")
-    if prefer is None or answer.status != 200 or not request.path.startswith(_WITH_ENTITIES):
+    if prefer is None or answer.status != 200:
         return answer
     return _as_preferred(request, prefer, answer)
+
+
+def of_tenant(scope: Scope, answer: Answer) -> Answer:
+    """Return the answer to a request that was refused before it was read, with its tenant told back."""
+    told = [(name, value) for name, value in scope["headers"] if name == b"ngsild-tenant"]
+    return Answer(answer.status, answer.body, [*answer.headers, *told[:1]])
 
 
 def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
@@ -300,22 +322,24 @@ def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
         return problem_answer(problem)
     if version is None or not answer.body:
         return answer
+    applied = "ngsi-ld={}.{}".format(*min(version, conformance.OURS)).encode()
+    headers = [*answer.headers, (b"preference-applied", applied)]
+    if not request.path.startswith(_WITH_ENTITIES):
+        return Answer(200, answer.body, headers)
     said = {*request.parameters.get("options", "").split(","), request.parameters.get("format", "")}
     document = orjson.loads(answer.body)
     simplified = not said.isdisjoint({"keyValues", "simplified"})
     conformed = conformance.conformed(document, version, simplified=simplified)
-    applied = "ngsi-ld={}.{}".format(*min(version, conformance.OURS)).encode()
-    headers = [*answer.headers, (b"preference-applied", applied)]
     if conformed is document:
         return Answer(200, answer.body, headers)
     return Answer(203, orjson.dumps(conformed), headers)
 
 
 def problem_answer(problem: Problem) -> Answer:
-    """Return a problem as an answer."""
-    if problem.status == 411:  # which has no body: clause 6.3.4
-        return Answer(411)
-    headers = [(b"content-type", b"application/problem+json")]
+    """Return a problem as an answer: RFC 7807 as plain JSON, for old clients (clauses 5.5.3 and 6.3.3)."""
+    if problem.status in _WITHOUT_BODY:
+        return Answer(problem.status, b"", list(_WITHOUT_BODY[problem.status]))
+    headers = [(b"content-type", JSON.encode())]
     if isinstance(problem, MethodNotAllowed):
         headers.append((b"allow", ", ".join(problem.allowed).encode()))
     return Answer(problem.status, orjson.dumps(problem.body()), headers)

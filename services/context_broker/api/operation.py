@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from services.context_broker.api.exchange import PREFIX, Answer, Exchange
-from services.context_broker.api.problems import method_not_allowed, not_found
+from services.context_broker.api.problems import bad_request_data, method_not_allowed, not_found
 
 Answering = Callable[[Exchange], Awaitable[Answer]]
 
@@ -86,6 +86,8 @@ class Directory:
         place, names = self._place(parts, path)
         operation = place.methods.get("GET" if method == "HEAD" else method)
         if operation is None:
+            if path == f"{PREFIX}entities/":  # PUT and PATCH, of an entity without an id (5.6.17, 5.6.18)
+                raise bad_request_data("the path ends where the id of an entity is to stand; add it")
             allowed = place.allowed()
             raise method_not_allowed(f"{path} takes {', '.join(allowed)}, not {method}", allowed)
         return operation, names

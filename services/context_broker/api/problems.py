@@ -61,9 +61,13 @@ def unsupported_media_type(detail: str) -> Problem:
     return Problem(415, "Unsupported media type", detail, ERRORS + "InvalidRequest")
 
 
-def not_acceptable(detail: str) -> Problem:
-    """The answer is wanted in a format that the broker does not write."""
-    return Problem(406, "Not acceptable", detail, ERRORS + "InvalidRequest")
+def not_acceptable(detail: str, offered: Iterable[str]) -> Problem:
+    """The answer is wanted in a format that the broker does not write; `offered` are those it writes.
+
+    They are listed in the body, as clause 6.3.4 has it.
+    """
+    listed = {"availableRepresentations": [*offered]}
+    return Problem(406, "Not acceptable", detail, ERRORS + "InvalidRequest", listed)
 
 
 def too_large(detail: str) -> Problem:

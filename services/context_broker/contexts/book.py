@@ -21,6 +21,7 @@ from services.context_broker.api.problems import bad_request_data, too_large
 from services.context_broker.api.words import moment
 from services.context_broker.contexts.fetching import LARGEST_CONTEXT, Fetcher, unavailable
 from services.context_broker.contexts.kept import (
+    ContextKind,
     ContextShelf,
     KeptContext,
     cached,
@@ -66,6 +67,10 @@ class Context:
     link: str | None
     uses: tuple[KeptContext, ...] = ()
 
+    def is_made_of(self, own_id: str) -> bool:
+        """Say whether a kept context, by its local identifier, is part of it."""
+        return any(one.id == own_id for one in self.uses)
+
 
 class ContextBook:
     """All contexts the broker has met.
@@ -74,8 +79,17 @@ class ContextBook:
     """
 
     def __init__(
-        self, keep: Keep, keep_later: Callable[[Documents], None], fetcher: Fetcher, own: OwnAddress
+        self,
+        keep: Keep,
+        keep_later: Callable[[Documents], None],
+        fetcher: Fetcher,
+        own: OwnAddress,
+        default: str | None = None,
     ) -> None:
+        self.default = default
+        """The URL of the context of who gives none (clause 5.5.5); None is the core context alone."""
+        self.on_renewal: Callable[[str], Awaitable[None]] = _nobody
+        """Is told the local identifier of a context that was fetched anew and is another now."""
         self._keep = keep
         self._keep_later = keep_later
         self._fetcher = fetcher
@@ -92,15 +106,23 @@ class ContextBook:
         """Return where the asker of a request with these headers reaches the broker."""
         return self._own.told or self._own.called(headers.get(b"host", b""))
 
+    def is_ours(self, url: str) -> bool:
+        """Say whether a URL without a path leads to this broker."""
+        return self._own.is_at(url)
+
     # What the journal holds
 
-    def remember(self, tenant: str, key: str, stored: bytes) -> None:
-        """Take a context as the journal has it, from before a restart or from another process."""
+    def remember(self, tenant: str, key: str, stored: bytes) -> str:
+        """Take a context as the journal has it, from before a restart or from another process.
+
+        Returns its local identifier.
+        """
         one = restored(tenant, key, stored)
         if (before := self._shelf.named(one.id)) is not None:
             one.hits, one.used_s, one.hits_kept = before.hits, before.used_s, before.hits_kept
             self._unready(before)
         self._shelf.put(one)
+        return one.id
 
     def remember_usage(self, key: str, stored: bytes) -> None:
         """Take how a context was used before."""
@@ -269,6 +291,7 @@ class ContextBook:
         fresh.hits, fresh.used_s = one.hits, one.used_s
         await self._keep_one(fresh)
         self._unready(one)
+        await self.on_renewal(one.id)
 
     async def _keep_one(self, one: KeptContext) -> None:
         await self._keep({(Kind.CONTEXT, one.tenant, one.key): one.stored()})
@@ -292,6 +315,15 @@ class ContextBook:
             one.used_s = now_s
             if one.expires_s <= now_s:
                 self._refresh(one)
+        self._write_usage_soon()
+
+    def seen(self, one: KeptContext) -> None:
+        """Count that a client looked at a context: one in the cache was found there (clause 5.13.3.5)."""
+        if one.kind is ContextKind.CACHED and not self.is_shipped(one):
+            one.hits += 1
+            self._write_usage_soon()
+
+    def _write_usage_soon(self) -> None:
         if self._usage_due is None:
             self._usage_due = asyncio.get_running_loop().call_later(USAGE_KEPT_S, self.write_usage)
 
@@ -369,6 +401,10 @@ class ContextBook:
     def is_core(one: KeptContext) -> bool:
         """Say whether a context is the core context, of whichever version."""
         return one.url is not None and is_core(one.url)
+
+
+async def _nobody(_: str) -> None:
+    """Nobody has anything to do with a context that is another now."""
 
 
 def _erasing(gone: list[KeptContext]) -> dict[DocumentKey, bytes | None]:

@@ -61,9 +61,10 @@ class ContextOperations:
         """
         media_type = exchange.accept()
         if exchange.flag("details"):
-            return _answer(
-                self._existing(exchange).details(self._contexts.base(exchange.headers)), media_type
-            )
+            found = self._existing(exchange)
+            told = found.details(self._contexts.base(exchange.headers))
+            self._contexts.seen(found)
+            return _answer(told, media_type)
         one = self._contexts.named(exchange.names[0], exchange.tenant.name)
         if one is None and not exchange.tenant.name:
             one = self._contexts.served(exchange.names[0])

@@ -34,6 +34,7 @@ from services.context_broker.distribution.forwarding import (
 from services.context_broker.distribution.outcomes import Outcome
 from services.context_broker.distribution.shares import Share, Shares, shared
 from services.context_broker.distribution.writing import NO_ATTRIBUTES, attributes_in, types_in
+from services.context_broker.sources.reach import taking_in
 from services.context_broker.sources.registration import Asked, Registration
 
 MOST_AT_ONCE: Final = 1000
@@ -48,6 +49,8 @@ _SINGLY: Final = {
     "deleteBatch": ("deleteEntity", "DELETE", "entities/{id}"),
 }
 """What an entity of a batch is when it comes alone: the operation, its method, its path."""
+_WHOLE: Final = frozenset({"createBatch", "upsertBatch"})
+"""Operations that say all of an entity: where it is and in which scopes, too."""
 
 
 @dataclass(slots=True)
@@ -132,7 +135,8 @@ class _Batch:
             types = types_in(given, context) or (None if known is None else frozenset(known.types))
             asked = Asked((entity_id,), None, types)
             operations = (self._operation, singly)
-            shares = shared(self._sources, operations, asked, frozenset(names.values()))
+            where = taking_in(given) if self._operation in _WHOLE else None
+            shares = shared(self._sources, operations, asked, frozenset(names.values()), where)
             return _Item(given, entity_id, context, names, shares)
         except (Problem, AttributeError):  # which the broker's own share will tell of
             core = await self._sources.forwarder.contexts.of(None)
@@ -185,7 +189,8 @@ class _Batch:
 
         async def alone(item: _Item, share: Share) -> None:
             async with turn:
-                item.outcomes.append(await self._forward_one(one, tongue, item, share))
+                if (outcome := await self._forward_one(one, tongue, item, share)) is not None:
+                    item.outcomes.append(outcome)
 
         await all_of(*(alone(item, share) for item, share in shares))
 
@@ -201,6 +206,8 @@ class _Batch:
             for item, share in shares:
                 item.outcomes.append(outcomes.of_silence(unheard, share.names))
             return
+        if self._need_not(one, reply.status):
+            return
         errors, created = _told_in(reply.body) if reply.status in {201, 207} else ({}, set())
         for item, share in shares:
             problem = errors.get(_key(item.entity_id))
@@ -213,10 +220,12 @@ class _Batch:
                 item.outcomes.append(outcomes.of_reply(one, share.names, reply))
             item.is_new = item.is_new or item.entity_id in created
 
-    async def _forward_one(self, one: Registration, tongue: Tongue, item: _Item, share: Share) -> Outcome:
+    async def _forward_one(
+        self, one: Registration, tongue: Tongue, item: _Item, share: Share
+    ) -> Outcome | None:
         _, method, path = _SINGLY[self._operation]
         outcome = await self._asked_alone(one, tongue, item, share, method, path)
-        if self._operation != "upsertBatch":
+        if self._operation != "upsertBatch" or outcome is None:
             return outcome
         if outcome.status != 409:
             item.is_new = item.is_new or outcome.problem is None
@@ -229,7 +238,7 @@ class _Batch:
 
     async def _asked_alone(  # noqa: PLR0917 - the parts of one request
         self, one: Registration, tongue: Tongue, item: _Item, share: Share, method: str, path: str
-    ) -> Outcome:
+    ) -> Outcome | None:
         document = None if method == "DELETE" else _document(item, share, tongue)
         options = () if self._operation == "upsertBatch" else self._parameters
         where = path.replace("{id}", quoted(item.entity_id))
@@ -238,7 +247,12 @@ class _Batch:
             reply, _ = await self._sources.forwarder.ask(one, question, self._sources.asking)
         except Unheard as unheard:
             return outcomes.of_silence(unheard, share.names)
+        if self._need_not(one, reply.status):
+            return None
         return outcomes.of_reply(one, share.names, reply)
+
+    def _need_not(self, one: Registration, status: int) -> bool:
+        return not one.mode.is_proxied and self._sources.had_passed(one, status)
 
     def _result(self, items: Iterable[_Item]) -> Answer:
         success: list[Any] = []

@@ -21,6 +21,8 @@ from services.context_broker.sources.registration import Asked, Registration
 Told = tuple[Registration, Tongue, Any]
 """A source, how it was spoken to, and the document that it answered."""
 _EVERYTHING: Final = Asked()
+_LISTS: Final = ("typeList", "attributeList", "attributeDetails", "attributeTypes", "typeNames")
+"""Of these, an answer that is one document has at least one."""
 
 
 async def types(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
@@ -147,7 +149,7 @@ async def _told(
         except Problem as problem:
             sources.note(Unheard(registration, SILENT, 502, problem.detail))
         else:
-            if isinstance(document, list if details else dict):
+            if _is_answer(document, details=details):
                 return registration, tongue, document
             sources.warn(INVALID, f"{registration.endpoint} answers something else than was asked for")
         return None
@@ -155,6 +157,13 @@ async def _told(
     matches = sources.unasked(sources.registry.matching(operation, asked))
     found = await all_of(*(ask(one.registration) for one in matches))
     return [one for one in found if one is not None]
+
+
+def _is_answer(document: Any, *, details: bool) -> bool:
+    """Say whether a document is one of those that are asked for here, and not anything else."""
+    if details:
+        return isinstance(document, list) and all(isinstance(one, dict) for one in document)
+    return isinstance(document, dict) and any(isinstance(document.get(name), list) for name in _LISTS)
 
 
 async def _own(

@@ -10,9 +10,10 @@ import copy
 import functools
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any, Final
+from urllib.parse import quote
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import Answer, Exchange, problem_answer
+from services.context_broker.api.exchange import PREFIX, Answer, Exchange, problem_answer
 from services.context_broker.api.operation import Operation
 from services.context_broker.api.problems import ERRORS
 from services.context_broker.distribution.forwarding import Asking, Forwarder, Unheard
@@ -22,6 +23,7 @@ from services.context_broker.sources.registration import Match, Registration
 Performing = Callable[[Exchange], Awaitable[Answer]]
 """Carries an operation out on the broker's own entities."""
 
+MAP_HEADER: Final = "NGSILD-EntityMap"
 LONGEST_WARNING: Final = 300
 """Characters of the reason that a warning gives."""
 
@@ -41,13 +43,36 @@ class Sources:
         self.unheard: list[Unheard] = []
         self._passed = frozenset(chain(exchange.headers.get(b"via", b"")))
 
-    def unasked(self, matches: Iterable[Match]) -> list[Match]:
-        """Return the matches whose sources the request has not passed already (clause 4.3.6.7)."""
-        return [one for one in matches if not self.has_passed(one.registration)]
+    def unasked(self, matches: Iterable[Match], *, heeds_map: bool = True) -> list[Match]:
+        """Return the matches whose sources the request has not passed already (clause 4.3.6.4).
+
+        Of those, if the request is answered by an entity map, the ones that the map says to have something,
+        each narrowed to what that is (clause 5.7.2.4).
+        """
+        found = [one for one in matches if not self.has_passed(one.registration)]
+        entity_map = self.exchange.entity_map if heeds_map else None
+        if entity_map is None:
+            return found
+        return [some for one in found if (some := one.among(entity_map.entities)).parts]
+
+    def map_headers(self, registration: Registration) -> tuple[tuple[str, str], ...]:
+        """Return the header that names a source's own entity map, if the request is answered by maps."""
+        entity_map = self.exchange.entity_map
+        linked = None if entity_map is None else entity_map.linked.get(registration.id)
+        return () if linked is None else ((MAP_HEADER, f"{PREFIX}entityMaps/{quote(linked, safe=':')}"),)
 
     def has_passed(self, registration: Registration) -> bool:
-        """Say whether the request has passed a source already."""
-        return self.forwarder.alias_of(registration) in self._passed
+        """Say whether the request has passed a source already; this broker itself it is at."""
+        if self.forwarder.alias_of(registration) in self._passed:
+            return True
+        return self.forwarder.is_ourselves(registration, self.registry, self.asking.name)
+
+    def had_passed(self, registration: Registration, status: int) -> bool:
+        """Say whether a source's answer tells that it need not have been asked: the request had passed it.
+
+        Sources that say no alias are known by their first answer. What they have to do they do already.
+        """
+        return status == 508 and self.has_passed(registration)
 
     def warn(self, code: int, why: str) -> None:
         """Note something to warn of."""

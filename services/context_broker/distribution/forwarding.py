@@ -92,6 +92,7 @@ class Question:
     tongue: Tongue
     parameters: tuple[tuple[str, str], ...] = ()
     document: Any = None
+    headers: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(slots=True)
@@ -118,6 +119,19 @@ class Forwarder:
         if registration.alias is not None:
             return registration.alias
         return self._aliases.get((registration.endpoint, registration.tenant))
+
+    def is_ourselves(self, registration: Registration, registry: Registry, name: str) -> bool:
+        """Say whether a source is this very broker and tenant, whose alias is `name`: it need not ask itself.
+
+        An address that is not known as the broker's own gives itself away with its first answer.
+        """
+        if self.alias_of(registration) == name:
+            return True
+        return registration.tenant == registry.tenant and self.contexts.is_ours(registration.endpoint)
+
+    def patience_s(self, registration: Registration) -> float:
+        """Return how long one answer of a source is waited for."""
+        return registration.management.timeout_s or self.timeout_s
 
     async def tongue(self, registration: Registration, context: Context, *, body: str | None) -> Tongue:
         """Return how to speak to a source when the request was made in `context`.
@@ -164,7 +178,7 @@ class Forwarder:
         url: str,
         headers: list[tuple[str, str]],
     ) -> Reply:
-        timeout_s = registration.management.timeout_s or self.timeout_s
+        timeout_s = self.patience_s(registration)
         try:
             reply = await self.asker.ask(
                 question.method, url, headers, _body(registration, question), timeout_s
@@ -241,6 +255,7 @@ def _headers(registration: Registration, question: Question, asking: Asking) -> 
     headers = [
         ("Accept", _info(registration, "accept") or JSON),
         ("Via", lengthened(asking.headers.get(b"via", b""), asking.name)),
+        *question.headers,
     ]
     if question.document is not None:
         headers.append(("Content-Type", tongue.media_type))

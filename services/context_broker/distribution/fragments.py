@@ -76,6 +76,27 @@ def limited(entity: Entity, names: frozenset[str] | None, without: frozenset[str
     )
 
 
+def still_there(document: Any, now_s: float) -> Any:
+    """Return what a source told of an entity without what has expired since; None if all of it has (4.22)."""
+    if not isinstance(document, dict):
+        return document
+    if _is_over(document, now_s):
+        return None
+    kept: dict[str, Any] = {}
+    for name, said in document.items():
+        if isinstance(said, list) and any(_is_over(one, now_s) for one in said):
+            kept[name] = [one for one in said if not _is_over(one, now_s)]
+        elif name in _NO_ATTRIBUTES or not _is_over(said, now_s):
+            kept[name] = said
+    return {name: said for name, said in kept.items() if said != [] or document[name] == []}
+
+
+def _is_over(said: Any, now_s: float) -> bool:
+    ends = said.get("expiresAt") if isinstance(said, dict) else None
+    at_s = moment(ends) if isinstance(ends, str) else None
+    return at_s is not None and at_s <= now_s
+
+
 def read_fragment(document: Any, terms: Terms, seq: int) -> Entity:
     """Return the entity that a source told of, with the times that the source gives; raise a problem if none.
 

@@ -4,10 +4,11 @@ Each tells what it is registered for; what an exclusive or redirect source has i
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from services.context_broker.distribution.fragments import Fragment, limited, merged
-from services.context_broker.entities.entity import Entity
+from services.context_broker.entities.entity import Entity, dataset_of
+from services.context_broker.sources.reach import may_hold
 from services.context_broker.sources.registration import Mode, Registration
 from services.context_broker.storage.store import Store
 
@@ -54,24 +55,46 @@ class Gathering:
 
 def about(registration: Registration, entity: Entity) -> Entity | None:
     """Return what of an entity its source is registered for, None if nothing is."""
-    names: set[str] = set()
+    names: set[str] | None = set()
+    is_about = False
     for piece in registration.information:
         if piece.is_about(entity):
-            if piece.attributes is None:
-                return entity
-            names |= piece.attributes
-    return limited(entity, frozenset(names)) if names else None
+            is_about = True
+            names = None if names is None or piece.attributes is None else names | piece.attributes
+    if not is_about:
+        return None
+    told = limited(entity, None if names is None else frozenset(names))
+    return told if registration.datasets is None else _of_datasets(told, registration.datasets, keep=True)
 
 
 def unclaimed(fragment: Fragment, proxied: list[Registration]) -> Entity | None:
     """Return a fragment without what sources with a stronger claim have; None if that is all of it."""
-    gone: set[str] = set()
+    left = fragment.entity
     for one in proxied:
         if fragment.rank[0] and fragment.rank[0] <= int(one.mode) + 1:
             continue
+        if not may_hold(one, fragment.entity):
+            continue
         for piece in one.information:
             if piece.is_about(fragment.entity):
-                if piece.attributes is None:
+                if one.datasets is not None:
+                    claimed = left if piece.attributes is None else limited(left, piece.attributes)
+                    rest = _of_datasets(claimed, one.datasets, keep=False)
+                    left = replace(left, attributes={**left.attributes, **rest.attributes}, rendered={})
+                    gone = claimed.attributes.keys() - rest.attributes.keys()
+                    left = limited(left, None, frozenset(gone))
+                elif piece.attributes is None:
                     return None
-                gone |= piece.attributes
-    return limited(fragment.entity, None, frozenset(gone)) if gone else fragment.entity
+                else:
+                    left = limited(left, None, piece.attributes)
+    return left
+
+
+def _of_datasets(entity: Entity, datasets: frozenset[str | None], *, keep: bool) -> Entity:
+    """Return the entity with no instances but those of the datasets; with `keep` false, without these."""
+    kept = {
+        name: some
+        for name, instances in entity.attributes.items()
+        if (some := [one for one in instances if (dataset_of(one) in datasets) is keep])
+    }
+    return replace(entity, attributes=kept, rendered={})

@@ -6,13 +6,15 @@ from typing import Final
 from services.context_broker.distribution import discovery, history, reading, writing
 from services.context_broker.distribution.batches import batch
 from services.context_broker.distribution.distribution import Handling
+from services.context_broker.distribution.mapping import map_past
 from services.context_broker.distribution.purge import purge
 
 HANDLINGS: Final[Mapping[str, Handling]] = {
     "retrieveEntity": reading.retrieve,
     "queryEntity": reading.query,
     "queryBatch": reading.query_batch,
-    "createEntityMapQueryEntity": reading.query_by_method,
+    "createEntityMapQueryEntity": reading.map_entities,
+    "createEntityMapQueryTemporal": map_past,
     **{
         name: batch(name)
         for name in ("createBatch", "upsertBatch", "updateBatch", "mergeBatch", "deleteBatch")

@@ -1,19 +1,20 @@
 """How things have been, told by several sources (clauses 5.7.3.4 and 5.7.4.4).
 
-The evolutions are put together as documents, in the form that was asked for: instances and pairs of value and
-time side by side, in the order of time. Totals over a period cannot be put together: of these, the one with
-the strongest claim counts (the broker's own, then exclusive, redirect, inclusive).
+Everybody is asked in the form that is wanted, and `evolutions` puts together what they tell. Totals over
+periods cannot be put together: where several tell of one entity they are asked once more, for the values.
 """
 
-from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
 
 import orjson
 
 from handover.errors import Problem
 from services.context_broker.api.exchange import JSON_LD, Answer, Exchange, problem_answer
-from services.context_broker.api.words import moment, require_uri
+from services.context_broker.api.words import require_uri
 from services.context_broker.contexts.book import Context
+from services.context_broker.distribution import evolutions
 from services.context_broker.distribution.distribution import (
     Performing,
     Sources,
@@ -21,26 +22,39 @@ from services.context_broker.distribution.distribution import (
     gateway_problem,
     in_place_of,
 )
-from services.context_broker.distribution.forwarding import INVALID, SILENT, Question, Unheard, quoted
-from services.context_broker.distribution.reading import asked_by, questions_in
-from services.context_broker.distribution.source_answers import answered_context, heard
-from services.context_broker.distribution.translation import translated
+from services.context_broker.distribution.evolutions import Evolution
+from services.context_broker.distribution.fetching_past import (
+    SHOWING,
+    Asking,
+    Part,
+    Wish,
+    ask_source,
+    asking_own,
+    asking_sources,
+    edge_of,
+    plain,
+    values_of,
+)
+from services.context_broker.distribution.forwarding import quoted
+from services.context_broker.distribution.questions import (
+    FILTERS,
+    asked_by,
+    may_be_split,
+    questions_in,
+    reach_of,
+    where_of,
+)
+from services.context_broker.distribution.split_evolutions import narrowed_to, split_hits
 from services.context_broker.entities.intake import expand
 from services.context_broker.queries.pages import Window
 from services.context_broker.queries.reading import DEFAULT_LIMIT, LARGEST_LIMIT, json_headers, page_links
 from services.context_broker.sources.registration import Asked, Match, Registration
-from services.context_broker.subscriptions.http_sender import Reply
-
-_NOT_PASSED_ON: Final = frozenset(
-    {"local", "id", "idPattern", "type", "attrs", "pick", "omit", "limit", "offset", "count", "csf",
-     "splitEntities", "entities", "temporalQ"}
-)  # fmt: skip
-_NAMING: Final = frozenset({"q", "geoproperty"})
-_MEMBERS: Final = frozenset({"id", "type", "@context", "scope", "createdAt", "modifiedAt", "deletedAt"})
-_TIMES: Final = ("observedAt", "modifiedAt", "createdAt")
-
-Evolution = dict[str, Any]
-"""How one entity has been, as a document in the names of the reader."""
+from services.context_broker.temporal.operations import temporal_parameters
+from services.context_broker.temporal.query import (
+    Telling,
+    temporal_query,
+    temporal_view,
+)
 
 
 async def retrieve(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
@@ -48,39 +62,65 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Performing) ->
     context = await exchange.reader_context()
     entity_id = require_uri(exchange.names[0], "the entity id in the path")
     asked = Asked((entity_id,), None, None, _names_of(exchange.parameters, context))
-    matches = sources.unasked(sources.registry.matching("retrieveTemporal", asked))
+    where = where_of(None, context, reach_of(exchange.parameters, context.terms.expand))
+    matches = sources.unasked(sources.registry.matching("retrieveTemporal", asked, where))
     if not matches:
         return await perform(exchange)
+    wish = _wish(exchange, context, exchange.parameters)
     path = f"temporal/entities/{quoted(entity_id)}"
-    found = await all_of(
-        *(_ask(sources, one, path, exchange.parameters, context, single=True) for one in matches)
-    )
-    told = [
-        (one.registration, document) for one, some in zip(matches, found, strict=True) for document in some
-    ]
+
+    def of_source(match: Match) -> Asking:
+        return lambda parameters: ask_source(sources, match, path, parameters, context, single=True)
+
+    async def of_own(parameters: Mapping[str, str]) -> Part:
+        told = await perform(in_place_of(exchange, parameters=parameters))
+        return Part([plain(orjson.loads(told.body))], edge_of(told))
+
+    asking = [of_source(one) for one in matches]
+    parts = await all_of(*(ask(wish.parameters) for ask in asking))
     try:
         own: Answer | None = await perform(exchange)
     except Problem as problem:
         silent = [one for one in sources.unheard if one.registration.mode.is_proxied]
-        if problem.status == 404 and not told and silent:
+        is_told = any(one.documents for one in parts)
+        if problem.status == 404 and not is_told and silent:
             return problem_answer(gateway_problem(silent[0]))
-        if problem.status != 404 or not told:
+        if problem.status != 404 or not is_told:
             raise
         own = None
-    if not told:
+    tellers: list[tuple[Registration | None, Asking]] = [
+        (match.registration, ask)
+        for match, ask, part in zip(matches, asking, parts, strict=True)
+        if part.documents
+    ]
+    if not tellers:
         assert own is not None  # noqa: S101 - else it was raised
         return own
-    mine = [] if own is None else [(None, orjson.loads(own.body))]
-    document = _together([*mine, *told], context, exchange.parameters)
     if own is not None:
-        return Answer(own.status, orjson.dumps(document), own.headers)
-    return _answer(exchange, context, document)
+        tellers.insert(0, (None, of_own))
+    if wish.is_for_totals and len(tellers) > 1:
+        values = await values_of(tellers, wish)
+        document = evolutions.aggregated(evolutions.together(values, context, wish.query.last), wish.query)
+        return _answer(exchange, wish, [document], None, single=True)
+    told: list[evolutions.Told] = [
+        (match.registration, evolutions.shown(document, wish.view, context))
+        for match, part in zip(matches, parts, strict=True)
+        for document in part.documents
+    ]
+    edges = [part.edge for part in parts]
+    if own is not None:
+        told.insert(0, (None, plain(orjson.loads(own.body))))
+        edges.append(edge_of(own))
+    last = None if wish.is_for_totals else wish.query.last
+    edge = evolutions.common_edge(edges, wish.query)
+    return _answer(exchange, wish, [evolutions.together(told, context, last)], edge, single=True)
 
 
 async def query(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
     """GET temporal/entities."""
     context = await exchange.reader_context()
-    return await _query(sources, exchange, perform, context, [dict(exchange.parameters)])
+    parameters = dict(exchange.parameters)
+    return await _query(sources, exchange, perform, _Asked(context, parameters, [parameters]))
 
 
 async def query_batch(sources: Sources, exchange: Exchange, perform: Performing) -> Answer:
@@ -88,222 +128,166 @@ async def query_batch(sources: Sources, exchange: Exchange, perform: Performing)
     document, context = await exchange.body()
     if not isinstance(document, dict):
         return await perform(exchange)
-    temporal = document.get("temporalQ")
-    flat = {**document, **(temporal if isinstance(temporal, dict) else {})}
-    numbers = {name: str(said) for name, said in flat.items() if isinstance(said, int) and said is not True}
-    questions = list(questions_in({**flat, **numbers}, exchange.parameters))
-    return await _query(sources, exchange, perform, context, questions)
+    plain = {name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}}
+    flat = {**exchange.parameters, **temporal_parameters(document)}
+    return await _query(sources, exchange, perform, _Asked(context, flat, list(questions_in(plain, flat))))
 
 
-async def _query(
-    sources: Sources,
-    exchange: Exchange,
-    perform: Performing,
-    context: Context,
-    questions: list[dict[str, str]],
-) -> Answer:
-    asking: list[tuple[Match, dict[str, str]]] = []
-    for parameters in questions:
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What a query asks: all its parameters, and those of each of its selectors."""
+
+    context: Context
+    parameters: Mapping[str, str]
+    questions: list[dict[str, str]]
+
+
+async def _query(sources: Sources, exchange: Exchange, perform: Performing, given: _Asked) -> Answer:
+    context = given.context
+    matched: list[tuple[Match, dict[str, str]]] = []
+    for parameters in given.questions:
         asked, where = asked_by(parameters, context, _names_of(parameters, context))
         matches = sources.unasked(sources.registry.matching("queryTemporal", asked, where))
-        asking += [(match, parameters) for match in matches]
-    if not asking:
+        matched += [(match, parameters) for match in matches]
+    if not matched:
         return await perform(exchange)
+    conditions = {name for name in FILTERS if name in given.parameters}
+    if conditions and may_be_split(given.parameters, [match for match, _ in matched]):
+        hits = await split_hits(
+            sources, exchange, perform, matched, _wish(exchange, context, given.parameters)
+        )
+        return await _page_of(hits, sources, exchange, perform, given)
     window = _window(exchange)
-    most = str(min(window.offset + window.limit, LARGEST_LIMIT))
-    wider = {**exchange.parameters, "offset": "0", "limit": most}
-    own = await perform(in_place_of(exchange, parameters=wider))
-    paged = [("limit", most)]
-    found = await all_of(
+    most = min(window.offset + window.limit, LARGEST_LIMIT) if not window.count else LARGEST_LIMIT
+    paged = {"offset": "0", "limit": str(most)}
+    own = await perform(_for_all_members(exchange, paged))
+    wish = _wish(exchange, context, given.parameters)
+    found: list[Part] = await all_of(
         *(
-            _ask(sources, match, "temporal/entities", {**parameters, **dict(paged)}, context, paged=True)
-            for match, parameters in asking
+            ask_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
+            for match, parameters in matched
         )
     )
-    known: dict[str, list[tuple[Registration | None, Evolution]]] = {}
-    for one in orjson.loads(own.body):
-        known[one["id"]] = [(None, one)]
+    known: dict[str, list[evolutions.Told]] = {
+        one["id"]: [(None, evolutions.shown(plain(one), wish.view, context))]
+        for one in orjson.loads(own.body)
+    }
     mine = len(known)
-    for (match, _), some in zip(asking, found, strict=True):
-        for document in some:
-            known.setdefault(document["id"], []).append((match.registration, document))
-    others = sorted(list(known)[mine:])
-    order = [*list(known)[:mine], *others]
+    _take(known, matched, found, wish)
+    order = list(known)
     page = order[window.offset : window.offset + window.limit]
-    documents = [_together(known[one], context, exchange.parameters) for one in page]
-    headers = [(name, value) for name, value in own.headers if name != b"link" or b"json-ld#context" in value]
-    headers = [
-        (name, str(int(value) + len(others)).encode() if name == b"ngsild-results-count" else value)
-        for name, value in headers
+    if page and (
+        full := [one for one, part in zip(matched, found, strict=True) if len(part.documents) >= most]
+    ):
+        await _add_rest(known, sources, full, page, wish)
+    edge = evolutions.common_edge([edge_of(own), *(part.edge for part in found)], wish.query)
+    if wish.is_for_totals:
+        edge = None
+        shared = tuple(one for one in page if len(known[one]) > 1)
+        documents = [known[one][0][1] for one in page]
+        if shared:
+            asking = asking_sources(sources, matched, context, shared)
+            asking.insert(0, (None, asking_own(exchange, perform, shared)))
+            values = await values_of(asking, wish)
+            made = {
+                one: evolutions.aggregated(
+                    evolutions.together(
+                        [each for each in values if each[1]["id"] == one], context, wish.query.last
+                    ),
+                    wish.query,
+                )
+                for one in shared
+            }
+            documents = [made.get(document["id"], document) for document in documents]
+    else:
+        documents = [evolutions.together(known[one], context, wish.query.last) for one in page]
+    result = _answer(exchange, wish, documents, edge)
+    result.headers += [
+        (name, str(int(value) + len(order) - mine).encode())
+        for name, value in own.headers
+        if name == b"ngsild-results-count"
     ]
     if exchange.method == "GET":
         more = len(order) > window.offset + window.limit
-        headers += page_links(exchange, window, exchange.accept(), more=more)
-    return Answer(own.status, orjson.dumps(documents), headers)
-
-
-async def _ask(
-    sources: Sources,
-    match: Match,
-    path: str,
-    parameters: Mapping[str, str],
-    context: Context,
-    *,
-    single: bool = False,
-    paged: bool = False,
-) -> list[Evolution]:
-    """Return what a source tells, as documents in the names of `context`."""
-    registration = match.registration
-    try:
-        tongue = await sources.forwarder.tongue(registration, context, body=None)
-        names = match.attributes
-        wanted = [] if single else _who(match, parameters, tongue.name)
-        if names is not None:
-            wanted.append(("attrs", ",".join(sorted(tongue.name(one) for one in names))))
-        same = tongue.context is context
-        wanted += [
-            (name, said)
-            for name, said in parameters.items()
-            if name not in _NOT_PASSED_ON and (same or name not in _NAMING)
-        ]
-        if paged:
-            wanted.append(("limit", parameters["limit"]))
-        reply = await heard(sources, registration, Question("GET", path, tongue, tuple(wanted)))
-        if reply is None:
-            return []
-        documents = _documents(registration, reply, single=single)
-        there = await answered_context(sources, reply, tongue)
-    except Unheard as unheard:
-        sources.note(unheard)
-        return []
-    except Problem as problem:
-        sources.note(Unheard(registration, SILENT, 502, problem.detail))
-        return []
-    in_ours = (translated(_plain(one), there.terms, context.terms) for one in documents)
-    return [_limited(one, names, context) for one in in_ours]
-
-
-def _who(match: Match, parameters: Mapping[str, str], name: Any) -> list[tuple[str, str]]:
-    types = {kind for part in match.parts for kind in part.types or ()} or {
-        kind for piece in match.registration.information for one in piece.entities for kind in one.types
-    }
-    wanted = [("type", ",".join(sorted(name(kind) for kind in types)))] if types else []
-    ids = match.ids
-    if ids:
-        wanted.append(("id", ",".join(ids)))
-    elif "idPattern" in parameters:
-        wanted.append(("idPattern", parameters["idPattern"]))
-    return wanted
-
-
-def _documents(registration: Registration, reply: Reply, *, single: bool) -> list[Evolution]:
-    try:
-        found = orjson.loads(reply.body) if reply.body else ({} if single else [])
-    except orjson.JSONDecodeError as error:
-        why = f"{registration.endpoint} answers no JSON: {error}"
-        raise Unheard(registration, INVALID, 502, why) from None
-    documents = [found] if single and found else found
-    if not isinstance(documents, list) or not all(
-        isinstance(one, dict) and isinstance(one.get("id"), str) for one in documents
-    ):
-        raise Unheard(registration, INVALID, 502, f"{registration.endpoint} answers no temporal entities")
-    return documents
-
-
-def _plain(document: Evolution) -> Evolution:
-    return {name: said for name, said in document.items() if name != "@context"}
-
-
-def _limited(document: Evolution, names: frozenset[str] | None, context: Context) -> Evolution:
-    if names is None:
-        return document
-    return {
-        name: said
-        for name, said in document.items()
-        if name in _MEMBERS or context.terms.expand(name) in names
-    }
-
-
-def _together(
-    told: Iterable[tuple[Registration | None, Evolution]], context: Context, parameters: Mapping[str, str]
-) -> Evolution:
-    """Return one evolution out of those that were told, the strongest first."""
-    ranked = sorted(told, key=lambda one: (0, "") if one[0] is None else (int(one[0].mode) + 1, one[0].id))
-    proxied = [one for one, _ in ranked if one is not None and one.mode.is_proxied]
-    result: Evolution = {}
-    for registration, document in ranked:
-        gone = _claimed(proxied, registration, context)
-        for name, said in document.items():
-            if name in _MEMBERS:
-                result.setdefault(name, said)
-            elif gone is not None and name not in gone:
-                result[name] = _joined(result[name], said) if name in result else said
-    last = parameters.get("lastN", "")
-    if last.isascii() and last.isdecimal() and int(last):
-        for name in result.keys() - _MEMBERS:
-            result[name] = _newest(result[name], int(last))
+        result.headers += page_links(exchange, window, exchange.accept(), more=more)
     return result
 
 
-def _claimed(
-    proxied: list[Registration], registration: Registration | None, context: Context
-) -> frozenset[str] | None:
-    """Return the names of attributes that others have to themselves; None if they have everything."""
-    names: set[str] = set()
-    for one in proxied:
-        if registration is not None and registration.mode <= one.mode:
-            continue
-        for piece in one.information:
-            if piece.attributes is None:
-                return None
-            names |= {context.terms.compact(name) for name in piece.attributes}
-    return frozenset(names)
+def _take(
+    known: dict[str, list[evolutions.Told]],
+    matched: list[tuple[Match, dict[str, str]]],
+    found: list[Part],
+    wish: Wish,
+) -> None:
+    """Add what sources tell, one source after the other: as long as one has more, the next is not reached.
+
+    So pages neither repeat nor miss anything, though each is read from the beginning.
+    """
+    for (match, _), part in zip(matched, found, strict=True):
+        for document in part.documents:
+            told = known.setdefault(document["id"], [])
+            if not any(one is match.registration for one, _ in told):
+                told.append((match.registration, evolutions.shown(document, wish.view, wish.context)))
 
 
-def _joined(own: Any, other: Any) -> Any:
-    """Return two series of one attribute as one."""
-    if isinstance(own, list) and isinstance(other, list):
-        seen = {_written(one) for one in own}
-        return sorted([*own, *(one for one in other if _written(one) not in seen)], key=_time_of)
-    if isinstance(own, dict) and isinstance(other, dict):
-        for member, pairs in own.items():
-            if member in _SERIES and isinstance(pairs, list) and isinstance(other.get(member), list):
-                both = {_written(one): one for one in (*pairs, *other[member])}
-                return {**own, member: sorted(both.values(), key=_time_of)}
-    return own
+async def _add_rest(
+    known: dict[str, list[evolutions.Told]],
+    sources: Sources,
+    full: list[tuple[Match, dict[str, str]]],
+    page: list[str],
+    wish: Wish,
+) -> None:
+    """Add what sources that have more than they were asked for have of the entities of a page."""
+    asking = asking_sources(sources, full, wish.context, tuple(page))
+    parts = await all_of(*(ask(wish.parameters) for _, ask in asking))
+    for (registration, _), part in zip(asking, parts, strict=True):
+        for document in part.documents:
+            told = known.get(document["id"])
+            if told is not None and not any(one is registration for one, _ in told):
+                told.append((registration, evolutions.shown(document, wish.view, wish.context)))
 
 
-_SERIES: Final = frozenset(
-    {"values", "objects", "languageMaps", "jsons", "vocabs", "valueLists", "objectLists"}
-)
+async def _page_of(
+    hits: list[str], sources: Sources, exchange: Exchange, perform: Performing, given: _Asked
+) -> Answer:
+    """Answer with a page of the entities that meet all conditions, in the form that is wanted."""
+    window = _window(exchange)
+    some = hits[window.offset : window.offset + window.limit]
+    narrowed = narrowed_to(exchange, some or [_NOBODY])
+    gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
+    shape = {"id": ",".join(some or [_NOBODY]), "limit": str(max(1, len(some)))}
+
+    def without(parameters: Mapping[str, str]) -> dict[str, str]:
+        return {**{name: said for name, said in parameters.items() if name not in gone}, **shape}
+
+    asked = _Asked(given.context, without(given.parameters), [without(one) for one in given.questions])
+    result = await _query(sources, narrowed, perform, asked)
+    headers = [one for one in result.headers if one[0] != b"link" or b"json-ld#context" in one[1]]
+    if window.count:
+        headers.append((b"ngsild-results-count", str(len(hits)).encode()))
+    if exchange.method == "GET":
+        more = window.offset + window.limit < len(hits)
+        headers += page_links(exchange, window, exchange.accept(), more=more)
+    return Answer(result.status, result.body, headers)
 
 
-def _newest(series: Any, count: int) -> Any:
-    if isinstance(series, list) and all(isinstance(one, dict) and "values" not in one for one in series):
-        return series[-count:]
-    if isinstance(series, dict):
-        return {
-            name: said[-count:] if name in _SERIES and isinstance(said, list) else said
-            for name, said in series.items()
-        }
-    return series
+_NOBODY: Final = "urn:ngsi-ld:Entity:nobody"
+"""Asked for where a page has nothing, so that an empty answer looks as the asker wants it."""
 
 
-def _time_of(one: Any) -> float:
-    text: Any = None
-    if isinstance(one, dict):
-        text = next((one[name] for name in _TIMES if name in one), None)
-    elif isinstance(one, list) and len(one) > 1:
-        text = one[1]
-    at = moment(text) if isinstance(text, str) else None
-    return float("-inf") if at is None else at
+def _for_all_members(exchange: Exchange, window: Mapping[str, str]) -> Exchange:
+    """Return the query without what would hide members: they are needed to put evolutions together."""
+    kept = {name: said for name, said in exchange.parameters.items() if name not in SHOWING}
+    result = in_place_of(exchange, parameters={**kept, **window})
+    if exchange.method == "POST" and not set(SHOWING).isdisjoint(document := exchange.document()):
+        result.raw = orjson.dumps({name: said for name, said in document.items() if name not in SHOWING})
+    return result
 
 
-def _written(one: Any) -> bytes:
-    plain = (
-        {name: said for name, said in one.items() if name != "instanceId"} if isinstance(one, dict) else one
-    )
-    return orjson.dumps(plain, option=orjson.OPT_SORT_KEYS)
+def _wish(exchange: Exchange, context: Context, parameters: Mapping[str, str]) -> Wish:
+    view = temporal_view(in_place_of(exchange, parameters=parameters), context)
+    asked = temporal_query(parameters, aggregates=view.telling is Telling.AGGREGATED)
+    return Wish(context, parameters, asked, view)
 
 
 def _names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
@@ -318,11 +302,24 @@ def _window(exchange: Exchange) -> Window:
         given = exchange.parameter(name) or ""
         return int(given) if given.isascii() and given.isdecimal() and len(given) < 10 else default
 
-    return Window(number("offset", 0), number("limit", DEFAULT_LIMIT), False)
+    options = (exchange.parameter("options") or "").split(",")
+    counts = exchange.parameter("count") == "true" or "count" in options
+    return Window(number("offset", 0), number("limit", DEFAULT_LIMIT), counts)
 
 
-def _answer(exchange: Exchange, context: Context, document: Evolution) -> Answer:
+def _answer(
+    exchange: Exchange, wish: Wish, documents: list[Evolution], edge: int | None, *, single: bool = False
+) -> Answer:
+    context = wish.context
+    if edge is not None:
+        documents = [evolutions.kept_to(one, edge, wish.query) for one in documents]
+    told = b"" if edge is None else evolutions.told_range(documents, edge, wish.query)
+    documents = [evolutions.with_members(one, wish.query, wish.view) for one in documents]
+    headers = json_headers(context)
     if exchange.accept() == JSON_LD:
-        body = orjson.dumps({"@context": context.document, **document})
-        return Answer(200, body, [(b"content-type", JSON_LD.encode())])
-    return Answer(200, orjson.dumps(document), json_headers(context))
+        documents = [{"@context": context.document, **one} for one in documents]
+        headers = [(b"content-type", JSON_LD.encode())]
+    body = orjson.dumps(documents[0] if single else documents)
+    if edge is None:
+        return Answer(200, body, headers)
+    return Answer(206, body, [*headers, (b"content-range", told)])

@@ -131,4 +131,4 @@ def _problem_answer(status: int, problem: dict[str, Any], registration: Registra
     body = {**problem, "status": status}
     if registration is not None:
         body["registrationId"] = registration.id
-    return Answer(status, orjson.dumps(body), [(b"content-type", b"application/problem+json")])
+    return Answer(status, orjson.dumps(body), [(b"content-type", JSON.encode())])

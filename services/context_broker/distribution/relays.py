@@ -12,6 +12,7 @@ import orjson
 
 from services.context_broker.contexts.book import ContextBook
 from services.context_broker.distribution.forwarding import Tongue
+from services.context_broker.queries.type_selection import TypeSelection
 from services.context_broker.sources.registration import Asked, Registration
 from services.context_broker.sources.registration_intake import registration
 from services.context_broker.subscriptions.documents import NAMES_IN, shown_document
@@ -20,10 +21,10 @@ from services.context_broker.subscriptions.subscription import Subscription
 PATH: Final = "relayedNotifications"
 _NOT_PASSED_ON: Final = (
     "id", "status", "isActive", "jsonldContext", "csf", "throttling", "lang", "datasetId", "localOnly",
-    "notification", "createdAt", "modifiedAt", "watchedAttributes",
+    "notification", "createdAt", "modifiedAt", "watchedAttributes", "splitEntities", "ngsildConformance",
 )  # fmt: skip
 """What is the broker's own to heed, or is said anew."""
-_FILTERS: Final = ("q", "geoQ", "scopeQ")
+_FILTERS: Final = ("q", "geoQ", "scopeQ", "expandValues", "jsonKeys")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,19 +104,57 @@ def passed_on(one: Subscription, source: Registration, tongue: Tongue) -> dict[s
     document = shown_document(one, tongue.context, 0.0, sys_attrs=False)
     for name in _NOT_PASSED_ON:
         document.pop(name, None)
-    is_whole = all(piece.attributes is None for piece in source.information)
+    if (entities := _entities(one, source, tongue)) is not None:
+        document["entities"] = entities
+    is_whole = not one.document.get("splitEntities") and all(
+        piece.attributes is None for piece in source.information
+    )
     if not is_whole or tongue.context.key != one.names.key or NAMES_IN in one.document:
         for name in _FILTERS:
             document.pop(name, None)
-    watched = one.triggers.watched
-    if watched is not None:
-        names = frozenset(watched)
-        if not is_whole:
-            names &= frozenset(name for piece in source.information for name in piece.attributes or names)
+    names = _watched(one, source)
+    if names is not None and one.interval_s is None:
         document["watchedAttributes"] = sorted(tongue.name(name) for name in names)
+    if one.shows_changes:
+        document["notification"] = {"showChanges": True}
     if tongue.link is not None:
         document["jsonldContext"] = tongue.link
     return document
+
+
+def _entities(one: Subscription, source: Registration, tongue: Tongue) -> list[dict[str, Any]] | None:
+    """Return the entity selectors, narrowed to what a source is registered for; None for any entity."""
+    found: dict[str, dict[str, Any]] = {}
+    for selector, asked in zip(one.selectors or (None,), questions(one), strict=True):
+        for part in source.parts(asked):
+            narrowed: dict[str, Any] = {}
+            types = () if selector is None or selector.types is None else selector.types.alternatives
+            if part.types is not None:
+                some = tuple(kinds for kinds in types if kinds and not kinds.isdisjoint(part.types))
+                types = some or tuple(frozenset({kind}) for kind in sorted(part.types))
+            if types:
+                narrowed["type"] = TypeSelection(types).written(tongue.name)
+            if part.ids is None and selector is not None and selector.id_pattern is not None:
+                narrowed["idPattern"] = selector.id_pattern.pattern
+            for each in part.ids or (None,):
+                chosen = narrowed if each is None else {"id": each, **narrowed}
+                if chosen:
+                    found[str(chosen)] = chosen
+    return list(found.values()) or None
+
+
+def _watched(one: Subscription, source: Registration) -> frozenset[str] | None:
+    """Return the attributes that a source is to look at, None for all: watched ones that it has."""
+    watched = one.triggers.watched
+    registered: frozenset[str] | None = frozenset()
+    for piece in source.information:
+        if registered is None or piece.attributes is None:
+            registered = None
+        else:
+            registered |= piece.attributes
+    if watched is None or registered is None:
+        return registered if watched is None else frozenset(watched)
+    return frozenset(watched) & registered
 
 
 def with_endpoint(document: dict[str, Any], base: str, token: str) -> dict[str, Any]:
@@ -124,6 +163,7 @@ def with_endpoint(document: dict[str, Any], base: str, token: str) -> dict[str, 
     notification = {
         "format": "normalized",
         "sysAttrs": True,
+        **document.get("notification", {}),
         "endpoint": {"uri": uri, "accept": "application/json"},
     }
     return {**document, "id": f"urn:ngsi-ld:Subscription:{token}", "notification": notification}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from services.context_broker.distribution.distribution import Sources
 from services.context_broker.sources.operation_names import TEMPORAL
-from services.context_broker.sources.registration import Asked, Mode, Registration
+from services.context_broker.sources.registration import Asked, Mode, Registration, Where
 
 Names = frozenset[str]
 
@@ -35,13 +35,20 @@ class Shares:
     own: Names | None
 
 
-def shared(sources: Sources, operations: tuple[str, ...], asked: Asked, names: Names | None) -> Shares:
+def shared(
+    sources: Sources,
+    operations: tuple[str, ...],
+    asked: Asked,
+    names: Names | None,
+    where: Where | None = None,
+) -> Shares:
     """Return who does what of a change of one entity.
 
     `operations` are the names under which a source may take it, the best first. `names` are the attributes
-    that the change is about, None if it is about the entity as such (its end).
+    that the change is about, None if it is about the entity as such (its end). `where` says which sources may
+    have it at all.
     """
-    found = _concerned(sources, operations, asked)
+    found = _concerned(sources, operations, asked, where)
     remaining, is_elsewhere, others = names or frozenset(), False, list[Share]()
     for mode in (Mode.EXCLUSIVE, Mode.REDIRECT, Mode.INCLUSIVE):
         taken: set[str] = set()
@@ -64,11 +71,11 @@ def shared(sources: Sources, operations: tuple[str, ...], asked: Asked, names: N
 
 
 def _concerned(
-    sources: Sources, operations: tuple[str, ...], asked: Asked
+    sources: Sources, operations: tuple[str, ...], asked: Asked, where: Where | None
 ) -> Iterable[tuple[Registration, Names | None, str | None]]:
     """Return the sources that a change concerns, the attributes they have (None: all), and what they take."""
     found = []
-    for one in sources.registry.concerned((asked,)):
+    for one in sources.registry.concerned((asked,), where):
         if one.mode is Mode.AUXILIARY or sources.has_passed(one):
             continue
         names: set[str] | None = set()

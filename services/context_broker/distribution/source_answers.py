@@ -1,7 +1,9 @@
 """What sources answer to those who read: entities, nothing, or a reason to warn (clause 6.3.17)."""
 
+import asyncio
 import hashlib
 import re
+import time
 from typing import Any, Final
 
 import orjson
@@ -18,7 +20,7 @@ from services.context_broker.distribution.forwarding import (
     Tongue,
     Unheard,
 )
-from services.context_broker.distribution.fragments import read_fragment
+from services.context_broker.distribution.fragments import read_fragment, still_there
 from services.context_broker.entities.entity import Entity
 from services.context_broker.sources.registration import Registration
 from services.context_broker.subscriptions.http_sender import Reply
@@ -28,12 +30,16 @@ _FROM_ELSEWHERE: Final = 1 << 62
 the same at every request, so that pages do not shift."""
 
 
+_AT_ONCE: Final = 200
+"""Entities that are read in one go, then others get their turn."""
+
+
 async def heard(sources: Sources, registration: Registration, question: Question) -> Reply | None:
     """Return what a source answers to a question, None if it knows nothing; raises `Unheard`."""
     reply, was_kept = await sources.forwarder.ask(registration, question, sources.asking)
     if was_kept:
         sources.warn(STALE, f"what {registration.endpoint} told was kept from a moment ago")
-    if reply.status == 404:
+    if reply.status == 404 or sources.had_passed(registration, reply.status):
         return None
     if reply.status == 508:
         raise Unheard(registration, SILENT, 508, f"{registration.endpoint} sees a loop of registrations")
@@ -55,8 +61,11 @@ async def read_entities(
             raise TypeError("it is no list of entities")  # noqa: TRY301 - one way out for all that is wrong
         context = await answered_context(sources, reply, tongue)
         entities = []
-        for one in documents:
-            if not one and single:
+        for number, told in enumerate(documents, 1):
+            if not number % _AT_ONCE:
+                await asyncio.sleep(0)
+            one = still_there(told, time.time())
+            if one is None or (not one and single):
                 continue
             inline = one.get("@context") if isinstance(one, dict) else None
             terms = (context if inline is None else await sources.forwarder.contexts.of(inline)).terms

@@ -8,11 +8,8 @@ through the outbox, as the broker's own notifications do.
 import asyncio
 import time
 from collections.abc import Iterable
-from functools import partial
 from typing import Any, Final
 from uuid import uuid4
-
-import orjson
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
@@ -30,8 +27,7 @@ from services.context_broker.distribution.forwarding import (
     Unheard,
     quoted,
 )
-from services.context_broker.distribution.fragments import Fragment, merged, read_fragment
-from services.context_broker.distribution.gathering import about
+from services.context_broker.distribution.questions import where_of
 from services.context_broker.distribution.relays import (
     PATH,
     Relay,
@@ -41,17 +37,15 @@ from services.context_broker.distribution.relays import (
     restored,
     with_endpoint,
 )
-from services.context_broker.distribution.source_answers import place_of
-from services.context_broker.distribution.translation import translated
+from services.context_broker.distribution.told_changes import told_change
 from services.context_broker.distribution.via import chain
-from services.context_broker.entities.entity import Entity
-from services.context_broker.queries.selection import compiled
+from services.context_broker.sources.reach import Reach
 from services.context_broker.sources.registration import Registration
 from services.context_broker.storage.journal import Entries, Journal, Kind, Notice, NotStored
 from services.context_broker.storage.tenants import Tenant, Tenants
 from services.context_broker.subscriptions.documents import CAME_BY
 from services.context_broker.subscriptions.http_sender import Reply
-from services.context_broker.subscriptions.notification import as_it_is, notification
+from services.context_broker.subscriptions.notification import notification, told_of
 from services.context_broker.subscriptions.subscription import Subscription
 
 log = get_logger(__name__)
@@ -199,21 +193,27 @@ class SubscriptionRelays:
                     log.warning("a source cannot be spoken to", registration=source.id, why=problem.detail)
                     continue
                 document = passed_on(one, source, tongue)
-                found[one.id, source.id] = one, source, document, digest(document)
+                found[one.id, source.id] = (
+                    one,
+                    source,
+                    document,
+                    digest(document),
+                )
         return found
 
     def _sources_of(self, tenant: Tenant, one: Subscription) -> Iterable[Registration]:
         """Return the registrations by which a subscription is to be passed on."""
-        where = None
-        if csf := one.document.get("csf"):
-            holds = compiled(csf, one.names).holds
-            where = partial(_described_so, holds)
+        reach = Reach(one.places, one.scopes, None, one.view.datasets)
+        where = where_of(one.document.get("csf"), one.names, reach)
         passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
         found: dict[str, Registration] = {}
         for asked in questions(one):
             for match in tenant.registry.matching("createSubscription", asked, where):
-                if self._forwarder.alias_of(match.registration) not in passed:
-                    found[match.registration.id] = match.registration
+                source = match.registration
+                if self._forwarder.alias_of(source) not in passed and not self._forwarder.is_ourselves(
+                    source, tenant.registry, tenant.alias
+                ):
+                    found[source.id] = source
         return found.values()
 
     async def _pass_on(
@@ -248,10 +248,15 @@ class SubscriptionRelays:
 
     async def _take_back(self, tenant: Tenant, relay: Relay) -> str | None:
         try:
-            tongue = await self._forwarder.tongue(
-                relay.registration, await self._contexts.of(None), body=None
-            )
-            question = Question("DELETE", f"subscriptions/{quoted(relay.id)}", tongue)
+            source, path = relay.registration, f"subscriptions/{quoted(relay.id)}"
+            tongue = await self._forwarder.tongue(source, await self._contexts.of(None), body=JSON)
+            if source.takes("deleteSubscription"):
+                question = Question("DELETE", path, tongue)
+            elif source.takes("updateSubscription"):
+                question = Question("PATCH", path, tongue, (), {"type": "Subscription", "isActive": False})
+            else:  # it learns from the answer to its next notification that nobody listens any more
+                await self._forget(tenant, relay)
+                return None
             asking = Asking({}, tenant.alias, tenant.registry)
             reply, _ = await self._forwarder.ask(relay.registration, question, asking)
             if reply.status >= 500:
@@ -314,20 +319,12 @@ class SubscriptionRelays:
         """Return what a subscriber is told of an entity that a source tells of; None if not at all."""
         if not isinstance(given, dict):
             raise bad_request_data(f"an entity is a JSON object, not {shown(given)}")
-        if "deletedAt" in given:
-            return orjson.dumps(translated(given, context.terms, one.context.terms))
-        fragment = about(relay.registration, read_fragment(given, context.terms, place_of(given)))
-        if fragment is None:
+        entity_id = given.get("id")
+        own = tenant.store.get(entity_id) if isinstance(entity_id, str) else None
+        change = told_change(given, relay.registration, own, context.terms)
+        if change is None or (change.after is not None and not one.selects(change.after)):
             return None
-        own = tenant.store.get(fragment.id)
-        entity: Entity = fragment
-        if own is not None:
-            entity = merged([Fragment(fragment, (1, relay.registration.id)), Fragment(own, (0, ""))])
-        return as_it_is(one, entity) if one.selects(entity) else None
-
-
-def _described_so(holds: Any, registration: Registration) -> bool:
-    return bool(holds(registration.described))
+        return told_of(one, change)
 
 
 def _refusal(source: Registration, reply: Reply) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from services.context_broker.api import conformance
-from services.context_broker.api.negotiation import version_of
+from services.context_broker.api.negotiation import Version, version_of
 from services.context_broker.entities.entity import SAYS, Terms
 
 _NAMES_NOTHING: Final = frozenset(
@@ -41,8 +41,8 @@ def older(document: Any, version: str) -> Any:
         return document
     if isinstance(document, list):
         return [older(one, version) for one in document]
-    if not isinstance(document, dict):
-        return document
+    if not isinstance(document, dict) or document.get("type") in {"Query", "Subscription"}:
+        return _older_question(document, at) if isinstance(document, dict) else document
     if "id" in document and "type" in document:
         return conformance.conformed(document, at)
     if not _KEYS.isdisjoint(document):
@@ -51,6 +51,25 @@ def older(document: Any, version: str) -> Any:
     return {name: said for name, said in whole.items() if name in document}
 
 
+def _older_question(document: dict[str, Any], at: Version) -> dict[str, Any]:
+    """Return a query or a subscription without what came later: who does not know it refuses all of it."""
+    kept = {name: said for name, said in document.items() if at >= _LATE_MEMBERS.get(name, at)}
+    told = document.get("notification")
+    if isinstance(told, dict):
+        late = {name for name, since in _LATE_IN_NOTIFICATION.items() if at < since}
+        kept["notification"] = {name: said for name, said in told.items() if name not in late}
+    return kept
+
+
+_LATE_MEMBERS: Final = {
+    "scopeQ": (1, 4),
+    "notificationTrigger": (1, 6),
+    "jsonldContext": (1, 7),
+    "expandValues": (1, 8),
+    "jsonKeys": (1, 8),
+}
+"""Members of a query or a subscription, and since which version it may have them."""
+_LATE_IN_NOTIFICATION: Final = {"showChanges": (1, 6), "sysAttrs": (1, 6)}
 _ANYTHING: Final = {"id": "urn:ngsi-ld:Part:1", "type": "Part"}
 _PART: Final = "part"
 

@@ -19,8 +19,11 @@ from services.context_broker.distribution import outcomes
 from services.context_broker.distribution.distribution import Performing, Sources, all_of, in_place_of
 from services.context_broker.distribution.forwarding import SILENT, Question, Unheard, in_tongue, quoted
 from services.context_broker.distribution.outcomes import Outcome
+from services.context_broker.distribution.questions import where_of
 from services.context_broker.distribution.shares import Names, Share, Shares, shared
 from services.context_broker.entities.intake import expand
+from services.context_broker.queries.reading import datasets_of
+from services.context_broker.sources.reach import Reach, taking_in
 from services.context_broker.sources.registration import Asked
 
 NO_ATTRIBUTES: Final = frozenset(
@@ -40,7 +43,8 @@ async def create(sources: Sources, exchange: Exchange, perform: Performing) -> A
     entity_id = require_uri(document.get("id", document.get("@id")), "the entity id")
     names = attributes_in(document, context)
     types = types_in(document, context)
-    shares = shared(sources, (operation,), Asked((entity_id,), None, types), frozenset(names.values()))
+    asked = Asked((entity_id,), None, types)
+    shares = shared(sources, (operation,), asked, frozenset(names.values()), taking_in(document))
     if not shares.others:
         return await perform(exchange)
     location = f"{PREFIX}{root}entities/{quote(entity_id, safe=':')}".encode()
@@ -86,7 +90,8 @@ async def change_attribute(sources: Sources, exchange: Exchange, perform: Perfor
     name = exchange.names[1]
     iri = expand(require_name(name, "the attribute name in the path"), context.terms)
     asked = Asked((entity_id,), None, _types_of(sources, exchange, entity_id, context), frozenset({iri}))
-    shares = shared(sources, (operation,), asked, frozenset({iri}))
+    where = where_of(None, context, Reach(datasets=datasets_of(exchange.parameter("datasetId"))))
+    shares = shared(sources, (operation,), asked, frozenset({iri}), where)
     if not shares.others:
         return await perform(exchange)
     change = SharedChange(sources, exchange, perform, context, document, {name: iri}, operation, None)
@@ -149,7 +154,10 @@ class SharedChange:
         return outcomes.entity_result(entity_id, good, failed)
 
     async def attributes_answer(self, shares: Shares) -> Answer:
-        """Carry the change out and return the answer of an operation on attributes (clause 5.2.18)."""
+        """Carry the change out and return the answer of an operation on attributes (clause 5.2.18).
+
+        Names in it are IRIs, for it has no @context (clause 6.3.6).
+        """
         own, found = await self._carried_out(shares)
         good, failed = outcomes.settled(found)
         result = orjson.loads(own.body) if own is not None and own.status == 207 else None
@@ -157,14 +165,13 @@ class SharedChange:
             return own if own is not None and own.status < 400 else _DONE
         if not good and result is None and (answer := outcomes.failure(failed)) is not None:
             return answer
-        compact = self._context.terms.compact
         left = list(result["notUpdated"]) if result is not None else []
         told = {one.get("attributeName") for one in left}
         for one in failed:
             reason = str((one.problem or {}).get("detail") or f"answered {one.status}")
             by = {"registrationId": one.registration.id} if one.registration is not None else {}
-            left += [{"attributeName": compact(name), "reason": reason, **by} for name in sorted(one.names)]
-        done = {compact(name) for one in good for name in one.names}
+            left += [{"attributeName": name, "reason": reason, **by} for name in sorted(one.names)]
+        done = {name for one in good for name in one.names}
         if result is not None:
             done |= set(result.get("updated", []))
         return outcomes.multi_status({"updated": sorted(done - told), "notUpdated": left})
@@ -181,7 +188,8 @@ class SharedChange:
                 if problem.status != 404 or problem.__cause__ is not None:
                     raise
                 found.append(Outcome(None, shares.own, 404, problem.body()))
-        found += await all_of(*(self.forwarded(share) for share in shares.others))
+        told = await all_of(*(self.forwarded(share) for share in shares.others))
+        found += [one for one in told if one is not None]
         return own, found
 
     def _own_share(self, shares: Shares) -> Exchange:
@@ -208,8 +216,8 @@ class SharedChange:
         root = "temporal/" if _is_temporal(self._exchange) else ""
         return "/".join((f"{root}entities", quoted(entity_id), "attrs", quoted(name), *map(quoted, instance)))
 
-    async def forwarded(self, share: Share) -> Outcome:
-        """Return what became of a source's share."""
+    async def forwarded(self, share: Share) -> Outcome | None:
+        """Return what became of a source's share; None if the request has passed the source before."""
         registration, names = share.registration, share.names
         if share.operation is None:
             return outcomes.of_refusal(registration, names, self._operation)
@@ -232,6 +240,8 @@ class SharedChange:
             return outcomes.of_silence(unheard, names)
         except Problem as problem:  # its @context
             return outcomes.of_silence(Unheard(registration, SILENT, 502, problem.detail), names)
+        if not registration.mode.is_proxied and self._sources.had_passed(registration, reply.status):
+            return None
         return outcomes.of_reply(registration, names, reply)
 
 
@@ -245,7 +255,8 @@ async def _of_document(
     names = attributes_in(document, context)
     types = types_in(document, context) or _types_of(sources, exchange, entity_id, context)
     asked = Asked((entity_id,), None, types)
-    shares = shared(sources, (operation,), asked, frozenset(names.values()))
+    where = taking_in(document) if operation == "replaceEntity" else None
+    shares = shared(sources, (operation,), asked, frozenset(names.values()), where)
     root = "temporal/" if _is_temporal(exchange) else ""
     path = f"{root}entities/{quoted(entity_id)}{below}"
     change = SharedChange(sources, exchange, perform, context, document, names, operation, path)

@@ -218,7 +218,7 @@ class BatchOperations:
         before = store.latest(entity_id)
         if before is None:
             raise absent(entity_id)
-        return _Change(entity_id, store.stage(Event(before, None)))
+        return _Change(entity_id, store.stage(Event.end_of(before)))
 
     @staticmethod
     def _create(store: Store, given: Any, context: Context) -> _Change:
@@ -240,7 +240,7 @@ class BatchOperations:
         change = read_change(given, context.terms, Nulls.ATTRIBUTES)
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         if outcome.refused:
-            names = ", ".join(shown(context.terms.compact(name)) for name in outcome.refused)
+            names = ", ".join(outcome.refused)
             refusal = bad_request_data(f"attributes {names} were left as they are: {changes.PRESENT}")
             return replace(self._carry_out(store, before, outcome), refusal=refusal)
         return self._carry_out(store, before, outcome)

@@ -27,10 +27,17 @@ class Census:
     def __init__(self) -> None:
         self._groups: dict[tuple[str, ...], _Group] = {}
 
-    def note(self, before: Entity | None, after: Entity | None) -> None:
-        """Count a change: the entity before and after, None where there is none."""
+    def note(
+        self, before: Entity | None, after: Entity | None, written: frozenset[str] | None = None
+    ) -> None:
+        """Count a change: the entity before and after, None where there is none.
+
+        `written` are the only attributes that may be others, as far as both have them; None if that is
+        not known.
+        """
         if before is not None and after is not None and before.types == after.types:
-            _note_attributes(self._groups[after.types].attributes, before.attributes, after.attributes)
+            counts = self._groups[after.types].attributes
+            _note_attributes(counts, before.attributes, after.attributes, written)
             return
         if before is not None:
             group = self._groups[before.types]
@@ -83,14 +90,17 @@ class Census:
         return (group for types, group in self._groups.items() if kind in types)
 
 
-def _note_attributes(counts: dict[str, Kinds], old: Attributes, new: Attributes) -> None:
-    for name, instances in new.items():
-        was = old.get(name)
+def _note_attributes(
+    counts: dict[str, Kinds], old: Attributes, new: Attributes, written: frozenset[str] | None
+) -> None:
+    alike = old.keys() == new.keys()
+    for name in written if alike and written is not None else new:
+        instances, was = new[name], old.get(name)
         if was is not instances and (was is None or not _alike(was, instances)):
             if was is not None:
                 _drop(counts, name, was)
             _add(counts, name, instances)
-    if not old.keys() <= new.keys():
+    if not alike:
         for name in old.keys() - new.keys():
             _drop(counts, name, old[name])
 

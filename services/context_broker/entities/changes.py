@@ -19,7 +19,6 @@ from services.context_broker.entities.entity import (
 )
 from services.context_broker.entities.intake import DEEPEST_VALUE, Change, too_deep
 
-ABSENT = "the entity has no such attribute; append it first"
 PRESENT = "the entity has this attribute already and noOverwrite was asked for"
 
 
@@ -37,7 +36,10 @@ class Outcome(NamedTuple):
 def created(change: Change, at: str, seq: int) -> Entity:
     """Return the new entity that `change` tells of."""
     assert change.id is not None  # noqa: S101 - read_entity has seen to it
-    attributes = {name: _stamped(instances, {}, at) for name, instances in change.attributes.items()}
+    attributes = {
+        name: [{**one, "createdAt": at, "modifiedAt": at} for one in instances]
+        for name, instances in change.attributes.items()
+    }
     end = _end(None, change)
     first = _first_end(end, attributes)
     return Entity(change.id, change.types, attributes, at, at, seq, change.scopes or (), end, first)
@@ -73,7 +75,7 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
     attributes = dict(before.attributes)
     refused: dict[str, str] = {}
     if change.scopes and before.scopes and not overwrite:
-        change = replace(change, scopes=tuple(dict.fromkeys((*before.scopes, *change.scopes))))
+        change = change._replace(scopes=tuple(dict.fromkeys((*before.scopes, *change.scopes))))
     written: Attributes = {}
     for name, instances in change.attributes.items():
         kept = _by_dataset(before, name)
@@ -84,29 +86,21 @@ def appended(before: Entity, change: Change, at: str, *, overwrite: bool = True)
             written[name] = new
             _write(attributes, name, new, at)
     if refused:
-        change = replace(change, attributes=written)
+        change = change._replace(attributes=written)
     return _outcome(before, change, attributes, at, refused)
 
 
 def updated(before: Entity, change: Change, at: str) -> Outcome:
-    """Return the entity with attributes overwritten; those that are not there are refused (clause 5.6.2).
+    """Return the entity with attributes overwritten, and added where they are not there (5.6.2 and 5.5.8).
 
     Scopes are overwritten if there are any, and else left alone without a word, as the standard has it.
     """
     attributes = dict(before.attributes)
-    refused: dict[str, str] = {}
-    written: Attributes = {}
     if change.scopes is not None and not before.scopes:
-        change = replace(change, scopes=None)
+        change = change._replace(scopes=None)
     for name, instances in change.attributes.items():
-        if name in attributes:
-            written[name] = instances
-            _write(attributes, name, instances, at)
-        else:
-            refused[name] = ABSENT
-    if refused:
-        change = replace(change, attributes=written)
-    return _outcome(before, change, attributes, at, refused)
+        _write(attributes, name, instances, at)
+    return _outcome(before, change, attributes, at, {})
 
 
 def merged(before: Entity, change: Change, at: str, observed_at: str | None = None) -> Outcome:
@@ -197,7 +191,7 @@ def _outcome(
     first = expires_at
     if before.ends_at is not None:
         first = _first_end(expires_at, attributes)
-    elif named:
+    elif any("expiresAt" in one for instances in change.attributes.values() for one in instances):
         first = _first_end(expires_at, {name: attributes.get(name, []) for name in named})
     after = Entity(before.id, types, attributes, before.created_at, at, before.seq, scopes, expires_at, first)
     return Outcome(after, touched, refused)
@@ -229,14 +223,13 @@ def _by_dataset(entity: Entity, name: str) -> dict[str | None, Instance]:
 
 
 def _write(attributes: Attributes, name: str, instances: Iterable[Instance], at: str) -> None:
-    old = {dataset_of(instance): instance for instance in attributes.get(name, ())}
-    result = dict(old)
+    result = {dataset_of(instance): instance for instance in attributes.get(name, ())}
     for new in instances:
         dataset = dataset_of(new)
         if is_deletion(new):
             result.pop(dataset, None)
         else:
-            result[dataset] = _stamp(_without_nulls(new), old.get(dataset), at)
+            result[dataset] = _stamp(_without_nulls(new), result.get(dataset), at)
     if result:
         attributes[name] = list(result.values())
     else:
@@ -286,9 +279,10 @@ def _merge_values(old: Any, new: Any, depth: int = 0) -> Any:
 
 def _without_nulls(instance: Instance) -> Instance:
     """Return the instance without members, and attributes of it, that a change said to delete."""
-    if not any(
-        value == NULL or (":" in member and _tells_deletion(value)) for member, value in instance.items()
-    ):
+    for member, value in instance.items():
+        if value == NULL or (":" in member and _tells_deletion(value)):
+            break
+    else:
         return instance
     result: Instance = {}
     for member, value in instance.items():

@@ -89,12 +89,18 @@ class Entity:
 class Event(NamedTuple):
     """A change of one entity: how it was and how it is, None where there is none.
 
-    `written` are the attributes (IRIs) that the change wrote, be their values new or not.
+    `written` are the attributes (IRIs) that the change wrote, be their values new or not. Others
+    that both ends have are the same objects.
     """
 
     before: Entity | None
     after: Entity | None
-    written: frozenset[str] = frozenset()
+    written: frozenset[str]
+
+    @classmethod
+    def end_of(cls, entity: Entity) -> "Event":
+        """Return the end of an entity."""
+        return cls(entity, None, frozenset())
 
 
 def is_deletion(instance: Mapping[str, Any]) -> bool:

@@ -6,7 +6,7 @@ from urllib.parse import quote
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import PREFIX, Answer, Exchange
+from services.context_broker.api.exchange import JSON, PREFIX, Answer, Exchange
 from services.context_broker.api.operation import Operation
 from services.context_broker.api.problems import already_exists, bad_request_data, invalid_request, not_found
 from services.context_broker.api.words import require_name, require_time, require_uri, shown, timestamp_now
@@ -29,6 +29,7 @@ from services.context_broker.entities.intake import (
     refuse_nulls,
 )
 from services.context_broker.entities.purge import PURGE_PARAMETERS, purge
+from services.context_broker.entities.rendering import render
 from services.context_broker.queries.asking import answered, asking_of, join_of
 from services.context_broker.queries.reading import (
     LINK_PARAMETERS,
@@ -111,13 +112,15 @@ class EntityOperations:
         _require_type(exchange, entity, context)
         if view.attributes is not None and view.attributes.isdisjoint(entity.attributes):
             raise not_found(f"entity {entity_id} has none of the attributes {exchange.parameter('attrs')}")
+        if view.projection is not None and not render(entity, context.terms, view):
+            raise nothing_left(entity_id)
         store = exchange.tenant.store
         return entity_answer(exchange, entity, Showing(context, view, join, store.get))
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}."""
         context = await exchange.reader_context() if exchange.parameters else None
-        await exchange.tenant.store.stage(Event(self.existing(exchange, context), None))
+        await exchange.tenant.store.stage(Event.end_of(self.existing(exchange, context)))
         return DONE
 
     async def replace(self, exchange: Exchange) -> Answer:
@@ -154,7 +157,7 @@ class EntityOperations:
         change = _about(exchange, read_change(document, context.terms, nulls_in(exchange.raw, Nulls.NOWHERE)))
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         await self._carry_out(exchange, outcome)
-        return _update_result(change, outcome, context)
+        return _update_result(change, outcome)
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs."""
@@ -168,7 +171,7 @@ class EntityOperations:
         )
         outcome = changes.updated(before, change, timestamp_now())
         await self._carry_out(exchange, outcome)
-        return _update_result(change, outcome, context)
+        return DONE
 
     async def update_attribute(self, exchange: Exchange) -> Answer:
         """PATCH entities/{id}/attrs/{name}: overwrites members of the attribute."""
@@ -197,10 +200,10 @@ class EntityOperations:
     async def replace_attribute(self, exchange: Exchange) -> Answer:
         """PUT entities/{id}/attrs/{name}: replaces one instance, by datasetId; others stay."""
         document, context = await exchange.body()
-        before = self.existing(exchange, context)
         if exchange.names[1] == "scope":
             raise bad_request_data("a scope is replaced with PATCH …/attrs, or with the whole entity")
         name = self._attribute_name(exchange, context)
+        before = self.existing(exchange, context)
         kept = self._instances(exchange, before, name)
         instances = read_attribute(exchange.names[1], _without_context(document), context.terms)
         for one in instances:
@@ -214,6 +217,7 @@ class EntityOperations:
     async def delete_attribute(self, exchange: Exchange) -> Answer:
         """DELETE entities/{id}/attrs/{name}; one instance by datasetId, or every one with deleteAll."""
         context = await exchange.reader_context()
+        name = self._attribute_name(exchange, context)
         before = self.existing(exchange, context)
         if exchange.names[1] == "scope":
             if not before.scopes:
@@ -221,7 +225,6 @@ class EntityOperations:
             outcome = changes.updated(before, Change(None, (), {}, scopes=()), timestamp_now())
             await self._carry_out(exchange, outcome)
             return DONE
-        name = self._attribute_name(exchange, context)
         self._instances(exchange, before, name)
         dataset = exchange.parameter("datasetId")
         if dataset == DEFAULT_INSTANCE:
@@ -279,6 +282,11 @@ def creation(store: Store, change: Change) -> Event:
 def absent(entity_id: str) -> Problem:
     """There is no such entity."""
     return not_found(f"there is no entity {entity_id}; create it first")
+
+
+def nothing_left(entity_id: str) -> Problem:
+    """The entity has nothing of what is picked, or nothing that is not omitted."""
+    return not_found(f"pick and omit leave nothing of entity {entity_id}; ask for something that it has")
 
 
 def _absent_instance(exchange: Exchange, dataset: str | None) -> Problem:
@@ -346,17 +354,13 @@ def _without_context(document: dict[str, Any]) -> dict[str, Any]:
     return {member: value for member, value in document.items() if member != "@context"}
 
 
-def _update_result(change: Change, outcome: Outcome, context: Context) -> Answer:
+def _update_result(change: Change, outcome: Outcome) -> Answer:
+    """Return what became of the attributes (5.2.18); their names are IRIs, for it has no @context (6.3.6)."""
     if not outcome.refused:
         return DONE
-    compact = context.terms.compact
     names = [*change.attributes, "scope"] if change.scopes and outcome.entity.scopes else change.attributes
     body = {
-        "updated": [
-            compact(name) for name in names if name not in outcome.refused or name in outcome.touched
-        ],
-        "notUpdated": [
-            {"attributeName": compact(name), "reason": reason} for name, reason in outcome.refused.items()
-        ],
+        "updated": [name for name in names if name not in outcome.refused or name in outcome.touched],
+        "notUpdated": [{"attributeName": name, "reason": reason} for name, reason in outcome.refused.items()],
     }
-    return Answer(207, orjson.dumps(body), [(b"content-type", b"application/json")])
+    return Answer(207, orjson.dumps(body), [(b"content-type", JSON.encode())])

@@ -4,9 +4,8 @@ Every fault is a problem that names the attribute, the rule and the way out (cla
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from handover.errors import Problem
 from services.context_broker.api.problems import bad_request_data
@@ -39,6 +38,8 @@ _KIND_OF: Final = {said: kind for kind, said in SAYS.items() if kind != "GeoProp
 _TIMES: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"})
 _FROM_THE_BROKER: Final = _TIMES | {"instanceId"}
 """Members that only the broker writes; a writer that sends back what it read is not refused."""
+_SAID_BESIDE: Final = METADATA - {"type"}
+_NO_ATTRIBUTES: Final = _FROM_THE_BROKER | {"type", "@type"}
 _ONLY_SHOWN: Final = frozenset(
     {"previousValue", "previousObject", "previousLanguageMap", "previousJson", "previousVocab",
      "previousValueList", "previousObjectList", "entity", "entityList"}
@@ -86,8 +87,7 @@ def nulls_in(raw: bytes, allowed: Nulls) -> Nulls:
     return allowed if _NULL_TEXT in raw or _ESCAPE in raw else Nulls.VALUES
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
+class Change(NamedTuple):
     """What a writer said about an entity: its id if given, its types if given, and attributes.
 
     `scopes` is None where nothing is said of them, empty where they are to be deleted; `expires_at` is None
@@ -113,7 +113,7 @@ def read_entity(document: Any, terms: Terms, nulls: Nulls = Nulls.NOWHERE) -> Ch
 
 def read_change(document: Any, terms: Terms, nulls: Nulls = Nulls.VALUES) -> Change:
     """Return part of an entity, as append, update and merge take it."""
-    if not isinstance(document, Mapping):
+    if not isinstance(document, dict):
         raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
     entity_id: str | None = None
     types: tuple[str, ...] = ()
@@ -265,8 +265,8 @@ def _read_instance(name: str, given: Any, terms: Terms, depth: int) -> Instance:
     for member, value in given.items():
         if member == says:
             instance[member] = SAID[kind](name, value, terms)
-        elif member in METADATA:
-            if member != "type" and (member, value) != ("datasetId", DEFAULT_INSTANCE):
+        elif member in _SAID_BESIDE:
+            if member != "datasetId" or value != DEFAULT_INSTANCE:
                 instance[member] = _metadata(name, kind, member, value, terms)
         elif member in SAYING:
             raise bad_request_data(f'attribute {shown(name)} is a {kind}: it has "{says}", not "{member}"')
@@ -274,7 +274,7 @@ def _read_instance(name: str, given: Any, terms: Terms, depth: int) -> Instance:
             instance[member] = _sealed(name, member, value, terms)
         elif member in _ONLY_SHOWN or member == "@context":
             raise bad_request_data(f"attribute {shown(name)} cannot be given {shown(member)}; leave it out")
-        elif member not in _FROM_THE_BROKER and member != "@type":
+        elif member not in _NO_ATTRIBUTES:
             _take_attribute(below, member, value, terms, depth + 1)
     if says not in instance:
         raise bad_request_data(f'attribute {shown(name)} is a {kind} without "{says}"; add it')

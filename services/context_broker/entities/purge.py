@@ -29,7 +29,7 @@ _SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt",
 async def purge(exchange: Exchange) -> Answer:
     """DELETE entities: 204 when all are purged, 207 with what was not."""
     context = await exchange.reader_context()
-    selection = _selection(exchange, context)
+    selection = selection_to_purge(exchange, context)
     names, keep = _named(exchange, context)
     store = exchange.tenant.store
     ids = [entity.id for entity in await hits_of(store, selection)]
@@ -63,7 +63,7 @@ async def purge(exchange: Exchange) -> Answer:
 def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | None:
     """Return what the purge makes of an entity, None if it has nothing of what is to go."""
     if names is None:
-        return Event(entity, None)
+        return Event.end_of(entity)
     outcome = changes.pruned(entity, names, timestamp_now(), keep=keep)
     return None if outcome.entity is entity else Event(entity, outcome.entity, outcome.touched)
 
@@ -76,7 +76,7 @@ def _named(exchange: Exchange, context: Context) -> tuple[frozenset[str] | None,
     return names_of(drop if keep is None else keep, context), keep is not None
 
 
-def _selection(exchange: Exchange, context: Context) -> Selection:
+def selection_to_purge(exchange: Exchange, context: Context) -> Selection:
     """Return what is to be purged; raise a problem (400) if that is whatever is there.
 
     Ids and system attributes alone choose nothing, unless only attributes are to go (clause 5.6.21.4).

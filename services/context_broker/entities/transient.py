@@ -123,7 +123,7 @@ class Ends:
 
     def _end(self, store: Store, entity: Entity, now_s: float) -> None:
         if entity.expires_at is not None and (moment(entity.expires_at) or 0.0) <= now_s:
-            event = Event(entity, None)
+            event = Event.end_of(entity)
         else:
             outcome = changes.outlived(entity, now_s, timestamp_now())
             event = Event(entity, outcome.entity, outcome.touched)

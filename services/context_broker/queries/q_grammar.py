@@ -170,6 +170,8 @@ class _Parser:
     def whole(self) -> Term:
         term = self.either(0)
         if self.at < len(self.text):
+            if self.text.startswith("}.", self.at - 1):
+                self.fail("what is asked of a linked entity stands in the braces: sensor{Sensor:humidity}")
             self.fail("expected ; or | or the end")
         return term
 

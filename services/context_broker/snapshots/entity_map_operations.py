@@ -15,7 +15,13 @@ from services.context_broker.queries.pages import PLACE
 from services.context_broker.queries.query_document import query_parameters, selectors_of
 from services.context_broker.queries.reading import QUERY_PARAMETERS, selection_of, window_of
 from services.context_broker.queries.selection import Selection, hits_of
-from services.context_broker.snapshots.entity_maps import MAP_PARAMETERS, MOST_ENTITIES, OWN, EntityMap
+from services.context_broker.snapshots.entity_maps import (
+    MAP_PARAMETERS,
+    MOST_ENTITIES,
+    OWN,
+    EntityMap,
+    Listed,
+)
 from services.context_broker.sources.registration_operations import answer, with_context
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.store import Mix, Store
@@ -94,7 +100,7 @@ class EntityMapOperations:
         order = ordering(parameters, context.terms.expand)
         if order is not None:
             hits = sorted(hits, key=order.place_of)
-        return await self._kept(exchange, {one.id: _origins(store, one.id) for one in hits})
+        return await self._kept(exchange, {one.id: list(_origins(store, one.id)) for one in hits})
 
     async def create_temporal(self, exchange: Exchange) -> Answer:
         """GET or POST temporal/entityMaps (clause 5.14.5)."""
@@ -115,11 +121,16 @@ class EntityMapOperations:
         return await self._kept(exchange, mapped)
 
     async def answer(self, operation: Operation, exchange: Exchange, perform: Performing) -> Answer:
-        """Answer a query that names a map, or wants one made (clauses 5.5.14 and 6.4.3.2)."""
+        """Answer a query that names a map, or wants one made (clauses 5.5.14 and 6.4.3.2).
+
+        Where the map that is named is not there, or not any more, one is made (clause 5.7.2.4).
+        """
         named = exchange.headers.get(HEADER)
         if named is not None:
             map_id = unquote(named.decode("latin-1").strip().rstrip("/").rpartition("/")[2])
-            return await self._page(exchange, exchange.tenant.entity_maps.get(map_id), perform)
+            one = exchange.tenant.entity_maps.find(map_id)
+            if one is not None:
+                return await self._page(exchange, one, perform)
         past = operation.name == "queryTemporal"
         making = "createEntityMapQueryTemporal" if past else "createEntityMapQueryEntity"
         parameters = _for_the_query(exchange.parameters)
@@ -137,16 +148,18 @@ class EntityMapOperations:
         """Answer with the piece of a map that is asked for; what no longer fits the query is left out."""
         wanted = in_place_of(exchange, parameters=_for_the_query(exchange.parameters))
         window = (temporal_window if "/temporal/" in wanted.path else window_of)(wanted)
-        ids = list(one.entities)
+        given = _ids_in(exchange)
+        ids = [entity for entity in one.entities if given is None or entity in given]
         some = ids[window.offset : window.offset + window.limit] or [_NOBODY]
         parameters = {
             **_without(wanted.parameters, {"offset", "count", "idPattern", PLACE}),
             "limit": str(len(some)),
         }
         if exchange.method == "GET":
-            asking = in_place_of(exchange, parameters={**parameters, "id": ",".join(some)})
+            asking = in_place_of(exchange, entity_map=one, parameters={**parameters, "id": ",".join(some)})
         else:
-            asking = in_place_of(exchange, parameters=parameters, raw=_narrowed(exchange, some))
+            raw = _narrowed(exchange, some)
+            asking = in_place_of(exchange, entity_map=one, parameters=parameters, raw=raw)
         result = await perform(asking)
         headers = [header for header in result.headers if not _is_page_link(header)]
         if window.count:
@@ -160,9 +173,15 @@ class EntityMapOperations:
         return Answer(result.status, result.body, [*headers, _location(one)])
 
     @staticmethod
-    async def _kept(exchange: Exchange, entities: Mapping[str, list[str]]) -> Answer:
+    async def _kept(exchange: Exchange, entities: dict[str, list[str]]) -> Answer:
+        """Keep a map of the entities that were found here and of those that the maps of sources list."""
+        elsewhere = exchange.elsewhere or Listed()
+        for one, registrations in elsewhere.entities.items():
+            known = entities.setdefault(one, [])
+            known += [registration for registration in registrations if registration not in known]
+        lifetime = exchange.parameter("entityMapLifetime")
         try:
-            made = await exchange.tenant.entity_maps.make(entities, exchange.parameter("entityMapLifetime"))
+            made = await exchange.tenant.entity_maps.make(entities, lifetime, elsewhere.linked)
         except NotStored as error:
             raise not_stored(str(error)) from error
         return await _told(exchange, made, 201)
@@ -199,6 +218,22 @@ def _narrowed(exchange: Exchange, ids: list[str]) -> bytes:
         return exchange.raw
     narrowed = [{"id": ids, **({"type": one["type"]} if "type" in one else {})} for one in selectors]
     return orjson.dumps({**document, "entities": narrowed})
+
+
+def _ids_in(exchange: Exchange) -> set[str] | None:
+    """Return the ids that a request asks for; None if it may be any."""
+    if exchange.method == "GET":
+        given = exchange.parameter("id")
+        return None if given is None else set(given.split(","))
+    document = exchange.document()
+    selectors = document.get("entities") if isinstance(document, dict) else None
+    found: set[str] = set()
+    for one in selectors if isinstance(selectors, list) else [None]:
+        ids = one.get("id") if isinstance(one, dict) else None
+        if ids is None:
+            return None
+        found |= {each for each in (ids if isinstance(ids, list) else [ids]) if isinstance(each, str)}
+    return found
 
 
 def _is_page_link(header: tuple[bytes, bytes]) -> bool:

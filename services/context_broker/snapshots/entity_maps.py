@@ -2,12 +2,13 @@
 
 A map (clauses 4.5.25, 5.2.39 and 5.5.14) lists the ids of all hits, each with the registrations whose sources
 told of it and `@none` where the broker has it itself. A query that names a map is answered from its ids, page
-by page, however entities change meanwhile; and of sources only what a page needs is asked for.
+by page, however entities change meanwhile; and of sources only what a page needs is asked for. A source that
+makes maps is asked by its own.
 """
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Final
 from uuid import uuid4
@@ -40,13 +41,25 @@ MOST_HELD: Final = 1_000_000
 """Entities in all maps of a tenant; the maps that end first give way to new ones."""
 
 
+@dataclass(slots=True)
+class Listed:
+    """What the maps of sources list: entities with the registrations that have them, maps by registration."""
+
+    entities: dict[str, list[str]] = field(default_factory=dict)
+    linked: dict[str, str] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, slots=True)
 class EntityMap:
-    """The ids of the entities that answer a query, in order, each with those that have it."""
+    """The ids of the entities that answer a query, in order, each with those that have it.
+
+    `linked` are the ids of the maps that sources made for the same query, by registration.
+    """
 
     id: str
     entities: Mapping[str, list[str]]
     expires_at: str
+    linked: Mapping[str, str] = field(default_factory=dict)
 
     def is_over(self, now_s: float) -> bool:
         """Say whether it has expired."""
@@ -59,7 +72,7 @@ class EntityMap:
             "type": TYPE,
             "expiresAt": self.expires_at,
             "entityMap": self.entities,
-            "linkedMaps": {},
+            "linkedMaps": self.linked,
         }
 
 
@@ -78,23 +91,32 @@ class EntityMaps:
     def take(self, body: bytes) -> None:
         """Take up what was kept."""
         document = orjson.loads(body)
-        self._all[document["id"]] = EntityMap(document["id"], document["entityMap"], document["expiresAt"])
+        self._all[document["id"]] = EntityMap(
+            document["id"], document["entityMap"], document["expiresAt"], document.get("linkedMaps", {})
+        )
 
     def forget(self, map_id: str) -> None:
         """Forget a map that another broker deleted."""
         self._all.pop(map_id, None)
 
-    def get(self, map_id: str) -> EntityMap:
-        """Return a map; raise a problem (404) if it is not there or has expired."""
+    def find(self, map_id: str) -> EntityMap | None:
+        """Return a map; None if it is not there or has expired."""
         require_uri(map_id, "the id of an entity map")
         found = self._all.get(map_id)
-        if found is None or found.is_over(time.time()):
+        return None if found is None or found.is_over(time.time()) else found
+
+    def get(self, map_id: str) -> EntityMap:
+        """Return a map; raise a problem (404) if it is not there or has expired."""
+        found = self.find(map_id)
+        if found is None:
             raise not_found(
                 f"there is no entity map {map_id}, or it has expired; make another with GET entityMaps"
             )
         return found
 
-    async def make(self, entities: Mapping[str, list[str]], lifetime: str | None) -> EntityMap:
+    async def make(
+        self, entities: Mapping[str, list[str]], lifetime: str | None, linked: Mapping[str, str]
+    ) -> EntityMap:
         """Keep a new map; raises a problem (403) if it has too many entities, `NotStored` if it cannot."""
         if len(entities) > MOST_ENTITIES:
             raise too_many_results(
@@ -102,7 +124,10 @@ class EntityMaps:
             )
         expires_s = time.time() + lifetime_s(lifetime)
         made = EntityMap(
-            f"urn:ngsi-ld:EntityMap:{uuid4()}", entities, timestamp(datetime.fromtimestamp(expires_s, UTC))
+            f"urn:ngsi-ld:EntityMap:{uuid4()}",
+            entities,
+            timestamp(datetime.fromtimestamp(expires_s, UTC)),
+            linked,
         )
         entries = self._entries(made)
         for gone in self._in_excess_of(len(entities)):
@@ -123,7 +148,7 @@ class EntityMaps:
             return  # what else it has is the broker's to say, and is ignored
         wanted_s = moment(require_future(document["expiresAt"], '"expiresAt"')) or 0.0
         ends_s = min(wanted_s, time.time() + LONGEST_LIFETIME_S)
-        changed = EntityMap(found.id, found.entities, timestamp(datetime.fromtimestamp(ends_s, UTC)))
+        changed = replace(found, expires_at=timestamp(datetime.fromtimestamp(ends_s, UTC)))
         await self._commits.store(self._entries(changed))
         self._all[map_id] = changed
 

@@ -44,9 +44,9 @@ from services.context_broker.snapshots.snapshot import (
     new_snapshot,
     status_of,
 )
-from services.context_broker.snapshots.telling import tell
+from services.context_broker.snapshots.telling import Tellings, restored, telling_of
 from services.context_broker.sources.registration_operations import answer, with_context
-from services.context_broker.storage.journal import Entries, Kind, NotStored
+from services.context_broker.storage.journal import Entries, Journal, Kind, NotStored
 from services.context_broker.storage.tenants import DEFAULT, Tenant, Tenants
 
 log = get_logger(__name__)
@@ -70,6 +70,7 @@ class SnapshotOperations:
         self._tenants = tenants
         self._carry_out = carry_out
         self._by_name = by_name
+        self.tellings = Tellings(tenants)
         self._one_at_a_time = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -85,19 +86,28 @@ class SnapshotOperations:
             Operation("POST", clone, "cloneSnapshot", "6.38.3.1", self.clone),
         )
 
-    def start(self) -> None:
-        """See to the ends of the snapshots of before, and clear away what a power cut has left of others."""
+    def start(self, journal: Journal) -> None:
+        """See to the ends of the snapshots of before, and clear away what a power cut has left of others.
+
+        What was not told is told now, and that what was being made has failed.
+        """
+        owed = [restored(*stored) for stored in journal.documents(Kind.SNAPSHOT_TELLING)]
+        for telling in sorted(owed, key=lambda one: one.at):
+            self.tellings.take(telling)
         kept: set[str] = set()
         for tenant in self._tenants:
             kept.update(inside(tenant.name, one) for one in tenant.snapshots)
             for one in tenant.snapshots.values():
                 self.see_to_its_end(tenant, one)
+                if one.was_cut_short and self._tenants.leadership.leads:
+                    self._later(self._keep(tenant, one, tells=True))
         for tenant in self._tenants:
             if outside(tenant.name)[1] is not None and tenant.name not in kept:
                 self._later(self._clear(tenant))
 
-    def follow(self, tenant: Tenant, snapshot_id: str, body: bytes | None) -> None:
-        """Take what another broker did to a snapshot."""
+    async def follow(self, name: str, snapshot_id: str, body: bytes | None) -> None:
+        """Take what another broker did to a snapshot of the tenant of that name."""
+        tenant = self._tenants.kept(name)
         if body is None:
             tenant.snapshots.pop(snapshot_id, None)
         else:
@@ -108,6 +118,7 @@ class SnapshotOperations:
         """Make no more; what is unfinished has failed at the next start."""
         for task in self._tasks:
             task.cancel()
+        self.tellings.stop()
 
     def inside(self, exchange: Exchange) -> Tenant:
         """Return what a request with NGSILD-Snapshot is about (clause 6.3.22); raise a problem (404)."""
@@ -157,8 +168,7 @@ class SnapshotOperations:
             after = before.changed(**members)
             if after.document.get("snapshotPriority") is None:
                 after.document["snapshotPriority"] = before.document["snapshotPriority"]
-            await self._keep(exchange.tenant, after)
-        self._later(tell(exchange.tenant, after))
+            await self._keep(exchange.tenant, after, tells=True)
         return await _told(exchange, after)
 
     async def delete(self, exchange: Exchange) -> Answer:
@@ -259,8 +269,7 @@ class SnapshotOperations:
                 await self._clear(self._tenants.inside(tenant, made.id))
                 return
             done = now.changed(snapshotStatus=status.value, **results)
-            await self._keep(tenant, done)
-        await tell(tenant, done)
+            await self._keep(tenant, done, tells=True)
 
     def _crowded_out(self, tenant: Tenant, made: Snapshot, more: int) -> list[Snapshot]:
         """Return the snapshots that have to go so that there is room for more entities in another."""
@@ -274,10 +283,16 @@ class SnapshotOperations:
 
     # Keeping
 
-    async def _keep(self, tenant: Tenant, one: Snapshot) -> None:
-        await _write(tenant, _entries(tenant, one))
+    async def _keep(self, tenant: Tenant, one: Snapshot, *, tells: bool = False) -> None:
+        telling = telling_of(tenant.name, one) if tells else None
+        entries = _entries(tenant, one)
+        if telling is not None:
+            entries.documents[telling.key] = telling.stored()
+        await _write(tenant, entries)
         tenant.snapshots[one.id] = one
         self.see_to_its_end(tenant, one)
+        if telling is not None:
+            self.tellings.take(telling)
 
     async def _end(self, tenant: Tenant, one: Snapshot) -> None:
         async with self._one_at_a_time:
@@ -286,11 +301,15 @@ class SnapshotOperations:
 
     async def _take_away(self, tenant: Tenant, one: Snapshot) -> None:
         """Delete a snapshot and all that belongs to it; who is told of it is told so (clause 5.16.6)."""
-        await _write(tenant, Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): None}))
+        gone = Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): None})
+        telling = telling_of(tenant.name, one.changed(expiresAt=timestamp_now()))
+        if telling is not None:
+            gone.documents[telling.key] = telling.stored()
+        await _write(tenant, gone)
         tenant.snapshots.pop(one.id, None)
         await self._clear(self._tenants.inside(tenant, one.id))
-        gone = one.changed(expiresAt=timestamp_now())
-        self._later(tell(tenant, gone))
+        if telling is not None:
+            self.tellings.take(telling)
 
     async def _clear(self, inner: Tenant) -> None:
         """Take all that belongs to a snapshot off the disk."""

@@ -57,11 +57,15 @@ class Status(StrEnum):
 
 @dataclass(slots=True, eq=False)
 class Snapshot:
-    """A snapshot. `document` is what a reader gets and what is kept; `written_s` when it was last written."""
+    """A snapshot. `document` is what a reader gets and what is kept; `written_s` when it was last written.
+
+    `was_cut_short` is one that was being made when the broker ended.
+    """
 
     id: str
     document: dict[str, Any]
     written_s: float = 0.0
+    was_cut_short: bool = False
 
     @property
     def status(self) -> Status:
@@ -90,9 +94,10 @@ class Snapshot:
 def restored(body: bytes) -> dict[str, Snapshot]:
     """Return a snapshot that was kept, by its id; one that was being made when the broker ended failed."""
     document = orjson.loads(body)
-    if document["snapshotStatus"] == Status.PREPARING:
+    was_cut_short = document["snapshotStatus"] == Status.PREPARING
+    if was_cut_short:
         document["snapshotStatus"] = Status.FAILURE.value
-    return {document["id"]: Snapshot(document["id"], document)}
+    return {document["id"]: Snapshot(document["id"], document, was_cut_short=was_cut_short)}
 
 
 def new_snapshot(snapshot_id: str, given: Mapping[str, Any]) -> Snapshot:

@@ -19,7 +19,8 @@ _ENTITY_MAPS: Final = frozenset(
 )  # fmt: skip
 _RETRIEVING: Final = frozenset({"retrieveEntity", "queryEntity"})
 _UPDATING: Final = frozenset({"updateEntity", "updateAttrs", "replaceEntity", "replaceAttrs"})
-_ASSOCIATING: Final = _RETRIEVING | _DISCOVERY | _SUBSCRIBING | {"queryBatch"}
+_IDENTITY: Final = frozenset({"retrieveContextSourceIdentity"})
+_ASSOCIATING: Final = _RETRIEVING | _DISCOVERY | _SUBSCRIBING | _IDENTITY | {"queryBatch"}
 _CHANGING: Final = _UPDATING | {
     "createEntity", "appendAttrs", "deleteAttrs", "deleteEntity", "mergeEntity", "purgeEntity"
 }  # fmt: skip
@@ -38,13 +39,11 @@ GROUPS: Final = {
     "associationOps": _ASSOCIATING,
     "updateOps": _UPDATING,
     "retrieveOps": _RETRIEVING,
-    "redirectionOps": _CHANGING | _RETRIEVING | _DISCOVERY | _ENTITY_MAPS,
+    "redirectionOps": _CHANGING | _RETRIEVING | _DISCOVERY | _ENTITY_MAPS | _IDENTITY,
 }
 FOR_GAPS: Final = _RETRIEVING
 """What an auxiliary registration may take (clause 5.9.2.4)."""
-NAMES: Final = (
-    _ASSOCIATING | _ENTITY_MAPS | _CHANGING | TEMPORAL | BATCHES | {"retrieveContextSourceIdentity"}
-)
+NAMES: Final = _ASSOCIATING | _ENTITY_MAPS | _CHANGING | TEMPORAL | BATCHES
 
 
 def operations_of(names: Iterable[str]) -> frozenset[str]:

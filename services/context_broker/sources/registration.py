@@ -5,7 +5,7 @@ registration made ready for matching; `registration_intake` reads what is sent, 
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, Final
@@ -177,7 +177,8 @@ class Registration:
     none), `alias` what it calls itself in Via. `operations` are single operations, groups are resolved.
     `source_info` are the pairs of contextSourceInfo in their order. `places` maps location, observationSpace
     and operationSpace to the geometries given. `described` is the registration as an entity, whose attributes
-    (its own properties, plain members and places) filters can ask for. `attempts` counts on.
+    (its own properties, plain members and places) filters can ask for. `datasets` are the datasetIds that the
+    source has, with None for instances that have none; None where it may have any. `attempts` counts on.
     """
 
     id: str
@@ -194,6 +195,7 @@ class Registration:
     places: Mapping[str, Mapping[str, Any]]
     observed: Interval | None
     managed: Interval | None
+    datasets: frozenset[str | None] | None
     management: Management
     expires_at_s: float
     described: Entity
@@ -285,6 +287,28 @@ class Match:
                     return None
                 found |= part.attributes
         return frozenset(found)
+
+    def in_questions(self, most_ids: int) -> Iterator["Match"]:
+        """Yield the match in pieces with so many ids at most; itself if it does not go by ids."""
+        ids = self.ids
+        if ids is None or len(ids) <= most_ids:
+            yield self
+            return
+        for start in range(0, len(ids), most_ids):
+            some = frozenset(ids[start : start + most_ids])
+            parts = (
+                replace(part, ids=tuple(filter(some.__contains__, part.ids or ()))) for part in self.parts
+            )
+            yield Match(self.registration, tuple(part for part in parts if part.ids))
+
+    def among(self, holders: Mapping[str, Iterable[str]]) -> "Match":
+        """Return the match narrowed to entities of which the registration is one of the `holders`."""
+        mine = self.registration.id
+        narrowed = (
+            replace(part, ids=tuple(one for one in part.ids or holders if mine in holders.get(one, ())))
+            for part in self.parts
+        )
+        return Match(self.registration, tuple(part for part in narrowed if part.ids))
 
 
 Where = Callable[[Registration], bool]

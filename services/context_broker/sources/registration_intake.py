@@ -21,7 +21,7 @@ from services.context_broker.api.words import (
 )
 from services.context_broker.contexts.book import Context
 from services.context_broker.entities.entity import Entity
-from services.context_broker.entities.intake import expand, read_attribute
+from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand, read_attribute
 from services.context_broker.queries.geometry import fault_of
 from services.context_broker.queries.patterns import pattern
 from services.context_broker.sources import operation_names as names
@@ -42,7 +42,7 @@ _TEXTS: Final = ("registrationName", "description", "tenant", "contextSourceAlia
 _PLAIN: Final = frozenset(
     {"id", "registrationName", "description", "information", "tenant", "observationInterval",
      "managementInterval", *PLACES, "expiresAt", "endpoint", "contextSourceInfo", "contextSourceAlias",
-     "scope", "mode", "operations", "refreshRate", "management"}
+     "scope", "mode", "operations", "refreshRate", "management", "datasetId"}
 )  # fmt: skip
 _FROM_THE_BROKER: Final = frozenset(
     {"createdAt", "modifiedAt", "deletedAt", "status", "timesSent", "timesFailed", "lastSuccess",
@@ -116,6 +116,7 @@ def registration(document: Mapping[str, Any], context: Context) -> Registration:
         places={name: _place(document[name], name) for name in PLACES if name in document},
         observed=observed,
         managed=managed,
+        datasets=_datasets(document.get("datasetId")),
         management=_management(document.get("management", {})),
         expires_at_s=_expiry(document.get("expiresAt")),
         described=_described(document, context),
@@ -290,6 +291,17 @@ def _source_info(given: Any) -> tuple[tuple[str, str], ...]:
 
 def _scopes(given: Any) -> tuple[str, ...]:
     return tuple(require_scope(one) for one in (given if isinstance(given, list) else [given]))
+
+
+def _datasets(given: Any) -> frozenset[str | None] | None:
+    if given is None:
+        return None
+    if isinstance(given, list) and not given:
+        raise bad_request_data('"datasetId" is a list with at least one datasetId; leave it out for all')
+    return frozenset(
+        None if one == DEFAULT_INSTANCE else require_uri(one, "a datasetId of a registration")
+        for one in (given if isinstance(given, list) else [given])
+    )
 
 
 def _place(given: Any, name: str) -> Mapping[str, Any]:

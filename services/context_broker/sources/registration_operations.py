@@ -89,6 +89,16 @@ class RegistrationOperations:
         tenant.registry.put(made)
         self._see_to_its_end(tenant, made)
 
+    async def renew(self, tenant: Tenant, context_id: str) -> None:
+        """Make those registrations anew whose context was fetched anew."""
+        async with self._one_at_a_time:
+            for one in list(tenant.registry):
+                if one.context.is_made_of(context_id):
+                    context = await self._contexts.as_before(one.document["context"])
+                    made = registration(one.document, context).going_on_from(one)
+                    tenant.registry.put(made)
+                    self._see_to_its_end(tenant, made)
+
     async def create(self, exchange: Exchange) -> Answer:
         """POST csourceRegistrations."""
         given, context = await exchange.body()

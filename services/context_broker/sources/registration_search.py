@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import moment, require_name, require_time, require_uri, shown
+from services.context_broker.api.words import require_name, require_uri, shown
 from services.context_broker.contexts.book import Context
 from services.context_broker.entities.intake import expand
 from services.context_broker.queries import geo_query
@@ -18,26 +18,13 @@ from services.context_broker.queries.patterns import pattern
 from services.context_broker.queries.scope_query import ScopeQuery, scope_query
 from services.context_broker.queries.selection import Selection, compiled
 from services.context_broker.queries.type_selection import type_selection
-from services.context_broker.sources.registration import Asked, Interval, Registration
+from services.context_broker.sources.reach import Period, is_surely_there, period_of
+from services.context_broker.sources.registration import Asked, Registration
 
 SEARCH_PARAMETERS: Final = geo_query.PARAMETERS | {
     "id", "type", "idPattern", "attrs", "q", "csf", "timerel", "timeAt", "endTimeAt", "timeproperty", "scopeQ"
 }  # fmt: skip
 _ENOUGH: Final = ("id", "type", "idPattern", "attrs", "q", "csf", "georel", "scopeQ")
-_MANAGED_TIMES: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"})
-
-
-@dataclass(frozen=True, slots=True)
-class Period:
-    """A time that is asked for, and whether the broker's own times are meant, not those of observation."""
-
-    span: Interval
-    is_managed: bool
-
-    def meets(self, one: Registration) -> bool:
-        """Say whether the source has anything of this time."""
-        has = one.managed if self.is_managed else one.observed
-        return has is not None and has[0] <= self.span[1] and has[1] >= self.span[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +46,7 @@ class Search:
             return False
         return (
             all(condition.wants(one.described) for condition in self.filters)
-            and (self.place is None or self.place.wants(one.described))
+            and (self.place is None or is_surely_there(self.place, one))
             and (self.scope is None or self.scope.wants(one.scopes))
         )
 
@@ -104,20 +91,3 @@ def asked_of(ids: list[str] | None, id_pattern: Any, types: Any, context: Contex
 
 def _expanded(names: list[str], context: Context) -> list[str]:
     return [expand(require_name(name, "a name in attrs"), context.terms) for name in names]
-
-
-def period_of(given: Mapping[str, Any]) -> Period | None:
-    """Return the time that a temporal query (clause 4.11) asks for; None if it asks for none."""
-    relation = given.get("timerel")
-    if relation is None:
-        return None
-    at_s = moment(require_time(given.get("timeAt"), "timeAt")) or 0.0
-    is_managed = given.get("timeproperty") in _MANAGED_TIMES
-    if relation == "before":
-        return Period((float("-inf"), at_s), is_managed)
-    if relation == "after":
-        return Period((at_s, float("inf")), is_managed)
-    if relation == "between":
-        end_s = moment(require_time(given.get("endTimeAt"), "endTimeAt")) or 0.0
-        return Period((at_s, end_s), is_managed)
-    raise bad_request_data(f"timerel is before, after or between, not {shown(relation)}")

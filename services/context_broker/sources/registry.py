@@ -12,6 +12,7 @@ import orjson
 
 from services.context_broker.api.words import timestamp_now
 from services.context_broker.entities.entity import Entity
+from services.context_broker.sources.reach import may_hold
 from services.context_broker.sources.registration import (
     Asked,
     Attempts,
@@ -89,21 +90,24 @@ class Registry:
         if self.holds(registration):
             self.remove(registration.id)
 
-    def matching(self, operation: str, asked: Asked = ANY, where: Where | None = None) -> list[Match]:
+    def matching(
+        self, operation: str | tuple[str, ...], asked: Asked = ANY, where: Where | None = None
+    ) -> list[Match]:
         """Return the registrations whose source takes `operation` and may serve some of what is `asked`.
 
-        `operation` is named as in table 4.20-1. The matches come in the order of `Mode` (exclusive, redirect,
-        inclusive, auxiliary), those of one mode in the order of their creation. What an exclusive or redirect
-        source has is not taken from the parts of the others: that is for the asker to do, who knows what the
-        operation means (clause 4.3.6.3).
+        `operation` is named as in table 4.20-1; of several, any will do. The matches come in the order of
+        `Mode` (exclusive, redirect, inclusive, auxiliary), those of one mode in the order of creation. What
+        an exclusive or redirect source has is not taken from the parts of the others: that is for the asker
+        to do, who knows what the operation means (clause 4.3.6.3).
         """
         if self.is_empty:
             return []
         now_s = time.time()
+        names = (operation,) if isinstance(operation, str) else operation
         found = [
             Match(one, parts)
             for one in self._candidates(asked)
-            if one.takes(operation)
+            if any(one.takes(name) for name in names)
             and not one.is_over(now_s)
             and (parts := one.parts(asked))
             and (where is None or where(one))
@@ -225,7 +229,7 @@ def claims(registration: Registration, entity: Entity) -> bool:
     An exclusive one is if the entity has one of its attributes, a redirect one if the entity is one of those
     that it is about and has, where it names attributes, one of them.
     """
-    return any(
+    return may_hold(registration, entity) and any(
         piece.is_about(entity)
         and (piece.attributes is None or not piece.attributes.isdisjoint(entity.attributes))
         for piece in registration.information

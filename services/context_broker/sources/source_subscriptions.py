@@ -5,9 +5,10 @@ a search for registrations asks. What is owed is written in the same commit as t
 """
 
 import time
-from collections.abc import Iterable
+from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any, Final
+from itertools import islice, takewhile
+from typing import Any
 from uuid import uuid4
 
 import orjson
@@ -17,18 +18,16 @@ from services.context_broker.entities.rendering import with_context
 from services.context_broker.queries.geo_query import geo_query_document
 from services.context_broker.queries.scope_query import scope_query
 from services.context_broker.queries.selection import Selection, compiled
+from services.context_broker.sources.reach import period_of
 from services.context_broker.sources.registration import Asked, Registration, shown_document
-from services.context_broker.sources.registration_search import Search, asked_of, period_of
+from services.context_broker.sources.registration_search import Search, asked_of
 from services.context_broker.sources.registry import Registry
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.journal import Notice
-from services.context_broker.subscriptions.courier_office import CourierOffice
+from services.context_broker.subscriptions.courier_office import MOST_TOLD_AT_ONCE, CourierOffice
 from services.context_broker.subscriptions.outbound import Outbound
 from services.context_broker.subscriptions.periodic import Rounds
 from services.context_broker.subscriptions.subscription import JSON_LD, Subscription
-
-MOST_AT_ONCE: Final = 1000
-"""Registrations in one notification; more come in several."""
 
 
 class Reason(StrEnum):
@@ -40,10 +39,7 @@ class Reason(StrEnum):
 
 
 class SourceOffice(CourierOffice):
-    """Keeps a tenant's subscriptions to registrations; those with a timeInterval are told in rounds.
-
-    Registrations change so rarely that throttling is not heeded.
-    """
+    """Keeps a tenant's subscriptions to registrations; those with a timeInterval are told in rounds."""
 
     def __init__(self, tenant: str, commits: Commits, outbound: Outbound, registry: Registry) -> None:
         super().__init__(tenant, commits, outbound)
@@ -65,6 +61,17 @@ class SourceOffice(CourierOffice):
         one = None if changed is None else self.get(changed)
         if self.outbound.leadership.leads and self._rounds.concern(changed, one):
             self._rounds.heed(self.all())
+
+    def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
+        """Return the first notices that have one reason: a notification gives one for all that it tells."""
+        reason = _reason_in(next(iter(notices)))
+        alike = takewhile(lambda one: _reason_in(one[0]) == reason, notices.items())
+        return dict(islice(alike, MOST_TOLD_AT_ONCE))
+
+    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+        """Return what to tell of registrations that changed while throttled, as each was last."""
+        told = [orjson.Fragment(one.body[1:-1]) for one in notices.values() if one.body is not None]
+        return _notification(subscription, told, _reason_in(next(iter(notices))))
 
     async def _tell_all(self, subscription: Subscription) -> None:
         courier = self._couriers.get(subscription.id)
@@ -139,36 +146,47 @@ def _notices(
     book: CourierOffice, subscription: Subscription, search: Search, found: list[Registration], reason: Reason
 ) -> list[Notice]:
     now_s = time.time()
+    told = [
+        shown_document(
+            one,
+            subscription.context,
+            sys_attrs=subscription.view.sys_attrs,
+            pieces=one.relevant(search.questions),
+        )
+        for one in found
+    ]
+    if subscription.throttling_s:
+        return [
+            Notice(book.tenant, subscription.id, f"{reason.value} {one.id}", now_s, orjson.dumps([document]))
+            for one, document in zip(found, told, strict=True)
+        ]
     return [
         Notice(
             book.tenant,
             subscription.id,
             subscription.id,
             now_s,
-            _notification(subscription, search, found[start : start + MOST_AT_ONCE], reason),
+            _notification(subscription, told[start : start + MOST_TOLD_AT_ONCE], reason.value),
         )
-        for start in range(0, len(found), MOST_AT_ONCE)
+        for start in range(0, len(told), MOST_TOLD_AT_ONCE)
     ]
 
 
-def _notification(
-    subscription: Subscription, search: Search, told: Iterable[Registration], reason: Reason
-) -> bytes:
+def _reason_in(entity: str) -> str:
+    """Return the reason of a notice that waits for throttling; it stands before the registration's id."""
+    return entity.partition(" ")[0]
+
+
+def _notification(subscription: Subscription, data: list[Any], reason: str) -> bytes:
     """Return a notification (clause 5.3.2)."""
-    context = subscription.context
-    sys_attrs = subscription.view.sys_attrs
-    data: list[dict[str, Any]] = [
-        shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.questions))
-        for one in told
-    ]
     body = orjson.dumps(
         {
             "id": f"urn:ngsi-ld:ContextSourceNotification:{uuid4()}",
             "type": "ContextSourceNotification",
             "subscriptionId": subscription.id,
             "notifiedAt": timestamp_now(),
-            "triggerReason": reason.value,
+            "triggerReason": reason,
             "data": data,
         }
     )
-    return with_context(body, context) if subscription.endpoint.accept == JSON_LD else body
+    return with_context(body, subscription.context) if subscription.endpoint.accept == JSON_LD else body

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol
 
-from prometheus_client import Counter, Histogram
+from prometheus_client import Counter
 
 from handover.telemetry import get_logger
+from services.context_broker.api.tally import TalliedMetric
 from services.context_broker.storage.journal import Entries, Journal, NotStored
 from services.context_broker.storage.replica import News, Overtaken, Replica
 
@@ -34,8 +35,8 @@ REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the dis
 OVERTAKEN = Counter(
     "handover_broker_commits_overtaken_total", "Writes made again because another broker was quicker"
 )
-GROUPS = Histogram(
-    "handover_broker_commit_group", "Writes in one commit", buckets=(1, 2, 4, 8, 16, 32, 64, 256, 1024)
+GROUPS = TalliedMetric(
+    "handover_broker_commit_group", "Writes in one commit", (1, 2, 4, 8, 16, 32, 64, 256, 1024)
 )
 
 
@@ -98,7 +99,8 @@ class CommitQueue:
         self._on_news = on_news
         self._taking: asyncio.Task[None] | None = None
         self._after_news: deque[Callable[[], None]] = deque()
-        self._queue: queue.SimpleQueue[Write | Known | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[list[Write] | Known | None] = queue.SimpleQueue()
+        self._gathered: list[Write] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
         self._era = 0
@@ -113,6 +115,7 @@ class CommitQueue:
 
     def knows(self, number: int) -> None:
         """Note that the memory is up to this number of the news of others."""
+        self._send()
         self._known = number
         self._queue.put(Known(number))
 
@@ -129,6 +132,7 @@ class CommitQueue:
     async def stop(self) -> None:
         """Commit what is queued, and end."""
         self._send_later()
+        self._send()
         self._queue.put(None)
         await asyncio.to_thread(self._thread.join)
 
@@ -143,7 +147,18 @@ class CommitQueue:
             together.add(later)
             together.add(entries)
             entries = together
-        self._queue.put(Write(entries, self._era, self._known, done, failed))
+        if not self._gathered:
+            asyncio.get_running_loop().call_soon(self._send)
+        self._gathered.append(Write(entries, self._era, self._known, done, failed))
+
+    def _send(self) -> None:
+        """Hand over what one turn of the event loop has brought.
+
+        One by one, the first write would wake the thread and be committed alone, and the others wait for it.
+        """
+        if self._gathered:
+            writes, self._gathered = self._gathered, []
+            self._queue.put(writes)
 
     async def store(self, entries: Entries) -> None:
         """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
@@ -182,7 +197,7 @@ class CommitQueue:
                     if one is not LOOK or not group:
                         break
                 else:
-                    group.append(one)
+                    group += one
                 if len(group) >= LARGEST_GROUP:
                     break
                 try:
@@ -227,7 +242,7 @@ class CommitQueue:
         for write in writes:
             entries.add(write.entries)
         self._journal.commit(entries)
-        GROUPS.observe(len(writes))
+        GROUPS.tally.note(len(writes))
         self._call(self._tell_success, writes)
 
     def _commit_among_others(self, replica: Replica, writes: list[Write]) -> None:
@@ -238,7 +253,7 @@ class CommitQueue:
             OVERTAKEN.inc(len(overtaken))
             self._call(self._tell_overtaken, overtaken)
         if standing:
-            GROUPS.observe(len(standing))
+            GROUPS.tally.note(len(standing))
             self._call(self._tell_success, standing)
 
     def _tell_failure(self, writes: list[Write], error: NotStored) -> None:

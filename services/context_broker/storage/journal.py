@@ -79,6 +79,8 @@ class Kind(StrEnum):
     SOURCE_SUBSCRIPTION = "source subscription"
     """To registrations of context sources; its counts are kept as those of other subscriptions."""
     SNAPSHOT = "snapshot"
+    SNAPSHOT_TELLING = "snapshot telling"
+    """A notification of how a snapshot is that is owed to somebody."""
     REGISTRATION = "registration"
     ATTEMPTS = "attempts"
     """What became of the operations passed on to the source of the registration of the same id."""

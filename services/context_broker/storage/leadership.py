@@ -72,7 +72,10 @@ class ElectedBroker:
     def __init__(self, database: PostgresDatabase, tidying: str) -> None:
         self._database = database
         self._tidying = tidying
+        self._has_lock = False
+        """As the thread knows it."""
         self._leads = False
+        """As the event loop has been told: nothing is delivered before what is owed has been looked for."""
         self._listens = False
         self._over = threading.Event()
         self._told: Told
@@ -125,23 +128,30 @@ class ElectedBroker:
         while not self._over.is_set():
             if time.monotonic() >= due_s:
                 due_s = time.monotonic() + TRY_EVERY_S * random.uniform(0.7, 1.0)  # noqa: S311 - jitter
-                if self._leads:
+                if self._has_lock:
                     connection.execute("SELECT 1")
                 elif _won(connection):
                     self._turn(leads=True)
-            if self._leads and time.monotonic() >= tidy_s:
+            if self._has_lock and time.monotonic() >= tidy_s:
                 tidy_s = time.monotonic() + TIDY_EVERY_S
                 connection.execute(self._tidying)
             for _ in connection.notifies(timeout=LISTEN_S, stop_after=1):
                 self._heard()
 
     def _turn(self, *, leads: bool) -> None:
-        if leads == self._leads:
+        if leads == self._has_lock:
             return
-        self._leads = leads
+        self._has_lock = leads
+        self._leads = self._leads and leads
         log.info("this broker leads" if leads else "this broker leads no longer")
         with suppress(RuntimeError):  # the loop has ended before
-            self._loop.call_soon_threadsafe(self._told, leads)
+            self._loop.call_soon_threadsafe(self._take_turn, leads)
+
+    # On the event loop
+
+    def _take_turn(self, leads: bool) -> None:
+        self._leads = leads and self._has_lock
+        self._told(leads)
 
 
 def _won(connection: "psycopg.Connection") -> bool:

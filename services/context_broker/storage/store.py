@@ -22,6 +22,7 @@ from services.context_broker.queries.q_index import Condition
 from services.context_broker.queries.type_selection import TypeSelection, of_types
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.journal import EntityRow, Entries, Notice, NotStored
+from services.context_broker.storage.ranks import Ranks, in_order
 from services.context_broker.storage.replica import Overtaken
 from services.context_broker.temporal.history import Recorder
 
@@ -33,9 +34,13 @@ MOST_INDEXES: Final = 64
 class Staged:
     """A change on its way to disk: the entity before and after (None where there is none)."""
 
-    before: Entity | None
-    after: Entity | None
+    event: Event
     notices: list[Notice]
+
+    @property
+    def after(self) -> Entity | None:
+        """Return how the entity will be."""
+        return self.event.after
 
 
 Announce = Callable[[Event], list[Notice]]
@@ -68,10 +73,8 @@ class Store:
         self._recorder = recorder
         self.census = Census()
         self._ends = ends
-        self._committed: dict[str, Entity] = {}
-        self._by_type: dict[str, dict[str, Entity]] = {}
-        self._is_in_order = True
-        self._types_out_of_order: set[str] = set()
+        self._every = Ranks()
+        self._by_type: dict[str, Ranks] = {}
         self._indexes: dict[str, AttributeIndex] = {}
         self._place_indexes: dict[str, PlaceIndex] = {}
         self._staged: dict[str, Staged] = {}
@@ -83,11 +86,11 @@ class Store:
     # What readers see
 
     def __len__(self) -> int:
-        return len(self._committed)
+        return len(self._every.by_id)
 
     def get(self, entity_id: str) -> Entity | None:
         """Return the committed entity."""
-        return self._committed.get(entity_id)
+        return self._every.by_id.get(entity_id)
 
     def candidates(
         self,
@@ -101,9 +104,9 @@ class Store:
         What is None does not limit them.
         """
         if ids is not None:
-            found = [entity for one in dict.fromkeys(ids) if (entity := self._committed.get(one))]
-            return sorted(found, key=_by_seq)
-        count = len(self._committed)
+            found = [entity for one in dict.fromkeys(ids) if (entity := self._every.by_id.get(one))]
+            return in_order(found)
+        count = len(self._every.by_id)
         chosen: Iterable[str] | None = None
         for condition in conditions:
             index = self._index(condition.attribute)
@@ -118,33 +121,26 @@ class Store:
         if types is not None and not types.is_every and self._count_of(types) <= count:
             return self._of_types(types)
         if chosen is not None:
-            return sorted((self._committed[one] for one in chosen), key=_by_seq)
-        return self._all()
-
-    def _all(self) -> list[Entity]:
-        if not self._is_in_order:
-            self._committed = _in_order(self._committed)
-            self._is_in_order = True
-        return list(self._committed.values())
+            return in_order(self._every.by_id[one] for one in chosen)
+        return self._every.all()
 
     def _count_of(self, types: TypeSelection) -> int:
         return sum(len(self._rarest(one)) for one in types.alternatives)
 
     def _rarest(self, kinds: frozenset[str]) -> dict[str, Entity]:
         """Return the entities of the type of which there are fewest."""
-        return min((self._by_type.get(kind, {}) for kind in kinds), key=len)
+        having = (self._by_type.get(kind) for kind in kinds)
+        return min((ranks.by_id if ranks is not None else {} for ranks in having), key=len)
 
     def _of_types(self, types: TypeSelection) -> list[Entity]:
         if len(types.alternatives) == 1 and len(types.alternatives[0]) == 1:
             (kind,) = types.alternatives[0]
-            if kind in self._types_out_of_order:
-                self._by_type[kind] = _in_order(self._by_type[kind])
-                self._types_out_of_order.discard(kind)
-            return list(self._by_type.get(kind, {}).values())
+            ranks = self._by_type.get(kind)
+            return ranks.all() if ranks is not None else []
         hits: dict[str, Entity] = {}
         for kinds in types.alternatives:
             hits.update(self._rarest(kinds))
-        return sorted(hits.values(), key=_by_seq)
+        return in_order(hits.values())
 
     def mixed(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
@@ -158,7 +154,7 @@ class Store:
         for one in self.candidates(ids, None if types is None else of_types(tuple(types))):
             if one.id not in others:
                 mix.take(one)
-        for entity in sorted((one for one in others.values() if one is not None), key=_by_seq):
+        for entity in in_order(one for one in others.values() if one is not None):
             mix.take(entity)
         return mix
 
@@ -167,7 +163,7 @@ class Store:
     def latest(self, entity_id: str) -> Entity | None:
         """Return the entity as the last write left it, be that on disk already or not."""
         staged = self._staged.get(entity_id)
-        return staged.after if staged is not None else self._committed.get(entity_id)
+        return staged.after if staged is not None else self._every.by_id.get(entity_id)
 
     def next_seq(self) -> int:
         """Return the place of a new entity in the order of creation."""
@@ -187,7 +183,7 @@ class Store:
                 self._recorder.record(self.tenant, event, entries)
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
-        staged = Staged(before, after, self._announce(event))
+        staged = Staged(event, self._announce(event))
         entries.owed = staged.notices
         self._staged[one.id] = staged
         fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -205,7 +201,8 @@ class Store:
         return fate
 
     def _take(self, entity_id: str, staged: Staged) -> None:
-        self._put(self._committed.get(entity_id), staged.after)
+        event, before = staged.event, self._every.by_id.get(entity_id)
+        self._put(before, event.after, event.written if before is event.before else None)
         if self._staged.get(entity_id) is staged:
             del self._staged[entity_id]
         if staged.notices:
@@ -218,7 +215,7 @@ class Store:
     def follow(self, place: int, entity_id: str, after: Entity | None) -> None:
         """Take what another broker did to the entity at a place; what is on its way to it is overtaken."""
         self._staged.pop(entity_id, None)
-        before = self._committed.get(entity_id)
+        before = self._every.by_id.get(entity_id)
         if after is not None or (before is not None and before.seq == place):
             self._put(before, after)
 
@@ -230,65 +227,53 @@ class Store:
     def forget_all_but(self, places: Container[int]) -> None:
         """Forget all entities at other places, and what is on its way."""
         self._staged.clear()
-        for entity in [one for one in self._committed.values() if one.seq not in places]:
+        for entity in [one for one in self._every.by_id.values() if one.seq not in places]:
             self._put(entity, None)
 
     # Keeping order
 
-    def _put(self, before: Entity | None, after: Entity | None) -> None:
+    def _put(
+        self, before: Entity | None, after: Entity | None, written: frozenset[str] | None = None
+    ) -> None:
         if before is not None and (after is None or after.seq != before.seq):
-            del self._committed[before.id]  # a new entity of the same id goes to the end of the order
+            self._every.remove(before.id)  # a new entity of the same id goes to the end of the order
         if after is not None:
-            if after.id not in self._committed and self._is_overtaken(self._committed, after):
-                self._is_in_order = False
-            self._committed[after.id] = after
+            self._every.put(after)
             if after.ends_at is not None and self._ends is not None:
                 self._ends.watch(self, after)
         elif before is not None and before.ends_at is not None and self._ends is not None:
             self._ends.forget(self, before.id)
-        self.census.note(before, after)
+        self.census.note(before, after, written)
         self._file_by_type(before, after)
         for index in self._indexes.values():
             index.refile(before, after)
         for place_index in self._place_indexes.values():
             place_index.refile(before, after)
 
-    def _is_overtaken(self, entities: dict[str, Entity], entity: Entity) -> bool:
-        """Say whether the last of `entities` was created after `entity`.
-
-        That happens when an entity gets another type, and when news of other brokers come in the order of
-        their commits.
-        """
-        last = next(reversed(entities), None)
-        return last is not None and entities[last].seq > entity.seq
-
     def _file_by_type(self, before: Entity | None, after: Entity | None) -> None:
-        if before and after and before.types == after.types and before.seq == after.seq:
-            for kind in after.types:
-                self._by_type[kind][after.id] = after
-            return
-        for kind in before.types if before else ():
-            del self._by_type[kind][before.id]  # type: ignore[union-attr]
+        if before is not None and (after is None or before.types != after.types or before.seq != after.seq):
+            for kind in before.types:
+                self._by_type[kind].remove(before.id)
         if after is None:
             return
         for kind in after.types:
-            entities = self._by_type.setdefault(kind, {})
-            if self._is_overtaken(entities, after):
-                self._types_out_of_order.add(kind)
-            entities[after.id] = after
+            ranks = self._by_type.get(kind)
+            if ranks is None:
+                ranks = self._by_type[kind] = Ranks()
+            ranks.put(after)
 
     def _index(self, attribute: str) -> AttributeIndex | None:
         """Return the index of an attribute, made when it is first asked for."""
         index = self._indexes.get(attribute)
         if index is None and _has_room(self._indexes):
-            index = self._indexes[attribute] = AttributeIndex(attribute, self._committed.values())
+            index = self._indexes[attribute] = AttributeIndex(attribute, self._every.by_id.values())
         return index
 
     def _place_index(self, attribute: str) -> PlaceIndex | None:
         """Return the index of the places of an attribute, made when it is first asked for."""
         index = self._place_indexes.get(attribute)
         if index is None and _has_room(self._place_indexes):
-            index = self._place_indexes[attribute] = PlaceIndex(attribute, self._committed.values())
+            index = self._place_indexes[attribute] = PlaceIndex(attribute, self._every.by_id.values())
         return index
 
 
@@ -316,11 +301,3 @@ def _has_room(indexes: dict[str, Any]) -> bool:
             return False
         del indexes[unused]
     return True
-
-
-def _in_order(entities: dict[str, Entity]) -> dict[str, Entity]:
-    return {one.id: one for one in sorted(entities.values(), key=_by_seq)}
-
-
-def _by_seq(entity: Entity) -> int:
-    return entity.seq

@@ -1,6 +1,8 @@
 """The office of the couriers of one tenant: a courier for each subscription, and what is handed to them."""
 
 from collections.abc import Iterable, Mapping
+from itertools import islice
+from typing import Final
 
 import orjson
 
@@ -10,6 +12,9 @@ from services.context_broker.subscriptions.couriers import Courier
 from services.context_broker.subscriptions.lines import Line
 from services.context_broker.subscriptions.outbound import Outbound
 from services.context_broker.subscriptions.subscription import Subscription
+
+MOST_TOLD_AT_ONCE: Final = 1000
+"""Entities, or registrations, in one notification; more come in several."""
 
 
 class CourierOffice:
@@ -116,6 +121,10 @@ class CourierOffice:
     async def post(self, subscription: Subscription, body: bytes, taken: bytes | None) -> int:
         """Send a notification; see `Outbound.post`."""
         return await self.outbound.post(subscription, self.tenant, body, taken)
+
+    def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
+        """Return those of the notices (by entity) that one notification can tell of: the first ones."""
+        return dict(islice(notices.items(), MOST_TOLD_AT_ONCE))
 
     def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
         """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""

@@ -23,8 +23,6 @@ from services.context_broker.subscriptions.subscription import Subscription
 
 log = get_logger(__name__)
 
-MOST_TOLD_AT_ONCE: Final = 1000
-"""Entities in one notification that tells of what was throttled."""
 RETRIES: Final = Counter("handover_broker_notifications_retries_total", "Attempts after one that failed")
 GIVEN_UP: Final = Counter(
     "handover_broker_notifications_given_up_total", "Notifications given up", ["reason"]
@@ -143,7 +141,7 @@ class Courier:
     def _take(self, notice: Notice) -> None:
         self._last_seq = notice.seq
         if notice.waits_for_throttling:
-            earlier = self._throttled.get(notice.entity)
+            earlier = self._throttled.pop(notice.entity, None)  # what is told comes in the order of the last
             self._throttled[notice.entity] = notice
             if earlier is not None:  # the newer one tells of it too
                 self._strike([earlier])
@@ -225,7 +223,7 @@ class Courier:
 
     async def _tell_throttled(self) -> None:
         """Tell in one notification how all that changed while throttled is now."""
-        some = dict(list(self._throttled.items())[:MOST_TOLD_AT_ONCE])
+        some = self._office.together(self._throttled)
         body = self._office.notification_of(self.subscription, some)
         taken = next(reversed(some.values())).headers
         if body is None or await self._send(body, taken, time.time()):

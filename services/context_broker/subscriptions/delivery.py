@@ -44,6 +44,9 @@ class Office(Protocol):
         `taken` are headers of the request that made the change, as JSON.
         """
 
+    def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
+        """Return those of the notices (by entity, one at least) that one notification can tell of."""
+
     def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
         """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
 

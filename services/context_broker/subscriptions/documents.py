@@ -21,7 +21,8 @@ CAME_BY: Final = "cameBy"
 _KNOWN: Final = frozenset(
     {"id", "type", "subscriptionName", "description", "entities", "watchedAttributes", "notificationTrigger",
      "timeInterval", "q", "geoQ", "scopeQ", "csf", "isActive", "expiresAt", "throttling", "lang", "datasetId",
-     "localOnly", "notification", "jsonldContext", "@context"}
+     "localOnly", "notification", "jsonldContext", "@context", "expandValues", "jsonKeys", "splitEntities",
+     "ngsildConformance"}
 )  # fmt: skip
 _KNOWN_IN_NOTIFICATION: Final = frozenset(
     {"attributes", "pick", "omit", "format", "sysAttrs", "showChanges", "join", "joinLevel", "endpoint"}

@@ -24,6 +24,8 @@ LARGEST_ANSWER: Final = 256 * 1024
 """Bytes of an answer that are read before the connection is given up."""
 LARGEST_REPLY: Final = 32 * 1024 * 1024
 """The same where the answer matters: a page of a thousand entities of 32 KB."""
+FRESH_S: Final = 1.0
+"""So long after its last answer nobody closes a connection: what must not be sent twice may go over it."""
 OPEN: Final = Destinations()
 """Where a sender may send that is told nothing else: to all but link-local addresses."""
 
@@ -78,6 +80,7 @@ class _Connection(asyncio.Protocol):
     def __init__(self) -> None:
         self.transport: asyncio.Transport | None = None
         self.reusable = False
+        self.idle_since_s = 0.0
         self._parser: httptools.HttpResponseParser | None = None
         self._answer: asyncio.Future[Any] | None = None
         self._received = 0
@@ -201,11 +204,18 @@ class HttpSender:
 
     async def post(self, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float) -> int:
         """Return the status of the answer; raise `SendError` when there is none within `timeout_s`."""
-        status: int = await self._send("POST", url, headers, body, timeout_s)
+        status: int = await self._send("POST", url, headers, body, timeout_s, may_repeat=True)
         return status
 
     async def _send(
-        self, method: str, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float
+        self,
+        method: str,
+        url: str,
+        headers: Iterable[tuple[str, str]],
+        body: bytes,
+        timeout_s: float,
+        *,
+        may_repeat: bool,
     ) -> Any:
         where = address(url)
         lines = [f"{method} {where.target} HTTP/1.1", f"Host: {where.host_header}"]
@@ -215,7 +225,7 @@ class HttpSender:
         request = ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1") + body
         try:
             async with asyncio.timeout(timeout_s):
-                return await self._exchange(where, request)
+                return await self._exchange(where, request, may_repeat=may_repeat)
         except TimeoutError:
             raise TooSlow(f"no answer within {timeout_s:g} s") from None
         except Refused as refused:
@@ -232,17 +242,24 @@ class HttpSender:
                 connection.close()
         self._idle.clear()
 
-    async def _exchange(self, where: Address, request: bytes) -> Any:
+    async def _exchange(self, where: Address, request: bytes, *, may_repeat: bool) -> Any:
         idle = self._idle.setdefault((where.host, where.port, where.tls), [])
+        now_s = asyncio.get_running_loop().time()
         while idle:
             connection = idle.pop()
-            if connection.is_open:
-                try:
-                    return await self._ask(connection, request, idle)
-                except TooLarge:
+            if not connection.is_open:
+                continue
+            if not may_repeat and now_s - connection.idle_since_s > FRESH_S:
+                connection.close()
+                continue
+            try:
+                return await self._ask(connection, request, idle)
+            except TooLarge:
+                raise
+            except SendError:
+                if not may_repeat:
                     raise
-                except SendError:
-                    break  # the other side may have closed it while it was idle: once more on a new one
+                break  # the other side may have closed it while it was idle: once more on a new one
         return await self._ask(await self._connect(where), request, idle)
 
     async def _connect(self, where: Address) -> _Connection:
@@ -277,6 +294,7 @@ class HttpSender:
             return await connection.request(request)
         finally:
             if connection.reusable and connection.is_open and len(idle) < MOST_IDLE:
+                connection.idle_since_s = asyncio.get_running_loop().time()
                 idle.append(connection)
             else:
                 connection.close()
@@ -290,8 +308,12 @@ class HttpAsker(HttpSender):
     async def ask(
         self, method: str, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float
     ) -> Reply:
-        """Return the answer; raise `SendError` when there is none within `timeout_s`."""
-        reply: Reply = await self._send(method, url, headers, body, timeout_s)
+        """Return the answer; raise `SendError` when there is none within `timeout_s`.
+
+        A POST or PATCH whose fate is not known is not sent again: it may have been carried out.
+        """
+        may_repeat = method not in {"POST", "PATCH"}
+        reply: Reply = await self._send(method, url, headers, body, timeout_s, may_repeat=may_repeat)
         return reply
 
 

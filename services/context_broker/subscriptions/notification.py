@@ -13,6 +13,7 @@ import orjson
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
+from services.context_broker.api.negotiation import Version
 from services.context_broker.api.words import tenant_headers, timestamp
 from services.context_broker.entities.entity import NULL, SAYS, Attributes, Entity, Instance, dataset_of
 from services.context_broker.entities.rendering import Form, View, render, rendered, with_context
@@ -20,7 +21,12 @@ from services.context_broker.queries.linked import Shown, joined
 from services.context_broker.queries.q_match import Lookup, nobody
 from services.context_broker.subscriptions.endpoints import GEO_JSON, JSON_LD
 from services.context_broker.subscriptions.subscription import Subscription
-from services.context_broker.subscriptions.triggers import ATTRIBUTE_DELETED, Happened, lost_instances
+from services.context_broker.subscriptions.triggers import (
+    ATTRIBUTE_DELETED,
+    SCOPE,
+    Happened,
+    lost_instances,
+)
 
 log = get_logger(__name__)
 
@@ -41,8 +47,18 @@ def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes
         data = b'{"type":"FeatureCollection","features":' + data + b"}"
         if not _prefers_plain_json(subscription):
             data = with_context(data, subscription.context)
+    if subscription.version is not None:
+        data = _conformed(data, subscription.version, subscription.view)
     body = orjson.dumps(head)[:-1] + b',"data":' + data + b"}"
     return with_context(body, subscription.context) if accept == JSON_LD else body
+
+
+def _conformed(data: bytes, version: Version, view: View) -> bytes:
+    """Return what is told as an earlier version has it (clause 4.3.6.8)."""
+    from services.context_broker.api import conformance  # noqa: PLC0415 - few ask for another version
+
+    simplified = view.form is Form.KEY_VALUES
+    return orjson.dumps(conformance.conformed(orjson.loads(data), version, simplified=simplified))
 
 
 def as_it_is(subscription: Subscription, entity: Entity, lookup: Lookup = nobody) -> bytes:
@@ -67,6 +83,8 @@ def told_of(subscription: Subscription, change: Happened, lookup: Lookup = nobod
     documents = _documents(subscription, entity, lookup if after is not None else nobody)
     if after is None:
         documents[0] = (entity, _with_end(documents[0][1], subscription.view, deleted_at))
+    elif SCOPE in change.lost and subscription.triggers.tells_lost:
+        documents[0] = (entity, _without_scope(documents[0][1], subscription.view))
     return _written(subscription, documents)
 
 
@@ -132,11 +150,11 @@ def _with_changes(subscription: Subscription, change: Happened, deleted_at: str)
     if change.before is not None:
         old = change.before.attributes
         if shows:
-            for name in change.updated:
+            for name in change.updated.intersection(old):  # scopes have no place for what they were
                 attributes[name] = _with_previous(attributes[name], old[name])
         if _tells_what_is_gone(subscription, change):
             watched = subscription.triggers.watched if change.after is None else None
-            for name in change.lost:
+            for name in change.lost.intersection(old):
                 if watched is None or name in watched:
                     _add_gone(attributes, name, old[name], view, deleted_at, shows=shows)
     return replace(entity, attributes=attributes, rendered={})
@@ -147,6 +165,12 @@ def _with_end(document: dict[str, Any], view: View, deleted_at: str) -> dict[str
         return document
     head: dict[str, Any] = {member: document[member] for member in ("id", "type") if member in document}
     return {**head, "deletedAt": deleted_at, **document}
+
+
+def _without_scope(document: dict[str, Any], view: View) -> dict[str, Any]:
+    if view.projection is not None and not view.projection.wants("scope"):
+        return document
+    return {**document, "scope": NULL}
 
 
 def _tells_what_is_gone(subscription: Subscription, change: Happened) -> bool:

@@ -19,8 +19,7 @@ from services.context_broker.queries.type_selection import of_types
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.journal import Notice
 from services.context_broker.storage.store import Store
-from services.context_broker.subscriptions.courier_office import CourierOffice
-from services.context_broker.subscriptions.couriers import MOST_TOLD_AT_ONCE
+from services.context_broker.subscriptions.courier_office import MOST_TOLD_AT_ONCE, CourierOffice
 from services.context_broker.subscriptions.notification import as_it_is, link, notification, told_of
 from services.context_broker.subscriptions.outbound import Outbound
 from services.context_broker.subscriptions.periodic import Rounds
@@ -172,6 +171,8 @@ class Notifier(CourierOffice):
 
     def _candidates(self, subscription: Subscription) -> Iterable[Entity]:
         """Return the entities among which all are that a subscription is about."""
+        if not subscription.selectors:
+            return self.store.candidates()
         kinds: dict[str, None] = {}
         ids: dict[str, None] = {}
         for selector in subscription.selectors:

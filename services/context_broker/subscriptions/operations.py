@@ -107,6 +107,20 @@ class SubscriptionOperations:
             None if names is None else await self._contexts.as_before(names),
         )
 
+    async def renew(self, tenant: Tenant, context_id: str) -> None:
+        """Make those subscriptions anew whose context was fetched anew: their filters, and what they tell.
+
+        The types and attributes that they name stay what these were when they were written.
+        """
+        async with self._one_at_a_time:
+            book = self.book(tenant)
+            for one in book.all():
+                if one.context.is_made_of(context_id) or one.names.is_made_of(context_id):
+                    try:
+                        book.put(await self._restored(orjson.dumps(one.document)))
+                    except Problem as problem:  # it goes on with the context that it was made with
+                        log.warning("a subscription keeps its context", one=one.id, why=problem.detail)
+
     async def create(self, exchange: Exchange) -> Answer:
         """POST subscriptions."""
         given, context = await exchange.body()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from services.context_broker.api.negotiation import Version, version_of
 from services.context_broker.api.problems import bad_request_data
 from services.context_broker.api.words import moment, require_time, require_uri, shown
 from services.context_broker.contexts.book import Context
@@ -71,7 +72,8 @@ class Subscription:
 
     Notifications are written in `context`; what the subscriber wrote itself is in the names of `names`.
     `interval_s` is there for one that is told periodically, `expires_s` (seconds since 1970) for one that
-    ends; `join` says that linked entities are told too.
+    ends; `join` says that linked entities are told too, `version` that notifications are to conform to an
+    earlier version of the standard.
     """
 
     id: str
@@ -91,6 +93,7 @@ class Subscription:
     is_on: bool = True
     shows_changes: bool = False
     join: Join | None = None
+    version: Version | None = None
     counts: Counts = field(default_factory=Counts)
 
     def is_active(self, now_s: float) -> bool:
@@ -130,9 +133,10 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
     """
     names = names or context
     entities, watched = document.get("entities"), document.get("watchedAttributes")
-    if entities is None and watched is None:
+    if entities is None and watched is None and document.get("localOnly") is not True:
         raise bad_request_data(
-            'a subscription has "entities" or "watchedAttributes" or both; add one of them'
+            'a subscription has "entities" or "watchedAttributes" or both, unless it has "localOnly": true; '
+            "add one of them"
         )
     if entities is not None and (not isinstance(entities, list) or not 0 < len(entities) <= MOST_SELECTORS):
         raise bad_request_data(
@@ -148,7 +152,10 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         raise bad_request_data(
             "notification.showChanges has no place in the format keyValues; choose normalized or concise"
         )
-    query = None if "q" not in document else _compiled(document["q"], names)
+    expanded, _ = _short_names(document, "expandValues"), _short_names(document, "jsonKeys")
+    query = None if "q" not in document else _compiled(document["q"], names, expanded)
+    if "csf" in document:
+        compiled(document["csf"], names, what="csf")
     join = join_of({name: notification.get(name) for name in ("join", "joinLevel")})
     check_depth(join, view.projection, 0)
     return Subscription(
@@ -171,6 +178,7 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
         is_on=_flag(document, "isActive", default=True, what='"isActive"'),
         shows_changes=shows_changes,
         join=join,
+        version=_version(document.get("ngsildConformance")),
     )
 
 
@@ -178,15 +186,31 @@ def _check_plain_members(document: Mapping[str, Any]) -> None:
     for name in ("description", "subscriptionName", "jsonldContext", "csf"):
         if name in document and not isinstance(document[name], str):
             raise bad_request_data(f'"{name}" is text, not {shown(document[name])}')
-    _flag(document, "localOnly", default=False, what='"localOnly"')
+    for name in ("localOnly", "splitEntities"):
+        _flag(document, name, default=False, what=f'"{name}"')
     if "expiresAt" in document:
         require_time(document["expiresAt"], '"expiresAt"')
 
 
-def _compiled(q: Any, context: Context) -> Query:
+def _compiled(q: Any, context: Context, expanded: frozenset[str]) -> Query:
     if not isinstance(q, str):
         raise bad_request_data(f"q is text, not {shown(q)}")
-    return compiled(q, context)
+    return compiled(q, context, expanded)
+
+
+def _short_names(document: Mapping[str, Any], member: str) -> frozenset[str]:
+    given = document.get(member, [])
+    names = given.split(",") if isinstance(given, str) else given
+    if not isinstance(names, list) or not all(isinstance(one, str) and one for one in names):
+        raise bad_request_data(f'"{member}" is text with names of attributes and commas, not {shown(given)}')
+    return frozenset(names)
+
+
+def _version(given: Any) -> Version | None:
+    version = version_of(given) if isinstance(given, str) else None
+    if given is not None and version is None:
+        raise bad_request_data(f'"ngsildConformance" is a version such as "1.6", not {shown(given)}')
+    return version
 
 
 def _expanding(context: Context) -> Callable[[str], str]:

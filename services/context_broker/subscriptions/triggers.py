@@ -1,7 +1,10 @@
-"""Triggers: what a change of an entity is, and which subscriptions it concerns (clause 5.2.12).
+"""Triggers: what a change of an entity is, and which subscriptions it concerns (clauses 5.2.12 and 5.8.6).
 
 A change creates, updates or deletes attributes, and it may create or delete the entity as a whole. With the
-creation of an entity its attributes are created, with its deletion they are deleted.
+creation of an entity its attributes are created, with its deletion they are deleted. Scopes are an attribute
+here, for clause 4.18 calls them a Property; types are none, so a type that is added is told with the next
+change. An attribute that is written with the value it has counts too: the standard asks for a different one,
+but users of other brokers count on hearing of every write.
 """
 
 from collections.abc import Iterable
@@ -29,6 +32,9 @@ ALL: Final = (
 )
 DEFAULT: Final = frozenset({ATTRIBUTE_CREATED, ATTRIBUTE_UPDATED})
 _OF_UPDATED: Final = frozenset({ATTRIBUTE_CREATED, ATTRIBUTE_UPDATED, ATTRIBUTE_DELETED})
+
+SCOPE: Final = "https://uri.etsi.org/ngsi-ld/scope"
+"""The scopes of an entity, as an attribute that can be watched."""
 
 Names = frozenset[str]
 _NONE: Final[Names] = frozenset()
@@ -59,9 +65,9 @@ def happened(event: Event) -> Happened:
     """Return what a change did."""
     before, after = event.before, event.after
     if before is None:
-        return Happened(before, after, created=frozenset(after.attributes) if after else _NONE)
+        return Happened(before, after, created=_all_of(after) if after else _NONE)
     if after is None:
-        return Happened(before, after, lost=frozenset(before.attributes))
+        return Happened(before, after, lost=_all_of(before))
     created: set[str] = set()
     updated: set[str] = set()
     lost = set(before.attributes.keys() - after.attributes.keys())
@@ -79,7 +85,13 @@ def happened(event: Event) -> Happened:
                 lost.add(name)
             if not has_lost or not {id(one) for one in new} <= {id(one) for one in old}:
                 updated.add(name)
+    if before.scopes != after.scopes:
+        (created if not before.scopes else updated if after.scopes else lost).add(SCOPE)
     return Happened(before, after, frozenset(created), frozenset(updated), frozenset(lost))
+
+
+def _all_of(entity: Entity) -> Names:
+    return frozenset((*entity.attributes, SCOPE) if entity.scopes else entity.attributes)
 
 
 def lost_instances(old: Iterable[Instance], new: Iterable[Instance]) -> list[Instance]:

@@ -18,7 +18,6 @@ from services.context_broker.entities.entity import (
     NULL,
     SAYS,
     Attributes,
-    Entity,
     Event,
     Instance,
     dataset_of,
@@ -168,7 +167,7 @@ class Recorder:
             entries.departed[one.seq] = DepartedRow(
                 tenant, one.id, Departed(one.types, one.scopes, one.created_at, one.modified_at, at).stored()
             )
-        change = change_of(before, after)
+        change = change_of(event)
         if change is not None:
             entries.history.append(self.row(one.seq, change, at))
 
@@ -181,8 +180,9 @@ class Recorder:
         return HistoryRow(place, seq, change.observed(seq / 1_000_000), change.stored())
 
 
-def change_of(before: Entity | None, after: Entity | None) -> Change | None:
+def change_of(event: Event) -> Change | None:
     """Return what differs, None if nothing does. What a change did not write is the same object as before."""
+    before, after, written = event
     if after is None:
         assert before is not None  # noqa: S101 - a change has at least one end
         gone = {name: _kinds(instances) for name, instances in before.attributes.items()}
@@ -194,8 +194,8 @@ def change_of(before: Entity | None, after: Entity | None) -> Change | None:
     deleted: Deletions = {}
     old = before.attributes
     added = 0
-    for name, instances in after.attributes.items():
-        was = old.get(name)
+    for name in written if old.keys() == after.attributes.keys() else after.attributes:
+        instances, was = after.attributes[name], old.get(name)
         if was is instances:
             continue
         if was is None:

@@ -15,7 +15,7 @@ from services.context_broker.api.problems import bad_request_data, not_read
 from services.context_broker.api.words import require_uri, shown
 from services.context_broker.contexts.book import Context
 from services.context_broker.entities.entity import Entity
-from services.context_broker.entities.entity_operations import absent
+from services.context_broker.entities.entity_operations import absent, nothing_left
 from services.context_broker.entities.rendering import with_context
 from services.context_broker.queries.ordering import Ordering, ordering
 from services.context_broker.queries.pages import PLACE
@@ -102,6 +102,8 @@ class TemporalOperations:
         if answered is None:
             raise absent(entity_id)
         found, (text,) = answered
+        if text in {b"{}", with_context(b"{}", wish.context)}:
+            raise nothing_left(entity_id)
         return _answer(text, found, wish)
 
     async def query(self, exchange: Exchange) -> Answer:
@@ -111,7 +113,7 @@ class TemporalOperations:
     async def query_by_document(self, exchange: Exchange) -> Answer:
         """POST temporal/entityOperations/query with a Query document (clause 5.2.23)."""
         document, context = await exchange.body()
-        exchange.parameters = {**exchange.parameters, **_parameters(document)}
+        exchange.parameters = {**exchange.parameters, **temporal_parameters(document)}
         return await self._queried(exchange, context, selectors_of(document, context))
 
     async def _wish(self, exchange: Exchange, context: Context) -> _Wish:
@@ -124,6 +126,11 @@ class TemporalOperations:
         self, exchange: Exchange, context: Context, any_of: tuple[Selection, ...] = ()
     ) -> Answer:
         wish = await self._wish(exchange, context)
+        if wish.query.relation is None:
+            raise bad_request_data(
+                "a query of the past needs a time that it is about: timerel and timeAt; add them, such as "
+                "timerel=after&timeAt=1970-01-01T00:00:00Z for all the past"
+            )
         window, order = temporal_window(exchange), _order_of(exchange, context)
         selection = selection_of(exchange.parameters, context, any_of)
         if selection.query is not None and selection.query.hops:
@@ -197,7 +204,7 @@ def _as_entity(subject: Subject) -> Entity:
     )
 
 
-def _parameters(document: Any) -> dict[str, str]:
+def temporal_parameters(document: Any) -> dict[str, str]:
     """Return the query parameters that say the same as a Query document (clauses 5.2.21, 5.2.23, 5.2.44)."""
     if not isinstance(document, Mapping):
         raise bad_request_data(f'the body is an object with "type": "Query", not {shown(document)}')

@@ -4,7 +4,7 @@ The present stays as it is: a current entity is changed by other operations, and
 """
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any, Final
@@ -37,6 +37,7 @@ ROWS_A_COMMIT: Final = 500
 
 _LOCAL: Final = frozenset({"local"})
 _END_OF_TIME: Final = 2**62
+_SEEN: Final = "observed_to >= ? AND observed_from <= ?"
 
 
 class TemporalProvision:
@@ -77,7 +78,11 @@ class TemporalProvision:
         )
 
     async def upsert(self, exchange: Exchange) -> Answer:
-        """POST temporal/entities: what is said is added to what is known of the entity."""
+        """POST temporal/entities: what is said is added to what is known of the entity.
+
+        An instance with the observedAt and the datasetId of a known one takes its place: said twice, it is
+        known once. (POST …/attrs only ever adds.)
+        """
         document, context = await exchange.body()
         past = await _past_in(exchange, document, context.terms)
         if past.id is None:
@@ -86,7 +91,7 @@ class TemporalProvision:
             raise bad_request_data(f'the entity {past.id} has no "type"; name its type, for example "Task"')
         async with self._turn(exchange.tenant, past.id):
             subject = await self._subject(exchange.tenant, past.id)
-            await self._add(exchange.tenant, past.id, past, subject)
+            await self._add(exchange.tenant, past.id, past, subject, overwrites=True)
         if subject is not None:
             return DONE
         location = f"{PREFIX}temporal/entities/{quote(past.id, safe=':')}".encode()
@@ -194,9 +199,12 @@ class TemporalProvision:
 
     # Keeping
 
-    async def _add(self, tenant: Tenant, entity_id: str, past: Past, subject: Subject | None) -> None:
+    async def _add(
+        self, tenant: Tenant, entity_id: str, past: Past, subject: Subject | None, *, overwrites: bool = False
+    ) -> None:
         at = timestamp_now()
         entries = Entries()
+        added = past.stamped(at).attributes
         live = tenant.store.latest(entity_id)
         if live is not None:
             place = live.seq
@@ -212,13 +220,49 @@ class TemporalProvision:
             )
             entries.departed[place] = DepartedRow(tenant.name, entity_id, known.stored())
         try:
-            for number, attributes in enumerate(_pieces(past.stamped(at).attributes)):
+            if overwrites and subject is not None:
+                rows, added = await asyncio.to_thread(self._overwritten, subject.places, added)
+                entries.history += rows
+            for number, attributes in enumerate(_pieces(added)):
                 if number % 10 == 9:
                     await asyncio.sleep(0)  # others get their turn
                 entries.history.append(self._recorder.row(place, Change(attributes), at))  # type: ignore[arg-type]  # lists without gaps
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {entity_id} is nested too deep; 200 levels are safe") from None
         await _commit(tenant, entries)
+
+    def _overwritten(self, places: Sequence[int], given: Attributes) -> tuple[list[HistoryRow], Attributes]:
+        """Put what is given in the place of what is known of the same moments.
+
+        Return the rows that this changes, and what is left of the given.
+        """
+        new = {
+            (name, dataset_of(one), seen): one
+            for name, several in given.items()
+            for one in several
+            if (seen := moment(one.get("observedAt", ""))) is not None
+        }
+        if not new:
+            return [], given
+        times = [seen for _, _, seen in new]
+        within = (min(times) - 1e-6, max(times) + 1e-6)
+        rows: list[HistoryRow] = []
+        taken: set[int] = set()
+        for place, seq, _, body in self._archive.history(places, _SEEN, within, latest_first=True):
+            change, before = Change.restored(body), len(taken)
+            for name, position, known in list(change.instances(seq)):
+                seen = moment(known.get("observedAt", ""))
+                one = None if seen is None else new.get((name, dataset_of(known), seen))
+                if one is None or id(one) in taken or change.find(name, position) is None:
+                    continue
+                change.put(position, {**one, "createdAt": known["createdAt"]})
+                taken.add(id(one))
+            if len(taken) > before:
+                rows.append(_row(place, seq, change))
+            if len(taken) == len(new):
+                break
+        left = {name: [one for one in several if id(one) not in taken] for name, several in given.items()}
+        return rows, {name: several for name, several in left.items() if several}
 
     async def _subject(self, tenant: Tenant, entity_id: str) -> Subject | None:
         departed = await asyncio.to_thread(lambda: list(self._archive.departed(tenant.name, entity_id)))

@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -19,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import psycopg
 import pytest
 
+from tests import lifeline
 from tests.context_sources import ScriptedSource
 
 JSON = {"Content-Type": "application/json"}
@@ -69,9 +68,9 @@ class BrokerProcess:
         with (self.data_dir / "log").open("ab") as log:
             return subprocess.Popen(
                 [sys.executable, "-m", "services.context_broker"],
-                env=environment | self.extra,
+                env=environment | lifeline.TOLD | self.extra,
                 cwd=self.data_dir,
-                stdin=subprocess.DEVNULL,
+                stdin=lifeline.STDIN,
                 stdout=log,
                 stderr=log,
             )
@@ -120,7 +119,7 @@ class BrokerProcess:
 
 DATABASES = ("sqlite", "postgresql")
 DATABASE = os.environ.get("HANDOVER_TEST_DATABASE", "sqlite")
-"""What tests run on that do not ask for a database; the nightly run says postgresql."""
+"""What tests run on that do not ask for a database; `make thorough` says postgresql."""
 ON_BOTH = {
     "test_batches",
     "test_entities",
@@ -135,27 +134,6 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run what depends on the database on both."""
     if metafunc.module.__name__.rpartition(".")[2] in ON_BOTH and "shared_broker" in metafunc.fixturenames:
         metafunc.parametrize("shared_broker", DATABASES, indirect=True, scope="module")
-
-
-@pytest.fixture(scope="session")
-def new_database() -> Iterator[Callable[[], str]]:
-    """Make databases on one PostgreSQL server; each call returns the URL of a new one."""
-    from tests.postgres import postgres_server
-
-    numbers = itertools.count()
-    # Not a folder of pytest: a server that recovers from a crash looks at its own from outside.
-    with (
-        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
-        postgres_server(Path(folder)) as url,
-    ):
-
-        def make() -> str:
-            name = f"broker_{next(numbers)}"
-            with psycopg.connect(url, autocommit=True) as connection:
-                connection.execute(f"CREATE DATABASE {name}")
-            return url.replace("/postgres?", f"/{name}?")
-
-        yield make
 
 
 def on(request: pytest.FixtureRequest) -> dict[str, str]:
@@ -204,6 +182,7 @@ class Subscriber:
 
         class Handler(BaseHTTPRequestHandler):
             protocol_version = "HTTP/1.1"
+            disable_nagle_algorithm = True  # else a body waits 40 ms for word that the headers came
 
             def do_POST(self) -> None:
                 body = self.rfile.read(int(self.headers["Content-Length"]))
@@ -289,7 +268,7 @@ def eventually() -> Callable[..., Any]:
     return wait_for
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def brokers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[BrokerProcess]]:
     """Three brokers that can be registered with each other."""
     made = [BrokerProcess(tmp_path_factory.mktemp(name)) for name in ("near", "far", "third")]

@@ -99,7 +99,9 @@ def test_what_a_hosted_context_refers_to_is_fetched_and_cached(http: httpx.Clien
     hosted = str(http.base_url).rstrip("/") + path
     entity = {"id": "urn:x:parts", "type": "Thing", "speed": 3}
     assert http.post("/entities", json=entity, headers=link(hosted)).status_code == 201
-    assert details(http, url)["kind"] == "Cached"
+    assert [details(http, url)[told] for told in ("kind", "numberOfHits")] == ["Cached", 2]
+    assert details(http, url)["numberOfHits"] == 3  # it was found there, to be looked at
+    assert details(http, path.rpartition("/")[2])["numberOfHits"] == 1
     read = http.get("/entities/urn:x:parts?options=keyValues").json()
     assert read["https://a.example/speed"] == 3
     refused = http.get(f"/jsonldContexts/{quote(url, safe='')}")
@@ -124,6 +126,66 @@ def test_a_cached_context_is_fetched_anew_when_told_to(http: httpx.Client, publi
     assert "velocity" in http.get("/entities", params=query, headers=link(url)).json()[0]
     assert http.delete(named).status_code == 204
     assert http.get(f"{named}?details=true").status_code == 404
+
+
+def test_what_was_made_with_a_context_is_made_anew_when_it_is_fetched_anew(
+    http: httpx.Client, publisher: Any, subscriber: Any, eventually: Callable[..., Any]
+) -> None:
+    url = f"http://127.0.0.1:{publisher.port}/renewed.jsonld"
+    publisher.document = {"@context": {"Pump": "https://a.example/Pump", "flow": "https://a.example/flow"}}
+    subscription = {
+        "id": "urn:x:sub:renewed",
+        "type": "Subscription",
+        "entities": [{"type": "Pump"}],
+        "q": "flow>1",
+        "notification": {"endpoint": {"uri": subscriber.url}, "format": "keyValues"},
+    }
+    assert http.post("/subscriptions", json=subscription, headers=link(url)).status_code == 201
+    registration = {
+        "id": "urn:x:csr:renewed",
+        "type": "ContextSourceRegistration",
+        "endpoint": "http://127.0.0.1:9",
+        "information": [{"entities": [{"type": "Valve"}]}],
+        "flow": {"type": "Property", "value": 1},
+    }
+    assert http.post("/csourceRegistrations", json=registration, headers=link(url)).status_code == 201
+    pump = {"id": "urn:x:pump", "type": "Pump", "flow": 2}
+    assert http.post("/entities", json=pump, headers=link(url)).status_code == 201
+    assert eventually(lambda: subscriber.entities("urn:x:sub:renewed"))[0]["flow"] == 2
+    terms = {
+        "Pump": "https://a.example/Pump",
+        "flow": "https://a.example/rpm",
+        "stream": "https://a.example/flow",
+    }
+    publisher.document = {"@context": terms}
+    assert http.delete(f"/jsonldContexts/{quote(url, safe='')}?reload=true").status_code == 204
+    http.patch("/entities/urn:x:pump/attrs", json={"stream": 0}, headers=link(url))
+    http.patch("/entities/urn:x:pump/attrs", json={"flow": 3}, headers=link(url))
+    told = eventually(lambda: subscriber.entities("urn:x:sub:renewed")[1:])
+    assert told == [{"id": "urn:x:pump", "type": "Pump", "stream": 0, "flow": 3}]
+    assert http.get("/subscriptions/urn:x:sub:renewed").json()["notification"]["timesSent"] == 2
+    assert http.delete("/csourceRegistrations/urn:x:csr:renewed").status_code == 204
+
+
+def test_who_gives_no_context_has_the_one_that_is_set(own_broker: Any, publisher: Any) -> None:
+    url = f"http://127.0.0.1:{publisher.port}/default.jsonld"
+    publisher.document = {"@context": {"speed": "https://a.example/speed"}}
+    own_broker.extra["HANDOVER_BROKER_DEFAULT_CONTEXT"] = url
+    own_broker.start()
+    with own_broker.client() as http:
+        assert (
+            http.post("/entities", json={"id": "urn:x:set", "type": "Thing", "speed": 3}).status_code == 201
+        )
+        read = http.get("/entities/urn:x:set?options=keyValues")
+        assert (read.json()["speed"], url in read.headers["link"]) == (3, True)
+        assert (
+            http.get("/entities?type=Thing&q=speed==3", headers={"Accept": LD["Content-Type"]}).json()[0][
+                "@context"
+            ]
+            == url
+        )
+        core = http.get("/entities/urn:x:set?options=keyValues", headers=link(CORE))
+        assert core.json()["https://a.example/speed"] == 3
 
 
 def test_a_hosted_context_cannot_be_fetched_anew(http: httpx.Client) -> None:
@@ -176,7 +238,9 @@ def test_a_subscription_that_brings_its_context_gets_one_that_a_link_can_name(
     assert http.post("/subscriptions", content=json.dumps(wanted), headers=LD).status_code == 201
     url = http.get("/subscriptions/urn:x:sub:implicit").json()["jsonldContext"]
     assert url in http.get("/jsonldContexts?kind=ImplicitlyCreated").json()
-    assert details(http, url.rpartition("/")[2])["kind"] == "ImplicitlyCreated"
+    implicit = details(http, url.rpartition("/")[2])
+    assert (implicit["kind"], implicit["numberOfHits"]) == ("ImplicitlyCreated", 1)
+    assert details(http, url)["numberOfHits"] == 1
     assert httpx.get(url, trust_env=False).json() == {"@context": context}
     lamp = {"id": "urn:x:lamp", "type": "Lamp", "glow": 5, "@context": context}
     assert http.post("/entities", content=json.dumps(lamp), headers=LD).status_code == 201
@@ -217,6 +281,7 @@ def test_ten_requests_ask_a_server_that_hangs_once(own_broker: Any) -> None:
     own_broker.start()
     with socket.create_server(("127.0.0.1", 0), backlog=64) as silent, own_broker.client() as http:
         silent.setblocking(False)
+        assert http.get("/entities?type=T", headers=link("http://127.0.0.1:9/nobody")).status_code == 504
         url = f"http://127.0.0.1:{silent.getsockname()[1]}/never.jsonld"
         with ThreadPoolExecutor(10) as pool:
             answers = list(pool.map(lambda _: http.get("/entities?type=T", headers=link(url)), range(10)))

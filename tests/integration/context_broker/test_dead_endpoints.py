@@ -11,6 +11,8 @@ import httpx
 import psutil
 import pytest
 
+from tests.integration.context_broker import acts
+
 Eventually = Callable[..., Any]
 
 
@@ -44,17 +46,8 @@ def closing() -> Iterator[Closing]:
 
 
 def subscribe(http: httpx.Client, name: str, url: str, kind: str, **endpoint: Any) -> str:
-    answer = http.post(
-        "/subscriptions",
-        json={
-            "id": f"urn:ngsi-ld:Subscription:demo:{name}",
-            "type": "Subscription",
-            "entities": [{"type": kind}],
-            "notification": {"endpoint": {"uri": url, **endpoint}},
-        },
-    )
-    assert answer.status_code == 201, answer.text
-    return f"/subscriptions/urn:ngsi-ld:Subscription:demo:{name}"
+    told = {"entities": [{"type": kind}], "notification": {"endpoint": endpoint}}
+    return f"/subscriptions/{acts.subscribe(http, name, url, **told)}"
 
 
 def create(http: httpx.Client, kind: str, **attributes: Any) -> str:
@@ -151,6 +144,29 @@ def test_counts_are_true_after_a_power_cut(
         assert after["timesFailed"] >= before["timesFailed"]
         assert after["lastFailure"] >= before["lastFailure"]
         assert len(subscriber.received) == 1
+
+
+@pytest.mark.slow
+def test_however_much_a_dead_endpoint_is_owed_the_memory_stays_as_it_is(
+    own_broker: Any, closing: Closing, eventually: Eventually
+) -> None:
+    """Some thousand notifications are enough to see whether a million would fill it."""
+    own_broker.start()
+    with own_broker.client() as http:
+        subscribe(http, "million", closing.url, "Million")
+        memory = psutil.Process(own_broker.process.pid).memory_info
+        things = [f"urn:ngsi-ld:Million:demo:{number}" for number in range(500)]
+        taken = []
+        for number in range(40):
+            batch = [{"id": thing, "type": "Million", "n": number} for thing in things]
+            assert http.post("/entityOperations/upsert?options=update", json=batch).is_success
+            taken.append(memory().rss)
+        assert taken[-1] - taken[9] < 6 * 1024 * 1024, taken
+        assert waiting(own_broker, "memory") <= 256
+        eventually(lambda: waiting(own_broker, "memory") + waiting(own_broker, "disk") == 20_000)
+    own_broker.kill()
+    own_broker.start()
+    eventually(lambda: waiting(own_broker, "memory") + waiting(own_broker, "disk") == 20_000)
 
 
 @pytest.mark.slow

@@ -1,8 +1,10 @@
 """Entity maps and snapshots where entities are spread over several brokers."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.context_sources import ScriptedSource, put, register
 
@@ -37,8 +39,8 @@ def test_a_map_tells_who_has_what_and_only_they_are_asked(
             headers={MAP: answer.headers[MAP]},
         )
         pages += page.json()
-        asked = source.asked[-1][2]["id"].split(",")
-        assert len(asked) == 2
+        asked = [one[2]["id"].split(",") for one in source.asked]
+        assert asked == ([] if offset == "0" else [ids[2:]])
     assert sorted(one["id"] for one in pages) == ids
     assert {one["id"] for one in pages if "there" in one} == set(ids[2:])
 
@@ -73,3 +75,123 @@ def test_a_snapshot_holds_what_sources_have_too(
     inside = {"NGSILD-Snapshot": near.get(at).json()["id"]}
     answer = near.get("/entities", params={"type": kind}, headers=inside)
     assert sorted(one["a"]["value"] for one in answer.json()) == [1, 2]
+
+
+@pytest.fixture
+def chain(brokers: list[Any], kind: str) -> Iterator[list[httpx.Client]]:
+    """Three brokers of which the first asks the second and the second the third, each with two entities."""
+    operations = ["federationOps", "createEntityMapQueryTemporal", "queryTemporal", "retrieveTemporal"]
+    clients = [one.client() for one in brokers]
+    paths = [
+        register(clients[place], brokers[place + 1].url, {"type": kind}, operations=operations)
+        for place in range(2)
+    ]
+    for place, client in enumerate(clients):
+        for number in range(2):
+            put(client, f"urn:ngsi-ld:{kind}:{place}{number}", kind, n=10 * place + number)
+    put(clients[2], f"urn:ngsi-ld:{kind}:00", kind, deep=1)
+    yield clients
+    for client, path in zip(clients, paths, strict=False):
+        client.delete(path)
+    for client in clients:
+        client.close()
+
+
+def linked(client: httpx.Client, document: dict[str, Any]) -> dict[str, Any]:
+    """Return the one map that a map is linked to, as the broker that made it has it."""
+    (other,) = document["linkedMaps"].values()
+    found: dict[str, Any] = client.get(f"/entityMaps/{other}").json()
+    return found
+
+
+@pytest.mark.parametrize("past", [False, True])
+def test_maps_are_linked_all_the_way_down_a_chain(chain: list[httpx.Client], kind: str, past: bool) -> None:
+    asked = {"type": kind, "entityMapLifetime": "PT30M"}
+    at = "entities"
+    if past:
+        at = "temporal/entities"
+        asked |= {"timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "timeproperty": "createdAt"}
+    made = chain[0].get(f"/{at.replace('entities', 'entityMaps')}", params=asked)
+    assert made.status_code == 201, made.text
+    document = made.json()
+    (registration,) = document["linkedMaps"]
+    ids = [f"urn:ngsi-ld:{kind}:{name}" for name in ("00", "01", "10", "11", "20", "21")]
+    expected = {one: [registration] for one in ids} | {ids[0]: ["@none", registration], ids[1]: ["@none"]}
+    assert document["entityMap"] == expected
+    second = linked(chain[1], document)
+    assert second["entityMap"].keys() == set(ids) - {ids[1]}
+    third = linked(chain[2], second)
+    assert third["entityMap"] == {one: ["@none"] for one in (ids[0], *ids[4:])}
+    assert third["linkedMaps"] == {}
+    assert third["expiresAt"][:16] <= document["expiresAt"][:16]
+    named = {MAP: made.headers[MAP]}
+    for client in chain:
+        client.post("/entities?local=true", json={"id": f"urn:ngsi-ld:{kind}:new", "type": kind})
+    seen: list[Any] = []
+    for offset in range(0, 8, 2):
+        page = chain[0].get(f"/{at}", params={**asked, "limit": 2, "offset": offset}, headers=named)
+        assert page.status_code == 200, page.text
+        seen += page.json()
+    assert sorted(one["id"] for one in seen) == ids
+    assert {"n", "deep"} <= next(one for one in seen if one["id"] == ids[0]).keys()
+
+
+def test_conditions_and_orders_hold_for_linked_maps_too(chain: list[httpx.Client], kind: str) -> None:
+    made = chain[0].get("/entities", params={"type": kind, "q": "n>0", "entityMap": "true", "limit": 3})
+    assert made.status_code == 201, made.text
+    rest = chain[0].get(
+        "/entities", params={"type": kind, "q": "n>0", "offset": 3}, headers={MAP: made.headers[MAP]}
+    )
+    assert sorted(one["n"]["value"] for one in made.json() + rest.json()) == [1, 10, 11, 20, 21]
+    ordered = chain[0].get("/entities", params={"type": kind, "orderBy": "n;desc", "entityMap": "true"})
+    assert [one["n"]["value"] for one in ordered.json()] == [21, 20, 11, 10, 1, 0]
+    split = {"type": kind, "q": "n>5|deep==1", "splitEntities": "true"}
+    document = chain[0].get("/entityMaps", params=split).json()
+    assert len(document["linkedMaps"]) == 1
+    assert {one[-2:] for one in document["entityMap"]} == {"00", "10", "11", "20", "21"}
+
+
+def test_a_page_is_asked_for_by_the_map_of_the_source(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    path = register(near, source.url, {"type": kind}, operations=["federationOps"])
+    other = register(near, source.url, {"type": kind}, operations=["retrieveOps"])
+    registration = path.rpartition("/")[2]
+    one, two = (f"urn:ngsi-ld:{kind}:{number}" for number in (1, 2))
+    theirs = "urn:ngsi-ld:EntityMap:theirs"
+    told = {"id": theirs, "type": "EntityMap", "entityMap": {one: ["@none"], two: ["@none"], "x": 1}}
+    source.answers["GET", "/ngsi-ld/v1/entityMaps"] = 201, told
+    source.answers["GET", "/ngsi-ld/v1/entities"] = 200, []
+    made = near.get("/entityMaps", params={"type": kind, "entityMapLifetime": "PT10M"})
+    assert made.json()["linkedMaps"] == {registration: theirs}
+    assert made.json()["entityMap"] == {one: [registration], two: [registration]}
+    (asked,) = (each for each in source.asked if each[1].endswith("entityMaps"))
+    assert (asked[2]["entityMapLifetime"], asked[2]["type"]) == ("PT10M", kind)
+    source.asked.clear()
+    source.answers["GET", "/ngsi-ld/v1/entities"] = 200, [{"id": two, "type": kind, "n": 1}]
+    page = near.get(
+        "/entities", params={"type": kind, "limit": 1, "offset": 1}, headers={MAP: made.headers[MAP]}
+    )
+    assert [each["id"] for each in page.json()] == [two]
+    (asked,) = source.asked  # the other registration has nothing of it
+    assert asked[2]["id"] == two
+    assert asked[3]["ngsild-entitymap"] == f"/ngsi-ld/v1/entityMaps/{theirs}"
+    source.answers["GET", "/ngsi-ld/v1/entities"] = 404, None
+    source.asked.clear()
+    near.get("/entities", params={"type": kind, "limit": 1}, headers={MAP: made.headers[MAP]})
+    assert ["ngsild-entitymap" in each[3] for each in source.asked] == [True, False]
+    near.delete(other)
+
+
+@pytest.mark.parametrize("answer", [(404, None), (501, {}), (200, []), (200, b"<html>"), (200, {"id": 1})])
+def test_a_source_that_makes_no_maps_is_asked_for_its_entities(
+    near: httpx.Client, source: ScriptedSource, kind: str, answer: tuple[int, Any]
+) -> None:
+    path = register(near, source.url, {"type": kind}, operations=["federationOps"])
+    source.answers["GET", "/ngsi-ld/v1/entityMaps"] = answer
+    one = f"urn:ngsi-ld:{kind}:1"
+    source.answers["GET", "/ngsi-ld/v1/entities"] = 200, [{"id": one, "type": kind}]
+    made = near.get("/entityMaps", params={"type": kind})
+    assert made.status_code == 201
+    assert made.json()["entityMap"] == {one: [path.rpartition("/")[2]]}
+    assert made.json()["linkedMaps"] == {}

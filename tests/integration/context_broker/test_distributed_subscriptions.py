@@ -167,3 +167,129 @@ def test_what_is_for_this_broker_alone_is_not_passed_on(
                 "notification": {"endpoint": {"uri": subscriber.url}}}  # fmt: skip
     assert near.post("/subscriptions?local=true", json=document).status_code == 201
     assert source.asked == []
+
+
+def test_what_was_before_and_what_is_gone_elsewhere_is_told(
+    near: httpx.Client, far: httpx.Client, kind: str, subscriber: Any, eventually: Eventually
+) -> None:
+    register(near, str(far.base_url), {"type": kind}, operations=OPERATIONS)
+    one = put(far, f"urn:ngsi-ld:{kind}:1", kind, n=1, m=2, o=3)
+    put(near, one, kind, here=9)
+    notification = {"endpoint": {"uri": subscriber.url}, "showChanges": True, "sysAttrs": False}
+    triggers = ["attributeUpdated", "attributeDeleted", "entityDeleted"]
+    path = subscribe(near, kind, subscriber.url, notification=notification, notificationTrigger=triggers)
+    far.patch(f"/entities/{one}/attrs", json={"n": 5})
+    eventually(lambda: len(subscriber.received) == 1)
+    far.delete(f"/entities/{one}/attrs/m")
+    eventually(lambda: len(subscriber.received) == 2)
+    far.delete(f"/entities/{one}")
+    eventually(lambda: len(subscriber.received) == 3)
+    changed, lost, gone = subscriber.entities()
+    assert changed["n"] == {"type": "Property", "value": 5, "previousValue": 1}
+    assert changed["here"]["value"] == 9
+    assert "createdAt" not in changed
+    assert lost["m"]["value"] == "urn:ngsi-ld:null"
+    assert lost["m"]["previousValue"] == 2
+    assert lost["o"]["value"] == 3
+    assert gone["deletedAt"]
+    assert gone["o"]["previousValue"] == 3
+    near.delete(path)
+
+
+def test_what_is_gone_elsewhere_is_told_in_the_form_of_the_subscriber(
+    near: httpx.Client, far: httpx.Client, kind: str, subscriber: Any, eventually: Eventually
+) -> None:
+    register(near, str(far.base_url), {"type": kind}, operations=OPERATIONS)
+    one = put(far, f"urn:ngsi-ld:{kind}:1", kind, n=1, m=2)
+    notification = {"endpoint": {"uri": subscriber.url}, "format": "keyValues"}
+    triggers = ["attributeDeleted", "entityDeleted"]
+    path = subscribe(near, kind, subscriber.url, notification=notification, notificationTrigger=triggers)
+    far.delete(f"/entities/{one}/attrs/m")
+    eventually(lambda: len(subscriber.received) == 1)
+    far.delete(f"/entities/{one}")
+    eventually(lambda: len(subscriber.received) == 2)
+    lost, gone = subscriber.entities()
+    assert lost == {"id": one, "type": kind, "n": 1, "m": "urn:ngsi-ld:null"}
+    assert (gone["n"], gone["type"]) == ("urn:ngsi-ld:null", kind)
+    near.delete(path)
+
+
+def sent_to(source: ScriptedSource) -> dict[str, Any]:
+    """Return the subscription that a source was given last."""
+    document: dict[str, Any] = [one[4] for one in source.asked if one[0] == "POST"][-1]
+    return document
+
+
+def test_what_is_passed_on_is_narrowed_to_what_is_registered(
+    near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
+) -> None:
+    source.answers["POST", "/ngsi-ld/v1/subscriptions"] = 201, None
+    register(near, source.url, {"type": kind}, ["a", "b"], operations=OPERATIONS)
+    entities = [{"type": f"{kind},Other"}, {"type": "Other"}, {"type": f"(Big;{kind})", "idPattern": "x"}]
+    path = subscribe(near, kind, subscriber.url, entities=entities)
+    sent = sent_to(source)
+    assert sent["entities"] == [{"type": kind}, {"type": f"(Big;{kind})", "idPattern": "x"}]
+    assert sent["watchedAttributes"] == ["a", "b"]
+    near.delete(path)
+    path = subscribe(near, kind, subscriber.url, watchedAttributes=["b", "c"], entities=[{"type": kind}])
+    assert sent_to(source)["watchedAttributes"] == ["b"]
+    near.delete(path)
+    one = f"urn:ngsi-ld:{kind}:1"
+    register(near, source.url, {"type": f"{kind}x", "id": one}, operations=OPERATIONS)
+    path = subscribe(near, f"{kind}x", subscriber.url, timeInterval=3600)
+    assert sent_to(source)["entities"] == [{"id": one, "type": f"{kind}x"}]
+    near.delete(path)
+
+
+def test_an_older_source_is_told_what_it_knows(
+    near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
+) -> None:
+    source.answers["POST", "/ngsi-ld/v1/subscriptions"] = 201, None
+    info = [{"key": "ngsildConformance", "value": "1.3"}]
+    register(near, source.url, {"type": kind}, operations=OPERATIONS, contextSourceInfo=info)
+    notification = {"endpoint": {"uri": subscriber.url}, "showChanges": True}
+    more = {"notification": notification, "notificationTrigger": ["entityUpdated"], "scopeQ": "/A"}
+    path = subscribe(near, kind, subscriber.url, **more)
+    sent = sent_to(source)
+    assert sent.keys() == {"id", "type", "entities", "notification"}
+    assert sent["entities"] == [{"type": kind}]
+    assert sent["notification"].keys() == {"format", "endpoint"}
+    near.delete(path)
+
+
+def test_a_source_that_is_told_nothing_but_beginnings(
+    near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any, eventually: Eventually
+) -> None:
+    source.answers["POST", "/ngsi-ld/v1/subscriptions"] = 201, None
+    path = register(near, source.url, {"type": kind}, operations=["createSubscription"])
+    near.delete(subscribe(near, kind, subscriber.url))
+    assert [one[0] for one in source.asked] == ["POST"]
+    uri = sent_to(source)["notification"]["endpoint"]["uri"]
+    assert httpx.post(uri, json={"data": []}, trust_env=False).status_code == 404
+    near.delete(path)
+    register(near, source.url, {"type": kind}, operations=["createSubscription", "updateSubscription"])
+    subscription = subscribe(near, kind, subscriber.url)
+    source.answers["PATCH", f"/ngsi-ld/v1/subscriptions/{sent_to(source)['id']}"] = 204, None
+    near.delete(subscription)
+    assert (source.asked[-1][0], source.asked[-1][4]["isActive"]) == ("PATCH", False)
+
+
+def test_changes_are_told_through_a_ring_of_brokers_once(
+    brokers: list[Any], kind: str, subscriber: Any, eventually: Eventually
+) -> None:
+    clients = [one.client() for one in brokers]
+    paths = [
+        register(client, brokers[(place + 1) % 3].url, {"type": kind}, operations=OPERATIONS)
+        for place, client in enumerate(clients)
+    ]
+    path = subscribe(clients[0], kind, subscriber.url)
+    assert [len(subscriptions(client, kind)) for client in clients] == [1, 1, 1]
+    for place, client in enumerate(clients):
+        put(client, f"urn:ngsi-ld:{kind}:{place}", kind, n=place)
+    eventually(lambda: len(subscriber.received) == 3)
+    clients[0].delete(path)
+    eventually(lambda: not any(subscriptions(client, kind) for client in clients))
+    assert sorted(one["n"]["value"] for one in subscriber.entities()) == [0, 1, 2]
+    for client, each in zip(clients, paths, strict=True):
+        client.delete(each)
+        client.close()

@@ -134,3 +134,150 @@ def test_a_source_that_answers_nonsense_is_warned_of(
     answer = near.get(path)
     assert answer.status_code in {200, 404}
     assert answer.headers["ngsild-warning"].startswith("111")
+
+
+AGGREGATES = {"options": "aggregatedValues", "aggrMethods": "totalCount,avg,distinctCount,stddev,min,max,sum"}
+THAT_DAY = {"timerel": "between", "timeAt": "2026-01-01T00:00:00Z", "endTimeAt": "2026-01-02T00:00:00Z"}
+
+
+def totals(document: dict[str, Any], name: str) -> dict[str, list[Any]]:
+    said = {method: pairs for method, pairs in document[name].items() if method != "type"}
+    return {method: [pair[0] for pair in pairs] for method, pairs in said.items()}
+
+
+def test_totals_are_those_of_all_values_wherever_they_are(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    one, other = f"urn:ngsi-ld:{kind}:1", f"urn:ngsi-ld:{kind}:2"
+    register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
+    tell(near, one, kind, a={1: 1, 2: 2, 3: 3}, b={1: 5})
+    tell(far, one, kind, a={3: 3, 4: 3, 5: 11}, c={2: 8})
+    tell(far, other, kind, a={1: 100})
+    expected = {
+        "totalCount": [5],
+        "avg": [4],
+        "distinctCount": [4],
+        "stddev": [pytest.approx(3.5777, abs=1e-3)],
+        "min": [1],
+        "max": [11],
+        "sum": [20],
+    }
+    found = near.get(f"/temporal/entities/{one}", params={**AGGREGATES, **THAT_DAY}).json()
+    assert totals(found, "a") == expected
+    assert totals(found, "b")["sum"] == [5]
+    assert totals(found, "c")["sum"] == [8]
+    assert totals(near.get(f"/temporal/entities/{one}", params=AGGREGATES).json(), "a") == expected
+    answer = near.get("/temporal/entities", params={"type": kind, **AGGREGATES, **THAT_DAY})
+    assert [(said["id"], totals(said, "a")["sum"]) for said in answer.json()] == [(one, [20]), (other, [100])]
+    query = {
+        "type": "Query",
+        "entities": [{"type": kind}],
+        "temporalQ": THAT_DAY,
+        "aggrParams": {"aggrMethods": "sum", "aggrPeriodDuration": "PT2S"},
+    }
+    at = "/temporal/entityOperations/query"
+    answer = near.post(at, json=query, params={"options": "aggregatedValues"})
+    assert totals(answer.json()[0], "a")["sum"] == [1, 5, 14], answer.text
+    picked = near.get(f"/temporal/entities/{one}", params={**AGGREGATES, **THAT_DAY, "pick": "id,c"}).json()
+    assert picked.keys() == {"id", "c"}
+    (first, _) = near.get("/temporal/entities", params={"type": kind, **THAT_DAY, "pick": "c,type"}).json()
+    assert first.keys() == {"type", "c"}
+    (first, _) = near.post(at, json={**query, "pick": ["c"]}, params={"options": "aggregatedValues"}).json()
+    assert first.keys() == {"c"}
+    (first, _) = near.get("/temporal/entities", params={"type": kind, **THAT_DAY, "omit": "c,type"}).json()
+    assert first.keys() == {"id", "a", "b"}
+
+
+def test_of_one_moment_told_twice_our_own_counts(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
+    tell(near, entity_id, kind, a={1: 700})
+    tell(far, entity_id, kind, a={1: 800, 2: 900})
+    assert told(near.get(f"/temporal/entities/{entity_id}").json(), "a") == [700, 900]
+    pairs = near.get(f"/temporal/entities/{entity_id}?options=temporalValues").json()["a"]["values"]
+    assert [value for value, _ in pairs] == [700, 900]
+
+
+def test_what_is_more_than_one_answer_is_told_up_to_the_same_moment_by_all(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    entity_id = f"urn:ngsi-ld:{kind}:1"
+    register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
+    times = [f"2026-01-01T00:{number // 60:02}:{number % 60:02}Z" for number in range(1500)]
+    many = [{"type": "Property", "value": 1, "observedAt": at} for at in times]
+    assert far.post("/temporal/entities", json={"id": entity_id, "type": kind, "a": many}).status_code == 201
+    late = [{"type": "Property", "value": 2, "observedAt": at.replace("00Z", "00.5Z")} for at in times[::60]]
+    answer = near.post("/temporal/entities?local=true", json={"id": entity_id, "type": kind, "a": late})
+    assert answer.status_code == 201
+    first = near.get(f"/temporal/entities/{entity_id}", params=THAT_DAY)
+    assert first.status_code == 206
+    seen = told(first.json(), "a")
+    edge = first.headers["content-range"].removeprefix("date-time ").partition("/")[0][-20:]
+    assert edge == times[999]
+    after = {**THAT_DAY, "timeAt": edge.replace("Z", ".000001Z")}
+    rest = near.get(f"/temporal/entities/{entity_id}", params=after)
+    assert rest.status_code == 200
+    seen += told(rest.json(), "a")
+    assert (seen.count(1), seen.count(2)) == (1500, 25)
+    assert totals(near.get(f"/temporal/entities/{entity_id}", params={**AGGREGATES, **THAT_DAY}).json(), "a")[
+        "sum"
+    ] == [1550]
+    assert near.get(f"/temporal/entities/{entity_id}", params=AGGREGATES).status_code == 403
+
+
+def test_pages_of_the_past_do_not_depend_on_the_order_of_ids(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
+    register(near, brokers[2].url, {"type": kind}, operations=TEMPORAL)
+    with brokers[2].client() as third:
+        for name in "dabc":
+            tell(far, f"urn:ngsi-ld:{kind}:{name}", kind, a={1: 1})
+        for name in "zbx":
+            tell(third, f"urn:ngsi-ld:{kind}:{name}", kind, b={1: 1})
+    tell(near, f"urn:ngsi-ld:{kind}:x", kind, c={1: 1})
+    seen: dict[str, set[str]] = {}
+    for offset in range(7):
+        asked = {"type": kind, "limit": 1, "offset": offset, **THAT_DAY}
+        for one in near.get("/temporal/entities", params=asked).json():
+            assert one["id"] not in seen
+            seen[one["id"]] = one.keys() & {"a", "b", "c"}
+    assert {one[-1]: names for one, names in seen.items()} == {
+        "x": {"b", "c"},
+        "a": {"a"},
+        "b": {"a", "b"},
+        "c": {"a"},
+        "d": {"a"},
+        "z": {"b"},
+    }
+
+
+def test_conditions_on_the_past_are_looked_at_on_whole_entities(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    register(near, brokers[1].url, {"type": kind}, ["there"], operations=TEMPORAL)
+    ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(5)]
+    for number, one in enumerate(ids):
+        tell(near, one, kind, here={1: number})
+        tell(far, one, kind, there={1: 0, 2: 10 * number})
+    tell(far, f"urn:ngsi-ld:{kind}:elsewhere", kind, there={1: 50})
+    asked = {"type": kind, "q": "here>1;there<40", **THAT_DAY}
+    answer = near.get("/temporal/entities", params={**asked, "limit": 2, "count": "true"})
+    assert [one["id"] for one in answer.json()] == ids[2:4], answer.text
+    assert told(answer.json()[0], "there") == [0, 20]
+    assert answer.headers["ngsild-results-count"] == "3"  # of the last one, 0 is below 40, too
+    assert "next" in answer.links
+    rest = near.get("/temporal/entities", params={**asked, "limit": 2, "offset": 2}).json()
+    assert [one["id"] for one in rest] == [ids[4]]
+    assert near.get("/temporal/entities", params={**asked, "offset": 9}).json() == []
+    pairs = near.get("/temporal/entities", params={**asked, "options": "temporalValues", "pick": "id,there"})
+    assert [one["there"]["values"][-1][0] for one in pairs.json()] == [20, 30, 40]
+    assert "here" not in pairs.json()[0]
+    query = {"type": "Query", "entities": [{"type": kind}], "q": asked["q"], "temporalQ": THAT_DAY}
+    posted = near.post("/temporal/entityOperations/query", json=query, params={**AGGREGATES})
+    assert posted.status_code == 200, posted.text
+    assert [totals(one, "there")["max"] for one in posted.json()] == [[20], [30], [40]]
+    whole = near.get("/temporal/entities", params={**asked, "splitEntities": "false"}).json()
+    assert whole == []

@@ -9,6 +9,7 @@ import pytest
 
 from tests.context_sources import ScriptedSource, put, register, values
 
+DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"
 EXCLUSIVE = {"b": 1, "c": 1}
 BOTH = {"a": 1, "b": 1, "c": 1}
 Act = Callable[[httpx.Client, str, str], httpx.Response]
@@ -252,9 +253,9 @@ def test_a_part_that_fails_is_told(near: httpx.Client, source: ScriptedSource, k
     source.answers["PATCH", f"/ngsi-ld/v1/entities/{entity_id}"] = 500, {}
     answer = update(near, entity_id, kind)
     assert answer.status_code == 207
-    assert answer.json()["updated"] == ["a"]
+    assert answer.json()["updated"] == [DEFAULT + "a"]
     (left,) = answer.json()["notUpdated"]
-    assert left["attributeName"] == "b"
+    assert left["attributeName"] == DEFAULT + "b"
     assert path.endswith(left["registrationId"])
     answer = merge(near, entity_id, kind)
     assert answer.status_code == 207
@@ -381,6 +382,28 @@ def test_a_purge_takes_away_what_is_registered_and_no_more(
     assert held(far, f"urn:ngsi-ld:{kind}:1") == (None if names is None else {"a": 1})
     assert held(far, f"urn:ngsi-ld:{kind}:2") == {"a": 2, "b": 1}
     assert held(far, f"urn:ngsi-ld:{kind}:other") == {"a": 1, "b": 1}
+
+
+def test_a_purge_looks_at_whole_entities(near: httpx.Client, far: httpx.Client, kind: str) -> None:
+    good, bad, there = (f"urn:ngsi-ld:{kind}:{name}" for name in ("good", "bad", "there"))
+    for one in (good, bad):
+        put(far, one, kind, heat=5)
+    put(near, good, kind, floor=1)
+    put(near, bad, kind, floor=2)
+    put(far, there, kind, heat=50)
+    register(near, str(far.base_url), {"type": kind}, ["heat"])
+    assert near.delete("/entities", params={"type": kind, "q": "floor==1;heat<10"}).status_code == 204
+    assert held(near, good) is None
+    assert held(far, good) == {}
+    assert held(near, bad) == {"floor": 2}
+    assert held(far, bad) == {"heat": 5}
+    assert held(far, there) == {"heat": 50}
+    assert near.delete("/entities", params={"type": kind, "q": "heat>100"}).status_code == 204
+    dropped = near.delete("/entities", params={"type": kind, "q": "floor==2;heat==5", "drop": "heat"})
+    assert dropped.status_code == 204
+    assert held(far, bad) == {}
+    assert held(near, bad) == {"floor": 2}
+    assert near.delete("/entities", params={"q": "modifiedAt>2020-01-01T00:00:00Z"}).status_code == 400
 
 
 PAST = ["upsertTemporal", "appendAttrsTemporal", "deleteAttrsTemporal", "deleteTemporal", "retrieveTemporal"]

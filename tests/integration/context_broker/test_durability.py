@@ -46,7 +46,7 @@ def test_what_was_owed_before_a_power_cut_is_told_after_it(
         subscription = subscribe(http, "owed", subscriber.url)
         throttled = subscribe(http, "throttled", subscriber.url, throttling=0.2)
         gone = subscribe(http, "gone", subscriber.url)
-        for number in range(700):  # more than memory holds for one subscriber
+        for number in range(300):  # more than memory holds for one subscriber
             entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "n": number}
             assert http.post("/entities", json=entity).status_code == 201
         assert http.delete(f"/subscriptions/{gone}").status_code == 204
@@ -58,21 +58,21 @@ def test_what_was_owed_before_a_power_cut_is_told_after_it(
         def told(one: str) -> list[int]:
             return [entity["n"]["value"] for entity in subscriber.entities(one)]
 
-        eventually(lambda: len(told(subscription)) >= 700)
-        assert told(subscription) == list(range(700))
-        eventually(lambda: set(told(throttled)) == set(range(700)))
+        eventually(lambda: len(told(subscription)) >= 300)
+        assert told(subscription) == list(range(300))
+        eventually(lambda: set(told(throttled)) == set(range(300)))
         assert told(gone) == []
         path = f"/subscriptions/{subscription}"
-        eventually(lambda: http.get(path).json()["notification"]["timesSent"] >= 700)
+        eventually(lambda: http.get(path).json()["notification"]["timesSent"] >= 300)
     own_broker.stop()
     before = len(subscriber.received)
     own_broker.start()
     with own_broker.client() as http:
-        assert http.get(path).json()["notification"]["timesSent"] >= 700
-        entity = {"id": "urn:ngsi-ld:Owed:demo:last", "type": "Owed", "n": 700}
+        assert http.get(path).json()["notification"]["timesSent"] >= 300
+        entity = {"id": "urn:ngsi-ld:Owed:demo:last", "type": "Owed", "n": 300}
         assert http.post("/entities", json=entity).status_code == 201
-        eventually(lambda: 700 in told(subscription))
-    assert subscriber.received[before]["data"][0]["n"]["value"] == 700, "what was delivered is not told again"
+        eventually(lambda: 300 in told(subscription))
+    assert subscriber.received[before]["data"][0]["n"]["value"] == 300, "what was delivered is not told again"
 
 
 @pytest.mark.slow
@@ -107,14 +107,14 @@ def test_a_million_would_not_fill_the_memory_because_a_window_of_them_is_held(
     own_broker.start()
     with own_broker.client() as http:
         subscribe(http, "slow", subscriber.url)
-        entities = [{"id": f"urn:ngsi-ld:Owed:demo:{n}", "type": "Owed", "n": n} for n in range(3000)]
-        for start in range(0, 3000, 500):
+        entities = [{"id": f"urn:ngsi-ld:Owed:demo:{n}", "type": "Owed", "n": n} for n in range(1500)]
+        for start in range(0, 1500, 500):
             answer = http.post("/entityOperations/create", json=entities[start : start + 500])
             assert answer.status_code == 201
         assert own_broker.metric(r'handover_broker_notifications_waiting\{state="memory"\}') <= 256
         subscriber.go_on.set()
-        eventually(lambda: len(set(numbers(subscriber))) == 3000, within_s=40)
-    assert list(dict.fromkeys(numbers(subscriber))) == list(range(3000))
+        eventually(lambda: len(set(numbers(subscriber))) == 1500, within_s=40)
+    assert list(dict.fromkeys(numbers(subscriber))) == list(range(1500))
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from typing import Any
 import httpx
 import pytest
 
+DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"
 JSON = {"Content-Type": "application/json"}
 PENDING = {"type": "Property", "value": "pending", "observedAt": "2026-01-01T12:00:00Z"}
 
@@ -28,7 +29,7 @@ def read(http: httpx.Client, entity_id: str, **parameters: str) -> Any:
 
 def problem(answer: httpx.Response, status: int, kind: str, *words: str) -> None:
     assert answer.status_code == status, answer.text
-    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.headers["content-type"] == "application/json"
     body = answer.json()
     assert body["type"] == f"https://uri.etsi.org/ngsi-ld/errors/{kind}"
     assert body["status"] == status
@@ -121,15 +122,13 @@ def test_deleting_deletes_and_the_id_is_free_again(http: httpx.Client) -> None:
     assert "status" not in read(http, entity_id)
 
 
-def test_an_update_overwrites_what_is_there_and_names_what_is_not(http: httpx.Client) -> None:
+def test_an_update_overwrites_what_is_there_and_adds_what_is_not(http: httpx.Client) -> None:
     entity_id = made(http, "update", status=PENDING, keep=1)
     done = {"type": "Property", "value": "completed", "observedAt": "2026-01-01T12:00:05Z"}
     assert http.patch(f"/entities/{entity_id}/attrs", json={"status": done}).status_code == 204
-    answer = http.patch(f"/entities/{entity_id}/attrs", json={"status": PENDING, "absent": 1})
-    assert answer.status_code == 207
-    assert answer.json()["updated"] == ["status"]
-    assert [one["attributeName"] for one in answer.json()["notUpdated"]] == ["absent"]
-    assert read(http, entity_id, options="keyValues") == task("update", status="pending", keep=1)
+    more = {"status": PENDING, "more": 1, "absent": "urn:ngsi-ld:null", "scope": "/ignored"}
+    assert http.patch(f"/entities/{entity_id}/attrs", json=more).status_code == 204
+    assert read(http, entity_id, options="keyValues") == task("update", status="pending", keep=1, more=1)
 
 
 def test_appending_adds_and_overwrites_unless_told_not_to(http: httpx.Client) -> None:
@@ -139,7 +138,7 @@ def test_appending_adds_and_overwrites_unless_told_not_to(http: httpx.Client) ->
         f"/entities/{entity_id}/attrs", params={"options": "noOverwrite"}, json={"status": "b", "other": 2}
     )
     assert answer.status_code == 207
-    assert answer.json()["updated"] == ["other"]
+    assert answer.json()["updated"] == [DEFAULT + "other"]
     assert read(http, entity_id, options="keyValues") == task("append", status="a", more=1, other=2)
 
 
@@ -419,8 +418,8 @@ def test_instances_that_are_there_stay_when_nothing_is_to_be_overwritten(http: h
     both = [{"type": "Property", "value": 5}, {"type": "Property", "value": 2, "datasetId": "urn:x:gps"}]
     answer = http.post(path, params={"options": "noOverwrite"}, json={"speed": both})
     assert answer.status_code == 207
-    assert answer.json()["updated"] == ["speed"]
-    assert [one["attributeName"] for one in answer.json()["notUpdated"]] == ["speed"]
+    assert answer.json()["updated"] == [DEFAULT + "speed"]
+    assert [one["attributeName"] for one in answer.json()["notUpdated"]] == [DEFAULT + "speed"]
     assert read(http, entity_id, options="keyValues")["speed"] == {"dataset": {"@none": 1, "urn:x:gps": 2}}
     answer = http.put(f"{path}/speed", json={"value": 3, "datasetId": "urn:x:radar"})
     problem(answer, 404, "ResourceNotFound", "urn:x:radar")

@@ -47,7 +47,9 @@ def test_a_map_lists_what_a_query_finds(http: httpx.Client) -> None:
     assert list(posted.json()["entityMap"]) == [slow, fast]
     assert http.delete(f"/entityMaps/{document['id']}").status_code == 204
     assert http.get(f"/entityMaps/{document['id']}").status_code == 404
-    assert http.get("/entities", params={"type": "Listed"}, headers={MAP: at}).status_code == 404
+    anew = http.get("/entities", params={"type": "Listed"}, headers={MAP: at})
+    assert (anew.status_code, len(anew.json())) == (201, 2)
+    assert anew.headers[MAP] != at
 
 
 def test_pages_of_a_map_stay_the_same_while_entities_come_and_go(http: httpx.Client) -> None:
@@ -90,6 +92,16 @@ def test_a_map_can_be_wished_for_among_the_options(http: httpx.Client) -> None:
     assert answer.json()[0]["speed"] == 1
     assert "options=keyValues&" in answer.headers["link"]
     assert http.get("/entities", params={"type": "Optional", "options": "keyValues"}).status_code == 200
+
+
+def test_of_a_map_a_request_may_want_some_entities_alone(http: httpx.Client) -> None:
+    first, second, third = make(http, "Alone", 1, 2, 3)
+    named = {MAP: http.get("/entityMaps", params={"type": "Alone", "q": "speed>1"}).headers[MAP]}
+    some = http.get("/entities", params={"type": "Alone", "id": f"{first},{third}"}, headers=named)
+    assert [one["id"] for one in some.json()] == [third]
+    query = {"type": "Query", "entities": [{"type": "Alone", "id": [first, second]}]}
+    some = http.post("/entityOperations/query", json=query, headers=named)
+    assert [one["id"] for one in some.json()] == [second]
 
 
 def test_a_query_by_document_goes_through_a_map_too(http: httpx.Client) -> None:

@@ -15,6 +15,8 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from tests.integration.context_broker import acts
+
 Eventually = Callable[..., Any]
 PASSWORD = "let-me-in"
 
@@ -91,17 +93,7 @@ def mosquitto(
 
 
 def subscribe(http: httpx.Client, kind: str, uri: str, **endpoint: Any) -> str:
-    answer = http.post(
-        "/subscriptions",
-        json={
-            "id": f"urn:ngsi-ld:Subscription:demo:{kind}",
-            "type": "Subscription",
-            "entities": [{"type": kind}],
-            "notification": {"endpoint": {"uri": uri, **endpoint}},
-        },
-    )
-    assert answer.status_code == 201, answer.text
-    return f"/subscriptions/urn:ngsi-ld:Subscription:demo:{kind}"
+    return f"/subscriptions/{acts.subscribe(http, kind, uri, notification={'endpoint': endpoint})}"
 
 
 def create(http: httpx.Client, kind: str, name: str = "1", **attributes: Any) -> str:

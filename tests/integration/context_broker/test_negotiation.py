@@ -79,9 +79,6 @@ def test_a_context_is_fetched_once_and_survives_the_loss_of_its_server(
 @pytest.mark.parametrize(
     ("body", "headers", "status", "word"),
     [
-        (task("n1"), {"Content-Type": "text/plain"}, 415, "text/plain"),
-        (task("n1"), {"Content-Type": "application/merge-patch+json"}, 415, "merge-patch"),
-        (task("n1"), {}, 415, "application/json"),
         (task("n1") | {"@context": CONTEXT}, JSON, 400, "Link"),
         (task("n1"), LD, 400, "@context"),
         (task("n1") | {"@context": CONTEXT}, LD | link("https://a.example/c"), 400, "Link"),
@@ -150,9 +147,18 @@ def test_what_cannot_be_taken_is_told_why(
 ) -> None:
     answer = post(http, body, headers)
     assert answer.status_code == status, answer.text
-    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.headers["content-type"] == "application/json"
     assert word in answer.json()["detail"]
     assert http.get("/entities/urn:ngsi-ld:Task:demo:n1").status_code == 404
+
+
+@pytest.mark.parametrize("media_type", ["text/plain", "application/merge-patch+json", "application/xml", ""])
+def test_what_is_not_read_is_refused_without_a_word(http: httpx.Client, media_type: str) -> None:
+    headers = {"NGSILD-Tenant": "media", **({"Content-Type": media_type} if media_type else {})}
+    answer = http.post("/entities", content=b'{"id": "urn:x:1", "type": "T"}', headers=headers)
+    assert (answer.status_code, answer.content) == (415, b"")
+    assert answer.headers["accept"] == "application/json, application/ld+json"
+    assert answer.headers["ngsild-tenant"] == "media"
 
 
 def test_nesting_without_end_is_refused(http: httpx.Client) -> None:
@@ -189,6 +195,7 @@ def test_what_nobody_accepts_is_not_sent(http: httpx.Client, accept: str, status
     assert answer.status_code == status
     if status == 406:
         assert "application/json" in answer.json()["detail"]
+        assert "application/geo+json" in answer.json()["availableRepresentations"]
 
 
 @pytest.mark.parametrize(
@@ -198,6 +205,17 @@ def test_what_nobody_accepts_is_not_sent(http: httpx.Client, accept: str, status
         ("GET", "/entities/urn:x:1/nowhere", 404),
         ("GET", "/entities/urn:x:1/attrs/a/b", 404),
         ("PATCH", "/entities", 405),
+        ("PUT", "/entities/", 400),
+        ("PATCH", "/entities/", 400),
+        ("DELETE", "/entities/", 400),
+        ("GET", "/entities/", 400),
+        ("DELETE", "/temporal/entities/", 405),
+        ("DELETE", "/entities/urn:x:1/attrs/", 405),
+        ("DELETE", "/entities//attrs/a", 400),
+        ("DELETE", "/entities/urn:x:1/attrs/%2E", 400),
+        ("DELETE", "/entities/urn:x:1/attrs/%2e%2E", 400),
+        ("DELETE", "/entities/urn:x:1/attrs/%00", 400),
+        ("GET", "/entities/%2e%2e", 400),
         ("DELETE", "/entityOperations/create", 405),
         ("GET", "/entities/%FF", 400),
         ("GET", "/entities/no%20uri", 400),
@@ -207,9 +225,11 @@ def test_what_nobody_accepts_is_not_sent(http: httpx.Client, accept: str, status
     ],
 )
 def test_odd_requests_get_clear_answers(http: httpx.Client, method: str, path: str, status: int) -> None:
-    answer = http.request(method, path)
+    content: dict[str, Any] = {} if method in {"GET", "DELETE"} else {"json": {}}
+    answer = http.request(method, path, **content)
     assert answer.status_code == status
     assert answer.json()["detail"]
+    assert "link" not in answer.headers
 
 
 def test_a_body_without_a_length_is_refused_without_a_word(http: httpx.Client) -> None:
@@ -255,6 +275,10 @@ def test_an_earlier_version_is_spoken_to_who_prefers_it(http: httpx.Client) -> N
     older = http.get(path, headers={"Prefer": "ngsi-ld=1.6"})
     assert (older.status_code, older.headers["preference-applied"]) == (203, "ngsi-ld=1.6")
     assert older.json()["kind"] == {"type": "Property", "value": "food"}
+    for prefer in ('NGSI-LD="1.0";q=0.1, respond-async', "respond-async, ngsi-ld=1.0"):
+        others = http.get("/subscriptions", headers={"Prefer": prefer})
+        assert (others.status_code, others.headers["preference-applied"]) == (200, "ngsi-ld=1.0")
+    assert "preference-applied" not in http.get("/types", headers={"Prefer": "respond-async"}).headers
     newer = http.get(path, headers={"Prefer": "ngsi-ld=2.0"})
     assert (newer.status_code, newer.headers["preference-applied"]) == (200, "ngsi-ld=1.9")
     assert newer.json()["kind"]["type"] == "VocabProperty"
@@ -269,9 +293,10 @@ def test_an_earlier_version_is_spoken_to_who_prefers_it(http: httpx.Client) -> N
 
 def test_a_tenant_is_told_back_in_errors_too(http: httpx.Client) -> None:
     for _ in range(2):
-        answer = http.get("/entities?type=Task", headers={"NGSILD-Tenant": "no-such-tenant"})
-        assert answer.status_code == 404
-        assert answer.headers.get_list("ngsild-tenant") == ["no-such-tenant"]
+        for path, status in (("/types", 404), ("/nowhere", 404), ("/entityOperations/create", 405)):
+            answer = http.get(path, headers={"NGSILD-Tenant": "no-such-tenant"})
+            assert answer.status_code == status
+            assert answer.headers.get_list("ngsild-tenant") == ["no-such-tenant"]
     assert "ngsild-tenant" not in http.get("/entities?type=Task").headers
 
 

@@ -7,36 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
-Eventually = Callable[..., Any]
-
-
-def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
-    notification = members.pop("notification", {})
-    endpoint = {"uri": url, "accept": "application/json", **notification.pop("endpoint", {})}
-    answer = http.post(
-        "/subscriptions",
-        json={
-            "id": f"urn:ngsi-ld:Subscription:demo:{name}",
-            "type": "Subscription",
-            "entities": [{"type": name}],
-            "notification": {**notification, "endpoint": endpoint},
-            **members,
-        },
-    )
-    assert answer.status_code == 201, answer.text
-    return f"urn:ngsi-ld:Subscription:demo:{name}"
-
-
-def create(http: httpx.Client, kind: str, name: str = "1", **attributes: Any) -> str:
-    entity_id = f"urn:ngsi-ld:{kind}:demo:{name}"
-    answer = http.post("/entities", json={"id": entity_id, "type": kind, **attributes})
-    assert answer.status_code == 201, answer.text
-    return entity_id
-
-
-def patch(http: httpx.Client, entity_id: str, **attributes: Any) -> None:
-    answer = http.patch(f"/entities/{entity_id}/attrs", json=attributes)
-    assert answer.status_code == 204, answer.text
+from tests.integration.context_broker.acts import Eventually, create, patch, subscribe
 
 
 def test_a_notification_tells_how_the_entity_is_now(
@@ -108,6 +79,36 @@ def test_format_and_attributes_shape_what_is_told(
     create(http, kind, status={"value": "pending", "unitCode": "X"}, other=1)
     eventually(lambda: subscriber.received)
     assert subscriber.entities() == [{"id": f"urn:ngsi-ld:{kind}:demo:1", "type": kind, "status": status}]
+
+
+def test_who_knows_an_earlier_version_only_is_told_in_its_kinds(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    subscribe(http, "Older", subscriber.url, ngsildConformance="1.6")
+    accepts = {"endpoint": {"accept": "application/geo+json"}}
+    subscribe(
+        http,
+        "OlderMap",
+        subscriber.url,
+        ngsildConformance="1.6",
+        notification=accepts,
+        entities=[{"type": "Older"}],
+    )
+    create(http, "Older", colour={"type": "VocabProperty", "vocab": "red"})
+    eventually(lambda: len(subscriber.received) == 2)
+    for told in (one["data"] for one in subscriber.received):
+        shown = told[0] if isinstance(told, list) else told["features"][0]["properties"]
+        assert shown["colour"] == {"type": "Property", "value": "red"}
+
+
+def test_words_of_a_query_may_be_terms_of_the_context(
+    http: httpx.Client, subscriber: Any, eventually: Eventually
+) -> None:
+    members = {"expandValues": "colour", "notification": {"format": "concise"}}
+    subscribe(http, "Terms", subscriber.url, q="colour==red", **members)
+    for name, colour in (("1", "green"), ("2", "red")):
+        create(http, "Terms", name, colour={"type": "VocabProperty", "vocab": colour})
+    assert eventually(subscriber.entities)[0]["id"] == "urn:ngsi-ld:Terms:demo:2"
 
 
 def test_json_ld_carries_its_context_and_headers_are_sent_along(

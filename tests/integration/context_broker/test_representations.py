@@ -38,6 +38,12 @@ def test_members_are_picked_and_omitted(http: httpx.Client) -> None:
     assert read(http, shop, omit="id,type,scope,a", **simple) == {"b": 2}
     hits = http.get("/entities", params={"type": "Shop", "id": shop, "pick": "id"}).json()
     assert hits == [{"id": shop}]
+    accept = {"Accept": "application/ld+json"}
+    for nothing in ({"pick": "c"}, {"omit": "id,type,scope,a,b"}):
+        for path in (f"/entities/{shop}", f"/temporal/entities/{shop}"):
+            for headers in ({}, accept):
+                answer = http.get(path, params=nothing, headers=headers)
+                assert (answer.status_code, answer.json()["type"].split("/")[-1]) == (404, "ResourceNotFound")
 
 
 @pytest.mark.parametrize(

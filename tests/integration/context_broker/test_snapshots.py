@@ -143,6 +143,32 @@ def test_who_asked_is_told_when_a_snapshot_is_made_and_gone(
     assert subscriber.received[1]["expiresAt"] <= subscriber.received[1]["notifiedAt"]
 
 
+def test_what_was_not_told_of_a_snapshot_is_told_after_a_power_cut(
+    own_broker: BrokerProcess, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    subscriber.status = 503
+    own_broker.start()
+    with own_broker.client() as http:
+        create(http, "urn:ngsi-ld:Owed:1", "Owed", 80)
+        one = snapshot(http, query("Owed"), endpoint=subscriber.url)
+        http.patch(f"{PATH}/{one['id']}", json={"snapshotPriority": 9})
+        assert http.delete(f"{PATH}/{one['id']}").status_code == 204
+    own_broker.kill()
+    subscriber.status = 200
+    own_broker.start()
+    eventually(lambda: len(subscriber.received) >= 3)
+    told = [(one["snapshotStatus"], one["snapshotPriority"]) for one in subscriber.received]
+    assert told[-3:] == [("success", 5), ("success", 9), ("success", 9)]
+    assert subscriber.received[-1]["expiresAt"] <= subscriber.received[-1]["notifiedAt"]
+    so_far = len(subscriber.received)
+    own_broker.stop()
+    own_broker.start()
+    with own_broker.client() as http:  # what is told now would come after what has been owed
+        snapshot(http, query("Owed"), endpoint=subscriber.url, snapshotPriority=3)
+    eventually(lambda: len(subscriber.received) > so_far)
+    assert subscriber.received[so_far]["snapshotPriority"] == 3
+
+
 @pytest.mark.parametrize(
     "members",
     [

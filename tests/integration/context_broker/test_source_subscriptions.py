@@ -66,6 +66,27 @@ def test_a_new_subscriber_is_told_of_all_that_match_and_then_of_changes(
     assert http.get(f"{PATH}/{one}").status_code == 404
 
 
+def test_who_wants_to_be_told_seldom_is_told_of_several_at_once(
+    http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
+) -> None:
+    one = subscribe(http, subscriber.url, "Seldom", throttling=1.5)
+    first = register(http, "seldom-1", "Seldom")
+    eventually(lambda: told(subscriber) == [("newlyMatching", [first])])
+    second, third = register(http, "seldom-2", "Seldom"), register(http, "seldom-3", "Seldom")
+    for text in ("changed", "changed again"):
+        http.patch(f"/csourceRegistrations/{third}", json={"description": text})
+    http.delete(f"/csourceRegistrations/{second}")
+    expected = [
+        ("newlyMatching", [first]),
+        ("newlyMatching", [second, third]),
+        ("updated", [third]),
+        ("noLongerMatching", [second]),
+    ]
+    eventually(lambda: told(subscriber) == expected, why=str(told(subscriber)))
+    assert subscriber.received[2]["data"][0]["description"] == "changed again"
+    eventually(lambda: http.get(f"{PATH}/{one}").json()["notification"]["timesSent"] == 4)
+
+
 def test_a_registration_that_expires_is_told_of(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:

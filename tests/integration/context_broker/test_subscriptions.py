@@ -88,6 +88,24 @@ def test_what_is_told_periodically_and_what_is_picked_are_read_back(http: httpx.
     assert kept["entities"] == [{"type": "(Asset;Device),Task"}]
 
 
+@pytest.mark.parametrize(
+    "members",
+    [
+        {"splitEntities": True},
+        {"ngsildConformance": "1.6"},
+        {"q": "category==red", "expandValues": "category", "jsonKeys": "raw"},
+        {"localOnly": True, "entities": None},
+        {"datasetId": ["@none"]},
+    ],
+)
+def test_members_that_came_later_are_read_back(http: httpx.Client, members: dict[str, Any]) -> None:
+    given = {name: said for name, said in (wish("later") | members).items() if said is not None}
+    assert http.post("/subscriptions", json=given).status_code == 201
+    kept = http.get(f"/subscriptions/{given['id']}").json()
+    assert http.delete(f"/subscriptions/{given['id']}").status_code == 204
+    assert given.items() <= {**kept, "notification": given["notification"]}.items()
+
+
 def test_a_subscription_without_id_gets_one(http: httpx.Client) -> None:
     anonymous = wish("x")
     del anonymous["id"]
@@ -180,6 +198,10 @@ def test_subscriptions_are_listed_page_by_page(http: httpx.Client) -> None:
         ({"timeInterval": 0.1}, 400, "timeInterval"),
         ({"scopeQ": 4}, 400, "scopeQ"),
         ({"csf": 4}, 400, "csf"),
+        ({"csf": "(("}, 400, "csf"),
+        ({"splitEntities": "yes"}, 400, "splitEntities"),
+        ({"ngsildConformance": "new"}, 400, "ngsildConformance"),
+        ({"expandValues": 4}, 400, "expandValues"),
         ({"localOnly": "yes"}, 400, "localOnly"),
         ({"lang": 4}, 400, "lang"),
         ({"datasetId": ["no uri"]}, 400, "URI"),

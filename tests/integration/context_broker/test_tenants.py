@@ -1,13 +1,14 @@
-"""Tenants: hundreds of them, made by being used, none of whom sees another (clauses 4.14, 5.5.10)."""
+"""Tenants: thousands of them, made by being used, none of whom sees another (clauses 4.14, 5.5.10)."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
+import psutil
 import pytest
 
 ERRORS = "https://uri.etsi.org/ngsi-ld/errors/"
-MANY = 300
+MANY = 2000
 
 
 def of(name: str) -> dict[str, str]:
@@ -91,26 +92,27 @@ def test_nothing_of_a_tenant_is_seen_by_another(http: httpx.Client) -> None:
 
 
 @pytest.mark.slow
-def test_hundreds_of_tenants_begin_at_once_and_are_there_after_a_power_cut(own_broker: Any) -> None:
+def test_thousands_of_tenants_begin_at_once_and_are_there_after_a_power_cut(own_broker: Any) -> None:
     own_broker.start()
+    memory = psutil.Process(own_broker.process.pid).memory_info
+    before = memory().rss
     names = [f"tenant-{number}" for number in range(MANY)]
     with own_broker.client() as http, ThreadPoolExecutor(8) as pool:
 
-        def create(task: tuple[str, int]) -> int:
-            name, number = task
-            entity = {"id": f"urn:x:{number}", "type": "Thing", "owner": name}
+        def create(name: str) -> int:
+            entity = {"id": "urn:x:1", "type": "Thing", "owner": name}
             return int(http.post("/entities", json=entity, headers=of(name)).status_code)
 
-        tasks = [(name, number) for name in names for number in range(2)]
-        assert set(pool.map(create, tasks)) == {201}
+        assert set(pool.map(create, names)) == {201}
+    assert memory().rss - before < MANY * 20_000
     own_broker.kill()
     own_broker.start()
     with own_broker.client() as http:
         for name in names:
             found = http.get("/entities?type=Thing&options=keyValues", headers=of(name)).json()
-            assert {(one["id"], one["owner"]) for one in found} == {("urn:x:0", name), ("urn:x:1", name)}
+            assert found == [{"id": "urn:x:1", "type": "Thing", "owner": name}]
         assert http.get("/entities?type=Thing").json() == []
-        assert own_broker.metric("handover_broker_entities") == 2 * MANY
+        assert own_broker.metric("handover_broker_entities") == MANY
 
 
 def test_many_who_are_first_at_once_all_are_heard(http: httpx.Client) -> None:

@@ -5,38 +5,10 @@ from typing import Any
 
 import httpx
 
-Eventually = Callable[..., Any]
+from tests.integration.context_broker.acts import Eventually, create, patch, subscribe
+
 HERE = {"type": "Point", "coordinates": [8.0, 40.0]}
 FAR = {"type": "Point", "coordinates": [9.0, 41.0]}
-
-
-def subscribe(http: httpx.Client, name: str, url: str, **members: Any) -> str:
-    notification = members.pop("notification", {})
-    endpoint = {"uri": url, **notification.pop("endpoint", {})}
-    answer = http.post(
-        "/subscriptions",
-        json={
-            "id": f"urn:ngsi-ld:Subscription:demo:{name}",
-            "type": "Subscription",
-            "entities": [{"type": name}],
-            "notification": {**notification, "endpoint": endpoint},
-            **members,
-        },
-    )
-    assert answer.status_code == 201, answer.text
-    return f"/subscriptions/urn:ngsi-ld:Subscription:demo:{name}"
-
-
-def create(http: httpx.Client, kind: str, name: str = "1", **attributes: Any) -> str:
-    entity_id = f"urn:ngsi-ld:{kind}:demo:{name}"
-    answer = http.post("/entities", json={"id": entity_id, "type": kind, **attributes})
-    assert answer.status_code == 201, answer.text
-    return entity_id
-
-
-def patch(http: httpx.Client, entity_id: str, **attributes: Any) -> None:
-    answer = http.patch(f"/entities/{entity_id}/attrs", json=attributes)
-    assert answer.status_code == 204, answer.text
 
 
 def test_the_end_of_an_entity_is_told_to_who_wants_it(
@@ -92,10 +64,10 @@ def test_types_may_be_combined(http: httpx.Client, subscriber: Any, eventually: 
 
 
 def test_all_types_may_be_meant(http: httpx.Client, subscriber: Any, eventually: Eventually) -> None:
-    path = subscribe(http, "Every", subscriber.url, entities=[{"type": "*", "idPattern": "demo:every$"}])
+    every = subscribe(http, "Every", subscriber.url, entities=[{"type": "*", "idPattern": "demo:every$"}])
     entity = create(http, "Whatever", "every", a=1)
     eventually(lambda: [one["id"] for one in subscriber.entities()] == [entity])
-    assert http.delete(path).status_code == 204
+    assert http.delete(f"/subscriptions/{every}").status_code == 204
 
 
 def test_members_languages_and_instances_are_chosen(
@@ -183,13 +155,13 @@ def test_headers_of_the_request_are_passed_on_where_the_subscriber_wants_them(
 def test_a_periodic_subscriber_is_told_of_all_whatever_changes(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
-    path = subscribe(http, "Round", subscriber.url, timeInterval=1, q="n>0")
+    every_second = subscribe(http, "Round", subscriber.url, timeInterval=1, q="n>0")
     entities = [create(http, "Round", str(number), n=number) for number in range(3)]
     eventually(lambda: len(subscriber.received) >= 2)
     for one in subscriber.received:
         assert [entity["id"] for entity in one["data"]] == entities[1:]
-    assert http.patch(path, json={"isActive": False}).status_code == 204
-    assert http.get(path).json()["notification"]["timesSent"] >= 2
+    assert http.patch(f"/subscriptions/{every_second}", json={"isActive": False}).status_code == 204
+    assert http.get(f"/subscriptions/{every_second}").json()["notification"]["timesSent"] >= 2
 
 
 def test_a_throttled_subscriber_hears_of_ends_too(

@@ -77,7 +77,7 @@ async def test_a_held_gesture_completes_its_task_and_keeps_the_device_current(
 
     async def device_is_current() -> bool:
         device = await bench.device()
-        return device["commandId"] == 3 and device["deviceState"] == "ok"
+        return device.get("commandId") == 3 and device["deviceState"] == "ok"
 
     await until(device_is_current)
     device = await bench.broker.retrieve("urn:ngsi-ld:Device:demo:glove-1")

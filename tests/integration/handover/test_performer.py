@@ -14,6 +14,9 @@ import pytest
 from datamodels.entities import Task, TaskStatus
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.settings import Settings
+from tests.context_sources import ScriptedSource
+
+pytestmark = pytest.mark.slow
 
 LAMP = "urn:ngsi-ld:Device:demo:lamp-1"
 HERE = Path(__file__).parent
@@ -227,8 +230,12 @@ def test_the_lamp_ends_quietly_when_told(lamp: LampProcess, cell: Any, number: s
     assert "Traceback" not in cell.log("lamp")
 
 
-async def test_an_update_of_an_attribute_that_is_not_there_is_said(broker: BrokerClient) -> None:
-    task = a_task("bare", steps=100_000)
-    await broker.create(task)
-    with pytest.raises(BrokerError, match="colour"):
-        await broker.update(task.id, {"colour": {"type": "Property", "value": "red"}})
+async def test_what_another_broker_refuses_of_an_update_is_said() -> None:
+    source = ScriptedSource()
+    left = [{"attributeName": "colour", "reason": "there is none"}]
+    path = "/ngsi-ld/v1/entities/urn:ngsi-ld:Task:demo:bare/attrs"
+    source.answers["PATCH", path] = 207, {"updated": [], "notUpdated": left}
+    async with BrokerClient(Settings.load(broker_url=source.url)) as broker:
+        with pytest.raises(BrokerError, match="colour: there is none"):
+            await broker.update("urn:ngsi-ld:Task:demo:bare", {"colour": {"value": "red"}})
+    source.stop()

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import httpx
 
 from handover.settings import Settings
+from tests import lifeline
 
 PATIENCE_S = 60.0
 CONTEXT = (
@@ -51,7 +52,12 @@ class Member:
         """Start it and wait until it answers."""
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(
-                self._command, env=self._environment, cwd=self._log.parent, stdout=log, stderr=log
+                self._command,
+                env={**self._environment, **lifeline.TOLD},
+                cwd=self._log.parent,
+                stdin=lifeline.STDIN,
+                stdout=log,
+                stderr=log,
             )
         self.wait()
 

@@ -16,7 +16,8 @@ from fastapi import FastAPI
 
 from handover.broker import BrokerClient
 from handover.performer import Job, Performer, TaskFailed
-from handover.service import create_app, serve
+from handover.service import create_app
+from handover.serving import serve
 from handover.settings import Settings
 
 PORT = int(os.environ["PERFORMER_PORT"])

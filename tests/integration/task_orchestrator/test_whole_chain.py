@@ -88,7 +88,16 @@ def test_bin_picking_goes_the_way_the_results_say(tmp_path: Path, free_port: Fre
         assert running.of_type("Alert") == []
 
 
-@pytest.mark.parametrize("victim", ["orchestrator", "broker", "performer"])
+@pytest.mark.parametrize(
+    ("database_url", "victim"),
+    [
+        ("sqlite", "orchestrator"),
+        ("sqlite", "broker"),
+        ("sqlite", "performer"),
+        ("postgresql", "orchestrator"),  # the others know nothing of its database
+    ],
+    indirect=["database_url"],
+)
 def test_whoever_is_killed_the_process_ends_and_nothing_is_done_twice(
     tmp_path: Path, free_port: FreePort, database_url: str | None, victim: str
 ) -> None:

@@ -43,14 +43,14 @@ def test_a_change_makes_a_new_entity_and_leaves_the_old_one() -> None:
 
 
 def test_only_what_was_written_is_news() -> None:
-    outcome = changes.updated(entity(status="a", note="b"), change(status="c", absent=1), AFTER)
-    assert names(outcome.touched) == {"status"}
-    assert set(outcome.refused) == {TERMS.expand("absent")}
+    outcome = changes.updated(entity(status="a", note="b"), change(status="c", more=1), AFTER)
+    assert names(outcome.touched) == {"status", "more"}
+    assert shown(outcome.entity) == {"status": "c", "note": "b", "more": 1}
 
 
 def test_a_change_that_changes_nothing_makes_no_new_entity() -> None:
     before = entity(status="a")
-    assert changes.updated(before, change(absent=1), AFTER).entity is before
+    assert changes.updated(before, change()._replace(scopes=("/a",)), AFTER).entity is before
     assert changes.appended(before, change(status=1), AFTER, overwrite=False).entity is before
 
 

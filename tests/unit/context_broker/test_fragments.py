@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodels.contexts import TermMap, resolve
-from services.context_broker.distribution.fragments import Fragment, limited, merged, read_fragment
+from handover.errors import Problem
+from services.context_broker.distribution.fragments import (
+    Fragment,
+    limited,
+    merged,
+    read_fragment,
+    still_there,
+)
+from services.context_broker.distribution.translation import translated
 from services.context_broker.entities.entity import Attributes, Entity
 
 TERMS = TermMap(None, resolve)
@@ -133,3 +141,46 @@ def test_the_times_that_a_source_gives_are_kept() -> None:
     assert (found.created_at, found.modified_at, found.seq) == (EARLY, LATE, 7)
     (instance,) = found.attributes[f"{DEFAULT}a"]
     assert (instance["createdAt"], instance["modifiedAt"]) == (EARLY, LATE)
+
+
+def test_what_has_expired_is_not_there_any_more() -> None:
+    over, to_come = {"expiresAt": EARLY}, {"expiresAt": "2999-01-01T00:00:00Z"}
+    assert still_there({"id": "urn:x:1", "type": "T", **over}, 2e9) is None
+    told: dict[str, Any] = {
+        "id": "urn:x:1",
+        "type": "T",
+        **to_come,
+        "a": {"value": 1, **over},
+        "b": [{"value": 1, **over}, {"value": 2, "datasetId": "urn:x:d", **to_come}],
+        "c": [{"value": 1, **over}],
+        "d": {"value": []},
+    }
+    left = {name: said for name, said in told.items() if name not in {"a", "b", "c"}}
+    assert still_there(told, 2e9) == {**left, "b": told["b"][1:]}
+
+
+PIECES = st.sampled_from(
+    ["id", "type", "@id", "@type", "scope", "expiresAt", "createdAt", "modifiedAt", "observedAt", "datasetId",
+     "value", "object", "languageMap", "json", "vocab", "valueList", "objectList", "entity", "previousValue",
+     "urn:x:1", "T", "Property", "Relationship", "GeoProperty", "urn:ngsi-ld:null", EARLY, "@context", "a"]
+)  # fmt: skip
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=3) | PIECES,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(PIECES, inner, max_size=5),
+    max_leaves=12,
+)
+
+
+@given(ANYTHING)
+def test_anything_that_a_source_says_is_an_entity_or_a_problem(said: Any) -> None:
+    try:
+        found = read_fragment(still_there(said, 2e9), TERMS, 1)
+    except Problem:
+        return
+    assert merged([Fragment(found, (1, "urn:x:r")), Fragment(found, (0, ""))]).id == found.id
+
+
+@given(ANYTHING)
+def test_anything_that_a_source_says_can_be_put_in_other_names(said: Any) -> None:
+    if isinstance(said, dict):
+        translated(said, TERMS, TERMS)

@@ -46,7 +46,7 @@ def test_every_parameter_is_told_of(table: tuple[Operation, ...]) -> None:
     assert told.keys() == there, f"operations.md differs in {sorted(told.keys() ^ there)} under Parameters"
 
 
-@pytest.mark.parametrize("heading", ["By path", "Parameters", "Headers and methods"])
+@pytest.mark.parametrize("heading", ["By path", "Parameters", "Headers and methods", "Context sources"])
 def test_every_row_names_a_clause_and_tests_that_are_there(heading: str) -> None:
     for what, cells in rows(heading).items():
         assert any(CLAUSE.fullmatch(cell) for cell in cells[:2]), what

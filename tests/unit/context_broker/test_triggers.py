@@ -1,6 +1,7 @@
 """Triggers: which changes concern which subscriptions, and what is told of them."""
 
 import asyncio
+from dataclasses import replace
 from typing import Any
 
 import orjson
@@ -49,6 +50,9 @@ UPDATED = changed(entity(a=1, b=1), entity(a=2, b=1), "a")
 APPENDED = changed(entity(a=1), entity(a=1, b=1), "b")
 ATTRIBUTE_GONE = changed(entity(a=1, b=1), entity(a=1))
 RETYPED = changed(entity(a=1), entity(a=1))
+SCOPED = changed(entity(a=1), replace(entity(a=1), scopes=("/hall",)))
+RESCOPED = changed(replace(entity(a=1), scopes=("/hall",)), replace(entity(a=1), scopes=("/yard",)))
+UNSCOPED = changed(replace(entity(a=1), scopes=("/hall",)), entity(a=1))
 _KEPT = instance(1)
 INSTANCE_GONE = changed(entity(a=[_KEPT, instance(2, "urn:x:d")]), entity(a=[_KEPT]), "a")
 INSTANCE_ADDED = changed(entity(a=[_KEPT]), entity(a=[_KEPT, instance(2, "urn:x:d")]), "a")
@@ -65,6 +69,9 @@ INSTANCE_ADDED = changed(entity(a=[_KEPT]), entity(a=[_KEPT, instance(2, "urn:x:
         (INSTANCE_GONE, {"entityUpdated", "attributeDeleted"}),
         (INSTANCE_ADDED, {"entityUpdated", "attributeUpdated"}),
         (RETYPED, set()),
+        (SCOPED, {"entityUpdated", "attributeCreated"}),
+        (RESCOPED, {"entityUpdated", "attributeUpdated"}),
+        (UNSCOPED, {"entityUpdated", "attributeDeleted"}),
     ],
 )
 def test_each_kind_of_change_has_its_triggers(event: Event, kinds: set[str]) -> None:
@@ -89,6 +96,23 @@ def test_only_watched_attributes_count(kinds: list[str] | None) -> None:
     assert watching["b"].heed(happened(CREATED))
     assert not watching["c"].heed(happened(CREATED))
     assert not watching["c"].heed(happened(DELETED))
+
+
+def test_scopes_are_watched_by_their_name() -> None:
+    watching = subscribed(watchedAttributes=["scope"]).triggers
+    assert watching.heed(happened(SCOPED))
+    assert not watching.heed(happened(UPDATED))
+    assert not subscribed(watchedAttributes=["a"]).triggers.heed(happened(RESCOPED))
+
+
+@pytest.mark.parametrize("form", ["normalized", "concise"])
+@pytest.mark.parametrize("shows", [True, False])
+def test_scopes_are_told_as_they_are_and_their_end_by_null(form: str, shows: bool) -> None:
+    members = {"notificationTrigger": ["entityUpdated"]}
+    wanted = {"format": form, "showChanges": shows}
+    assert told(RESCOPED, notification=wanted, **members)["scope"] == "/yard"
+    assert told(UNSCOPED, notification=wanted, **members)["scope"] == NULL
+    assert "scope" not in told(UNSCOPED, notification={**wanted, "pick": ["a"]}, **members)
 
 
 @pytest.mark.parametrize("given", [[], "entityCreated", ["created"], [4], [["entityCreated"]], {}])

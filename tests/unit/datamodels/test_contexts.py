@@ -6,7 +6,7 @@ from importlib.resources import files
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from pyld import jsonld
 
@@ -22,8 +22,6 @@ from datamodels.contexts import (
     resolve,
     term_map,
 )
-
-unhurried = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"
 FIWARE = "https://uri.fiware.org/ns/data-models#"
@@ -270,7 +268,6 @@ SOME_IRIS = st.sampled_from(
 )
 
 
-@unhurried
 @given(
     st.dictionaries(SOME_TERMS, SOME_IRIS | st.none() | SOME_IRIS.map(lambda iri: {"@id": iri})),
     st.text(max_size=8)
@@ -296,7 +293,6 @@ PLAIN_IRIS = st.sampled_from(
 PLAIN_TERMS = st.sampled_from(["a", "b", "colour", "Robot", "ex:a", "tag:it"])
 
 
-@unhurried
 @given(
     st.dictionaries(
         PLAIN_TERMS,

@@ -5,12 +5,10 @@ import pickle
 from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodels.times import Timestamp, as_written, iso, parse
-
-unhurried = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 @pytest.mark.parametrize(
@@ -40,7 +38,6 @@ def test_iso_is_utc_with_a_fixed_number_of_decimals() -> None:
     assert iso(moment, "milliseconds") == "2026-03-02T07:15:52.118Z"
 
 
-@unhurried
 @given(st.datetimes(timezones=st.just(UTC)), st.datetimes(timezones=st.just(UTC)))
 def test_texts_of_moments_sort_like_the_moments(one: datetime, other: datetime) -> None:
     assert (iso(one) < iso(other)) == (one < other)

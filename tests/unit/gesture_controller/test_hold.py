@@ -103,7 +103,7 @@ FRAMES = st.lists(
 
 
 @given(FRAMES, st.booleans())
-@settings(max_examples=300)
+@settings(max_examples=4 * settings.default.max_examples)
 def test_whatever_a_hand_does_nothing_counts_before_its_time(
     runs: list[tuple[str | None, float, int]], spends: bool
 ) -> None:

@@ -1,6 +1,7 @@
 """The simulated hand shows what real hands in the recordings show, and the same seed the same."""
 
 import csv
+import functools
 import statistics
 from collections.abc import Iterator
 from itertools import pairwise
@@ -72,6 +73,7 @@ def test_a_fist_and_an_open_hand_calibrate_a_glove_that_then_reads_every_gesture
     assert min(shares.values()) > 0.85, shares  # what is missing the operator corrects
 
 
+@pytest.mark.slow
 def test_a_hand_that_rests_for_an_hour_never_holds_a_gesture() -> None:
     hand, held, longest = SimulatedHand(1, posture=AT_REST), 0, 0
     for _ in range(60 * 60 * 50):
@@ -87,10 +89,16 @@ def test_the_same_seed_gives_the_same_values_and_another_gives_others() -> None:
     assert long[0] == long[1]
 
 
+@functools.cache
+def read_while_still(seed: int, times: int) -> list[list[float]]:
+    """What each sensor of an open hand reads, so many times; all fingers are read at once."""
+    hand = SimulatedHand(seed, posture=OPEN_HAND)
+    return [list(values) for values in zip(*(hand.read() for _ in range(times)), strict=True)]
+
+
 @pytest.mark.parametrize("place", range(5))
 def test_the_noise_of_a_still_finger_is_that_of_the_recordings(place: int) -> None:
-    hand = SimulatedHand(1, posture=OPEN_HAND)
-    values = [hand.read()[place] for _ in range(20_000)]
+    values = read_while_still(1, 20_000)[place]
     noise = statistics.pstdev(later - earlier for earlier, later in pairwise(values)) / 2**0.5
     assert noise == pytest.approx(SENSORS[place].noise, rel=0.15)
 
@@ -100,8 +108,7 @@ def test_a_still_finger_wanders_and_drifts_as_in_the_recordings(place: int) -> N
     sensor, seconds = SENSORS[place], 24
     wanders, drifts = [], []
     for seed in range(60):
-        hand = SimulatedHand(seed, posture=OPEN_HAND)
-        values = [hand.read()[place] for _ in range(50 * seconds)]
+        values = read_while_still(seed, 50 * seconds)[place]
         slope, intercept = statistics.linear_regression(range(len(values)), values)
         drifts.append(abs(slope) * len(values))
         wanders.append(statistics.pstdev(value - intercept - slope * at for at, value in enumerate(values)))

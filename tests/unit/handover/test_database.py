@@ -1,5 +1,6 @@
 """The database: SQLite or PostgreSQL, and a readable word for anything else."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,6 @@ from sqlalchemy import text
 
 from handover.database import connect
 from handover.errors import UsageError
-from tests.postgres import postgres_server
 
 
 def test_sqlite_loses_nothing_that_was_committed(tmp_path: Path) -> None:
@@ -24,12 +24,11 @@ def test_another_database_is_refused_by_name(url: str) -> None:
         connect(url)
 
 
-def test_postgresql_is_reached_by_its_plain_url(tmp_path: Path) -> None:
-    with postgres_server(tmp_path) as url:
-        engine = connect(url)
-        with engine.connect() as connection:
-            assert "PostgreSQL" in str(connection.execute(text("SELECT version()")).scalar())
-        engine.dispose()
+def test_postgresql_is_reached_by_its_plain_url(new_database: Callable[[], str]) -> None:
+    engine = connect(new_database())
+    with engine.connect() as connection:
+        assert "PostgreSQL" in str(connection.execute(text("SELECT version()")).scalar())
+    engine.dispose()
 
 
 def test_a_database_that_is_away_is_said_in_one_line_without_its_password() -> None:

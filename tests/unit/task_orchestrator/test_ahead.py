@@ -108,7 +108,7 @@ def test_a_ring_of_gateways_comes_to_an_end_and_so_does_the_list() -> None:
     assert after(definition, "start") == names[:MAX_AHEAD]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=3 * settings.default.max_examples)
 @given(shape=SHAPES, go=st.booleans(), choices=st.data())
 def test_whatever_is_reached_was_said_to_be_ahead(shape: Any, go: bool, choices: st.DataObject) -> None:
     plan = Plan(read_bpmn(drawing(whole(shape))))

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import timedelta
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,7 +16,6 @@ from services.task_orchestrator import schema
 from services.task_orchestrator.counts import ElementCount, VersionCount, count_elements
 from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
 from services.task_orchestrator.store import Store
-from tests.postgres import postgres_server
 from tests.unit.task_orchestrator.drawing import NOW
 
 PROCESS = ProcessRecord(
@@ -39,18 +37,13 @@ PROCESS = ProcessRecord(
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
-    folder: Path = tmp_path_factory.mktemp("counts")
-    if request.param == "sqlite":
-        store = Store(connect(f"sqlite:///{folder / 'counts.db'}"))
-        store.migrate()
-        yield store
-        store.close()
-        return
-    with postgres_server(folder) as url:
-        store = Store(connect(url))
-        store.migrate()
-        yield store
-        store.close()
+    url = f"sqlite:///{tmp_path_factory.mktemp('counts') / 'counts.db'}"
+    if request.param == "postgresql":
+        url = request.getfixturevalue("new_database")()
+    store = Store(connect(url))
+    store.migrate()
+    yield store
+    store.close()
 
 
 def task(
@@ -104,7 +97,7 @@ TASKS = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(drawn=TASKS)
 def test_the_database_counts_as_we_do(store: Store, drawn: list[dict[str, Any]]) -> None:
     engine = store._engine

@@ -180,7 +180,7 @@ def _joined(parts: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
     return st.builds("({} {} {})".format, parts, operators, parts) | st.builds("{}({})".format, calls, parts)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(st.recursive(OPERANDS, _joined, max_leaves=12), st.dictionaries(NAMES, JSON))
 def test_an_expression_gives_json_or_an_expression_error(text: str, variables: dict[str, object]) -> None:
     try:
@@ -190,7 +190,7 @@ def test_an_expression_gives_json_or_an_expression_error(text: str, variables: d
     assert within_limits(value) is value
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(st.text(max_size=60))
 def test_any_text_is_an_expression_or_an_expression_error(text: str) -> None:
     try:

@@ -94,7 +94,7 @@ def test_a_run_kept_by_the_first_release_waits_for_all_too() -> None:
     assert opened(run) == ["c-2"]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=3 * settings.default.max_examples)
 @given(shape=SHAPES, go=st.booleans(), choices=st.data())
 def test_whatever_the_drawing_nothing_is_open_twice_and_the_last_result_counts(
     shape: Any, go: bool, choices: st.DataObject

@@ -236,7 +236,7 @@ class Long:
         self.floor.process = Process.resume(before.settings, before.plan, self.record, self.tasks.values())
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=3 * settings.default.max_examples)
 @given(choices=st.data())
 def test_whatever_fails_and_is_retried_everything_is_done_once(choices: st.DataObject) -> None:
     long = Long(BRANCHES)

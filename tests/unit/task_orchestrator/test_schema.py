@@ -4,7 +4,7 @@
 """
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,6 @@ from handover.errors import UsageError
 from services.task_orchestrator import schema
 from services.task_orchestrator.records import Step
 from services.task_orchestrator.store import Store
-from tests.postgres import postgres_server
 from tests.unit.task_orchestrator.drawing import NOW
 
 FIRST_RELEASE = Path(__file__).parent / "schema_v1.sql"
@@ -122,35 +121,34 @@ def test_a_database_of_a_later_release_is_refused_in_one_line_and_left_alone(eng
     assert tables(engine) == before
 
 
-def test_postgresql_is_brought_forward_too(tmp_path: Path) -> None:
-    with postgres_server(tmp_path) as url:
-        engine = connect(url)
-        new = Store(engine)
-        new.migrate()
-        columns, lines = tables(engine), indexes(engine)
-        with engine.begin() as connection:
-            connection.execute(text("UPDATE orchestrator_schema SET version = 1"))
-            for column in (
-                "processes DROP COLUMN failed_by",
-                "processes DROP COLUMN acts",
-                "tasks DROP took_ms",
-            ):
-                connection.execute(text(f"ALTER TABLE orchestrator_{column}"))
-            for index in ("started", "definition"):
-                connection.execute(text(f"DROP INDEX orchestrator_processes_{index}"))
-            task = {"id": "t", "process": "p", "element": "work", "token": "x", "status": "completed"}
-            times = {"created_at": NOW.isoformat(), "deadline": NOW.isoformat()}
-            values = {**task, **times, "ended_at": "2026-05-04T08:00:01.500000+00:00"}
-            connection.execute(
-                text(
-                    "INSERT INTO orchestrator_tasks (id, process, element, token, status, created_at,"
-                    " deadline, ended_at, visit, moves, alerted, lost, entity) VALUES (:id, :process,"
-                    " :element, :token, :status, :created_at, :deadline, :ended_at, 1, 0, false, 0, '{}')"
-                ),
-                values,
-            )
-        new.migrate()
-        assert (tables(engine), indexes(engine)) == (columns, lines)
-        with engine.connect() as connection:
-            assert connection.execute(text("SELECT took_ms FROM orchestrator_tasks")).scalar() == 1500
-        engine.dispose()
+def test_postgresql_is_brought_forward_too(new_database: Callable[[], str]) -> None:
+    engine = connect(new_database())
+    new = Store(engine)
+    new.migrate()
+    columns, lines = tables(engine), indexes(engine)
+    with engine.begin() as connection:
+        connection.execute(text("UPDATE orchestrator_schema SET version = 1"))
+        for column in (
+            "processes DROP COLUMN failed_by",
+            "processes DROP COLUMN acts",
+            "tasks DROP took_ms",
+        ):
+            connection.execute(text(f"ALTER TABLE orchestrator_{column}"))
+        for index in ("started", "definition"):
+            connection.execute(text(f"DROP INDEX orchestrator_processes_{index}"))
+        task = {"id": "t", "process": "p", "element": "work", "token": "x", "status": "completed"}
+        times = {"created_at": NOW.isoformat(), "deadline": NOW.isoformat()}
+        values = {**task, **times, "ended_at": "2026-05-04T08:00:01.500000+00:00"}
+        connection.execute(
+            text(
+                "INSERT INTO orchestrator_tasks (id, process, element, token, status, created_at,"
+                " deadline, ended_at, visit, moves, alerted, lost, entity) VALUES (:id, :process,"
+                " :element, :token, :status, :created_at, :deadline, :ended_at, 1, 0, false, 0, '{}')"
+            ),
+            values,
+        )
+    new.migrate()
+    assert (tables(engine), indexes(engine)) == (columns, lines)
+    with engine.connect() as connection:
+        assert connection.execute(text("SELECT took_ms FROM orchestrator_tasks")).scalar() == 1500
+    engine.dispose()

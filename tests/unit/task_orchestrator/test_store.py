@@ -25,28 +25,16 @@ from services.task_orchestrator.records import (
     TimerKind,
 )
 from services.task_orchestrator.store import Conflict, Store
-from tests.postgres import postgres_server
 from tests.unit.task_orchestrator.drawing import NOW
 
 ODD: dict[str, Any] = {"text": "größer \u0000 'quoted'", "list": [1, None, {"deep": True}]}
-
-
-@pytest.fixture(scope="module")
-def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with postgres_server(tmp_path_factory.mktemp("postgres")) as url:
-        yield url
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
     url = f"sqlite:///{tmp_path / 'orchestrator.db'}"
     if request.param == "postgresql":
-        url = request.getfixturevalue("postgres")
-        engine = connect(url)
-        with engine.begin() as connection:
-            connection.execute(text("DROP SCHEMA public CASCADE"))
-            connection.execute(text("CREATE SCHEMA public"))
-        engine.dispose()
+        url = request.getfixturevalue("new_database")()
     store = Store(connect(url))
     store.migrate()
     yield store
