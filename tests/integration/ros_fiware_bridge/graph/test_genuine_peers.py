@@ -11,11 +11,13 @@ from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, jo
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
 from ros_fiware_bridge.types.type_store import TypeStore
+from tests.conftest import NO_ROS
 from tests.integration.ros_fiware_bridge.graph.conftest import running_peer, true
 
-if len(installed()) < len(Adapter):
-    pytest.skip("rclpy and cyclonedds are not both installed", allow_module_level=True)
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+pytestmark = [
+    pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
 JOINTS = "sensor_msgs/msg/JointState"
 
 

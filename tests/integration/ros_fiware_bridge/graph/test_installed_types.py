@@ -11,6 +11,7 @@ import pytest
 
 from ros_fiware_bridge.errors import UnsupportedType
 from ros_fiware_bridge.types.type_store import TypeStore
+from tests.conftest import NO_ROS
 
 
 def shares() -> list[Path]:
@@ -21,7 +22,7 @@ def shares() -> list[Path]:
 
 
 pytestmark = [
-    pytest.mark.skipif(not shares(), reason="no ROS is installed"),
+    pytest.mark.skipif(not shares(), reason=NO_ROS),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
 ]
 
