@@ -32,7 +32,7 @@ NOT_OURS = "are not here"
 """Part of the reason for which tests of published examples and recordings skip where those are absent."""
 
 NO_ROS = "no ROS is installed"
-"""The reason for which tests against genuine ROS 2 nodes skip where there are none; what is locked has none."""
+"""The reason for which tests against genuine ROS 2 nodes skip; what is locked has none."""
 
 EXAMPLES = int(os.environ.get("HANDOVER_TEST_EXAMPLES", "25"))
 """How many examples are tried of what must hold of any; more than the usual are drawn by luck, and look
