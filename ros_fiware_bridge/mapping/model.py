@@ -258,6 +258,8 @@ class ActionGoal(Asked):
     """What of the feedback is told; `progress` from 0 to 1 says how far it is."""
     result_timeout_s: float | None = Field(None, gt=0)
     """How long a goal may take; without it as long as it takes."""
+    again: bool = True
+    """Whether the goal of a Task is sent again by a bridge that was ended meanwhile; else the Task fails."""
     success: PathText | None = None
     message: PathText | None = None
 

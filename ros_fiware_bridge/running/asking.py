@@ -164,6 +164,11 @@ class TaskAsking(Performer):
             )
         if not asking.tally.enabled:
             raise TaskFailed(f'the rule "{asking.tally.name}" of the ROS bridge is switched off')
+        rule = asking.planned.rule
+        if job.resumed and isinstance(rule, ActionGoal) and not rule.again:
+            raise TaskFailed(
+                f"the ROS bridge was ended while {rule.action} worked on this; such a goal is not sent again"
+            )
         loop = asyncio.get_running_loop()
         chores: set[asyncio.Task[None]] = set()
 

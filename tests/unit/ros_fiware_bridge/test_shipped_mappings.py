@@ -41,7 +41,7 @@ def test_a_shipped_mapping_can_work(name: str) -> None:
 
 def test_there_are_those_that_the_documentation_names() -> None:
     names = {file.stem for file in SHIPPED.glob("*.yaml")}
-    assert names >= {"m2o2p", "joint-states", "joint-trajectory", "battery", "odom", "diagnostics"}
+    assert names >= {"arm", "m2o2p", "joint-states", "joint-trajectory", "battery", "odom", "diagnostics"}
 
 
 def test_m2o2ps_fingers_and_commands_reach_the_glove() -> None:
