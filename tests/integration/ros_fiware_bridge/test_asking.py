@@ -43,6 +43,12 @@ actions:
     goal: {order: {attribute: upTo, required: true}}
     feedback: {sequence: sequence}
     outputs: {sequence: sequence}
+  once:
+    action: /arm/count
+    type: example_interfaces/Fibonacci
+    task: once
+    resource: Device:arm
+    again: false
 tasks_from_ros:
   ask:
     service: /ask_for_help
@@ -64,14 +70,14 @@ def prop(value: Any) -> dict[str, Any]:
     return {"type": "Property", "value": value, "observedAt": iso(datetime.now(UTC))}
 
 
-async def ask(shop: Any, operation: str, **parameters: Any) -> str:
+async def ask(shop: Any, operation: str, status: str = "pending", **parameters: Any) -> str:
     task_id = f"urn:ngsi-ld:Task:demo:{operation}-{next(_numbers)}"
     await shop.broker.create(
         {
             "id": task_id,
             "type": "Task",
             "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"},
-            "status": prop("pending"),
+            "status": prop(status),
             "involves": {"type": "Property", "value": [{"type": "Relationship", "object": ARM}]},
             "workParameters": {"type": "Property", "value": {"operation": operation, **parameters}},
         }
@@ -113,7 +119,7 @@ async def test_a_task_for_a_service_that_nobody_serves_fails_with_the_reason(sho
     assert status == "failed"
     assert "/arm/reset" in outputs["reason"]
     status, outputs = await end_of(shop, await ask(shop, "dance"))
-    assert outputs["reason"] == f'no rule of the ROS bridge does "dance" for {ARM}; they do reset, count'
+    assert outputs["reason"] == f'no rule of the ROS bridge does "dance" for {ARM}; they do reset, count, once'
 
 
 async def test_a_task_sends_a_goal_and_tells_how_it_goes(shop: Any) -> None:
@@ -192,3 +198,11 @@ async def test_a_node_asks_for_a_task_and_learns_how_it_ended(shop: Any) -> None
     for status in ("assigned", "inProgress", "completed"):
         await shop.broker.append(task["id"], {"status": prop(status)})
     assert await answering == {"success": True, "message": f"completed {task['id']}"}
+
+
+async def test_a_goal_that_is_not_to_be_sent_again_is_not_after_a_bridge_was_ended(shop: Any) -> None:
+    status, outputs = await end_of(shop, await ask(shop, "once", status="inProgress"))
+    assert status == "failed"
+    assert outputs["reason"].endswith(
+        "was ended while /arm/count worked on this; such a goal is not sent again"
+    )
