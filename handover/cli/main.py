@@ -14,7 +14,7 @@ from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_words
 from handover.cli.launcher import Launcher
-from handover.cli.services import BESIDES, SERVICES, service_named
+from handover.cli.services import BESIDES, SERVICES, service_named, wanted
 from handover.errors import HandoverError, Problem, UsageError
 from handover.settings import Settings, origins
 
@@ -46,14 +46,25 @@ def demo(
 
 
 @app.command()
-def up(data_dir: DataDir = None) -> None:
+def up(
+    data_dir: DataDir = None,
+    ros: Annotated[
+        Path | None,
+        typer.Option(
+            "--ros", help="Also the ROS bridge, with this mapping: a file, or the name of a shipped one."
+        ),
+    ] = None,
+) -> None:
     """Every service with the simulated robot; nobody wears a glove, no process is started."""
+    if ros is not None:
+        os.environ["HANDOVER_ROS_MAPPING"] = str(ros.absolute() if ros.exists() else ros)
     _until_stopped(_up(_settings(data_dir)))
 
 
 async def _up(settings: Settings) -> None:
-    async with Launcher(SERVICES, settings, say):
-        for service in SERVICES:
+    services = wanted()
+    async with Launcher(services, settings, say):
+        for service in services:
             say(f"{service.name:<20} {service.url()}")
         say(f"ready; look at it on {service_named('webui').url()}; Ctrl-C ends it")
         await asyncio.Event().wait()

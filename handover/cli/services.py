@@ -60,7 +60,12 @@ SERVICES = (
 )
 ROS_BRIDGE = Service("ros-bridge", "ros_fiware_bridge", BridgeSettings, "bridge_port")
 BESIDES = (ROS_BRIDGE,)
-"""Services that are run by themselves, where they are wanted."""
+"""Services that are run where they are wanted."""
+
+
+def wanted() -> tuple[Service, ...]:
+    """Return the services of the cell as it is set: the ROS bridge is one of them if it has a mapping."""
+    return (*SERVICES, ROS_BRIDGE) if BridgeSettings.load().ros_mapping is not None else SERVICES
 
 
 def service_named(name: str) -> Service:

@@ -151,7 +151,7 @@ class Bridge:
             rule = outgoing.planned.rule
             return {
                 "from": rule.topic,
-                "to": str(rule.entity.id) if rule.entity else "Alert",
+                "to": str(rule.entity.id.with_settings(self.plan.settings)) if rule.entity else "Alert",
                 "type": outgoing.outward.type_name if outgoing.outward else None,
                 "qos": str(outgoing.planned.qos),
                 "publishers": subscription.publishers() if subscription else 0,

@@ -119,7 +119,9 @@ async def test_a_task_for_a_service_that_nobody_serves_fails_with_the_reason(sho
     assert status == "failed"
     assert "/arm/reset" in outputs["reason"]
     status, outputs = await end_of(shop, await ask(shop, "dance"))
-    assert outputs["reason"] == f'no rule of the ROS bridge does "dance" for {ARM}; they do reset, count, once'
+    assert (
+        outputs["reason"] == f'no rule of the ROS bridge does "dance" for {ARM}; they do reset, count, once'
+    )
 
 
 async def test_a_task_sends_a_goal_and_tells_how_it_goes(shop: Any) -> None:
