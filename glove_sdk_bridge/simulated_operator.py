@@ -33,6 +33,9 @@ again after so long: soon enough that no other gesture is held until it counts."
 GIVE_UP_AFTER_HOLDS = 3.0
 """A gesture that has not counted after so many times the hold is let go and shown again."""
 
+KEEPS_STILL_S = 20.0
+"""How long a person who is being measured keeps a shape, unless the screen asks for the next."""
+
 WRONG_FOR = (0.3, 0.42)
 SHORT_FOR = (0.3, 0.6)
 """How long a wrong and a too short gesture are held, as shares of what confirms: never long enough."""
@@ -51,19 +54,22 @@ class View:
     confirm_s: float = 1.5
     waits: bool = False
     """True when nothing that is shown would count: the work is paused, or the glove is tried out."""
+    keeps_still: bool = False
+    """True while the hand is measured: a person makes no mistakes then, and does not fidget."""
 
     @classmethod
     def of(cls, shown: Mapping[str, Any]) -> Self:
         """Return the view in the controller's JSON; what is missing or makes no sense is not seen."""
-        task, hold = _mapping(shown.get("task")), _mapping(shown.get("hold"))
-        code, confirm_ms = str(task.get("code", "")), hold.get("confirmMs")
-        states = shown.get("states")
+        hold, states = _mapping(shown.get("hold")), shown.get("states")
+        confirm_ms = hold.get("confirmMs")
+        asked, code = _asked(shown)
         return cls(
-            task=str(task["id"]) if task.get("id") and _is_code(code) else None,
+            task=asked if _is_code(code) else None,
             code=code,
             states=states if isinstance(states, str) and _is_code(states) else "",
             confirm_s=confirm_ms / 1000 if is_number(confirm_ms) and confirm_ms > 0 else 1.5,
-            waits=bool(shown.get("paused")) or bool(shown.get("testing")),
+            waits=bool(shown.get("paused")) or (bool(shown.get("testing")) and not _is_tried(shown)),
+            keeps_still=_is_guided(shown),
         )
 
 
@@ -147,10 +153,10 @@ class SimulatedOperator:
         return Movement(AT_REST, duration_s)
 
     def _show(self, view: View, at_s: float) -> Movement:
-        self.stage, self.attempt = Stage.SHOWING, self._choose()
+        self.stage, self.attempt = Stage.SHOWING, Attempt.RIGHT if view.keeps_still else self._choose()
         self._effort = [self._chance.gauss(0, CARELESSNESS) for _ in FINGERS]
         duration_s = self._takes(*MOVEMENT_S)
-        code, hold_s = view.code, GIVE_UP_AFTER_HOLDS * view.confirm_s
+        code, hold_s = view.code, KEEPS_STILL_S if view.keeps_still else GIVE_UP_AFTER_HOLDS * view.confirm_s
         if self.attempt is Attempt.WRONG:
             code, hold_s = self._mistaken(code), self._chance.uniform(*WRONG_FOR) * view.confirm_s
         elif self.attempt is Attempt.TOO_SHORT:
@@ -161,7 +167,11 @@ class SimulatedOperator:
 
     def _correct(self, view: View, at_s: float) -> Movement | None:
         """Bend or stretch more the fingers that the screen sees otherwise than the Task asks for."""
-        if self.attempt is not Attempt.RIGHT or at_s < self._corrected_s + CORRECT_AFTER_S:
+        if (
+            self.attempt is not Attempt.RIGHT
+            or view.keeps_still
+            or at_s < self._corrected_s + CORRECT_AFTER_S
+        ):
             return None
         differs = [
             place
@@ -207,6 +217,35 @@ class SimulatedOperator:
 
 def _mapping(given: object) -> Mapping[str, Any]:
     return given if isinstance(given, dict) else {}
+
+
+def _asked(shown: Mapping[str, Any]) -> tuple[str | None, str]:
+    """Return what the screen asks for, by a name that is new with each asking, and its code.
+
+    A calibration comes before a test, a test before a Task, as on the screen.
+    """
+    if _is_guided(shown):
+        guide = _mapping(shown["calibration"])
+        return f"calibration {guide.get('step')}", str(guide.get("code", ""))
+    if _is_tried(shown):
+        test = _mapping(shown["examination"])
+        return f"test {test.get('id')} {test.get('done')}", str(_mapping(test.get("asked")).get("code", ""))
+    task = _mapping(shown.get("task"))
+    if not task.get("id"):
+        return None, str(task.get("code", ""))
+    parts = task.get("parts")
+    done = sum(_mapping(part).get("state") == "done" for part in parts) if isinstance(parts, list) else 0
+    return f"{task['id']} part {done}" if done else str(task["id"]), str(task.get("code", ""))
+
+
+def _is_guided(shown: Mapping[str, Any]) -> bool:
+    guide = _mapping(shown.get("calibration"))
+    return bool(guide) and guide.get("outcome") is None
+
+
+def _is_tried(shown: Mapping[str, Any]) -> bool:
+    """Say whether what is shown in testing mode is asked for: by a calibration, or by an accuracy test."""
+    return _is_guided(shown) or bool(_mapping(_mapping(shown.get("examination")).get("asked")))
 
 
 def _is_code(code: str) -> bool:

@@ -8,45 +8,55 @@ from typing import Any
 
 from sqlalchemy import Engine, create_engine, event
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 
 from handover.errors import UsageError
 
 
-def connect(url: str) -> Engine:
-    """Return an engine for `url` (`sqlite:///…` or `postgresql://…`).
+def connect(
+    url: str, *, setting: str = "HANDOVER_DATABASE_URL", answers_within_s: float | None = None
+) -> Engine:
+    """Return an engine for `url` (`sqlite:///…` or `postgresql://…`), which stands in `setting`.
 
-    Raises `UsageError` for any other, and when the database cannot be reached or opened.
+    Raises `UsageError` for any other, and when the database cannot be reached or opened. With
+    `answers_within_s` neither connecting nor any one statement of PostgreSQL takes longer.
     """
     try:
         parsed = make_url(url)
         if parsed.drivername in {"postgresql", "postgres"}:
             parsed = parsed.set(drivername="postgresql+psycopg")
         if parsed.get_backend_name() not in {"sqlite", "postgresql"}:
-            raise UsageError(_unusable(url))
+            raise UsageError(_unusable(url, setting))
         if parsed.get_backend_name() == "sqlite" and parsed.database:
             Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
-        engine = create_engine(parsed, pool_pre_ping=parsed.get_backend_name() == "postgresql")
+        is_server = parsed.get_backend_name() == "postgresql"
+        limits = _limits(answers_within_s) if is_server and answers_within_s is not None else {}
+        engine = create_engine(parsed, pool_pre_ping=is_server, connect_args=limits)
     except (ArgumentError, NoSuchModuleError):
-        raise UsageError(_unusable(url)) from None
+        raise UsageError(_unusable(url, setting)) from None
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _make_durable)
     try:
         engine.connect().close()
-    except OperationalError as error:
+    except DBAPIError as error:
         reason = str(error.orig).strip().splitlines()[0]
         shown = parsed.render_as_string(hide_password=True)
         raise UsageError(
-            f"the database {shown} cannot be used: {reason}; mend that or correct HANDOVER_DATABASE_URL"
+            f"the database {shown} cannot be used: {reason}; mend that or correct {setting}"
         ) from None
     return engine
 
 
-def _unusable(url: str) -> str:
+def _limits(seconds: float) -> dict[str, Any]:
+    return {
+        "connect_timeout": max(round(seconds), 2),
+        "options": f"-c statement_timeout={round(seconds * 1000)}",
+    }
+
+
+def _unusable(url: str, setting: str) -> str:
     kind = url.split(":", 1)[0]
-    return (
-        f'a database URL starts with sqlite:/// or postgresql://, not "{kind}"; correct HANDOVER_DATABASE_URL'
-    )
+    return f'a database URL starts with sqlite:/// or postgresql://, not "{kind}"; correct {setting}'
 
 
 def _make_durable(connection: Any, _: Any) -> None:

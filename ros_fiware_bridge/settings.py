@@ -1,12 +1,11 @@
 """The settings of the ROS bridge, beside those that every component shares."""
 
 import os
-from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field
 
-from handover.settings import Settings
+from handover.settings import MaybePath, Settings
 
 
 def _ros_domain_id() -> Any:
@@ -26,7 +25,7 @@ class BridgeSettings(Settings):
         pattern=r"^[A-Za-z0-9_.-]+$",
         description="tells several ROS bridges of one factory apart",
     )
-    ros_mapping: Path | None = Field(
+    ros_mapping: MaybePath = Field(
         None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
     )
     ros_adapter: Literal["cyclone", "rclpy"] = Field(

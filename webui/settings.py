@@ -2,14 +2,13 @@
 
 import ipaddress
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import NoDecode
 
-from handover.settings import Settings
+from handover.settings import MaybePath, Settings
 
 BROKER = "context-broker"
 ORCHESTRATOR = "task-orchestrator"
@@ -54,7 +53,7 @@ class WebuiSettings(Settings):
     bridge_url: str | None = Field(
         None, description="where the broker reaches the ROS bridge; http://host:port of it if absent"
     )
-    ros_mapping: Path | None = Field(
+    ros_mapping: MaybePath = Field(
         None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
     )
     glove_host: str = Field("127.0.0.1", description="the address on which gloves are awaited")

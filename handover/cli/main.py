@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from handover.cli import bridge, process
+from handover.cli import bridge, process, specification
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_words
@@ -26,6 +26,7 @@ app = typer.Typer(
 )
 app.add_typer(process.app, name="process")
 app.add_typer(bridge.app, name="bridge")
+app.add_typer(specification.app, name="specification")
 
 DataDir = Annotated[
     Path | None, typer.Option("--data-dir", help="Where everything that must survive is kept.")

@@ -15,11 +15,23 @@ from handover.ports import require_free
 from handover.service import create_app
 from handover.telemetry import get_logger
 from services.gesture_controller import configuration
+from services.gesture_controller.calibration.guidance import Guidance
+from services.gesture_controller.calibration.routes import add_calibration
 from services.gesture_controller.controller import Controller
-from services.gesture_controller.glove import CannotComplete, Glove
+from services.gesture_controller.errand import CannotComplete
+from services.gesture_controller.gestures import listed
+from services.gesture_controller.glove import Glove
 from services.gesture_controller.glove_server import GloveServer
 from services.gesture_controller.live import follow, frames_of
+from services.gesture_controller.people.routes import add_people
+from services.gesture_controller.pictures.routes import add_pictures, picture_urls
 from services.gesture_controller.settings import ControllerSettings
+from services.gesture_controller.study.conduct import Conduct
+from services.gesture_controller.study.routes import add_study
+from services.gesture_controller.study.store import StudyStore
+from services.gesture_controller.testing.examiner import Examiner
+from services.gesture_controller.testing.routes import add_tests
+from services.gesture_controller.testing.store import TestStore
 from services.gesture_controller.view import view_of
 
 log = get_logger(__name__)
@@ -66,10 +78,12 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT", say=log.warning)
     broker = BrokerClient(settings)
     controller = Controller(settings, configuration.load(settings.gestures_file), broker)
+    conduct = Conduct(StudyStore(controller.database), controller.gloves.show_given)
+    examiner = Examiner(TestStore(controller.database), controller.gloves, controller.configuration.gestures)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with broker, controller, GloveServer(settings, controller.gloves):
+        async with broker, controller, examiner, conduct, GloveServer(settings, controller.gloves):
             yield
 
     app = create_app(
@@ -80,21 +94,38 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     )
     controller.mount(app)
     _add_gestures(app, controller)
+    add_pictures(app, controller.configuration.gestures)
     _add_gloves(app, controller)
+    add_people(app, controller.people, controller.gloves)
+    add_calibration(app, Guidance(controller.gloves), controller.gloves)
     _add_acts(app, controller)
     _add_streams(app, controller)
+    add_tests(app, examiner, controller.gloves)
+    add_study(app, conduct)
     return app
 
 
 def _add_gestures(app: FastAPI, controller: Controller) -> None:
     @app.get("/gestures", tags=["gestures"])
     async def gestures() -> list[dict[str, Any]]:
-        """List the gestures: name, code (thumb first, 0 straight, 2 bent) and the command each stands for."""
-        ids = controller.configuration.commands.ids
+        """List the gestures of the site: name, code (thumb first, 0 straight, 2 bent), command and pictures.
+
+        Those that are composed have no code but `left` and `right`, or `sequence`, each part with its code.
+        """
         return [
-            {"name": name, "code": code, "commandId": ids.get(name)}
-            for name, code in controller.configuration.gestures
+            {**one, "pictures": picture_urls(one["name"])} if "code" in one else one
+            for one in listed(controller.configuration.gestures, controller.configuration.commands)
         ]
+
+    @app.get("/specifications", tags=["operations"])
+    async def specifications() -> dict[str, str]:
+        """Say where TaskDefinitions are looked up that the broker has not, and whether that answers."""
+        database = controller.specifications
+        return {
+            "database": database.shown,
+            "state": database.state.name,
+            "detail": database.state.detail,
+        }
 
 
 def _add_gloves(app: FastAPI, controller: Controller) -> None:

@@ -2,6 +2,8 @@
 
     gestures:                       # all of them; without this section the 21 of M2O2P
       Thumbs up: 02222
+      Both thumbs up: {left: 02222, right: 02222}           # a part for each hand, a code or a name
+      Wave off: {sequence: [Point with index, Horns]}       # one after the other
     commands:                       # a number and the gesture that stands for it
       3: Thumbs up
     persons:                        # their own gestures for commands
@@ -12,33 +14,31 @@
 Each mistake gets one line that names the file, the line, the rule and the way out.
 """
 
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
 
-from handover.errors import UsageError
-from services.gesture_controller.finger_states import BENT, STRAIGHT
 from services.gesture_controller.frames import is_glove_name
 from services.gesture_controller.gestures import (
     M2O2P_GESTURES,
     Commands,
     Gestures,
+    Shape,
+    WrongGesture,
+    checked_code,
     default_commands,
 )
+from services.gesture_controller.lined_yaml import Entry, LinedYaml, WrongFile, is_empty
 from services.gesture_controller.thresholds import (
-    FINGERS,
     M2O2P_THRESHOLDS,
     Thresholds,
     WrongThreshold,
 )
 
-_CODE = re.compile(f"[{STRAIGHT}{BENT}]{{{len(FINGERS)}}}")
 
-
-class WrongConfiguration(UsageError):
+class WrongConfiguration(WrongFile):
     """The gestures file cannot be used; the message says where, why and what to do."""
 
 
@@ -89,34 +89,21 @@ def load(path: Path | None) -> Configuration:
 
 def parse(text: str, name: str = "gestures.yaml") -> Configuration:
     """Return the configuration that `text` holds; `name` is how errors call the file."""
-    try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError as error:
-        where = getattr(error, "problem_mark", None)
-        line = f":{where.line + 1}" if where else ""
-        problem = getattr(error, "problem", None) or str(error)
-        raise WrongConfiguration(f"{name}{line}: not YAML: {problem}") from None
-    return _Reader(name).configuration(root)
+    reader = Reader(name)
+    return reader.configuration(reader.compose(text))
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """A key and its value, as written: PyYAML's types would read the code 02222 as the number 1170."""
+class Reader(LinedYaml):
+    """Reads what a site has named."""
 
-    key: str
-    line: int
-    value: yaml.Node
-
-
-class _Reader:
-    def __init__(self, name: str) -> None:
-        self._name = name
+    mistake: type[WrongFile] = WrongConfiguration
 
     def configuration(self, root: yaml.Node | None) -> Configuration:
-        sections = {} if root is None else {entry.key: entry for entry in self._entries(root, "the file")}
+        """Return the configuration under `root`."""
+        sections = {} if root is None else {entry.key: entry for entry in self.entries(root, "the file")}
         for entry in sections.values():
             if entry.key not in {"gestures", "commands", "persons", "gloves"}:
-                raise self._wrong(
+                raise self.wrong(
                     entry.line,
                     f'unknown section "{entry.key}"; the sections are gestures, commands, persons and gloves',
                 )
@@ -125,56 +112,94 @@ class _Reader:
         persons = self._persons(sections.get("persons"), gestures, commands)
         return Configuration(gestures, commands, persons, self._gloves(sections.get("gloves")))
 
-    def _gestures(self, section: _Entry | None) -> Gestures:
+    def _gestures(self, section: Entry | None) -> Gestures:
         if section is None:
             return Gestures(M2O2P_GESTURES)
         by_code: dict[str, str] = {}
-        for entry in self._entries(section.value, "gestures"):
-            code = self._text(entry.value, f'the code of gesture "{entry.key}"')
-            if not _CODE.fullmatch(code):
-                raise self._wrong(
-                    entry.line,
-                    f'gesture "{entry.key}" has the code "{code}"; a code is five states, thumb first, '
-                    f"each {STRAIGHT} (straight) or {BENT} (bent), such as 02222",
-                )
+        composed: dict[str, Shape] = {}
+        entries = self.entries(section.value, "gestures")
+        for entry in entries:
+            if isinstance(entry.value, yaml.MappingNode):
+                composed[entry.key] = self.shape(entry)
+                continue
+            code = self.text(entry.value, f'the code of gesture "{entry.key}"')
+            try:
+                checked_code(entry.key, code)
+            except WrongGesture as error:
+                raise self.wrong(entry.line, str(error)) from None
             if code in by_code:
-                raise self._wrong(
+                raise self.wrong(
                     entry.line,
                     f'gesture "{entry.key}" has the code {code}, which "{by_code[code]}" already has; '
-                    f"give one of them another code in {self._name}",
+                    f"give one of them another code in {self.name}",
                 )
             by_code[code] = entry.key
-        return Gestures({name: code for code, name in by_code.items()})
+        gestures = Gestures({name: code for code, name in by_code.items()})
+        for entry in entries:
+            if entry.key in composed:
+                try:
+                    gestures = gestures.with_shapes({entry.key: composed[entry.key]})
+                except WrongGesture as error:
+                    raise self.wrong(entry.line, str(error)) from None
+        return gestures
 
-    def _command_map(self, section: _Entry | None, gestures: Gestures) -> Commands:
+    def shape(self, entry: Entry) -> Shape:
+        """Return the shape of a gesture of which `entry` is the name and what it is made of."""
+        what = f'gesture "{entry.key}"'
+        if not isinstance(entry.value, yaml.MappingNode):
+            return Shape(self.text(entry.value, f"the code of {what}"))
+        parts = {given.key: given for given in self.entries(entry.value, what)}
+        if set(parts) == {"left", "right"}:
+            left, right = (
+                self.text(parts[hand].value, f"the {hand} hand of {what}") for hand in ("left", "right")
+            )
+            return Shape(left=left, right=right)
+        if set(parts) == {"code"}:
+            return Shape(self.text(parts["code"].value, f"the code of {what}"))
+        if set(parts) != {"sequence"}:
+            raise self.wrong(
+                entry.line,
+                f"{what} has {', '.join(parts) or 'nothing'}; it is a code such as 02222, or "
+                "{left: 02222, right: 02222}, or {sequence: [Horns, Thumbs up]}",
+            )
+        node = parts["sequence"].value
+        if not isinstance(node, yaml.SequenceNode) or len(node.value) != 2:
+            raise self.wrong(
+                parts["sequence"].line, f"the sequence of {what} is a list of two: [first, second]"
+            )
+        first, second = (self.text(part, f"a part of {what}") for part in node.value)
+        return Shape(sequence=(first, second))
+
+    def _command_map(self, section: Entry | None, gestures: Gestures) -> Commands:
         if section is None:
             return default_commands(gestures)
-        given = self._gestures_by_command(self._entries(section.value, "commands"), gestures)
+        given = self.gestures_by_command(self.entries(section.value, "commands"), gestures)
         self._refuse_two_meanings(given, section.line, "")
         return Commands(given)
 
     def _persons(
-        self, section: _Entry | None, gestures: Gestures, commands: Commands
+        self, section: Entry | None, gestures: Gestures, commands: Commands
     ) -> Mapping[str, Commands]:
         if section is None:
             return {}
         persons: dict[str, Commands] = {}
-        for person in self._entries(section.value, "persons"):
-            entries = self._entries(person.value, f'person "{person.key}"')
-            own = commands.with_own(self._gestures_by_command(entries, gestures))
+        for person in self.entries(section.value, "persons"):
+            entries = self.entries(person.value, f'person "{person.key}"')
+            own = commands.with_own(self.gestures_by_command(entries, gestures))
             self._refuse_two_meanings(own.gestures, person.line, f' for "{person.key}"')
             persons[person.key] = own
         return persons
 
-    def _gestures_by_command(self, entries: Sequence[_Entry], gestures: Gestures) -> dict[int, str]:
+    def gestures_by_command(self, entries: Sequence[Entry], gestures: Gestures) -> dict[int, str]:
+        """Return the gesture of each command named in `entries`."""
         by_command: dict[int, str] = {}
         for entry in entries:
             if not entry.key.isdecimal():
-                raise self._wrong(entry.line, f'command "{entry.key}" is not a whole number such as 3')
-            name = self._text(entry.value, f"the gesture of command {entry.key}")
+                raise self.wrong(entry.line, f'command "{entry.key}" is not a whole number such as 3')
+            name = self.text(entry.value, f"the gesture of command {entry.key}")
             known = gestures.find(name)
             if known is None:
-                raise self._wrong(
+                raise self.wrong(
                     entry.line, f'command {entry.key} has the unknown gesture "{name}"; {gestures.like(name)}'
                 )
             by_command[int(entry.key)] = known
@@ -184,22 +209,22 @@ class _Reader:
         seen: dict[str, int] = {}
         for command, gesture in by_command.items():
             if gesture in seen:
-                raise self._wrong(
+                raise self.wrong(
                     line,
                     f'"{gesture}" stands for the commands {seen[gesture]} and {command}{whose}; '
                     "give one of them another gesture",
                 )
             seen[gesture] = command
 
-    def _gloves(self, section: _Entry | None) -> tuple[GloveConfiguration, ...]:
+    def _gloves(self, section: Entry | None) -> tuple[GloveConfiguration, ...]:
         if section is None:
             return built_in().gloves
         gloves: list[GloveConfiguration] = []
         wearers: dict[str, str] = {}
-        for entry in self._entries(section.value, "gloves"):
+        for entry in self.entries(section.value, "gloves"):
             glove = self._glove(entry)
             if glove.person and wearers.setdefault(glove.person, glove.name) != glove.name:
-                raise self._wrong(
+                raise self.wrong(
                     entry.line,
                     f'person "{glove.person}" wears both {wearers[glove.person]} and {glove.name}; '
                     "a Task for a person needs one glove, so name another person or none",
@@ -207,80 +232,40 @@ class _Reader:
             gloves.append(glove)
         return tuple(gloves)
 
-    def _glove(self, entry: _Entry) -> GloveConfiguration:
+    def _glove(self, entry: Entry) -> GloveConfiguration:
         if not is_glove_name(entry.key):
-            raise self._wrong(
+            raise self.wrong(
                 entry.line, f'glove "{entry.key}": a name is 1 to 64 letters, digits, ".", "_" or "-"'
             )
         hand, person, thresholds = "right", None, M2O2P_THRESHOLDS
-        fields = self._entries(entry.value, f'glove "{entry.key}"') if not _is_empty(entry.value) else []
+        fields = self.entries(entry.value, f'glove "{entry.key}"') if not is_empty(entry.value) else []
         for given in fields:
             if given.key == "hand":
-                hand = self._text(given.value, f'the hand of glove "{entry.key}"')
+                hand = self.text(given.value, f'the hand of glove "{entry.key}"')
                 if hand not in {"left", "right"}:
-                    raise self._wrong(given.line, f'glove "{entry.key}": hand is left or right, not "{hand}"')
+                    raise self.wrong(given.line, f'glove "{entry.key}": hand is left or right, not "{hand}"')
             elif given.key == "person":
-                person = self._text(given.value, f'the person of glove "{entry.key}"')
+                person = self.text(given.value, f'the person of glove "{entry.key}"')
             elif given.key == "thresholds":
-                thresholds = self._thresholds(entry.key, given)
+                thresholds = self.thresholds(entry.key, given)
             else:
-                raise self._wrong(
+                raise self.wrong(
                     given.line,
                     f'glove "{entry.key}" has an unknown field "{given.key}"; '
                     "there are hand, person and thresholds",
                 )
         return GloveConfiguration(entry.key, hand, person, thresholds)
 
-    def _thresholds(self, glove: str, section: _Entry) -> Thresholds:
+    def thresholds(self, glove: str, section: Entry) -> Thresholds:
+        """Return the thresholds of `glove`; fingers that are left out have those of M2O2P."""
         thresholds = M2O2P_THRESHOLDS
-        for finger in self._entries(section.value, f'the thresholds of glove "{glove}"'):
+        for finger in self.entries(section.value, f'the thresholds of glove "{glove}"'):
             bounds = {
-                bound.key: self._number(bound, f"{finger.key} {bound.key}")
-                for bound in self._entries(finger.value, f'finger "{finger.key}"')
+                bound.key: self.number(bound, f"{finger.key} {bound.key}")
+                for bound in self.entries(finger.value, f'finger "{finger.key}"')
             }
             try:
                 thresholds = thresholds.with_changes({finger.key: bounds})
             except WrongThreshold as error:
-                raise self._wrong(finger.line, f'glove "{glove}": {error}') from None
+                raise self.wrong(finger.line, f'glove "{glove}": {error}') from None
         return thresholds
-
-    def _entries(self, node: yaml.Node, what: str) -> list[_Entry]:
-        if not isinstance(node, yaml.MappingNode):
-            raise self._wrong(_line(node), f'{what} must be names with values ("name: value" lines)')
-        entries: dict[str, _Entry] = {}
-        for entry in self._pairs(node, what):
-            if entry.key in entries:
-                raise self._wrong(
-                    entry.line,
-                    f'"{entry.key}" stands twice in {what}, first in line {entries[entry.key].line}; '
-                    "remove or rename one of them",
-                )
-            entries[entry.key] = entry
-        return list(entries.values())
-
-    def _pairs(self, node: yaml.MappingNode, what: str) -> Iterator[_Entry]:
-        for key, value in node.value:
-            yield _Entry(self._text(key, f"a name in {what}"), _line(key), value)
-
-    def _text(self, node: yaml.Node, what: str) -> str:
-        if not isinstance(node, yaml.ScalarNode) or not node.value.strip():
-            raise self._wrong(_line(node), f"{what} must be a word or a number")
-        return str(node.value)
-
-    def _number(self, entry: _Entry, what: str) -> float:
-        text = self._text(entry.value, what)
-        try:
-            return float(text)
-        except ValueError:
-            raise self._wrong(entry.line, f'{what} must be a number, not "{text}"') from None
-
-    def _wrong(self, line: int, why: str) -> WrongConfiguration:
-        return WrongConfiguration(f"{self._name}:{line}: {why}")
-
-
-def _line(node: yaml.Node) -> int:
-    return int(node.start_mark.line) + 1
-
-
-def _is_empty(node: yaml.Node) -> bool:
-    return isinstance(node, yaml.ScalarNode) and not node.value.strip()

@@ -7,22 +7,26 @@ from typing import Any, Self
 
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
+from handover.database import connect
+from handover.errors import Problem
 from handover.performer import Job, Performer, TaskFailed, Wants
 from handover.telemetry import get_logger
 from services.gesture_controller.configuration import Configuration
 from services.gesture_controller.device import Devices
 from services.gesture_controller.errand import Answer, Asked, Errand
+from services.gesture_controller.frames import is_glove_name
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.glove_store import GloveStore
 from services.gesture_controller.gloves import Gloves
 from services.gesture_controller.inquiry import (
-    Definition,
     definition_of,
-    needs_definition,
     what_is_asked,
 )
 from services.gesture_controller.outbox import Outbox
+from services.gesture_controller.people.people import People
+from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.settings import ControllerSettings
+from services.gesture_controller.specifications.database import SpecificationDatabase, State
 
 log = get_logger(__name__)
 
@@ -41,12 +45,17 @@ class Controller(Performer):
         self.configuration = configuration
         self._silence_s = settings.silence_s
         self._outbox = Outbox()
+        self._patience_s = settings.specification_patience_s
+        self.specifications = SpecificationDatabase(settings.specifications, self._specifications_are)
         self._devices = Devices(settings, broker, self._outbox)
-        self._worn: dict[str, Glove] = {}
+        self._gloveless: dict[Job, str] = {}
+        """Jobs for people who wear no glove, and the reason for which each is paused."""
         self._duties = AsyncExitStack()
         self._newcomers: asyncio.Queue[str] = asyncio.Queue()
-        store = GloveStore(settings.data_dir / "gloves")
-        self.gloves = Gloves(settings, configuration, store, self, self._adopt)
+        self.database = connect(settings.database("gesture_controller"))
+        store = GloveStore(self.database, settings.data_dir / "gloves")
+        self.people = People(configuration, PeopleStore(self.database))
+        self.gloves = Gloves(settings, store, self.people, self, self._adopt)
 
     async def __aenter__(self) -> Self:
         for duty in (self._welcome_newcomers(), self._look_after_gloves(), self._tell_again()):
@@ -59,22 +68,83 @@ class Controller(Performer):
     async def __aexit__(self, *error: object) -> None:
         await super().__aexit__(*error)
         await self._duties.aclose()
+        self.database.dispose()
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
         """Ask the wearer for the gesture that the Task names, and return how it was answered."""
-        glove = self._worn[job.resource]
+        glove = await self._free_glove(job)
+        await self._let_wear(job, glove)
         asked = await self._find_out(job, glove)
-        while glove.errand is not None:
-            await _change(job, glove.free.wait())
+        while (busy := self._busy(glove, asked)) is not None:
+            await _change(job, busy.free.wait())
             await job.checkpoint()
         errand = Errand(asked, job, asyncio.get_running_loop().create_future())
         glove.begin(errand)
+        self.gloves.equip(glove)
+        self._join_hands(glove)
         try:
             answer = await self._await_answer(glove, errand)
         finally:
             glove.end()
+            self.gloves.equip(glove)
         log.info("task answered", glove=glove.name, gesture=answer.gesture, by=answer.by)
         return answer.outputs()
+
+    async def _free_glove(self, job: Job) -> Glove:
+        """Return the glove to ask with, once it is free; the Task is paused while its person wears none."""
+        while True:
+            glove = self._glove_for(job.resource)
+            if glove is None:
+                self._gloveless[job] = f"{job.resource.rsplit(':', 1)[-1]} wears no glove"
+                job.pause(self._gloveless[job])
+                try:
+                    await job.checkpoint()
+                finally:
+                    job.resume(self._gloveless.pop(job, ""))
+            elif glove.errand is None:
+                return glove
+            else:
+                await _change(job, glove.free.wait())
+                await job.checkpoint()
+
+    def _glove_for(self, resource: str) -> Glove | None:
+        for glove in self.gloves:
+            if self.settings.entity_id("Device", glove.name) == resource:
+                return glove
+        person = self._person_of(resource)
+        return next(iter(self.gloves.worn_by(person)), None)
+
+    def _person_of(self, resource: str) -> str | None:
+        """Return the name of a Person of this factory."""
+        name = resource.rsplit(":", 1)[-1]
+        return name if self.settings.entity_id("Person", name) == resource else None
+
+    async def _let_wear(self, job: Job, glove: Glove) -> None:
+        """Take the Person that a Task for a glove involves for its wearer."""
+        if job.resource != self.settings.entity_id("Device", glove.name):
+            return
+        for link in job.task.involves or ():
+            person = self._person_of(link.object)
+            if person is not None and is_glove_name(person):
+                try:
+                    await self.gloves.wear(glove, person)
+                except Problem as problem:
+                    log.warning("who wears the glove could not be kept", glove=glove.name, error=str(problem))
+                return
+
+    def _busy(self, glove: Glove, asked: Asked) -> Glove | None:
+        """Return a glove that must be free before it can be `asked`, and is not."""
+        partner = self.gloves.partner_of(glove) if asked.hands == "both" else None
+        return next((one for one in (glove, partner) if one is not None and one.errand is not None), None)
+
+    def _join_hands(self, glove: Glove) -> None:
+        """Let the other hand take part where both are asked for, as soon as its glove is there and free."""
+        if glove.errand is None or glove.partner is not None or glove.errand.asked.hands == "one":
+            return
+        partner = self.gloves.partner_of(glove)
+        if partner is not None and partner.errand is None:
+            glove.join(partner)
+            self.gloves.equip(partner)
 
     async def _await_answer(self, glove: Glove, errand: Errand) -> Answer:
         following = asyncio.create_task(_follow_wishes(glove, errand.job))
@@ -88,11 +158,18 @@ class Controller(Performer):
         return errand.answer.result()
 
     async def _find_out(self, job: Job, glove: Glove) -> Asked:
-        known = not needs_definition(job.parameters)
-        definition = Definition() if known else await definition_of(job.task, self.broker)
+        definition = await definition_of(
+            job.task, job.parameters, self.broker, self.specifications, self._patience_s
+        )
+        state = self.specifications.state
         try:
             return what_is_asked(
-                job.task, job.parameters, definition, self.configuration.gestures, glove.commands
+                job.task,
+                job.parameters,
+                definition,
+                self.people.gestures_of(glove.person),
+                glove.commands,
+                lacking=state.detail if state.name == "away" else "",
             )
         except TaskFailed as failure:
             self._alert_of_wrong_task(job, failure.reason)
@@ -113,6 +190,26 @@ class Controller(Performer):
                 description=reason,
             ),
         )
+
+    def _specifications_are(self, state: State) -> None:
+        """Raise an Alert while the specification database is away, and say when that is over."""
+        key = "specification database away"
+        if state.name == "away":
+            self._outbox.put(
+                "Alert specifications",
+                lambda: raise_alert(
+                    self.broker,
+                    self.settings,
+                    key=key,
+                    source=self.settings.entity_id("Device", "specification-database"),
+                    category="process",
+                    sub_category="specificationDatabaseAway",
+                    severity="medium",
+                    description=f"{state.detail}. Only Tasks that say all themselves can be shown",
+                ),
+            )
+        else:
+            self._outbox.put("Alert specifications", lambda: clear_alert(self.broker, self.settings, key=key))
 
     # What gloves tell
 
@@ -150,6 +247,34 @@ class Controller(Performer):
             lambda: clear_alert(self.broker, self.settings, key=_silence_key(glove)),
         )
 
+    def fits_badly(self, glove: Glove, why: str) -> None:
+        """Raise an Alert: the glove should be calibrated again."""
+        log.warning("glove should be calibrated again", glove=glove.name, why=why)
+        description = (
+            f"{glove.name} should be calibrated again: {why}. Put it on as usual, make a fist and open the "
+            "hand on the page Calibrate; Tasks can be completed on the screen meanwhile"
+        )
+        self._outbox.put(
+            f"Alert {glove.name} fit",
+            lambda: raise_alert(
+                self.broker,
+                self.settings,
+                key=_fit_key(glove),
+                source=self._devices.id_of(glove),
+                category="device",
+                sub_category="calibrationNeeded",
+                severity="medium",
+                description=description,
+            ),
+        )
+
+    def fits_again(self, glove: Glove) -> None:
+        """Say that the Alert of its fit is over."""
+        self._outbox.put(
+            f"Alert {glove.name} fit",
+            lambda: clear_alert(self.broker, self.settings, key=_fit_key(glove)),
+        )
+
     # Duties
 
     def _adopt(self, glove: Glove) -> None:
@@ -157,8 +282,10 @@ class Controller(Performer):
         if glove.person:
             names.append(self.settings.entity_id("Person", glove.person))
         for resource in names:
-            self._worn[resource] = glove
             self._newcomers.put_nowait(resource)
+        for job, reason in self._gloveless.items():
+            if self._glove_for(job.resource) is not None:
+                job.resume(reason)
         self._devices.tell(glove)
 
     async def _welcome_newcomers(self) -> None:
@@ -174,6 +301,7 @@ class Controller(Performer):
             if now_s - looked_s < self._silence_s / 2:  # else it was us who slept: frames may lie in the line
                 for glove in self.gloves:
                     glove.look_after(now_s, self._silence_s)
+                    self._join_hands(glove)
             looked_s = now_s
 
     async def _tell_again(self) -> None:
@@ -181,6 +309,10 @@ class Controller(Performer):
             await asyncio.sleep(TELL_AGAIN_S)
             for glove in self.gloves:
                 self._devices.tell(glove, again=True)
+
+
+def _fit_key(glove: Glove) -> str:
+    return f"{glove.name} fit"
 
 
 def _silence_key(glove: Glove) -> str:

@@ -1,12 +1,17 @@
 """Gestures: hand shapes with names, and the commands that they stand for.
 
-A gesture is the states of five fingers, thumb first: 0 straight, 2 bent. The 21 are those of M2O2P
+A gesture is the states of five fingers, thumb first: 0 straight, 2 bent; or it is composed of two such: one
+for each hand, or one after the other. The 21 are those of M2O2P
 (Machines 2022, 10, 957, Table 1, with its three misprinted rows put right).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from typing import Any, Literal
+
+from services.gesture_controller.finger_states import BENT, STRAIGHT
+from services.gesture_controller.thresholds import FINGERS
 
 M2O2P_GESTURES: Mapping[str, str] = {
     "Horns": "20220",
@@ -57,11 +62,71 @@ DEFAULT_COMMANDS: Mapping[int, str] = {
 }
 
 
+class WrongGesture(ValueError):
+    """A gesture cannot be what is written; the message names it, the rule and the way out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A gesture as it is written: a `code`, or a part for each hand, or two parts in `sequence`.
+
+    A part is a code or the name of a gesture that has one.
+    """
+
+    code: str | None = None
+    left: str | None = None
+    right: str | None = None
+    sequence: tuple[str, str] | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as it stands in files and on the wire."""
+        if self.sequence is not None:
+            return {"sequence": list(self.sequence)}
+        return {"code": self.code} if self.code is not None else {"left": self.left, "right": self.right}
+
+
+@dataclass(frozen=True, slots=True)
+class TwoHanded:
+    """Both hands at once: the name of the gesture of each."""
+
+    left: str
+    right: str
+
+    def names(self) -> tuple[str, str]:
+        """Return the names of both parts."""
+        return (self.left, self.right)
+
+
+@dataclass(frozen=True, slots=True)
+class InTurn:
+    """One hand, two gestures: the names of the first and of the one that follows it."""
+
+    first: str
+    second: str
+
+    def names(self) -> tuple[str, str]:
+        """Return the names of both parts."""
+        return (self.first, self.second)
+
+
+Composed = TwoHanded | InTurn
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one hand shows at one moment; `hand` is None where either may."""
+
+    gesture: str
+    code: str
+    hand: Literal["left", "right"] | None = None
+
+
 @dataclass(frozen=True)
 class Gestures:
-    """The gestures that are known: a name and a code each, both unique."""
+    """The gestures that are known: names and codes, both unique; and those composed of two of them."""
 
     codes: Mapping[str, str]
+    composed: Mapping[str, Composed] = field(default_factory=dict)
     names: Mapping[str, str] = field(init=False)
     """Names by code."""
 
@@ -69,19 +134,128 @@ class Gestures:
         object.__setattr__(self, "names", {code: name for name, code in self.codes.items()})
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
-        """Yield name and code of each."""
+        """Yield name and code of each that has a code."""
         return iter(self.codes.items())
 
     def find(self, name: str) -> str | None:
         """Return the name of a gesture as it is known here, whatever its capitals; None if it is not."""
-        if name in self.codes:
+        if name in self.codes or name in self.composed:
             return name
-        return next((known for known in self.codes if known.casefold() == name.strip().casefold()), None)
+        wanted = name.strip().casefold()
+        return next((known for known in self._all() if known.casefold() == wanted), None)
 
     def like(self, name: str) -> str:
         """Return what a person may have meant by `name`, as half a sentence."""
-        close = get_close_matches(name, self.codes, n=1)
-        return f'did you mean "{close[0]}"' if close else f"the gestures are {', '.join(self.codes)}"
+        close = get_close_matches(name, self._all(), n=1)
+        return f'did you mean "{close[0]}"' if close else f"the gestures are {', '.join(self._all())}"
+
+    def parts_of(self, name: str) -> tuple[Part, ...]:
+        """Return what the gesture called `name` consists of: itself, or two parts (left hand first)."""
+        composed = self.composed.get(name)
+        if composed is None:
+            return (Part(name, self.codes[name]),)
+        if isinstance(composed, InTurn):
+            return tuple(Part(part, self.codes[part]) for part in (composed.first, composed.second))
+        return (
+            Part(composed.left, self.codes[composed.left], "left"),
+            Part(composed.right, self.codes[composed.right], "right"),
+        )
+
+    def with_shapes(self, shapes: Mapping[str, Shape]) -> "Gestures":
+        """Return these and those of `shapes`; raise `WrongGesture` for one that cannot be.
+
+        A part that is a code without a name gets one that tells which fingers are straight.
+        """
+        codes, composed = dict(self.codes), dict(self.composed)
+        names = {code: name for name, code in codes.items()}
+        for name, shape in shapes.items():
+            if self.find(name) is not None:
+                raise WrongGesture(f'there is a gesture "{name}" already; call one of them otherwise')
+            if shape.code is not None:
+                code = checked_code(name, shape.code)
+                if code in names:
+                    raise WrongGesture(
+                        f'gesture "{name}" has the code {code}, which "{names[code]}" already has; '
+                        "give one of them another code"
+                    )
+                codes[name], names[code] = code, name
+        for name, shape in shapes.items():
+            if shape.code is None:
+                made = _composed(name, shape, codes, names, composed)
+                twin = next((other for other, its in composed.items() if its == made), None)
+                if twin is not None:
+                    raise WrongGesture(f'gesture "{name}" is made like "{twin}"; change one of them')
+                composed[name] = made
+        return Gestures(codes, composed)
+
+    def with_parts(self, parts: Sequence[Part]) -> "Gestures":
+        """Return these, with `parts` whatever else is called so or has their codes."""
+        names = {part.gesture for part in parts}
+        codes = {part.code for part in parts}
+        left = {name: code for name, code in self.codes.items() if name not in names and code not in codes}
+        known = {**left, **{part.gesture: part.code for part in parts}}
+        whole = {
+            name: one for name, one in self.composed.items() if all(part in known for part in one.names())
+        }
+        return Gestures(known, whole)
+
+    def _all(self) -> list[str]:
+        return [*self.codes, *self.composed]
+
+
+def is_code(text: str) -> bool:
+    """Say whether `text` is five states, thumb first, each 0 (straight) or 2 (bent)."""
+    return len(text) == len(FINGERS) and set(text) <= {STRAIGHT, BENT}
+
+
+def checked_code(name: str, code: str) -> str:
+    """Return `code`; raise `WrongGesture` if the gesture called `name` cannot have it."""
+    if not is_code(code):
+        raise WrongGesture(
+            f'gesture "{name}" has the code "{code}"; a code is five states, thumb first, '
+            f"each {STRAIGHT} (straight) or {BENT} (bent), such as 02222"
+        )
+    return code
+
+
+def described(code: str) -> str:
+    """Return a name for a code that has none: which fingers are straight."""
+    straight = [finger for finger, state in zip(FINGERS, code, strict=True) if state == STRAIGHT]
+    if not straight:
+        return "Fist"
+    if len(straight) == len(FINGERS):
+        return "Open hand"
+    words = f"{', '.join(straight[:-1])} and {straight[-1]}" if straight[1:] else straight[0]
+    return f"{words[0].upper()}{words[1:]} straight"
+
+
+def _composed(
+    name: str,
+    shape: Shape,
+    codes: dict[str, str],
+    names: dict[str, str],
+    composed: Mapping[str, Composed],
+) -> Composed:
+    def part(given: str) -> str:
+        if is_code(given):
+            if given not in names:
+                codes[described(given)], names[given] = given, described(given)
+            return names[given]
+        known = Gestures(codes).find(given)
+        if known is None:
+            hint = (
+                f'"{given}" itself is composed; a part is a gesture of one hand'
+                if given in composed
+                else Gestures(codes).like(given)
+            )
+            raise WrongGesture(f'gesture "{name}" has the unknown part "{given}"; {hint}')
+        return known
+
+    if shape.sequence is not None:
+        return InTurn(*(part(given) for given in shape.sequence))
+    if shape.left is None or shape.right is None:
+        raise WrongGesture(f'gesture "{name}" names one hand; give a part for left and one for right')
+    return TwoHanded(part(shape.left), part(shape.right))
 
 
 @dataclass(frozen=True)
@@ -102,4 +276,27 @@ class Commands:
 
 def default_commands(gestures: Gestures) -> Commands:
     """Return the command map used when the configuration names none, as far as `gestures` has them."""
-    return Commands({command: name for command, name in DEFAULT_COMMANDS.items() if name in gestures.codes})
+    return Commands({command: name for command, name in DEFAULT_COMMANDS.items() if gestures.find(name)})
+
+
+def codes_in_use(gestures: Gestures, commands: Commands, asked: Sequence[Part] = ()) -> frozenset[str]:
+    """Return the codes of the hands that a person makes to give `commands` or what is `asked`, parts too."""
+    commanded = (
+        part.code
+        for name in commands.ids
+        if name in gestures.codes or name in gestures.composed
+        for part in gestures.parts_of(name)
+    )
+    return frozenset({*commanded, *(part.code for part in asked)})
+
+
+def listed(gestures: Gestures, commands: Commands) -> list[dict[str, Any]]:
+    """Return the gestures as they go to screens: name, what each is made of, and its command."""
+    plain = [{"name": name, "code": code, "commandId": commands.ids.get(name)} for name, code in gestures]
+    composed: list[dict[str, Any]] = []
+    for name in gestures.composed:
+        parts = [{"gesture": part.gesture, "code": part.code} for part in gestures.parts_of(name)]
+        in_turn = isinstance(gestures.composed[name], InTurn)
+        shape = {"sequence": parts} if in_turn else dict(zip(("left", "right"), parts, strict=True))
+        composed.append({"name": name, **shape, "commandId": commands.ids.get(name)})
+    return plain + composed

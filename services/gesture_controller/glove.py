@@ -9,43 +9,25 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Protocol
+from typing import Any
 
 from handover.job import Wants
+from handover.telemetry import get_logger
 from services.gesture_controller import metrics
-from services.gesture_controller.errand import Answer, Errand
+from services.gesture_controller.calibration.drift import Drift
+from services.gesture_controller.composed import interplay
+from services.gesture_controller.errand import Answer, CannotComplete, Errand, completable
 from services.gesture_controller.frames import Frame, Hello
-from services.gesture_controller.gestures import Commands
+from services.gesture_controller.gestures import Commands, Gestures, Part, codes_in_use
 from services.gesture_controller.hold import HoldEvent
+from services.gesture_controller.listener import Link, Listener
 from services.gesture_controller.pipeline import Rules, Senses, Sight, Verdict, judge, see
+from services.gesture_controller.recognition.registry import THRESHOLDS
 from services.gesture_controller.thresholds import Thresholds
 
-SILENT = "glove silent"
+log = get_logger(__name__)
+
 ON_SCREEN = "paused on the screen"
-
-
-class CannotComplete(ValueError):
-    """The Task cannot be completed on the screen now; the message says what to do first."""
-
-
-class Link(Protocol):
-    """The connection of a glove."""
-
-    def end(self, reason: str) -> None:
-        """Tell the glove why, and close."""
-
-
-class Listener(Protocol):
-    """Who is told what happens to a glove."""
-
-    def state_changed(self, glove: "Glove") -> None:
-        """Take notice that what its Device entity says may have changed."""
-
-    def went_silent(self, glove: "Glove") -> None:
-        """Take notice that it stopped sending in the middle of a Task."""
-
-    def came_back(self, glove: "Glove") -> None:
-        """Take notice that it sends (again)."""
 
 
 class Glove:
@@ -71,6 +53,10 @@ class Glove:
         self.testing = False
         self.paused = False
         self.errand: Errand | None = None
+        self.partner: Glove | None = None
+        """The other hand's glove, while both answer one errand."""
+        self.other_hand: Callable[[], Glove | None] = lambda: None
+        """Finds the glove on the other hand of who wears this one."""
         self.free = asyncio.Event()
         self.free.set()
         self.link: Link | None = None
@@ -87,6 +73,10 @@ class Glove:
         self.frames = 0
         self.dropped: Counter[str] = Counter()
         self.rate_hz = 0.0
+        self.examination: Callable[[], dict[str, Any]] | None = None
+        """What the screen shows of the accuracy test that is being done with it, if one is."""
+        self.guidance: Callable[[], dict[str, Any]] | None = None
+        """What the screen shows of the calibration that is being done with it, or was at last."""
         self.watchers: set[Callable[[bool], None]] = set()
         """Called when something to be seen has changed, with every frame too; must be quick.
 
@@ -94,9 +84,14 @@ class Glove:
         """
         self.recorders: set[Callable[[bytes], None]] = set()
         """Called with the raw line of every frame."""
+        self.interplay = interplay.Interplay()
+        self._silent = f"{name} silent"
         self._listener = listener
-        self._last_s = float("-inf")
+        self.last_s = float("-inf")
+        """When it was last heard of."""
         self._present = False
+        self._met = False
+        """True once the glove has been there during the errand: only then can it go missing."""
         self._seen_before = False
         self._rate_from = (0.0, 0)
 
@@ -112,11 +107,10 @@ class Glove:
         if self.link is not None and self.link is not link:
             self.link.end(f"{self.name} has connected anew from elsewhere; only its newest connection counts")
         self.link, self.hello, self.hand = link, hello, hello.hand
-        self._last_s = now_s
+        self.last_s = now_s
         self._present = True
         self._begin_anew()
-        if self.errand is not None:
-            self.errand.met = True
+        self._met = self.errand is not None
         self._changed()
 
     def disconnect(self, link: Link) -> None:
@@ -128,21 +122,36 @@ class Glove:
     def take(self, frame: Frame, line: bytes, now_s: float) -> None:
         """Take a frame, and its raw `line`, that arrived at `now_s`."""
         self.frames += 1
-        self._last_s = now_s
+        self.last_s = now_s
         self.bend = frame.bend
         if not self._present or self.lost or not self._seen_before:
             self._heard_again()
         if frame.battery is not None and frame.battery != self.battery:
             self.battery = frame.battery
             self._changed()
-        self.sight = see(self.sight, frame, self.senses)
-        hold = self.sight.hold
-        if hold.last is not HoldEvent.NONE:
-            self._act_on(judge(hold, self._rules()), now_s)
-        for watcher in self.watchers:
-            watcher(False)
+        fitted = self.sight.drift.wants_calibration is None
+        self.sight = self._see(frame)
+        if fitted and (why := self.sight.drift.wants_calibration) is not None:
+            self._listener.fits_badly(self, why)
+            self._changed()
+        self._read(now_s)
+        for glove in self._both():  # the other hand's screen follows both
+            for watcher in glove.watchers:
+                watcher(False)
         for record in self.recorders:
             record(line)
+
+    def _see(self, frame: Frame) -> Sight:
+        try:
+            return see(self.sight, frame, self.senses)
+        except Exception as error:
+            if self.senses.recognizer == THRESHOLDS:
+                raise
+            # a recognizer may be a stranger's, and whatever befalls it must not take the glove away
+            log.exception("recognizer failed; thresholds take over", glove=self.name)
+            failure = f"it failed with {type(error).__name__}: {error}"
+            self.sense_with(replace(self.senses, failure=failure))
+            return see(self.sight, frame, self.senses)
 
     def drop(self, reason: str) -> None:
         """Count a line that was no frame."""
@@ -155,24 +164,24 @@ class Glove:
         if now_s - since_s >= 1.0:
             self.rate_hz = round((self.frames - before) / (now_s - since_s), 1) if before or since_s else 0.0
             self._rate_from = (now_s, self.frames)
-        if now_s - self._last_s < silence_s:
+        if now_s - self.last_s < silence_s:
             return
         if self._present:
             self._present = False
             self.rate_hz = 0.0
             self._changed()
-        if self.errand is not None and self.errand.met and not self.lost:
+        if self.errand is not None and self._met and not self.lost:
             self.lost = True
             metrics.SILENCES.inc()
-            self.errand.job.pause(SILENT)
+            self.errand.job.pause(self._silent)
             self._listener.went_silent(self)
             self._changed()
 
     def _heard_again(self) -> None:
         self._present = True
         if self.errand is not None:
-            self.errand.met = True
-            self._go_on(self.errand, SILENT)
+            self._met = True
+            self._go_on(self.errand, self._silent)
         if self.lost or not self._seen_before:
             self.lost, self._seen_before = False, True
             self._listener.came_back(self)
@@ -183,17 +192,26 @@ class Glove:
     def begin(self, errand: Errand) -> None:
         """Take an errand; nothing answers it before `listen`."""
         self.errand = errand
+        errand.progress = interplay.fresh(errand)
         self.free.clear()
-        errand.met = self.connected
+        self._met = self.connected
         if self.paused:
             errand.job.pause(ON_SCREEN)
         self._changed()
+
+    def join(self, partner: "Glove") -> None:
+        """Let `partner`, the glove of the other hand, answer the errand together with this one."""
+        if self.errand is not None and self.partner is None:
+            self.partner, partner.partner = partner, self
+            partner.begin(self.errand)
+            partner._begin_anew()
 
     def listen(self) -> None:
         """Let gestures answer the errand from now on: no hold that began before counts."""
         if self.errand is not None and not self.errand.listening:
             self.errand.listening = True
-            self._begin_anew()
+            for glove in self._both():
+                glove._begin_anew()
 
     def rest(self) -> None:
         """Let no gesture answer until `listen`."""
@@ -202,9 +220,10 @@ class Glove:
 
     def end(self) -> None:
         """Let go of the errand, answered or not."""
-        self.errand = None
-        self.free.set()
-        self._changed()
+        for glove in self._both():
+            glove.errand = glove.partner = None
+            glove.free.set()
+            glove._changed()
 
     def complete_on_screen(self, operator: str, now_s: float, task: str | None = None) -> None:
         """Answer the errand for `operator`, who pressed the button; raises `CannotComplete`.
@@ -212,22 +231,13 @@ class Glove:
         `task` is the id of the Task that the button belonged to: a press that comes when another is asked
         for, because somebody else or the hand was quicker, must not answer that one.
         """
-        errand = self.errand
-        if errand is None or errand.answer.done():
-            raise CannotComplete(f"{self.name} has no Task at the moment; there is nothing to complete")
-        if task is not None and task != errand.asked.task_id:
-            raise CannotComplete(
-                f"{self.name} is asked for {errand.asked.task_id} now, no longer for {task}; "
-                "look at what is asked, and complete that"
-            )
-        if self.testing:
-            raise CannotComplete(
-                f"{self.name} is in testing mode; switch testing off, then complete the Task"
-            )
-        errand.job.resume(SILENT)
+        errand = completable(self.errand, self.name, task, testing=self.testing)
+        for glove in self._both():
+            errand.job.resume(glove._silent)
         if errand.job.wants is not Wants.GO:
-            if self.lost:
-                errand.job.pause(SILENT)
+            for glove in self._both():
+                if glove.lost:
+                    errand.job.pause(glove._silent)
             raise CannotComplete(f"the Task of {self.name} is paused; resume it, then complete it")
         self._answer(errand, Answer(errand.asked, 0, "screen", operator), now_s)
 
@@ -241,7 +251,7 @@ class Glove:
     def resume(self) -> None:
         """Take `pause` back."""
         self.paused = False
-        if self.errand is not None:
+        if self.errand is not None and not any(glove.paused for glove in self._both()):
             self._go_on(self.errand, ON_SCREEN)
         self._begin_anew()
         self._changed()
@@ -255,8 +265,25 @@ class Glove:
 
     def read_with(self, thresholds: Thresholds) -> None:
         """Read the hand with other thresholds from now on."""
-        self.senses = replace(self.senses, thresholds=thresholds)
-        self._begin_anew()
+        self.sense_with(replace(self.senses, thresholds=thresholds))
+
+    def sense_with(self, senses: Senses) -> None:
+        """Read the hand with other `senses` from now on; what was seen and had drifted is forgotten."""
+        self.senses = senses
+        self.sight = replace(self.sight, recognition=None, drift=Drift(), hold=self.sight.hold.anew())
+        self._changed()
+
+    def equip(self, gestures: Gestures, commands: Commands) -> None:
+        """Know these gestures and commands from now on; a hold goes on if its gesture is among them."""
+        kept = self.senses.gestures.codes.get(self.sight.gesture or "")
+        asked = self.errand.asked.parts if self.errand is not None else ()
+        in_use = codes_in_use(gestures, commands, asked)
+        if gestures != self.senses.gestures or in_use != self.senses.in_use:
+            self.senses = replace(self.senses, gestures=gestures, in_use=in_use)
+            self.sight = replace(self.sight, recognition=None)
+        self.commands = commands
+        if kept != gestures.codes.get(self.sight.gesture or ""):
+            self._begin_anew()
         self._changed()
 
     def _go_on(self, errand: Errand, held_for: str) -> None:
@@ -267,32 +294,87 @@ class Glove:
 
     def _begin_anew(self) -> None:
         self.sight = replace(self.sight, hold=self.sight.hold.anew())
+        self.interplay.clear()
+        if self.errand is not None:
+            self.errand.progress = interplay.fresh(self.errand)
 
-    def _rules(self) -> Rules:
-        errand = self.errand
-        is_open = not self.testing and not self.paused and (errand is None or errand.is_open)
-        return Rules(errand.asked.gesture if errand else None, self.commands, self.filtering, is_open)
+    def _both(self) -> "tuple[Glove, ...]":
+        """Return this glove, and the one that answers the errand together with it."""
+        return (self,) if self.partner is None else (self, self.partner)
+
+    @property
+    def due(self) -> Part | None:
+        """Return what the errand asks this hand to show now."""
+        return None if self.errand is None else interplay.due_of(self.errand, self.hand)
+
+    def shows(self, part: Part) -> bool:
+        """Say whether this hand, or its partner's, shows `part` now."""
+        hands = [glove for glove in self._both() if part.hand in {None, glove.hand}]
+        return any(glove.connected and glove.sight.gesture == part.gesture for glove in hands)
+
+    def _is_open(self) -> bool:
+        """Say whether anything that this hand shows counts now."""
+        counts = not any(glove.testing or glove.paused for glove in self._both())
+        return counts and (self.errand is None or self.errand.is_open)
+
+    def _read(self, now_s: float) -> None:
+        """Find out what the last frame means."""
+        hold, errand = self.sight.hold, self.errand
+        if hold.last is not HoldEvent.NONE:
+            due = self.due
+            rules = Rules(due.gesture if due else None, self.commands, self.filtering, self._is_open())
+            self._act_on(judge(hold, rules), now_s)
+        if self.filtering and (errand is None or errand.asked.composed is None):
+            return
+        if self._is_open():
+            self._read_composed(errand, now_s)
+        elif errand is not None:
+            errand.progress = interplay.fresh(errand)
+
+    def _read_composed(self, errand: Errand | None, now_s: float) -> None:
+        held_ms = None if errand is None else interplay.answered(errand, self, self.partner, now_s)
+        if errand is not None and held_ms is not None and not errand.answer.done():
+            self._spend()
+            self._answer(errand, Answer(errand.asked, held_ms, "gesture"), now_s)
+        if self.filtering:
+            return
+        command = self.interplay.commanded(self, errand.asked.gesture if errand else None, now_s)
+        if command is not None:
+            metrics.COMMANDS.inc()
+            for glove in command.hands:
+                glove._spend()
+                glove._give(self.commands.ids[command.gesture])
+
+    def _spend(self) -> None:
+        for glove in self._both():
+            glove.sight = replace(glove.sight, hold=glove.sight.hold.spend())
 
     def _act_on(self, verdict: Verdict, now_s: float) -> None:
-        hold = self.sight.hold
+        hold, errand = self.sight.hold, self.errand
         if verdict is Verdict.WRONG:
             metrics.WRONG_GESTURES.inc()
-        elif verdict is Verdict.COMPLETE and self.errand is not None:
-            self.sight = replace(self.sight, hold=hold.spend())
-            self._answer(self.errand, Answer(self.errand.asked, hold.held_ms, "gesture"), now_s)
-        elif verdict is Verdict.COMMAND and hold.gesture is not None:
-            self.sight = replace(self.sight, hold=hold.spend())
+        elif verdict is Verdict.COMPLETE and errand is not None:
+            if errand.asked.composed is None:  # else a part of it counts with the other
+                self._spend()
+                self._answer(errand, Answer(errand.asked, hold.held_ms, "gesture"), now_s)
+        elif (
+            verdict is Verdict.COMMAND
+            and hold.gesture is not None
+            and not interplay.is_part_of_more(hold.gesture, self, errand)
+        ):
+            self._spend()
             metrics.COMMANDS.inc()
             self._give(self.commands.ids[hold.gesture])
 
     def _answer(self, errand: Errand, answer: Answer, now_s: float) -> None:
         errand.answer.set_result(answer)
         metrics.CONFIRMATIONS.labels(answer.by).inc()
-        self.last_answer = (answer, now_s)
-        if answer.asked.command_id is None:
-            self._changed()
-        else:
-            self._give(answer.asked.command_id)
+        for glove in self._both():
+            glove.last_answer = (answer, now_s)
+            if answer.asked.command_id is None:
+                glove._changed()
+            else:
+                glove._give(answer.asked.command_id)
 
     def _give(self, command_id: int) -> None:
         self.command = (command_id, datetime.now(UTC))

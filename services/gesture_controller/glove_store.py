@@ -1,92 +1,177 @@
-"""The glove store: what must survive of a glove, one small file each in the data directory.
+"""The glove store: what must survive of a glove, and of how it fits each person who wears it.
 
-A file is written beside its place, forced to the disk and moved there, so that a power cut leaves either
-the old or the new one whole.
+Both are kept in the database of the controller. Gloves that an earlier release kept as files in the data
+directory are taken over once, when the database does not know them yet.
 """
 
-import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import orjson
+from sqlalchemy import Connection, Engine, Row, delete, insert, select
 
+from datamodels.times import iso
 from handover.errors import UsageError
+from handover.tables import bring_forward
+from handover.telemetry import get_logger
+from services.gesture_controller.people import tables
+from services.gesture_controller.people.person import Person
+from services.gesture_controller.people.store import save_person
 from services.gesture_controller.thresholds import M2O2P_THRESHOLDS, Thresholds
+
+log = get_logger(__name__)
+
+NOBODY = ""
+"""Stands for whoever wears a glove without saying who they are."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredGlove:
-    """What is kept of a glove; None where nothing was ever set. `previous` are the thresholds before."""
+    """What is kept of a glove: which hand, who was chosen to wear it, and whether it was declared over REST.
+
+    `person` is None while nobody was chosen, so that the gestures file says it, and `NOBODY` once that was.
+    """
 
     name: str
     hand: str = "right"
     person: str | None = None
     declared: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How a glove fits a person; None where nothing was ever set.
+
+    `previous` are the thresholds before the last change; `recognizer` is the name of the one chosen;
+    `learnt` is what calibrations have taught, by topic, as JSON has it (`levels` are those of the fingers).
+    """
+
     thresholds: Thresholds | None = None
     previous: Thresholds | None = None
+    recognizer: str | None = None
+    learnt: Mapping[str, Any] = field(default_factory=dict)
+    changed_at: str = ""
 
 
 class GloveStore:
-    """The files of all gloves in `directory`."""
+    """Gloves and fits in the database; every method blocks for the disk."""
 
-    def __init__(self, directory: Path) -> None:
-        self._directory = directory
+    def __init__(self, engine: Engine, old_files: Path | None = None) -> None:
+        self._engine = engine
+        self._old_files = old_files
 
     def load(self) -> dict[str, StoredGlove]:
-        """Return all stored gloves by name; raise `UsageError` for a file that cannot be read."""
-        gloves = (self._read(path) for path in sorted(self._directory.glob("*.json")))
-        return {glove.name: glove for glove in gloves}
+        """Return all stored gloves by name; raise `UsageError` for an old file that cannot be read."""
+        bring_forward(self._engine, tables.tables, room="controller_people", version=tables.VERSION)
+        self._take_over_files()
+        with self._engine.connect() as connection:
+            rows = connection.execute(select(tables.gloves).order_by(tables.gloves.c.name)).all()
+        return {row.name: StoredGlove(row.name, row.hand, row.person, row.declared) for row in rows}
 
-    def save(self, glove: StoredGlove) -> None:
-        """Write `glove` so that it survives; returns when it does. Blocks for the disk."""
-        self._directory.mkdir(parents=True, exist_ok=True)
-        path = self._directory / f"{glove.name}.json"
-        beside = path.with_suffix(".json.new")
-        with beside.open("wb") as file:
-            file.write(orjson.dumps(_as_json(glove), option=orjson.OPT_INDENT_2))
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-        _force(self._directory)
+    def fits(self) -> dict[tuple[str, str], Fit]:
+        """Return all fits by glove and person (`NOBODY` where none is named)."""
+        with self._engine.connect() as connection:
+            rows = connection.execute(select(tables.fits)).all()
+        return {(row.glove, row.person): _fit(row) for row in rows}
 
-    def _read(self, path: Path) -> StoredGlove:
-        try:
-            given = orjson.loads(path.read_bytes())
-            return StoredGlove(
-                path.stem,
-                given["hand"],
-                given["person"],
-                given["declared"],
-                _thresholds(given["thresholds"]),
-                _thresholds(given["previous"]),
-            )
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise UsageError(
-                f"the stored glove {path} cannot be read ({type(error).__name__}: {error}); "
-                "remove the file to begin again with the thresholds of the gestures file"
-            ) from None
+    def save(self, *gloves: StoredGlove) -> None:
+        """Write `gloves`, all or none, so that they survive; returns when they do."""
+        with self._engine.begin() as connection:
+            for glove in gloves:
+                _save(connection, glove)
+
+    def save_fit(self, glove: StoredGlove, person: str | None, fit: Fit) -> Fit:
+        """Write how `glove` fits `person`, and the glove itself; return the fit as it is kept."""
+        kept = replace(fit, changed_at=iso(datetime.now(UTC)))
+        with self._engine.begin() as connection:
+            _save(connection, glove)
+            _save_fit(connection, glove.name, person, kept)
+        return kept
+
+    def save_profile(self, person: Person, fits: Mapping[str, Fit]) -> dict[str, Fit]:
+        """Write `person` and how gloves fit them, in place of what was theirs; return the fits kept."""
+        now = iso(datetime.now(UTC))
+        kept = {glove: replace(fit, changed_at=now) for glove, fit in fits.items()}
+        with self._engine.begin() as connection:
+            save_person(connection, person)
+            connection.execute(delete(tables.fits).where(tables.fits.c.person == person.name))
+            for glove, fit in kept.items():
+                _save_fit(connection, glove, person.name, fit)
+        return kept
+
+    def _take_over_files(self) -> None:
+        files = sorted(self._old_files.glob("*.json")) if self._old_files else []
+        if not files:
+            return
+        with self._engine.begin() as connection:
+            known = set(connection.scalars(select(tables.gloves.c.name)))
+            for file in files:
+                if file.stem not in known:
+                    glove, person, fit = _old_glove(file)
+                    _save(connection, glove)
+                    if fit.thresholds is not None:
+                        _save_fit(connection, glove.name, person, fit)
+                    log.info("glove taken over from its file", glove=glove.name, file=str(file))
 
 
-def _as_json(glove: StoredGlove) -> dict[str, Any]:
-    return {
-        "hand": glove.hand,
-        "person": glove.person,
-        "declared": glove.declared,
-        "thresholds": glove.thresholds.as_dict() if glove.thresholds else None,
-        "previous": glove.previous.as_dict() if glove.previous else None,
-    }
+def _save(connection: Connection, glove: StoredGlove) -> None:
+    connection.execute(delete(tables.gloves).where(tables.gloves.c.name == glove.name))
+    connection.execute(
+        insert(tables.gloves).values(
+            name=glove.name, hand=glove.hand, person=glove.person, declared=glove.declared
+        )
+    )
+
+
+def _save_fit(connection: Connection, glove: str, person: str | None, fit: Fit) -> None:
+    whose = person or NOBODY
+    connection.execute(delete(tables.fits).where(tables.fits.c.glove == glove, tables.fits.c.person == whose))
+    connection.execute(
+        insert(tables.fits).values(
+            glove=glove,
+            person=whose,
+            thresholds=_written(fit.thresholds),
+            previous=_written(fit.previous),
+            recognizer=fit.recognizer,
+            learnt=orjson.dumps(fit.learnt).decode(),
+            changed_at=fit.changed_at,
+        )
+    )
+
+
+def _fit(row: Row[Any]) -> Fit:
+    return Fit(
+        _thresholds(row.thresholds and orjson.loads(row.thresholds)),
+        _thresholds(row.previous and orjson.loads(row.previous)),
+        row.recognizer,
+        orjson.loads(row.learnt),
+        row.changed_at,
+    )
+
+
+def _old_glove(file: Path) -> tuple[StoredGlove, str | None, Fit]:
+    try:
+        given = orjson.loads(file.read_bytes())
+        person = given["person"]
+        glove = StoredGlove(
+            file.stem, given["hand"], person if given["declared"] else None, given["declared"]
+        )
+        written_at = iso(datetime.fromtimestamp(file.stat().st_mtime, UTC))
+        fit = Fit(_thresholds(given["thresholds"]), _thresholds(given["previous"]), changed_at=written_at)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(
+            f"the stored glove {file} cannot be read ({type(error).__name__}: {error}); "
+            "remove the file to begin again with the thresholds of the gestures file"
+        ) from None
+    return glove, person, fit
+
+
+def _written(thresholds: Thresholds | None) -> str | None:
+    return None if thresholds is None else orjson.dumps(thresholds.as_dict()).decode()
 
 
 def _thresholds(given: Any) -> Thresholds | None:
-    return None if given is None else M2O2P_THRESHOLDS.with_changes(given)
-
-
-def _force(directory: Path) -> None:
-    if os.name == "nt":  # directories cannot be opened there; moving a file is journaled
-        return
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    return None if not given else M2O2P_THRESHOLDS.with_changes(given)

@@ -21,12 +21,18 @@ class HoldEvent(Enum):
 
 @dataclass(frozen=True, slots=True)
 class HoldTiming:
-    """How long is long enough. Frames more than `gap_ms` apart break a hold; `release_ms` away is let go."""
+    """How long is long enough. Frames more than `gap_ms` apart break a hold; `release_ms` away is let go.
+
+    One of two hands may begin `apart_ms` after the other; the second of two gestures in turn must begin
+    `within_ms` after the first was let go.
+    """
 
     announce_ms: float = 500
     confirm_ms: float = 1500
     gap_ms: float = 250
     release_ms: float = 100
+    apart_ms: float = 2000
+    within_ms: float = 3000
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,12 +1,12 @@
 """The inquiry: what a Task asks of the hand, found out once, before anybody is asked.
 
-What stands in the Task's workParameters goes first, then what its TaskDefinition says; a command without
-a gesture is shown with the person's own gesture for it, else with that of the command map.
+What stands in the Task's workParameters goes first, then its TaskDefinition in the broker, then what the
+specification database has. A command without a gesture is shown with the person's own gesture for it, else
+with that of the command map.
 """
 
 import asyncio
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from datamodels.entities import Task
@@ -15,27 +15,37 @@ from handover.job import TaskFailed
 from handover.telemetry import get_logger
 from services.gesture_controller.errand import Asked
 from services.gesture_controller.gestures import Commands, Gestures
+from services.gesture_controller.specifications.database import SpecificationDatabase
+from services.gesture_controller.specifications.definition import Definition, needs_definition
 
 log = get_logger(__name__)
 
 RETRY_S = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class Definition:
-    """What a TaskDefinition says to the person, as far as it says anything."""
+async def definition_of(
+    task: Task,
+    parameters: Mapping[str, Any],
+    broker: BrokerClient,
+    database: SpecificationDatabase,
+    patience_s: float,
+) -> Definition:
+    """Return what the TaskDefinition of `task` says that its `parameters` do not; empty if it is nowhere.
 
-    name: str | None = None
-    description: str | None = None
-    gesture: Any = None
-    command_id: Any = None
-
-
-async def definition_of(task: Task, broker: BrokerClient) -> Definition:
-    """Return what the TaskDefinition of `task` says; an empty one if the broker has none.
-
-    Waits while the broker is away.
+    Waits while the broker is away; for the database only `patience_s`, and only if nothing else says what to
+    show.
     """
+    if not needs_definition(parameters):
+        return Definition()
+    definition = await _definition_in_broker(task, broker)
+    if not needs_definition(parameters, definition):
+        return definition
+    asks = definition.asks or parameters.get("gesture") is not None or parameters.get("commandId") is not None
+    found = await database.look_up(task.is_defined_by.object, 0.0 if asks else patience_s)
+    return definition.filled_from(found)
+
+
+async def _definition_in_broker(task: Task, broker: BrokerClient) -> Definition:
     while True:
         try:
             entity = await broker.retrieve(task.is_defined_by.object)
@@ -62,8 +72,13 @@ def what_is_asked(
     definition: Definition,
     gestures: Gestures,
     commands: Commands,
+    *,
+    lacking: str = "",
 ) -> Asked:
-    """Return what `task` asks, with the `commands` of the person; raise `TaskFailed` if nobody can tell."""
+    """Return what `task` asks, with the `commands` of the person; raise `TaskFailed` if nobody can tell.
+
+    `lacking` says where one could not look, if that may be why.
+    """
     named = _first(parameters.get("gesture"), definition.gesture)
     command_id = _command_id(_first(parameters.get("commandId"), definition.command_id))
     if parameters.get("commandId") is not None and parameters.get("gesture") is None:
@@ -76,16 +91,11 @@ def what_is_asked(
     else:
         raise TaskFailed(
             "the Task names neither a gesture nor a commandId; put one of them in its workParameters"
+            + (f", or see to this: {lacking}" if lacking else "")
         )
-    return Asked(
-        task.id, _description(task, parameters, definition), gesture, gestures.codes[gesture], command_id
-    )
-
-
-def needs_definition(parameters: Mapping[str, Any]) -> bool:
-    """Say whether the workParameters leave something to ask the TaskDefinition for."""
-    asks = parameters.get("gesture") is not None or parameters.get("commandId") is not None
-    return not (asks and _text(parameters.get("description")))
+    parts = gestures.parts_of(gesture)
+    description = _description(task, parameters, definition)
+    return Asked(task.id, description, gesture, parts[0].code, command_id, parts)
 
 
 def _known(named: Any, gestures: Gestures) -> str:

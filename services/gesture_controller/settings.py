@@ -35,7 +35,24 @@ class ControllerSettings(Settings):
     announce_ms: int = Field(500, gt=0, description="a gesture held so long is announced")
     confirm_ms: int = Field(1500, gt=0, description="a gesture held so long counts")
     hold_gap_ms: int = Field(250, gt=0, description="frames further apart than this break a hold")
+    hands_apart_ms: int = Field(
+        2000, gt=0, description="in a gesture of both hands, one hand may begin so much later than the other"
+    )
+    sequence_within_ms: int = Field(
+        3000, gt=0, description="of two gestures in turn, the second must begin so soon after the first"
+    )
     filtering: bool = Field(True, description="only the gesture that the current Task asks for counts")
+    recognizer: str = Field(
+        "thresholds", description="what reads hands where no profile says: thresholds, personal, or another"
+    )
+    specification_url: str | None = Field(
+        None,
+        description="SQLAlchemy URL of the database of TaskDefinitions that neither Task nor broker has; "
+        "specifications.db in the data directory if absent",
+    )
+    specification_patience_s: float = Field(
+        10.0, ge=0, description="how long a Task that says nothing itself waits for that database"
+    )
     silence_s: float = Field(2.0, gt=0, description="a glove without a frame for so long is taken for lost")
 
     @model_validator(mode="after")
@@ -50,12 +67,23 @@ class ControllerSettings(Settings):
     @property
     def timing(self) -> HoldTiming:
         """Return when a hold is announced, counts and breaks."""
-        return HoldTiming(self.announce_ms, self.confirm_ms, self.hold_gap_ms)
+        return HoldTiming(
+            self.announce_ms,
+            self.confirm_ms,
+            self.hold_gap_ms,
+            apart_ms=self.hands_apart_ms,
+            within_ms=self.sequence_within_ms,
+        )
 
     @property
     def notify_url(self) -> str:
         """Return where the broker sends notifications of Tasks."""
         return f"{self.url_of(self.controller_port, self.controller_url)}/notifications"
+
+    @property
+    def specifications(self) -> str:
+        """Return the SQLAlchemy URL of the specification database."""
+        return self.specification_url or self.database("specifications")
 
     @property
     def token(self) -> str | None:

@@ -79,6 +79,53 @@ def wrong(shown: str, hint: Advice) -> Message:
     return Message("wrong", text, {"shown": shown, **hint.as_dict()})
 
 
+def show_with(gesture: str, hand: str) -> Message:
+    """Return the invitation to show with one hand its part of a gesture of both."""
+    key = f"showWith{hand.capitalize()}"
+    return Message(key, f"Show with your {hand} hand: {gesture}.", {"gesture": gesture, "hand": hand})
+
+
+def other_hand(gesture: str, hand: str) -> Message:
+    """Return what is said when this hand is right, and the other one is not yet."""
+    text = f"Right. Now your {hand} hand as well: {gesture}."
+    return Message(f"otherHand{hand.capitalize()}", text, {"gesture": gesture, "hand": hand})
+
+
+def begin_together(gesture: str) -> Message:
+    """Return what is said when one hand began too long before the other."""
+    text = f"Let go, then show {gesture} with both hands at the same time."
+    return Message("beginTogether", text, {"gesture": gesture})
+
+
+def wear_both(gesture: str, hand: str, person: str | None) -> Message:
+    """Return what is said when a gesture takes both hands and the other one has no glove."""
+    who = f"that {person} wears it" if person else "who wears both"
+    text = (
+        f"{gesture} takes both hands. Put on the {hand} glove too and choose {who}, "
+        "or complete it on the screen."
+    )
+    return Message(f"wearBoth{hand.capitalize()}", text, {"gesture": gesture, "hand": hand})
+
+
+def first(gesture: str, part: str) -> Message:
+    """Return the invitation to begin a sequence."""
+    return Message("first", f"Show {gesture}. First: {part}.", {"whole": gesture, "gesture": part})
+
+
+def then(part: str) -> Message:
+    """Return what is said when the first of a sequence has been shown."""
+    return Message("then", f"Right. Now: {part}.", {"gesture": part})
+
+
+def unfiltered() -> Message:
+    """Return the warning that goes with filtering switched off."""
+    text = (
+        "Filtering is off: every gesture that has a command is sent as soon as it is held, whether a Task "
+        "asks for it or not. Switch filtering on before you work."
+    )
+    return Message("unfiltered", text)
+
+
 def let_go(gesture: str) -> Message:
     """Return what is said when a gesture that has counted already is still held."""
     text = f"This counted already. Let go, then show {gesture} again."

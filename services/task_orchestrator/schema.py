@@ -4,10 +4,8 @@ A database is brought forward in one transaction, and a SQLite file is copied be
 later release has written is left alone.
 """
 
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import datetime
-from pathlib import Path
 
 from sqlalchemy import (
     BigInteger,
@@ -22,23 +20,16 @@ from sqlalchemy import (
     String,
     Table,
     Text,
-    func,
-    insert,
-    inspect,
     select,
     update,
 )
 from sqlalchemy.schema import CreateIndex
 
-from handover.errors import UsageError
-from handover.telemetry import get_logger
-
-log = get_logger(__name__)
+from handover.tables import Step, bring_forward
 
 SCHEMA_VERSION = 2
 
 _meta = MetaData()
-schema = Table("orchestrator_schema", _meta, Column("version", Integer, nullable=False))
 definitions = Table(
     "orchestrator_definitions",
     _meta,
@@ -123,53 +114,7 @@ timers = Table(
 
 def migrate(engine: Engine) -> None:
     """Bring the tables to the version of this release; raise `UsageError` if they are of a later one."""
-    version = _version(engine)
-    if version is not None and version > SCHEMA_VERSION:
-        raise UsageError(
-            f"the database of the orchestrator has version {version}, newer than {SCHEMA_VERSION}; "
-            "install the newer release or take another database"
-        )
-    if version == SCHEMA_VERSION:
-        return
-    if version is not None:
-        copy = _copy_beside(engine, version)
-        log.warning(
-            "the database is brought forward", before=version, after=SCHEMA_VERSION, copy=str(copy or "none")
-        )
-    with engine.begin() as connection:
-        if engine.dialect.name == "sqlite":
-            connection.exec_driver_sql("BEGIN IMMEDIATE")  # unasked, the driver begins none for DDL
-        if version is None:
-            _meta.create_all(connection)
-            connection.execute(insert(schema).values(version=SCHEMA_VERSION))
-            return
-        connection.execute(select(schema).with_for_update())
-        for step in range(version, SCHEMA_VERSION):
-            _MIGRATIONS[step](connection)
-        connection.execute(update(schema).values(version=SCHEMA_VERSION))
-
-
-def _version(engine: Engine) -> int | None:
-    with engine.connect() as connection:
-        if not inspect(connection).has_table(schema.name):
-            return None
-        return connection.execute(select(func.max(schema.c.version))).scalar()
-
-
-def _copy_beside(engine: Engine, version: int) -> Path | None:
-    """Copy a SQLite file to one beside it that is named after the version; return where it is."""
-    file = engine.url.database if engine.dialect.name == "sqlite" else None
-    if not file or file == ":memory:":
-        return None
-    copy = Path(f"{file}.v{version}")
-    being_written = Path(f"{file}.v{version}.part")
-    being_written.unlink(missing_ok=True)
-    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-        connection.exec_driver_sql("VACUUM INTO ?", (str(being_written),))
-    with being_written.open("rb+") as written:
-        os.fsync(written.fileno())
-    being_written.replace(copy)
-    return copy
+    bring_forward(engine, _meta, room="orchestrator", version=SCHEMA_VERSION, steps=_MIGRATIONS)
 
 
 def _keep_what_a_retry_needs(connection: Connection) -> None:
@@ -193,5 +138,5 @@ def _keep_what_a_retry_needs(connection: Connection) -> None:
         connection.execute(update(tasks).where(tasks.c.id == row.id).values(took_ms=took_ms))
 
 
-_MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {1: _keep_what_a_retry_needs}
+_MIGRATIONS: Mapping[int, Step] = {1: _keep_what_a_retry_needs}
 """From version n to n + 1."""

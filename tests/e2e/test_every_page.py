@@ -14,7 +14,15 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 SIZES = {"panel": {"width": 1280, "height": 800}, "desk": {"width": 1920, "height": 1080}}
 PHONE = {"width": 390, "height": 844}
 LOOKS = [("light", "en", "panel"), ("dark", "de", "panel"), ("light", "fi", "desk"), ("dark", "en", "desk")]
-PAGES = {"start": "/", "work": "/work", "processes": "/processes", "system": "/system"}
+PAGES = {
+    "start": "/",
+    "work": "/work",
+    "processes": "/processes",
+    "system": "/system",
+    "calibrate": "/calibrate",
+    "test": "/test",
+    "study": "/study",
+}
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +60,10 @@ def test_every_page_looks_right_in_every_look(
 
 
 @pytest.mark.usefixtures("screen")
-def test_system_fits_a_phone(
+def test_pages_for_engineers_fit_a_phone(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
-    for path in ("/", "/system"):
+    for path in ("/", "/system", "/calibrate", "/people", "/test", "/study"):
         page = open_page(path, viewport=PHONE, has_touch=True, is_mobile=True)
         settled(page)
         nothing_is_cut_off(page)

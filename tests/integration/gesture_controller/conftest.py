@@ -1,48 +1,18 @@
 """A real broker and a real controller as processes; the glove is a TCP client with a clock of its own."""
 
-import socket
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import ExitStack
 from typing import Any
 
 import httpx
-import orjson
 import pytest
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient
 from handover.settings import Settings
+from tests.gloves import TcpGlove
 
 GLOVE = "urn:ngsi-ld:Device:demo:glove-1"
-STRAIGHT, BENT = 2000, 100
-
-
-class TcpGlove:
-    """Shows hands to the controller; its clock runs as fast as frames are sent."""
-
-    def __init__(self, port: int, name: str = "glove-1") -> None:
-        self.link = socket.create_connection(("127.0.0.1", port), timeout=10)
-        self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.t_s = 0.0
-        self.say({"type": "hello", "version": 1, "glove": name, "hand": "right"})
-        self.answer = orjson.loads(self.link.recv(4096))
-
-    def show(self, code: str, seconds: float) -> None:
-        """Make five finger states for `seconds` of its own time, at 50 Hz."""
-        bend = [STRAIGHT if state == "0" else BENT for state in code]
-        frames = []
-        for _ in range(round(seconds * 50)):
-            self.t_s = round(self.t_s + 0.02, 3)
-            frames.append(orjson.dumps({"type": "frame", "t": self.t_s, "bend": bend}) + b"\n")
-        self.link.sendall(b"".join(frames))
-
-    def say(self, what: dict[str, Any]) -> None:
-        """Send one line."""
-        self.link.sendall(orjson.dumps(what) + b"\n")
-
-    def close(self) -> None:
-        """Hang up."""
-        self.link.close()
 
 
 class Bench:
@@ -53,8 +23,11 @@ class Bench:
         self.broker = broker
         self.screen = httpx.Client(base_url=cell.url("gesture_controller"), timeout=10, trust_env=False)
 
-    async def put(self, name: str, resource: str = GLOVE, **parameters: Any) -> str:
-        """Put a pending Task for `resource` and return its id."""
+    async def put(
+        self, name: str, resource: str = GLOVE, involves: Sequence[str] = (), **parameters: Any
+    ) -> str:
+        """Put a pending Task for `resource`, or one that `involves` several, and return its id."""
+        links = [{"type": "Relationship", "object": one} for one in involves or [resource]]
         task_id = f"urn:ngsi-ld:Task:demo:{name}"
         await self.broker.create(
             {
@@ -62,7 +35,7 @@ class Bench:
                 "type": "Task",
                 "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:confirm"},
                 "status": {"type": "Property", "value": "pending", "observedAt": "2026-01-01T12:00:00Z"},
-                "involves": {"type": "Property", "value": [{"type": "Relationship", "object": resource}]},
+                "involves": {"type": "Property", "value": links},
                 "workParameters": {"type": "Property", "value": parameters},
             }
         )
@@ -127,8 +100,8 @@ def put_on(running_cell: Any) -> Iterator[Callable[..., TcpGlove]]:
     """Put on a glove."""
     with ExitStack() as stack:
 
-        def wear(name: str = "glove-1") -> TcpGlove:
-            glove = TcpGlove(running_cell.ports["glove"], name)
+        def wear(name: str = "glove-1", hand: str = "right") -> TcpGlove:
+            glove = TcpGlove(running_cell.ports["glove"], name, hand)
             stack.callback(glove.close)
             return glove
 

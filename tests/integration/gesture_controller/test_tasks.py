@@ -58,6 +58,7 @@ async def test_a_held_gesture_completes_its_task_and_keeps_the_device_current(
         "gesture": "Thumbs up",
         "code": UP,
         "commandId": 3,
+        "parts": [],
         "status": "inProgress",
     }
     assert view["deviceState"] == "busy"

@@ -1,15 +1,18 @@
 """A glove without network: hands that show gestures, Tasks that wait, and a notebook of what happened."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pytest
 import uvloop
+from sqlalchemy import Engine
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient
+from handover.database import connect
 from handover.job import Job
 from services.gesture_controller.configuration import built_in
 from services.gesture_controller.errand import Asked, Errand
@@ -31,6 +34,8 @@ class Notebook:
     states: list[str] = field(default_factory=list)
     silent: list[str] = field(default_factory=list)
     back: list[str] = field(default_factory=list)
+    ill_fitting: list[str] = field(default_factory=list)
+    fitting: list[str] = field(default_factory=list)
 
     def state_changed(self, glove: Glove) -> None:
         if not self.states or self.states[-1] != glove.device_state:
@@ -41,6 +46,12 @@ class Notebook:
 
     def came_back(self, glove: Glove) -> None:
         self.back.append(glove.name)
+
+    def fits_badly(self, glove: Glove, why: str) -> None:
+        self.ill_fitting.append(why)
+
+    def fits_again(self, glove: Glove) -> None:
+        self.fitting.append(glove.name)
 
 
 @dataclass
@@ -95,6 +106,14 @@ def notebook() -> Notebook:
 
 
 @pytest.fixture
+def database(tmp_path: Path) -> Iterator[Engine]:
+    """The database of the controller."""
+    engine = connect(f"sqlite:///{tmp_path / 'gesture_controller.db'}")
+    yield engine
+    engine.dispose()
+
+
+@pytest.fixture
 def glove(notebook: Notebook) -> Glove:
     """A right glove whose fingers are straight above 600 and bent below 400."""
     site = built_in()
@@ -107,6 +126,12 @@ def glove(notebook: Notebook) -> Glove:
         filtering=True,
         listener=notebook,
     )
+
+
+@pytest.fixture
+def link() -> Callable[[], Wire]:
+    """Make connections."""
+    return Wire
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from services.gesture_controller.configuration import (
     load,
     parse,
 )
+from services.gesture_controller.gestures import InTurn, TwoHanded
 from services.gesture_controller.thresholds import M2O2P_THRESHOLDS, Threshold
 
 WHOLE = """
@@ -17,9 +18,12 @@ gestures:
   Thumbs up: 02222       # no quotes: YAML itself would read a number to the base of eight
   Point with index: 20222
   Ring straight: "22202"
+  Both thumbs up: {left: 02222, right: 02222}
+  Wave off: {sequence: [Point with index, Ring straight]}
 commands:
   3: Thumbs up
   4: point with index
+  5: Wave off
 persons:
   anna: {3: Ring straight}
 gloves:
@@ -35,8 +39,16 @@ gloves:
 def test_a_whole_file_is_read() -> None:
     site = parse(WHOLE)
     assert site.gestures.codes["Thumbs up"] == "02222"
-    assert site.commands.gestures == {3: "Thumbs up", 4: "Point with index"}
-    assert site.commands_of("anna").gestures == {3: "Ring straight", 4: "Point with index"}
+    assert site.gestures.composed == {
+        "Both thumbs up": TwoHanded("Thumbs up", "Thumbs up"),
+        "Wave off": InTurn("Point with index", "Ring straight"),
+    }
+    assert site.commands.gestures == {3: "Thumbs up", 4: "Point with index", 5: "Wave off"}
+    assert site.commands_of("anna").gestures == {
+        3: "Ring straight",
+        4: "Point with index",
+        5: "Wave off",
+    }
     assert site.commands_of(None) == site.commands_of("ben") == site.commands
     first, second = site.gloves
     assert (first.name, first.hand, first.person) == ("glove-1", "left", "anna")
@@ -74,6 +86,16 @@ def test_own_gestures_keep_those_default_commands_that_they_have() -> None:
         ),
         ("gestures: {Horns: 2022}", 'gesture "Horns" has the code "2022"; a code is five states'),
         ("gestures: {Horns: 20221}", "a code is five states"),
+        (
+            "gestures: {Horns: 20220, Both: {left: 02222}}",
+            'gesture "Both" has left; it is a code such as 02222, or {left: 02222, right: 02222}, or',
+        ),
+        (
+            "gestures:\n  A: 20220\n  B: {sequence: [A]}",
+            'x.yaml:3: the sequence of gesture "B" is a list of two',
+        ),
+        ("gestures:\n  A: 20220\n  B: {sequence: [A, C]}", 'x.yaml:3: gesture "B" has the unknown part "C"'),
+        ("[" * 5000, "nested too deeply"),
         ("gestures: {Horns: [2]}", 'the code of gesture "Horns" must be a word or a number'),
         ("gestures: {Horns: }", 'the code of gesture "Horns" must be a word or a number'),
         ("commands: {3: Thumb up}", 'command 3 has the unknown gesture "Thumb up"; did you mean "Thumbs up"'),

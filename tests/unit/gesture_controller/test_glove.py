@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 
 from handover.job import Wants
+from services.gesture_controller.errand import CannotComplete
 from services.gesture_controller.frames import Hello
-from services.gesture_controller.glove import CannotComplete, Glove
+from services.gesture_controller.glove import Glove
 from services.gesture_controller.view import view_of
 
 Ask = Callable[..., Any]

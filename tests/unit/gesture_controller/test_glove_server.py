@@ -10,6 +10,7 @@ from typing import Any
 
 import orjson
 import pytest
+from sqlalchemy import Engine
 
 from handover.errors import UsageError
 from services.gesture_controller.configuration import built_in
@@ -17,6 +18,8 @@ from services.gesture_controller.frames import MAX_LINE_BYTES
 from services.gesture_controller.glove_server import WAITING_ROOM, GloveServer
 from services.gesture_controller.glove_store import GloveStore
 from services.gesture_controller.gloves import Gloves
+from services.gesture_controller.people.people import People
+from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.settings import ControllerSettings
 
 HELLO: dict[str, Any] = {"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"}
@@ -78,14 +81,16 @@ OpenSite = Callable[..., Awaitable[Site]]
 
 
 @pytest.fixture
-async def open_site(tmp_path: Path, notebook: Any, free_port: Callable[[], int]) -> AsyncIterator[OpenSite]:
+async def open_site(
+    tmp_path: Path, database: Engine, notebook: Any, free_port: Callable[[], int]
+) -> AsyncIterator[OpenSite]:
     """Open a glove server; settings may be given."""
     async with AsyncExitStack() as stack:
 
         async def begin(**overrides: Any) -> Site:
             settings = ControllerSettings.load(glove_port=free_port(), data_dir=tmp_path, **overrides)
-            store = GloveStore(tmp_path / "gloves")
-            gloves = Gloves(settings, built_in(), store, notebook, lambda _: None)
+            people = People(built_in(), PeopleStore(database))
+            gloves = Gloves(settings, GloveStore(database), people, notebook, lambda _: None)
             server = await stack.enter_async_context(GloveServer(settings, gloves))
             site = Site(settings, gloves, server)
             stack.push_async_callback(_hang_up, site)
@@ -297,10 +302,11 @@ async def test_a_port_that_is_taken_is_one_line(open_site: OpenSite) -> None:
 
 
 def test_an_open_address_without_a_token_is_refused_at_once(
-    tmp_path: Path, notebook: Any, free_port: Callable[[], int]
+    tmp_path: Path, database: Engine, notebook: Any, free_port: Callable[[], int]
 ) -> None:
     settings = ControllerSettings.load(glove_host="0.0.0.0", glove_port=free_port(), data_dir=tmp_path)
-    gloves = Gloves(settings, built_in(), GloveStore(tmp_path), notebook, lambda _: None)
+    people = People(built_in(), PeopleStore(database))
+    gloves = Gloves(settings, GloveStore(database), people, notebook, lambda _: None)
     with pytest.raises(UsageError, match="HANDOVER_GLOVE_TOKEN"):
         GloveServer(settings, gloves)
 

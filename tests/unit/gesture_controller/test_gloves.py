@@ -1,32 +1,40 @@
 """Gloves are known from the file, by declaration and by hello; their thresholds survive a restart."""
 
+import asyncio
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import Engine
 
 from handover.errors import Problem
 from services.gesture_controller.configuration import Configuration, built_in, parse
 from services.gesture_controller.frames import Hello
+from services.gesture_controller.gestures import Shape
 from services.gesture_controller.glove import Glove
-from services.gesture_controller.glove_store import GloveStore
+from services.gesture_controller.glove_store import Fit, GloveStore
 from services.gesture_controller.gloves import Gloves, TooManyGloves
+from services.gesture_controller.people.people import People
+from services.gesture_controller.people.person import OwnGesture, Person
+from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.settings import ControllerSettings
-from services.gesture_controller.thresholds import Threshold
+from services.gesture_controller.thresholds import M2O2P_THRESHOLDS, Threshold
 
 Open = Callable[..., Gloves]
 
 
 @pytest.fixture
-def open_gloves(tmp_path: Path, notebook: Any) -> Open:
+def open_gloves(tmp_path: Path, database: Engine, notebook: Any) -> Open:
     """Open the gloves of a data directory, as a start of the controller does."""
 
     def begin(
         site: Configuration | None = None, adopted: Callable[[Glove], None] = lambda _: None, **overrides: Any
     ) -> Gloves:
         settings = ControllerSettings.load(data_dir=tmp_path, **overrides)
-        return Gloves(settings, site or built_in(), GloveStore(tmp_path / "gloves"), notebook, adopted)
+        known = site or built_in()
+        people = People(known, PeopleStore(database))
+        return Gloves(settings, GloveStore(database), people, notebook, adopted)
 
     return begin
 
@@ -48,6 +56,30 @@ async def test_thresholds_survive_a_restart_and_can_be_taken_back(open_gloves: O
     assert gloves.named("glove-1").senses.thresholds.fingers[0] == Threshold(500, 400)
 
 
+async def test_thresholds_that_are_set_at_once_are_all_kept(open_gloves: Open) -> None:
+    gloves = open_gloves()
+    glove = gloves.named("glove-1")
+    fingers = ("thumb", "index", "middle", "ring", "little")
+    await asyncio.gather(
+        *(
+            gloves.set_thresholds(glove, {finger: {"upper": 2000 + place}})
+            for place, finger in enumerate(fingers)
+        )
+    )
+    for known in (gloves, open_gloves()):
+        uppers = [finger.upper for finger in known.named("glove-1").senses.thresholds.fingers]
+        assert uppers == [2000, 2001, 2002, 2003, 2004]
+
+
+async def test_two_gloves_of_one_hand_are_never_worn_by_one_person(open_gloves: Open) -> None:
+    gloves = open_gloves()
+    for name in ("a", "b", "c"):
+        await gloves.declare(name, None, None)
+    await asyncio.gather(*(gloves.wear(gloves.named(name), "anna") for name in ("a", "b", "c")))
+    for known in (gloves, open_gloves()):
+        assert len(known.worn_by("anna")) == 1
+
+
 async def test_wrong_thresholds_change_nothing(open_gloves: Open) -> None:
     gloves = open_gloves()
     glove = gloves.named("glove-1")
@@ -63,7 +95,7 @@ async def test_wrong_thresholds_change_nothing(open_gloves: Open) -> None:
 async def test_a_calibration_is_kept(open_gloves: Open) -> None:
     gloves = open_gloves()
     await gloves.calibrate(gloves.named("glove-1"), [[300.0] * 5] * 20, [[700.0] * 5] * 20)
-    assert open_gloves().named("glove-1").senses.thresholds.fingers[2] == Threshold(540, 500)
+    assert open_gloves().named("glove-1").senses.thresholds.fingers[2] == Threshold(620, 500)
 
 
 async def test_a_calibration_that_fails_names_the_finger_and_changes_nothing(open_gloves: Open) -> None:
@@ -130,3 +162,72 @@ def test_a_person_with_own_gestures_shows_them_with_their_glove(open_gloves: Ope
     gloves = open_gloves(site)
     assert gloves.named("g").commands.gestures[3] == "Horns"
     assert gloves.named("h").commands.gestures[3] == "Thumbs up"
+
+
+async def test_another_wearer_brings_their_own_fit_gestures_and_commands_at_once(open_gloves: Open) -> None:
+    site = parse("persons: {anna: {3: Horns, 8: Thumbs up}}\ngloves: {g: {person: ben}}")
+    gloves = open_gloves(site)
+    glove = gloves.named("g")
+    await gloves.set_thresholds(glove, {"thumb": {"upper": 1100}})
+    await gloves.wear(glove, "anna")
+    assert glove.commands.gestures[3] == "Horns"
+    assert glove.senses.thresholds.fingers[0].upper == 1100  # those that served last, until hers are known
+    with pytest.raises(Problem, match="the thresholds of g for anna were never changed"):
+        await gloves.restore(glove)
+    await gloves.set_thresholds(glove, {"thumb": {"upper": 1200}})
+    await gloves.wear(glove, "ben")
+    assert glove.senses.thresholds.fingers[0].upper == 1100
+    assert glove.commands.gestures[3] == "Thumbs up"
+    await gloves.wear(glove, "anna")
+    again = open_gloves(site).named("g")
+    assert (again.person, again.senses.thresholds.fingers[0].upper) == ("anna", 1200)
+    await gloves.wear(glove, None)
+    assert open_gloves(site).named("g").person is None
+
+
+async def test_a_person_wears_one_glove_a_hand(open_gloves: Open) -> None:
+    adopted: list[str] = []
+    gloves = open_gloves(adopted=lambda glove: adopted.append(f"{glove.name} {glove.person}"))
+    await gloves.declare("glove-2", None, None)
+    left, _ = await gloves.declare("left-1", "left", "operator-1")
+    right = gloves.named("glove-1")
+    assert gloves.worn_by("operator-1") == [right, left]
+    assert (gloves.partner_of(right), gloves.partner_of(left)) == (left, right)
+    await gloves.wear(gloves.named("glove-2"), "operator-1")
+    assert right.person is None
+    assert gloves.partner_of(left) is gloves.named("glove-2")
+    assert adopted[-2:] == ["glove-1 None", "glove-2 operator-1"]
+    again = open_gloves()
+    assert {glove.name: glove.person for glove in again} == {
+        "glove-1": None,
+        "glove-2": "operator-1",
+        "left-1": "operator-1",
+    }
+    assert again.partner_of(again.named("glove-1")) is None
+
+
+async def test_a_new_gesture_is_read_at_once_by_the_glove_of_its_person(
+    open_gloves: Open, database: Engine
+) -> None:
+    gloves = open_gloves()
+    glove = gloves.named("glove-1")
+    people = gloves.people
+    await people.define("operator-1", "Mine", OwnGesture(Shape("20000")))
+    await people.give_commands("operator-1", {3: "Mine"}, whole=False)
+    assert glove.senses.gestures.names["20000"] == "Mine"
+    assert glove.commands.ids["Mine"] == 3
+    await gloves.wear(glove, "anna")
+    assert "20000" not in glove.senses.gestures.names
+
+
+async def test_a_profile_that_is_taken_in_applies_at_once(open_gloves: Open) -> None:
+    gloves = open_gloves()
+    glove = gloves.named("glove-1")
+    fit = Fit(M2O2P_THRESHOLDS.with_changes({"ring": {"upper": 999}}), learnt={"levels": {}})
+    person = Person("operator-1", gestures={"Mine": OwnGesture(Shape("20000"))})
+    await gloves.take_in(person, {"glove-1": fit, "glove-7": fit})
+    assert glove.senses.gestures.names["20000"] == "Mine"
+    for known in (gloves, open_gloves()):
+        assert known.named("glove-1").senses.thresholds.fingers[3].upper == 999
+        assert sorted(known.fits_of("operator-1")) == ["glove-1", "glove-7"]
+        assert known.fits_of("operator-1")["glove-1"].learnt == {"levels": {}}

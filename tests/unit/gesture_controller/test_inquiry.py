@@ -7,7 +7,8 @@ import pytest
 from datamodels.entities import Task
 from handover.job import TaskFailed
 from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures, default_commands
-from services.gesture_controller.inquiry import Definition, needs_definition, what_is_asked
+from services.gesture_controller.inquiry import what_is_asked
+from services.gesture_controller.specifications.definition import Definition, needs_definition
 
 GESTURES = Gestures(M2O2P_GESTURES)
 COMMANDS = default_commands(GESTURES)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from services.gesture_controller.calibration import calibrate
+from services.gesture_controller.calibration.levels import calibrate
 from services.gesture_controller.frames import Frame
 from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
 from services.gesture_controller.hold import HoldEvent

@@ -17,7 +17,7 @@ from glove_sdk_bridge.simulated_operator import (
     Stage,
     View,
 )
-from services.gesture_controller.calibration import calibrate
+from services.gesture_controller.calibration.levels import calibrate
 from services.gesture_controller.frames import Frame
 from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
 from services.gesture_controller.hold import HoldEvent
@@ -251,3 +251,47 @@ def test_the_controllers_words_are_understood() -> None:
 def test_a_gesture_of_ones_own_is_shown_and_mistaken_without_fail(code: str) -> None:
     for seed in range(20):
         assert looked(SimulatedOperator(seed, 1.0), View("task-1", code, code), 0, 8)
+
+
+def guided(step: str, code: str, outcome: Any = None) -> View:
+    """Return what the screen shows while a calibration asks for `step`."""
+    return View.of({"testing": True, "calibration": {"step": step, "code": code, "outcome": outcome}})
+
+
+def test_a_guided_operator_shows_what_is_asked_at_once_right_and_keeps_it_until_the_next_is_asked() -> None:
+    operator = SimulatedOperator(seed=3, mistakes=1.0)
+    fist, open_hand = guided("fist", "22222"), guided("open", "00000")
+    moves = [(at_s / 10, operator.look(fist, at_s / 10)) for at_s in range(150)]
+    shown = [(at_s, move) for at_s, move in moves if move is not None]
+    assert len(shown) == 1  # neither a mistake nor a correction
+    assert max(abs(share) for share in shown[0][1].to) < 0.2
+    later = [operator.look(open_hand, 15 + at_s / 10) for at_s in range(60)]
+    last = [move for move in later if move is not None][-1]
+    assert min(last.to) > 0.8
+    over = [operator.look(guided("open", "00000", {"applied": True}), 21 + at_s / 10) for at_s in range(40)]
+    assert [move.to for move in over if move is not None] == [AT_REST]
+
+
+def test_of_two_gestures_in_turn_the_second_is_shown_when_the_first_was_seen() -> None:
+    def shown(first: str, second: str, code: str) -> View:
+        parts = [{"state": first}, {"state": second}]
+        return View.of({"task": {"id": "t1", "code": code, "parts": parts}, "connected": True})
+
+    operator = SimulatedOperator(seed=1, mistakes=0)
+    made: list[Movement] = []
+    for look in range(60):
+        view = shown("now", "next", "20222") if look < 25 else shown("done", "now", "20220")
+        movement = operator.look(view, look * 0.2)
+        if movement is not None:
+            made.append(movement)
+    postures = [tuple(round(share) for share in movement.to) for movement in made]
+    assert postures[0] == (0, 1, 0, 0, 0)
+    assert made[1].to == AT_REST
+    assert postures[2] == (0, 1, 0, 0, 1)
+
+
+def test_an_accuracy_test_is_answered_though_the_glove_is_tried_out() -> None:
+    asked = {"id": 4, "done": 2, "asked": {"gesture": "Horns", "code": "20220"}}
+    view = View.of({"testing": True, "examination": asked})
+    assert (view.task, view.code, view.waits, view.keeps_still) == ("test 4 2", "20220", False, False)
+    assert View.of({"testing": True, "examination": {**asked, "asked": None}}).task is None

@@ -42,3 +42,9 @@ def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
     (tmp_path / "lamp.db").mkdir()
     with pytest.raises(UsageError, match=r"lamp\.db cannot be used"):
         connect(f"sqlite:///{tmp_path / 'lamp.db'}")
+
+
+def test_a_file_that_is_no_database_is_named_with_its_setting(tmp_path: Path) -> None:
+    (tmp_path / "lamp.db").write_text("a letter, not a database\n" * 50)
+    with pytest.raises(UsageError, match=r"lamp\.db cannot be used: file is not a database; .*HANDOVER_LAMP"):
+        connect(f"sqlite:///{tmp_path / 'lamp.db'}", setting="HANDOVER_LAMP")

@@ -81,10 +81,12 @@ def test_brought_forward_it_is_the_same_as_a_new_one(engine: Engine, tmp_path: P
 
 
 def test_a_copy_of_the_file_is_kept_as_it_was(engine: Engine, old: Path) -> None:
-    (old.parent / "orchestrator.db.v1.part").write_text("left by a power cut")
+    (old.parent / "orchestrator.db.orchestrator.v1.part").write_text("left by a power cut")
     schema.migrate(engine)
-    assert sorted(file.name for file in old.parent.glob("orchestrator.db.*v1*")) == ["orchestrator.db.v1"]
-    copy = sqlite3.connect(old.parent / "orchestrator.db.v1")
+    assert sorted(file.name for file in old.parent.glob("orchestrator.db.*v1*")) == [
+        "orchestrator.db.orchestrator.v1"
+    ]
+    copy = sqlite3.connect(old.parent / "orchestrator.db.orchestrator.v1")
     original = sqlite3.connect(":memory:")
     original.executescript(FIRST_RELEASE.read_text())
     assert list(copy.iterdump()) == list(original.iterdump())

@@ -11,6 +11,10 @@ import StartPage from "~/start/StartPage";
 const WorkPage = lazy(() => import("~/work/WorkPage"));
 const ProcessesPage = lazy(() => import("~/processes/ProcessesPage"));
 const SystemPage = lazy(() => import("~/system/SystemPage"));
+const PeoplePage = lazy(() => import("~/people/PeoplePage"));
+const CalibratePage = lazy(() => import("~/calibrate/CalibratePage"));
+const TestPage = lazy(() => import("~/test/TestPage"));
+const StudyPage = lazy(() => import("~/study/StudyPage"));
 
 export function App() {
   const [path, go] = useLocation();
@@ -23,6 +27,10 @@ export function App() {
             <Route path="/work" component={WorkPage} />
             <Route path="/processes/*?" component={ProcessesPage} />
             <Route path="/system" component={SystemPage} />
+            <Route path="/people" component={PeoplePage} />
+            <Route path="/calibrate" component={CalibratePage} />
+            <Route path="/test" component={TestPage} />
+            <Route path="/study" component={StudyPage} />
             <Route component={UnknownPage} />
           </Switch>
         </Stumble>

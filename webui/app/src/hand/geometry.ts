@@ -6,6 +6,8 @@
  * nail in sight. The thumb bends across the palm, below the folded fingers.
  */
 import type { Finger } from "~/live/messages";
+// The proportions: the gesture controller draws its pictures from the same file (pictures/hand.json there).
+import hand from "./hand.json";
 
 export type Point = readonly [x: number, y: number];
 export type Side = "left" | "right";
@@ -34,7 +36,7 @@ export interface FingerShape {
 export const fingers: readonly Finger[] = ["thumb", "index", "middle", "ring", "little"];
 
 /** What is drawn lies within this box. */
-export const box = { width: 240, height: 322 };
+export const box = hand.box;
 
 interface Anatomy {
   knuckle: Point;
@@ -44,42 +46,23 @@ interface Anatomy {
   radii: readonly [number, number, number, number];
 }
 
-const anatomy: Record<Exclude<Finger, "thumb">, Anatomy> = {
-  index: { knuckle: [142, 152], splay: 8, lengths: [43, 30, 19], radii: [12.7, 12.2, 11.4, 9.6] },
-  middle: { knuckle: [114, 145], splay: 0, lengths: [48, 34, 20], radii: [12.7, 12.3, 11.6, 9.8] },
-  ring: { knuckle: [86, 149], splay: -7, lengths: [44, 31, 19], radii: [12.5, 12, 11.2, 9.5] },
-  little: { knuckle: [60, 161], splay: -17, lengths: [33, 23, 16], radii: [11, 10.5, 9.8, 8.3] },
-};
+type Joints = readonly [number, number, number];
+
+const anatomy = hand.fingers as unknown as Record<Exclude<Finger, "thumb">, Anatomy>;
 
 /** How much each joint has turned in depth when the finger is straight, between and bent, in degrees. */
-const fingerJoints = [
-  [0, 28, 78],
-  [0, 62, 104],
-  [0, 38, 40],
-] as const;
+const fingerJoints = hand.fingerJoints as unknown as readonly [Joints, Joints, Joints];
 
 /** Where the thumb's two joints and its tip are when it is straight, between and bent. */
-const thumbWay: readonly (readonly [Point, Point, Point])[] = [
-  [[163, 219], [193, 182], [212, 144]],
-  [[164, 224], [184, 189], [178, 158]],
-  [[159, 233], [128, 221], [97, 219]],
-];
-const thumbRoot: Point = [138, 262];
-const thumbRadii = [19, 15, 13, 9.5] as const;
+const thumbWay = hand.thumb.way as unknown as readonly (readonly [Point, Point, Point])[];
+const thumbRoot = hand.thumb.root as unknown as Point;
+const thumbRadii = hand.thumb.radii;
 
 /** The outline of the palm down to the wrist. */
-export const palm: readonly Point[] = rounded([
-  [69, 318], [70, 300], [64, 272], [55, 242], [49, 210], [47, 184], [49, 164], [60, 150], [74, 146], [86, 138],
-  [100, 136], [114, 133], [129, 136], [144, 140], [154, 151], [157, 168], [161, 190], [170, 209], [171, 230],
-  [162, 250], [151, 270], [147, 300], [148, 318],
-]);
+export const palm: readonly Point[] = rounded(hand.palm as unknown as Point[]);
 
 /** The lines that make a palm a palm; they are left out where a finger lies over them. */
-export const palmLines: readonly (readonly Point[])[] = [
-  rounded([[150, 190], [132, 197], [112, 206], [90, 212]]),
-  rounded([[60, 200], [78, 204], [100, 199], [118, 186]]),
-  rounded([[146, 196], [128, 212], [118, 236], [120, 268]]),
-];
+export const palmLines: readonly (readonly Point[])[] = (hand.palmLines as unknown as Point[][]).map((line) => rounded(line));
 
 /** Return the shape of all five fingers of a right hand, thumb first. */
 export function shapeOf(bends: readonly Bend[]): FingerShape[] {

@@ -45,19 +45,71 @@ export interface GloveView {
   paused: boolean;
   lost: boolean;
   thresholds: Record<Finger, { upper: number; lower: number }>;
+  /** While filtering is off: what that means. */
+  warning?: Message | null;
+  /** What reads the hand, and what it lacks if it cannot (then the thresholds do). */
+  recognizer?: { name: string; missing: string | null };
+  /** Why a new calibration is due (the levels have jumped, or drifted too far); null while none is. */
+  calibrationNeeded?: string | null;
+  /** The calibration that is on its way, or how the last one ended. */
+  calibration?: GuideView | null;
+  /** The accuracy test that is being done with it. */
+  examination?: Examination | null;
   frames: number;
   dropped: number;
   droppedBy: Record<string, number>;
   rate_hz: number;
 }
 
+/** A calibration as the hand is led through it. */
+export interface GuideView {
+  step: "fist" | "open" | "gesture";
+  steps: ("fist" | "open" | "gesture")[];
+  phase: "countdown" | "capture" | "done" | "givenUp";
+  gesture: string | null;
+  /** The shape to show: five finger states. */
+  code: string;
+  /** Of the countdown, or of the second that the hand must be still. */
+  remainingMs: number;
+  /** The fingers that were not still in the last second. */
+  restless: Finger[];
+  message: Message;
+  outcome: { applied: boolean; problem: string | null; doubts: FingerDoubt[] } | null;
+}
+
+/** A finger that is not to be relied on. */
+export interface FingerDoubt {
+  finger: Finger;
+  why: "dead" | "saturated" | "wrongWay" | "smallSpan" | "noisy";
+  advice: string;
+}
+
+/** What the screen shows of an accuracy test that is on its way; `round` counts from 1. */
+export interface Examination {
+  id: string;
+  phase: "break" | "rest" | "asked" | "noted" | "interrupted" | "stopped" | "finished";
+  reason: string;
+  asked: { gesture: string; code: string } | null;
+  done: number;
+  trials: number;
+  round: number;
+  rounds: number;
+  heldMs: number;
+  holdMs: number;
+  askedForMs: number;
+  limitMs: number;
+  last: { asked: string; outcome: "right" | "corrected" | "missed"; first: string; recognizedMs: number | null } | null;
+}
+
 export interface GloveTask {
   id: string;
   description: string;
   gesture: string;
-  /** Five finger states, thumb first: 0 straight, 1 between, 2 bent. */
+  /** Five finger states, thumb first: 0 straight, 1 between, 2 bent; of a composed gesture, those due of this hand. */
   code: string;
   commandId: number | null;
+  /** What a gesture of both hands, or of two in turn, consists of, and how far each part is; none of a single one. */
+  parts?: { gesture: string; code: string; hand: "left" | "right" | null; state: "done" | "held" | "now" | "next" }[];
   status: Status;
 }
 

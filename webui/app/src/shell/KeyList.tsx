@@ -32,13 +32,15 @@ export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean
   );
 }
 
+const signs: Record<string, string> = { " ": "␣", ArrowUp: "↑", ArrowDown: "↓", ArrowLeft: "←", ArrowRight: "→" };
+
 function Rows({ rows }: { rows: readonly Row[] }) {
   return (
     <dl className="key-list__rows">
       {rows.map((row) => (
         <div key={row.key}>
           <dt>
-            <kbd>{row.key === " " ? "␣" : row.key}</kbd>
+            <kbd>{signs[row.key] ?? row.key}</kbd>
           </dt>
           <dd>{row.does}</dd>
         </div>

@@ -1,5 +1,7 @@
 /** The frame round every page: where one can go, whether the cell is there, and how the screen speaks. */
-import { CircleHelp, Cog, HardHat, House, Settings2, Workflow } from "lucide-react";
+import {
+  CircleHelp, ClipboardList, Cog, Crosshair, HardHat, House, Settings2, SlidersHorizontal, Users, Workflow,
+} from "lucide-react";
 import { Suspense, useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, useLocation } from "wouter";
@@ -15,6 +17,10 @@ const pages = [
   { path: "/work", name: "work", icon: HardHat, key: "2" },
   { path: "/processes", name: "processes", icon: Workflow, key: "3" },
   { path: "/system", name: "system", icon: Cog, key: "4" },
+  { path: "/calibrate", name: "calibrate", icon: SlidersHorizontal, key: "5" },
+  { path: "/test", name: "test", icon: Crosshair, key: "6" },
+  { path: "/people", name: "people", icon: Users, key: "7" },
+  { path: "/study", name: "study", icon: ClipboardList, key: "8" },
 ] as const;
 
 export function Shell({ children }: { children: ReactNode }) {
@@ -58,6 +64,7 @@ export function Shell({ children }: { children: ReactNode }) {
               href={page.path}
               className="shell__page"
               aria-current={page === here ? "page" : undefined}
+              ref={page === here ? inSight : undefined}
             >
               <page.icon aria-hidden size={20} />
               <span>{t(`pages.${page.name}`)}</span>
@@ -90,6 +97,10 @@ export function Shell({ children }: { children: ReactNode }) {
       <Preferences isOpen={showsPreferences} onClose={() => setShowsPreferences(false)} />
     </div>
   );
+}
+
+function inSight(page: HTMLAnchorElement | null): void {
+  page?.scrollIntoView({ block: "nearest", inline: "nearest" });
 }
 
 function LinkBanner() {

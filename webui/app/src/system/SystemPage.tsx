@@ -10,7 +10,7 @@ import { AlertsPanel } from "./alerts/AlertsPanel";
 import { DevicesPanel } from "./devices/DevicesPanel";
 import { EventsPanel } from "./events/EventsPanel";
 import { GlovesPanel } from "./gloves/GlovesPanel";
-import { useGloveNames, useRobotNames } from "./names";
+import { useGloveNames, useRobotNames } from "~/live/names";
 import { RobotsPanel } from "./robots/RobotsPanel";
 import { RosPanel } from "./ros/RosPanel";
 import { ServicesPanel } from "./services/ServicesPanel";

@@ -36,6 +36,7 @@ export function AskedStage({ glove, task, paused, answerWaits }: AskedStageProps
           )}
           {said(glove.message)}
         </p>
+        {!glove.filtering && <p className="work__notice">{t("unfiltered")}</p>}
         {answerWaits && <p className="work__notice">{t("answerWaits")}</p>}
         <LiveHand glove={glove} />
       </div>

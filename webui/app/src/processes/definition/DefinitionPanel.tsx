@@ -4,6 +4,7 @@ import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { download } from "~/api/download";
 import { callService, describe } from "~/api/http";
+import { useAsked } from "~/api/useAsked";
 import { Ago } from "~/design/Ago";
 import { Button } from "~/design/Button";
 import { Empty } from "~/design/Empty";
@@ -15,7 +16,7 @@ import type { DefinitionView } from "~/live/messages";
 import { useQuery } from "~/route/query";
 import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
-import { bpmnPath, useAsked, useBpmn, type DefinitionRecord, type Statistics } from "../records";
+import { bpmnPath, SERVICE, useBpmn, type DefinitionRecord, type Statistics } from "../records";
 import { Activities } from "./Activities";
 import "./DefinitionPanel.css";
 
@@ -33,6 +34,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
   const version = Number.parseInt(asked, 10) || (latest?.version ?? null);
   const path = `definitions/${encodeURIComponent(name)}`;
   const record = useAsked<DefinitionRecord & { unusable?: string } & DefinitionView>(
+    SERVICE,
     version === null ? path : `${path}?version=${version}`,
   );
   const definition = record.value;
@@ -89,7 +91,7 @@ function Body({ definition }: { definition: DefinitionRecord & DefinitionView })
   const bpmn = useBpmn(definition.name, definition.version);
   const turn = useTurns(definition.name);
   const path = `definitions/${encodeURIComponent(definition.name)}/statistics?version=${definition.version}`;
-  const statistics = useAsked<Statistics>(path, turn);
+  const statistics = useAsked<Statistics>(SERVICE, path, turn);
   const elements = statistics.value?.elements;
   const marks = useMemo(() => marksOfStatistics(elements ?? {}, words), [elements, words]);
   const [centred, setCentred] = useState<{ element: string; at: number } | null>(null);

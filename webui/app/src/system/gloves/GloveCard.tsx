@@ -140,7 +140,7 @@ function Modes({ glove }: { glove: string }) {
   return (
     <div className="glove__modes">
       <Mode name={t("glove.testing")} means={t("glove.testingMeans")} isOn={testing} onChange={(on) => put({ testing: on })} />
-      <Mode name={t("glove.filtering")} means={t("glove.filteringMeans")} isOn={filtering} onChange={(on) => put({ filtering: on })} />
+      <Mode name={t("glove.filtering")} means={t(filtering ? "glove.filteringMeans" : "glove.filteringOff")} isOn={filtering} onChange={(on) => put({ filtering: on })} />
       {failure !== null && <Problem>{failure}</Problem>}
     </div>
   );

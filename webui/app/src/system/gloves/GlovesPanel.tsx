@@ -8,7 +8,7 @@ import { Button } from "~/design/Button";
 import { Empty } from "~/design/Empty";
 import { Problem } from "~/design/Problem";
 import { useTopic } from "~/live/hooks";
-import { useGloveNames } from "../names";
+import { useGloveNames } from "~/live/names";
 import { GloveCard } from "./GloveCard";
 import "./GlovesPanel.css";
 

@@ -2,7 +2,7 @@
 import { Bot } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Empty } from "~/design/Empty";
-import { useRobotNames } from "../names";
+import { useRobotNames } from "~/live/names";
 import { RobotCard } from "./RobotCard";
 import "./RobotsPanel.css";
 

@@ -1,8 +1,8 @@
 """Calibration: a person makes a fist and opens the hand, and the glove learns its thresholds.
 
 Bent fingers are dragged upwards by their neighbours more than straight ones sag. So the band between the
-thresholds lies in the upper half of the span from fist to open hand: below 50 % of it a finger is bent,
-above 60 % straight. (`python -m benchmarks.gesture_controller` says how well recorded hands are read.)
+thresholds lies in the upper half of the span from fist to open hand, where fingers that hold something or are
+half bent stand too. (`make bench-gestures` says how well recorded hands are read.)
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,8 +11,12 @@ from statistics import median
 
 from services.gesture_controller.thresholds import FINGERS, Threshold, Thresholds
 
-BENT_BELOW, STRAIGHT_ABOVE = 0.50, 0.60
-"""Where the thresholds stand in the span from fist (0) to open hand (1)."""
+BENT_BELOW = 0.50
+STRAIGHT_ABOVE = (0.60, 0.80, 0.80, 0.80, 0.60)
+"""Where the thresholds stand in the span from fist (0) to open hand (1), thumb first.
+
+A thumb or a little finger that is stretched alone falls short of the open hand, the others hardly do.
+"""
 
 LEAST_FRAMES = 10
 READ_RIGHT = 0.9
@@ -44,11 +48,22 @@ class FingerLevels:
 
 
 @dataclass(frozen=True, slots=True)
+class Sample:
+    """How a person shows the gesture with `code`: where each finger stands, and its noise, as shares."""
+
+    code: str
+    shares: tuple[float, ...]
+    noise: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Calibration:
     """Thresholds, and the levels of the five fingers that they were made from."""
 
     thresholds: Thresholds
     levels: tuple[FingerLevels, ...]
+    samples: tuple[Sample, ...] = ()
+    """Gestures that the person has shown besides."""
 
     def as_dict(self) -> dict[str, dict[str, float]]:
         """Return the levels by finger."""
@@ -90,9 +105,14 @@ class _Finger:
     straight_share: float
 
 
+def levels_of(fist: Sequence[float], open_hand: Sequence[float]) -> FingerLevels:
+    """Return the levels of a finger by its raw values in a fist and in an open hand."""
+    return FingerLevels(median(fist), median(open_hand), round(max(_noise(fist), _noise(open_hand)), 2))
+
+
 def _finger(name: str, fist: Sequence[float], open_hand: Sequence[float]) -> _Finger:
-    levels = FingerLevels(median(fist), median(open_hand), round(max(_noise(fist), _noise(open_hand)), 2))
-    threshold = Threshold(levels.at(STRAIGHT_ABOVE), levels.at(BENT_BELOW))
+    levels = levels_of(fist, open_hand)
+    threshold = Threshold(levels.at(STRAIGHT_ABOVE[FINGERS.index(name)]), levels.at(BENT_BELOW))
     bent = sum(value < threshold.lower for value in fist) / len(fist)
     straight = sum(value > threshold.upper for value in open_hand) / len(open_hand)
     return _Finger(name, levels, threshold, bent, straight)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.calibration import CalibrationFailed, calibrate
+from services.gesture_controller.calibration.levels import CalibrationFailed, calibrate
 from services.gesture_controller.finger_states import finger_states
 
 FIST, OPEN = [300.0, 500, 500, 500, 450], [400.0, 700, 700, 690, 680]

@@ -1,7 +1,7 @@
 /** What the lists of the page are made of: the names in a family, anew only when one comes or goes. */
 import { useMemo, useSyncExternalStore } from "react";
-import { useLive } from "~/live/hooks";
-import type { LiveStore } from "~/live/store";
+import { useLive } from "./hooks";
+import type { LiveStore } from "./store";
 
 /** The gloves by name: a hand that moves thirty times a second does not draw the list anew. */
 export function useGloveNames(): string[] {

@@ -1,0 +1,84 @@
+"""`handover specification`: fill the specification database from a file, list it, show its table."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from handover.errors import UsageError
+from services.gesture_controller.settings import ControllerSettings
+
+if TYPE_CHECKING:  # loading it takes longer than most commands do
+    from sqlalchemy import Engine
+
+app = typer.Typer(
+    help="What Tasks ask for, looked up where they do not say it: import, list, table.", no_args_is_help=True
+)
+
+Url = Annotated[
+    str | None,
+    typer.Option("--url", help="sqlite:///… or postgresql://…; HANDOVER_SPECIFICATION_URL if left out."),
+]
+
+
+@app.command("import")
+def take_in(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="A YAML file of definitions.")],
+    url: Url = None,
+) -> None:
+    """Write the definitions of a file into the database, each in place of the one of its id."""
+    from services.gesture_controller.configuration import load  # noqa: PLC0415 - only this command needs it
+    from services.gesture_controller.specifications import file, table  # noqa: PLC0415 - loads SQLAlchemy
+
+    try:
+        given = file.read(path.read_text(encoding="utf-8"), path.name)
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path} cannot be read: {error}") from None
+    gestures = load(ControllerSettings.load().gestures_file).gestures
+    for key, one in given.items():
+        if one.gesture is not None and gestures.find(one.gesture) is None:
+            print(f'note: "{key}" asks for "{one.gesture}", which this site does not know')
+    with _database(url, "written") as engine:
+        table.create(engine)
+        table.save(engine, given)
+        print(f"{len(given)} definitions written to {engine.url.render_as_string(hide_password=True)}")
+
+
+@app.command("list")
+def every(url: Url = None) -> None:
+    """Print all definitions, as a file that can be imported."""
+    from services.gesture_controller.specifications import file, table  # noqa: PLC0415 - loads SQLAlchemy
+
+    with _database(url, "read") as engine:
+        print(file.written(table.every(engine)), end="")
+
+
+@app.command("table")
+def show(url: Url = None) -> None:
+    """Print the SQL that makes the table, for who does that by hand."""
+    from services.gesture_controller.specifications import table  # noqa: PLC0415 - loads SQLAlchemy
+
+    with _database(url, "asked") as engine:
+        print(table.statement(engine))
+
+
+@contextmanager
+def _database(url: str | None, act: str) -> "Iterator[Engine]":
+    from sqlalchemy.exc import SQLAlchemyError  # noqa: PLC0415
+
+    from handover.database import connect  # noqa: PLC0415
+    from services.gesture_controller.specifications.database import SETTING  # noqa: PLC0415
+
+    engine = connect(url or ControllerSettings.load().specifications, setting=SETTING)
+    try:
+        yield engine
+    except SQLAlchemyError as error:
+        reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
+        raise UsageError(
+            f"the specification database cannot be {act}: {reason}; "
+            "its table is made by: handover specification import FILE"
+        ) from None
+    finally:
+        engine.dispose()

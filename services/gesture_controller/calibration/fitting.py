@@ -1,0 +1,48 @@
+"""Fitting: how what is kept of a glove on a person becomes what their hand is read with."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from services.gesture_controller.calibration.levels import Calibration, FingerLevels, Sample
+from services.gesture_controller.thresholds import FINGERS, Thresholds
+
+LEVELS, SAMPLES, OFFERED = "levels", "samples", "offered"
+"""The topics under which calibrations are kept with a fit."""
+
+
+def learnt_from(calibration: Calibration) -> dict[str, Any]:
+    """Return what `calibration` has taught, as JSON has it."""
+    samples = {
+        sample.code: {"shares": list(sample.shares), "noise": list(sample.noise)}
+        for sample in calibration.samples
+    }
+    return {LEVELS: calibration.as_dict(), SAMPLES: samples}
+
+
+def calibration_from(learnt: Mapping[str, Any], thresholds: Thresholds) -> Calibration | None:
+    """Return the calibration that was kept; None if there is none, or if it cannot be used."""
+    try:
+        levels = tuple(
+            FingerLevels(
+                float(learnt[LEVELS][finger]["fist"]),
+                float(learnt[LEVELS][finger]["open"]),
+                float(learnt[LEVELS][finger]["noise"]),
+            )
+            for finger in FINGERS
+        )
+        samples = tuple(
+            Sample(code, _five(given["shares"]), _five(given["noise"]))
+            for code, given in learnt.get(SAMPLES, {}).items()
+        )
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None
+    sound = all(math.isfinite(level.noise) and 0 < level.span < math.inf for level in levels)
+    return Calibration(thresholds, levels, samples) if sound else None
+
+
+def _five(values: Any) -> tuple[float, ...]:
+    five = tuple(float(value) for value in values)
+    if len(five) != len(FINGERS) or not all(map(math.isfinite, five)):
+        raise ValueError(f"five numbers are needed, not {values}")
+    return five

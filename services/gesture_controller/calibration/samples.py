@@ -1,0 +1,51 @@
+"""Samples: a second of any gesture, shown once, sharpens how that gesture is told from the others."""
+
+from collections.abc import Sequence
+from statistics import median
+
+from services.gesture_controller.calibration.levels import (
+    LEAST_FRAMES,
+    Calibration,
+    CalibrationFailed,
+    FingerLevels,
+    Sample,
+)
+from services.gesture_controller.thresholds import FINGERS
+
+RESTLESS = 0.3
+"""A finger that moves by more than this share of its span was not kept still."""
+
+_MAD_TO_SIGMA = 1.4826
+
+
+def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[FingerLevels]) -> Sample:
+    """Return the sample that `frames` (each five raw values, thumb first) of the gesture with `code` make.
+
+    `levels` are those of the person's calibration. Raises `CalibrationFailed` for frames that are too few, or
+    among which a finger moved.
+    """
+    if len(frames) < LEAST_FRAMES:
+        raise CalibrationFailed(
+            f"{len(frames)} frames of the gesture are too few; hold it until there are {LEAST_FRAMES} or more"
+        )
+    if any(len(frame) != len(FINGERS) for frame in frames):
+        raise CalibrationFailed("a frame of the gesture has not five values, one a finger, thumb first")
+    shares, noise = [], []
+    for place, (finger, level) in enumerate(zip(FINGERS, levels, strict=True)):
+        stands = [(frame[place] - level.fist) / level.span for frame in frames]
+        usual = median(stands)
+        unrest = _MAD_TO_SIGMA * median(abs(stand - usual) for stand in stands)
+        if unrest > RESTLESS:
+            raise CalibrationFailed(
+                f"{finger}: moved while the gesture was shown; keep the {finger} still for a second, and "
+                "show it again"
+            )
+        shares.append(round(usual, 4))
+        noise.append(round(unrest, 4))
+    return Sample(code, tuple(shares), tuple(noise))
+
+
+def with_sample(calibration: Calibration, sample: Sample) -> Calibration:
+    """Return `calibration` with `sample`, which takes the place of an older one of the same gesture."""
+    others = tuple(one for one in calibration.samples if one.code != sample.code)
+    return Calibration(calibration.thresholds, calibration.levels, (*others, sample))

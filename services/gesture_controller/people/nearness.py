@@ -1,0 +1,122 @@
+"""Nearness: how easily one gesture is taken for another, and when that is too easily.
+
+Between codes the distance is the number of fingers that differ. One finger is not enough if its sensor hardly
+tells bent from straight. Of a gesture that was recorded it is known besides how many times its own noise each
+finger is away from being read otherwise; of the fingers that differ the surest counts, as all of them must be
+misread at once.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from services.gesture_controller.finger_states import STRAIGHT
+from services.gesture_controller.people.person import Sample
+from services.gesture_controller.thresholds import FINGERS, Thresholds
+
+SURE_SIGMAS = 4.0
+"""A recorded gesture less than so many times the noise away from another is too near."""
+LEAST_NOISE = 0.5
+"""Raw units: a sensor that reads whole numbers is never surer than that."""
+RESTING = {"00000": "the open hand", "22222": "the fist"}
+"""Shapes in which a hand rests or carries: they would be made without being meant."""
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbour:
+    """Another gesture and how far away it is; `sigmas` only where a sample is there."""
+
+    name: str
+    code: str
+    fingers: tuple[str, ...]
+    sigmas: float | None = None
+
+    @property
+    def distance(self) -> int:
+        """Return how many fingers differ."""
+        return len(self.fingers)
+
+    def __str__(self) -> str:
+        """Return the distance in words."""
+        if not self.fingers:
+            return "no finger differs"
+        words = "1 finger differs" if self.distance == 1 else f"{self.distance} fingers differ"
+        noise = "" if self.sigmas is None else f", {self.sigmas:g} times the noise"
+        return f"{words}: {', '.join(self.fingers)}{noise}"
+
+
+def neighbours(
+    code: str,
+    others: Mapping[str, str],
+    sample: Sample | None = None,
+    thresholds: Thresholds | None = None,
+    samples: Mapping[str, Sample] = MappingProxyType({}),
+) -> list[Neighbour]:
+    """Return `others` (codes by name), the nearest to `code` first.
+
+    `sample` is how a hand made `code`, `samples` how it made some of the others, under the same `thresholds`:
+    either may be taken for the other, and the nearer of the two ways counts.
+    """
+    found = [
+        _neighbour(name, code, other, (sample, samples.get(name)), thresholds)
+        for name, other in others.items()
+    ]
+    return sorted(found, key=lambda one: (one.distance, one.sigmas or 0.0, one.name))
+
+
+@dataclass(frozen=True, slots=True)
+class Doubted:
+    """Why a gesture cannot be, in half a sentence with the way out, and the other it is taken for, if any."""
+
+    why: str
+    other: Neighbour | None = None
+
+
+def too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> Doubted | None:
+    """Return why a gesture with `code` cannot be; None if it can. `doubtful` are fingers."""
+    if code in RESTING:
+        return Doubted(
+            f"{RESTING[code]} is how a hand rests or carries and would be shown unmeant; take another, or "
+            "use it as a part of a gesture of both hands or of a sequence",
+        )
+    for one in near:
+        if one.distance == 0:
+            return Doubted(f'it is "{one.name}" (code {code}, {one}); use that one, or take another', one)
+        if one.distance == 1 and one.fingers[0] in doubtful:
+            return Doubted(
+                f'it is too near "{one.name}" (code {one.code}, {one}): the sensor of the {one.fingers[0]} '
+                "hardly tells bent from straight; calibrate it, or take a gesture that differs elsewhere too",
+                one,
+            )
+        if one.sigmas is not None and one.sigmas < SURE_SIGMAS:
+            return Doubted(
+                f'it is too near "{one.name}" (code {one.code}, {one}; {SURE_SIGMAS:g} are needed); record '
+                "it again with the fingers fully bent or stretched, or calibrate the glove",
+                one,
+            )
+    return None
+
+
+def _neighbour(
+    name: str,
+    code: str,
+    other: str,
+    samples: tuple[Sample | None, Sample | None],
+    thresholds: Thresholds | None,
+) -> Neighbour:
+    places = [place for place in range(len(FINGERS)) if code[place] != other[place]]
+    fingers = tuple(FINGERS[place] for place in places)
+    if thresholds is None or not places:
+        return Neighbour(name, other, fingers)
+    ways = [
+        max(_sigmas(sample, place, made[place], thresholds) for place in places)
+        for sample, made in zip(samples, (code, other), strict=True)
+        if sample is not None
+    ]
+    return Neighbour(name, other, fingers, round(min(ways), 1) if ways else None)
+
+
+def _sigmas(sample: Sample, place: int, state: str, thresholds: Thresholds) -> float:
+    threshold, level = thresholds.fingers[place], sample.levels[place]
+    margin = level - threshold.upper if state == STRAIGHT else threshold.lower - level
+    return max(margin, 0.0) / max(sample.noise[place], LEAST_NOISE)

@@ -1,0 +1,90 @@
+"""The store of people: what is a person's own, in the database of the controller."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import orjson
+from sqlalchemy import Connection, Engine, Table, delete, insert, select
+
+from handover.tables import bring_forward
+from services.gesture_controller.gestures import Shape
+from services.gesture_controller.people import tables
+from services.gesture_controller.people.person import OwnGesture, Person, Sample
+
+
+class PeopleStore:
+    """People in the database; every method blocks for the disk."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def load(self) -> dict[str, Person]:
+        """Return all people by name."""
+        bring_forward(self._engine, tables.tables, room="controller_people", version=tables.VERSION)
+        with self._engine.connect() as connection:
+            titles = {row.name: row.title for row in connection.execute(select(tables.people))}
+            commands: dict[str, dict[int, str | None]] = {name: {} for name in titles}
+            for row in connection.execute(select(tables.commands).order_by(tables.commands.c.command)):
+                commands[row.person][row.command] = row.gesture
+            gestures: dict[str, dict[str, OwnGesture]] = {name: {} for name in titles}
+            for row in connection.execute(select(tables.gestures).order_by(tables.gestures.c.name)):
+                gestures[row.person][row.name] = own_gesture(orjson.loads(row.shape))
+        return {name: Person(name, title, commands[name], gestures[name]) for name, title in titles.items()}
+
+    def save(self, person: Person) -> None:
+        """Write `person` so that it survives; returns when it does."""
+        with self._engine.begin() as connection:
+            save_person(connection, person)
+
+    def remove(self, name: str) -> None:
+        """Delete a person, and how gloves fit them."""
+        with self._engine.begin() as connection:
+            _remove(connection, name)
+            connection.execute(delete(tables.fits).where(tables.fits.c.person == name))
+
+
+def save_person(connection: Connection, person: Person) -> None:
+    """Write `person` in place of what is there."""
+    _remove(connection, person.name)
+    connection.execute(insert(tables.people).values(name=person.name, title=person.title))
+    _insert(
+        connection,
+        tables.commands,
+        (
+            {"person": person.name, "command": command, "gesture": gesture}
+            for command, gesture in person.commands.items()
+        ),
+    )
+    _insert(
+        connection,
+        tables.gestures,
+        (
+            {"person": person.name, "name": name, "shape": orjson.dumps(own.as_dict()).decode()}
+            for name, own in person.gestures.items()
+        ),
+    )
+
+
+def own_gesture(written: Mapping[str, Any]) -> OwnGesture:
+    """Return the gesture that `OwnGesture.as_dict` has written."""
+    sequence, sample = written.get("sequence"), written.get("sample")
+    shape = Shape(
+        written.get("code"),
+        written.get("left"),
+        written.get("right"),
+        None if sequence is None else (sequence[0], sequence[1]),
+    )
+    if sample is None:
+        return OwnGesture(shape)
+    return OwnGesture(shape, Sample(sample["glove"], tuple(sample["levels"]), tuple(sample["noise"])))
+
+
+def _insert(connection: Connection, table: Table, rows: Iterable[Mapping[str, Any]]) -> None:
+    if given := list(rows):
+        connection.execute(insert(table), given)
+
+
+def _remove(connection: Connection, name: str) -> None:
+    connection.execute(delete(tables.people).where(tables.people.c.name == name))
+    connection.execute(delete(tables.commands).where(tables.commands.c.person == name))
+    connection.execute(delete(tables.gestures).where(tables.gestures.c.person == name))

@@ -1,0 +1,84 @@
+"""Pictures by URL: `/gestures/Thumbs up.svg`, `/gestures/thumbs-up.gif?hand=left`, `/gestures/02222.svg`."""
+
+import asyncio
+import hashlib
+import re
+from functools import lru_cache
+from typing import Annotated
+from urllib.parse import quote
+
+from fastapi import FastAPI, Header, Response
+
+from handover.errors import Problem
+from services.gesture_controller.gestures import Gestures
+from services.gesture_controller.pictures.motion import Hand, Motion
+from services.gesture_controller.pictures.svg import svg_of
+
+FRESH_S = 3600
+_STATES = re.compile(r"[012]{5}")
+_NO_LETTERS = re.compile(r"[\W_]+")
+
+
+def picture_urls(gesture: str) -> dict[str, str]:
+    """Return where the pictures of `gesture` are, as paths of this service."""
+    return {kind: f"/gestures/{quote(gesture)}.{kind}" for kind in ("svg", "gif")}
+
+
+def add_pictures(app: FastAPI, gestures: Gestures) -> None:
+    """Add the routes of the pictures of `gestures`."""
+
+    @app.get("/gestures/{name}.svg", tags=["gestures"], response_class=Response)
+    async def svg(
+        name: str,
+        hand: Hand = "right",
+        motion: Motion = "loop",
+        if_none_match: Annotated[str | None, Header()] = None,
+    ) -> Response:
+        """Draw a gesture, by its name or its five states; it moves from an open hand, or rests."""
+        known, states = _states_of(name, gestures)
+        return _answer(svg_of(known, states, hand, motion).encode(), "image/svg+xml", if_none_match)
+
+    @app.get("/gestures/{name}.gif", tags=["gestures"], response_class=Response)
+    async def gif(
+        name: str,
+        hand: Hand = "right",
+        motion: Motion = "loop",
+        if_none_match: Annotated[str | None, Header()] = None,
+    ) -> Response:
+        """Draw the same as a GIF (less than 100 kB, on white) for systems that show nothing else."""
+        _, states = _states_of(name, gestures)
+        return _answer(await asyncio.to_thread(_gif, states, hand, motion), "image/gif", if_none_match)
+
+
+@lru_cache(maxsize=256)
+def _gif(states: str, hand: Hand, motion: Motion) -> bytes:
+    from services.gesture_controller.pictures.gif import gif_of  # noqa: PLC0415 - loads Pillow
+
+    return gif_of(states, hand, motion)
+
+
+def _states_of(name: str, gestures: Gestures) -> tuple[str, str]:
+    """Return how the gesture is called and its states; `name` may be spelt as in a file name."""
+    if _STATES.fullmatch(name):
+        return gestures.names.get(name, name), name
+    known = gestures.find(name) or next((one for one, _ in gestures if _plain(one) == _plain(name)), None)
+    if known is None:
+        raise Problem(
+            404,
+            "Unknown gesture",
+            f'there is no gesture "{name}"; {gestures.like(name)}, or give five states, thumb first, '
+            "such as 02222 (0 straight, 1 between, 2 bent)",
+        )
+    return known, gestures.codes[known]
+
+
+def _plain(name: str) -> str:
+    return _NO_LETTERS.sub("-", name.casefold()).strip("-")
+
+
+def _answer(picture: bytes, media_type: str, known: str | None) -> Response:
+    tag = f'"{hashlib.sha256(picture).hexdigest()[:24]}"'
+    headers = {"ETag": tag, "Cache-Control": f"public, max-age={FRESH_S}"}
+    if known is not None and (known.strip() == "*" or tag in known):
+        return Response(status_code=304, headers=headers)
+    return Response(picture, media_type=media_type, headers=headers)

@@ -1,0 +1,143 @@
+"""The population: how straight and bent fingers stand in hands at large, as far as one can say beforehand.
+
+A finger's stand is a share: 0 its level in the person's own fist, 1 in their open hand. Fingers drag their
+neighbours along (V. Zatsiorsky, Z. Li, M. Latash: Enslaving effects in multi-finger force production, Exp.
+Brain Res. 131, 2000): a bent finger beside a straight one stands higher than in the fist, and a thumb or a
+little finger that is stretched alone falls short of the open hand. How much is `learn`ed from recordings.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from services.gesture_controller.finger_states import BENT, STRAIGHT
+
+Shares = Sequence[float]
+"""How straight each of the five fingers stands, thumb first."""
+
+LOWEST, HIGHEST = -0.1, 1.08
+"""Beyond these a finger is no more bent than in a fist, or straighter than in an open hand."""
+
+STRANGE = 0.2
+"""A finger further than this from the others of its kind was not shown as its label says, and counts as
+being so far away at most."""
+
+_PRIOR_WEIGHT = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Stand:
+    """Where fingers of one kind stand: their usual share, and its standard deviation between hands."""
+
+    share: float
+    spread: float
+
+
+@dataclass(frozen=True, slots=True)
+class Population:
+    """Where fingers stand, by kind: see `kind_of`."""
+
+    kinds: Mapping[str, Stand]
+
+
+BEFOREHAND = Population(
+    {
+        "straight": Stand(1.0, 0.05),
+        "straight little": Stand(1.0, 0.05),
+        "straight little alone": Stand(0.85, 0.12),
+        "straight thumb": Stand(1.0, 0.16),
+        "straight thumb alone": Stand(0.8, 0.2),
+        "straight thumb up": Stand(0.95, 0.14),
+        "bent": Stand(0.1, 0.12),
+        "bent beside": Stand(0.2, 0.12),
+        "bent thumb": Stand(0.15, 0.16),
+        "bent thumb beside": Stand(0.15, 0.16),
+        "half bent": Stand(0.57, 0.12),
+        "half bent beside": Stand(0.67, 0.12),
+        "half bent thumb": Stand(0.55, 0.17),
+        "half bent thumb beside": Stand(0.55, 0.17),
+    }
+)
+"""What is assumed where no recording says otherwise; weighs as much as two to four fingers that were seen.
+
+A thumb moves about two axes, of which its one sensor sees one: so it is given more room.
+"""
+
+
+def kind_of(code: str, place: int) -> str:
+    """Return the kind of the finger at `place` of a hand that shows `code`; a neighbour that is straight
+    stands beside it."""
+    name = {0: " thumb", 4: " little"}.get(place, "")
+    beside = [code[there] for there in (place - 1, place + 1) if 0 <= there < len(code)]
+    if code[place] == STRAIGHT:
+        if place == 0 and STRAIGHT not in code[1:]:
+            return "straight thumb up"
+        return f"straight{name}" + (" alone" if name and STRAIGHT not in beside else "")
+    name = " thumb" if place == 0 else ""
+    return ("bent" if code[place] == BENT else "half bent") + name + (" beside" if STRAIGHT in beside else "")
+
+
+def learn(hands: Iterable[Mapping[str, Sequence[Shares]]], beforehand: Population = BEFOREHAND) -> Population:
+    """Return the population that `hands` are of: for each, frames by the code that they show.
+
+    Each finger of each code counts once for each hand, by its median; mislabelled ones do little harm.
+    """
+    seen: dict[str, list[float]] = {kind: [] for kind in beforehand.kinds}
+    for hand in hands:
+        for code, frames in hand.items():
+            if set(code) <= {STRAIGHT, BENT} and frames:
+                for place in range(len(code)):
+                    stand = median(clipped(frame[place]) for frame in frames)
+                    seen[kind_of(code, place)].append(stand)
+    return Population({kind: _learnt(seen[kind], stand) for kind, stand in beforehand.kinds.items()})
+
+
+def clipped(share: float) -> float:
+    """Return `share` within `LOWEST` and `HIGHEST`."""
+    return min(max(share, LOWEST), HIGHEST)
+
+
+def _learnt(seen: Sequence[float], before: Stand) -> Stand:
+    if not seen:
+        return before
+    usual, weight = median(seen), _PRIOR_WEIGHT / 2
+    share = (len(seen) * usual + weight * before.share) / (len(seen) + weight)
+    away = sum(min(abs(one - usual), STRANGE) ** 2 for one in seen)
+    spread = ((_PRIOR_WEIGHT * before.spread**2 + away) / (_PRIOR_WEIGHT + len(seen))) ** 0.5
+    return Stand(round(share, 3), round(spread, 3))
+
+
+HOLDING = (
+    ("11111", (Stand(0.5, 0.15), *[Stand(0.5, 0.08)] * 4)),
+    ("22222", (Stand(0.5, 0.2), *[Stand(0.35, 0.1)] * 4)),
+    ("22222", (Stand(0.6, 0.12), *[Stand(0.22, 0.1)] * 4)),
+    ("21222", (Stand(0.5, 0.2), Stand(0.65, 0.12), *[Stand(0.32, 0.1)] * 3)),
+)
+"""How fingers stand round an object: something thick, a handle or a key (wider fists), a tool along which the
+index finger lies.
+
+An estimate: an object keeps fingers from closing, and they stand together. So hands at work are not taken for
+a gesture whose fingers are, each by itself, a little off.
+"""
+
+USUAL = Population(
+    {
+        "straight": Stand(0.991, 0.051),
+        "straight little": Stand(1.004, 0.051),
+        "straight little alone": Stand(0.832, 0.095),
+        "straight thumb": Stand(0.945, 0.12),
+        "straight thumb alone": Stand(0.857, 0.17),
+        "straight thumb up": Stand(0.95, 0.14),
+        "bent": Stand(0.132, 0.102),
+        "bent beside": Stand(0.217, 0.133),
+        "bent thumb": Stand(0.187, 0.136),
+        "bent thumb beside": Stand(0.26, 0.139),
+        "half bent": Stand(0.57, 0.12),
+        "half bent beside": Stand(0.67, 0.12),
+        "half bent thumb": Stand(0.55, 0.17),
+        "half bent thumb beside": Stand(0.55, 0.17),
+    }
+)
+"""What `learn` makes of recordings of three people, eight number signs each (J. Cheng, Z. Sun, J. Wang,
+J. Zhang, "Chinese Number Gesture Recognition Glove Based on Flex Sensors"). Whoever measures how well those
+three are understood must `learn` from the others alone."""

@@ -1,0 +1,80 @@
+"""Specifications as a file, to fill the database from:
+
+confirm-grip:                      # the last part of the TaskDefinition's URN, or all of it
+  name: Confirm the grip
+  description: Look whether the gripper holds the part
+  commandId: 4                     # or gesture: Thumbs up
+"""
+
+from collections.abc import Mapping
+
+import yaml
+
+from services.gesture_controller.lined_yaml import Entry, LinedYaml, WrongFile, is_empty
+from services.gesture_controller.specifications.definition import Definition
+
+FIELDS = ("name", "description", "gesture", "commandId")
+
+
+class WrongSpecification(WrongFile):
+    """A file of specifications cannot be used; the message names the line, the rule and the way out."""
+
+
+def read(text: str, name: str = "specifications.yaml") -> dict[str, Definition]:
+    """Return the definitions in `text` by id; raise `WrongSpecification`, which calls the file `name`."""
+    reader = _Reader(name)
+    root = reader.compose(text)
+    if root is None:
+        return {}
+    return {entry.key: reader.definition(entry) for entry in reader.entries(root, "the file")}
+
+
+def written(definitions: Mapping[str, Definition]) -> str:
+    """Return `definitions` as such a file."""
+    document = {
+        key: {
+            field: value
+            for field, value in zip(
+                FIELDS, (one.name, one.description, one.gesture, one.command_id), strict=True
+            )
+            if value is not None
+        }
+        for key, one in definitions.items()
+    }
+    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+
+
+class _Reader(LinedYaml):
+    mistake = WrongSpecification
+
+    def definition(self, entry: Entry) -> Definition:
+        given = {
+            field.key: field
+            for field in ([] if is_empty(entry.value) else self.entries(entry.value, f'"{entry.key}"'))
+        }
+        for field in given.values():
+            if field.key not in FIELDS:
+                raise self.wrong(
+                    field.line,
+                    f'"{entry.key}" has an unknown field "{field.key}"; there are {", ".join(FIELDS)}',
+                )
+        name, description, gesture = (
+            self.text(given[field].value, f'the {field} of "{entry.key}"') if field in given else None
+            for field in FIELDS[:3]
+        )
+        definition = Definition(name, description, gesture, self._command(entry, given.get("commandId")))
+        if definition == Definition():
+            raise self.wrong(
+                entry.line, f'"{entry.key}" says nothing; give it a description, and a gesture or a commandId'
+            )
+        return definition
+
+    def _command(self, entry: Entry, field: Entry | None) -> int | None:
+        if field is None:
+            return None
+        text = self.text(field.value, f'the commandId of "{entry.key}"')
+        if not text.isdecimal() or int(text) >= 2**31:
+            raise self.wrong(
+                field.line, f'the commandId of "{entry.key}" is a whole number such as 3, not "{text}"'
+            )
+        return int(text)

@@ -1,0 +1,76 @@
+"""The table of the specification database: one row for each TaskDefinition, filled by whoever plans the work.
+
+CREATE TABLE task_definitions (
+    id TEXT PRIMARY KEY,       -- the last part of the TaskDefinition's URN, or all of it
+    name TEXT, description TEXT,
+    gesture TEXT,              -- as the gestures file has it, or
+    command_id INTEGER         -- the command, shown with the person's own gesture
+);
+"""
+
+from collections.abc import Iterable, Mapping
+
+from sqlalchemy import Column, Engine, Integer, MetaData, String, Table, Text, cast, delete, insert, select
+from sqlalchemy.schema import CreateTable
+
+from handover.tables import bring_forward
+from services.gesture_controller.specifications.definition import Definition
+
+VERSION = 1
+
+tables = MetaData()
+definitions = Table(
+    "task_definitions",
+    tables,
+    Column("id", String(300), primary_key=True),
+    Column("name", Text),
+    Column("description", Text),
+    Column("gesture", Text),
+    Column("command_id", Integer),
+)
+
+
+def create(engine: Engine) -> None:
+    """Create the table where there is none, and bring an older one forward."""
+    bring_forward(engine, tables, room="specifications", version=VERSION)
+
+
+def statement(engine: Engine) -> str:
+    """Return the SQL that creates the table in the tongue of `engine`, for whoever wants to do it by hand."""
+    return str(CreateTable(definitions).compile(engine)).strip() + ";"
+
+
+def save(engine: Engine, given: Mapping[str, Definition]) -> None:
+    """Write the definitions `given` by id, all or none, each in place of the one that is there."""
+    with engine.begin() as connection:
+        connection.execute(delete(definitions).where(definitions.c.id.in_(list(given))))
+        rows = [
+            {
+                "id": key,
+                "name": one.name,
+                "description": one.description,
+                "gesture": one.gesture,
+                "command_id": one.command_id,
+            }
+            for key, one in given.items()
+        ]
+        if rows:
+            connection.execute(insert(definitions), rows)
+
+
+def find(engine: Engine, ids: Iterable[str]) -> Definition | None:
+    """Return the definition of the first of `ids` that has one."""
+    wanted = list(ids)
+    columns = (cast(definitions.c.id, Text).label("id"), *(one for one in definitions.c if one.name != "id"))
+    query = select(*columns).where(cast(definitions.c.id, Text).in_(wanted))  # tables of others may count
+    with engine.connect() as connection:
+        rows = {row.id: row for row in connection.execute(query)}
+    row = next((rows[key] for key in wanted if key in rows), None)
+    return None if row is None else Definition(row.name, row.description, row.gesture, row.command_id)
+
+
+def every(engine: Engine) -> dict[str, Definition]:
+    """Return all definitions by id."""
+    with engine.connect() as connection:
+        rows = connection.execute(select(definitions).order_by(definitions.c.id)).all()
+    return {str(row.id): Definition(row.name, row.description, row.gesture, row.command_id) for row in rows}

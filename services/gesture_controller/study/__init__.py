@@ -1,0 +1,1 @@
+"""The study: people try personal and predefined gestures, say how it was, and the answers are analysed."""

@@ -1,0 +1,137 @@
+"""The study over REST: sessions step by step, the wording, the analysis, and both to take home."""
+
+import asyncio
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from fastapi import Body, FastAPI, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.gesture_controller.study.conduct import DECLINED, Conduct
+from services.gesture_controller.study.protocol import FINISHED, STEPS, Language, Session
+from services.gesture_controller.study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
+from services.gesture_controller.study.wording import consent_version, wording
+
+Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w .-]+$")]
+Study = Annotated[str, Query(min_length=1, max_length=64)]
+
+DEFAULT_STUDY = "gestures"
+
+
+class NewSession(BaseModel):
+    """A participant: a pseudonym (the next free one if none is given), never a name."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    study: Name = DEFAULT_STUDY
+    pseudonym: Name | None = None
+    language: Language = "en"
+    glove: Annotated[str, Field(max_length=64)] | None = None
+    person: Annotated[str, Field(max_length=200)] | None = None
+
+
+def add_study(app: FastAPI, conduct: Conduct) -> None:
+    """Add the routes of the study."""
+
+    @app.get("/study/wording", tags=["study"])
+    async def words(language: Language = "en") -> dict[str, Any]:
+        """Return all that participants read, with the steps, scales and pairs of the questionnaires."""
+        return {
+            **wording(language),
+            "consentVersion": consent_version(language),
+            "order": STEPS,
+            "scales": TLX_SCALES,
+            "scaleStep": TLX_STEP,
+            "pairs": TLX_PAIRS,
+        }
+
+    @app.post("/study/sessions", status_code=201, tags=["study"])
+    async def begin(session: NewSession) -> dict[str, Any]:
+        """Begin a session; the first step is consent, and until then nothing else is asked."""
+        begun = await conduct.begin(
+            session.study, session.pseudonym, session.language, session.glove, session.person
+        )
+        return view_of(begun)
+
+    @app.get("/study/sessions", tags=["study"])
+    async def sessions(study: Study | None = None) -> list[dict[str, Any]]:
+        """List the sessions (of a study) in the order in which they began."""
+        return [view_of(session) for session in await conduct.sessions(study)]
+
+    @app.get("/study/sessions/{session}", tags=["study"])
+    async def one(session: str) -> dict[str, Any]:
+        """Return a session: at which step it is, and what was answered."""
+        found = await conduct.one(session)
+        answers = {step: dict(answer.content) for step, answer in found.answers.items()}
+        return {**view_of(found), "answers": answers}
+
+    @app.post("/study/sessions/{session}/steps/{step}", tags=["study"])
+    async def answer(session: str, step: str, given: Annotated[dict[str, Any], Body()]) -> dict[str, Any]:
+        """Answer a step; it is kept when this returns. Whoever declines consent is forgotten."""
+        moved = await conduct.answer(session, step, given)
+        if moved is None:
+            return {"id": session, "step": DECLINED}
+        return view_of(moved)
+
+    @app.delete("/study/sessions/{session}", status_code=204, tags=["study"])
+    async def delete(session: str) -> None:
+        """Delete a session and all its answers beyond recovery."""
+        await conduct.delete(session)
+
+    @app.get("/study/analysis", tags=["study"])
+    async def analysis(study: Study = DEFAULT_STUDY) -> dict[str, Any]:
+        """Return what the answers of a study say: SUS, NASA-TLX by condition, tests, numbers of box plots."""
+        return {"study": study, **await _analysed(conduct, study)}
+
+    @app.get("/study/answers.csv", tags=["study"], response_class=Response)
+    async def as_csv(study: Study = DEFAULT_STUDY) -> Response:
+        """Return every answer and score of a study, one line a participant."""
+        from services.gesture_controller.study.table import csv_of  # noqa: PLC0415 - seldom asked for
+
+        text = csv_of(await conduct.sessions(study))
+        return _file(text.encode(), "text/csv; charset=utf-8", study, "csv")
+
+    @app.get("/study/report.pdf", tags=["study"], response_class=Response)
+    async def as_pdf(study: Study = DEFAULT_STUDY, language: Language = "en") -> Response:
+        """Return the report of a study on A4."""
+        from services.gesture_controller.study.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
+
+        found = await _analysed(conduct, study)
+        today = datetime.now(UTC).date().isoformat()
+        pdf = await asyncio.to_thread(pdf_of, found, study, language, today)
+        return _file(pdf, "application/pdf", study, "pdf")
+
+
+def view_of(session: Session) -> dict[str, Any]:
+    """Return a session as screens see it, without what was answered."""
+    is_over = session.step == FINISHED
+    condition = session.condition
+    return {
+        "id": session.id,
+        "study": session.study,
+        "pseudonym": session.pseudonym,
+        "language": session.language,
+        "glove": session.glove,
+        "person": session.person,
+        "step": session.step,
+        "stepNumber": len(STEPS) if is_over else STEPS.index(session.step) + 1,
+        "steps": len(STEPS),
+        "first": session.first.value if session.first else None,
+        "condition": condition.value if condition else None,
+        "pairs": session.pairs() if session.step.startswith("tlx") else None,
+        "consentVersion": consent_version(session.language),
+        "beganAt": session.began_at,
+        "endedAt": session.ended_at,
+    }
+
+
+async def _analysed(conduct: Conduct, study: str) -> dict[str, Any]:
+    from services.gesture_controller.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
+
+    return await asyncio.to_thread(analysis_of, await conduct.sessions(study))
+
+
+def _file(content: bytes, media_type: str, study: str, kind: str) -> Response:
+    plain = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in study)
+    disposition = f'attachment; filename="study-{plain}.{kind}"'
+    return Response(content, media_type=media_type, headers={"Content-Disposition": disposition})

@@ -1,0 +1,91 @@
+"""The Calibrate page with a real controller: thresholds are stepped, dragged, saved, and taken back."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.conftest import Cell, new_cell, wait_until
+from tests.e2e.conftest import OpenPage
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """One cell for all of this page's tests: each takes a finger of its own."""
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
+        yield made
+
+
+def thresholds(cell: Cell) -> dict[str, Any]:
+    """Return the thresholds that the controller reads glove-1 with."""
+    return dict(httpx.get(f"{cell.url('gesture_controller')}/gloves/glove-1").json()["thresholds"])
+
+
+@pytest.mark.usefixtures("screen")
+def test_thresholds_count_once_they_are_saved_and_can_be_exchanged_with_the_ones_before(
+    cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+) -> None:
+    before = thresholds(cell)
+    page = open_page("/calibrate?glove=glove-1&finger=index")
+    upper = page.get_by_role("textbox", name="Upper threshold of the index finger")
+    expect(upper).to_have_value(f"{before['index']['upper']:g}")
+    page.keyboard.press("ArrowUp")
+    page.get_by_role("button", name="Upper threshold of the index finger up by 25").click()
+    expect(upper).to_have_value(f"{before['index']['upper'] + 50:g}")
+    expect(page.get_by_text("1 finger changed, not saved")).to_be_visible()
+    assert thresholds(cell) == before
+    accessible(page)
+    keep(page, "calibrate-unsaved")
+    page.get_by_role("button", name="Save the thresholds").click()
+    expect(page.get_by_text("Saved, and in use")).to_be_visible()
+    assert thresholds(cell)["index"]["upper"] == before["index"]["upper"] + 50
+    page.get_by_role("button", name="Exchange with the ones before").click()
+    expect(upper).to_have_value(f"{before['index']['upper']:g}")
+    assert thresholds(cell) == before
+
+
+@pytest.mark.usefixtures("screen")
+def test_a_line_is_dragged_over_the_live_signal_and_let_go_unsaved(cell: Cell, open_page: OpenPage) -> None:
+    before = thresholds(cell)
+    page = open_page("/calibrate?glove=glove-1&finger=ring")
+    plot = page.get_by_role("img", name="The signal of the ring finger")
+    plot.wait_for()
+    area = plot.locator(".u-over").bounding_box()
+    assert area is not None
+    lower = page.get_by_role("textbox", name="Lower threshold of the ring finger")
+    middle = area["x"] + area["width"] / 2
+
+    def drag_from(height: float) -> None:
+        page.mouse.move(middle, height)
+        page.mouse.down()
+        page.mouse.move(middle, area["y"] + area["height"] * 0.6, steps=4)
+        page.mouse.up()
+
+    # The lower line stands somewhere in the lower half: looked for from the bottom up.
+    for share in (0.98, 0.92, 0.86, 0.8):
+        drag_from(area["y"] + area["height"] * share)
+        if lower.input_value() != f"{before['ring']['lower']:g}":
+            break
+    expect(page.get_by_text("1 finger changed, not saved")).to_be_visible()
+    page.keyboard.press("z")
+    wait_until(lambda: lower.input_value() == f"{before['ring']['lower']:g}")
+    assert thresholds(cell) == before
+
+
+@pytest.mark.usefixtures("screen")
+def test_what_cannot_be_a_threshold_is_never_sent(cell: Cell, open_page: OpenPage) -> None:
+    before = thresholds(cell)
+    page = open_page("/calibrate?glove=glove-1&finger=thumb")
+    lower = page.get_by_role("textbox", name="Lower threshold of the thumb")
+    lower.fill("many")
+    lower.press("Enter")
+    expect(lower).to_have_value(f"{before['thumb']['lower']:g}")
+    lower.fill("99999")
+    lower.press("Enter")
+    expect(lower).to_have_value(f"{before['thumb']['upper']:g}")
+    assert thresholds(cell) == before

@@ -1,0 +1,102 @@
+"""The Study page: a participant is led from consent to thanks, by keyboard too; the answers are shown."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.conftest import Cell, new_cell
+from tests.e2e.conftest import OpenPage
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
+        yield made
+
+
+def tlx(page: Page, keep: Callable[[Page, str], Path], name: str, steps_up: int) -> None:
+    """Answer NASA-TLX: each scale some steps above the middle, then always what stands first."""
+    page.get_by_role("heading", name="How was the task?").wait_for()
+    following = page.get_by_role("button", name="Next")
+    expect(following).to_be_disabled()
+    for scale in page.get_by_role("slider").all():
+        scale.focus()
+        for _ in range(abs(steps_up)):
+            scale.press("ArrowRight" if steps_up > 0 else "ArrowLeft")
+    keep(page, f"study-{name}")
+    following.click()
+    for nth in range(15):
+        page.get_by_text(f"{nth + 1} of 15").wait_for()
+        if nth == 3:
+            keep(page, f"study-{name}-pair")
+        page.locator(".pair button").first.click()
+
+
+def test_a_participant_is_led_through_the_study_and_the_answers_are_shown(
+    screen: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+) -> None:
+    page = open_page("/study")
+    page.get_by_role("heading", name="No answers yet").or_(page.get_by_text("No answers yet")).wait_for()
+    accessible(page)
+    page.get_by_role("button", name="Begin the session").click()
+    page.get_by_role("heading", name="Before we begin").wait_for()
+    accessible(page)
+    keep(page, "study-consent")
+    page.get_by_role("button", name="I have read this and want to take part").click()
+    page.get_by_role("textbox", name="Age in years").fill("34")
+    page.get_by_text("medium", exact=True).click()
+    keep(page, "study-about")
+    page.get_by_role("button", name="Next").click()
+    page.get_by_role("heading", name="Sample task").wait_for()
+    page.get_by_role("button", name="I have done the task").click()
+    page.get_by_role("heading", name="How was the system?").wait_for()
+    for nth, group in enumerate(page.get_by_role("radiogroup").all()):
+        group.get_by_role("radio").nth(3 if nth % 2 == 0 else 1).check(force=True)
+    accessible(page)
+    keep(page, "study-sus")
+    page.reload()  # nothing that was acknowledged is asked again
+    page.get_by_role("heading", name="How was the system?").wait_for()
+    for nth, group in enumerate(page.get_by_role("radiogroup").all()):
+        first = group.get_by_role("radio").first
+        first.focus()
+        first.press(" ")
+        for _ in range(3 if nth % 2 == 0 else 1):
+            page.keyboard.press("ArrowRight")
+    page.get_by_role("button", name="Next").click()
+    for nth, steps_up in ((1, -4), (2, 3)):
+        page.get_by_role("button", name="I have done the task").click()
+        tlx(page, keep, f"tlx{nth}", steps_up)
+    page.get_by_text("My own gestures", exact=True).click()
+    accessible(page)
+    keep(page, "study-preference")
+    page.get_by_role("button", name="Finish").click()
+    page.get_by_role("heading", name="Thank you").wait_for()
+    page.get_by_role("button", name="Back to the study").last.click()
+    page.get_by_text("Mean 75.00").wait_for()
+    accessible(page)
+    keep(page, "study-results")
+    (session,) = httpx.get(f"{screen.url('gesture_controller')}/study/sessions").json()
+    assert (session["step"], session["pseudonym"]) == ("finished", "P01")
+    page.get_by_role("button", name="Delete P01").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete P01").click()
+    page.get_by_text("No session yet").wait_for()
+
+
+def test_a_participant_reads_their_own_language_whatever_the_screen_speaks(
+    screen: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+) -> None:
+    url = screen.url("gesture_controller")
+    begun = httpx.post(f"{url}/study/sessions", json={"language": "fi"}).raise_for_status().json()
+    consent = {"agreed": True, "text": begun["consentVersion"]}
+    for step, content in (("consent", consent), ("introduction", {}), ("sample", {})):
+        httpx.post(f"{url}/study/sessions/{begun['id']}/steps/{step}", json=content).raise_for_status()
+    page = open_page(f"/study?session={begun['id']}", viewport={"width": 390, "height": 844}, theme="dark")
+    page.get_by_role("heading", name="Millainen järjestelmä oli?").wait_for()
+    expect(page.get_by_role("button", name="Seuraava")).to_be_disabled()
+    accessible(page)
+    keep(page, "study-sus-phone-fi")

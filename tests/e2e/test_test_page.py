@@ -1,0 +1,94 @@
+"""The Test page: a person sees what the glove makes of the hand, and is led through an accuracy test."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.conftest import Cell, new_cell, wait_until
+from tests.e2e.conftest import OpenPage
+from tests.gloves import TcpGlove
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
+        made.extra["HANDOVER_SILENCE_S"] = "60"
+        yield made
+
+
+@pytest.fixture
+def glove(screen: Cell) -> Iterator[TcpGlove]:
+    made = TcpGlove(screen.ports["glove"])
+    yield made
+    made.close()
+
+
+def test_a_gesture_is_green_when_the_glove_sees_it_and_red_when_not(
+    glove: TcpGlove,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
+) -> None:
+    page = open_page("/test?gesture=Thumbs%20up")
+    page.get_by_role("button", name="Switch testing on").click()
+    page.get_by_text("nothing that you show completes a Task").wait_for()
+    glove.show("02202", 0.6)
+    page.locator(".test__side--wrong").wait_for()
+    accessible(page)
+    keep(page, "test-try-wrong")
+    glove.show("02222", 0.6)
+    page.locator(".test__side--right").get_by_text("Thumbs up").wait_for()
+    accessible(page)
+    keep(page, "test-try-right")
+    page.get_by_role("button", name="Switch testing off").click()
+    page.get_by_text("Testing is off").wait_for()
+
+
+def test_an_accuracy_test_is_led_to_its_report(
+    cell: Cell,
+    glove: TcpGlove,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
+) -> None:
+    page = open_page("/test?part=accuracy&rounds=1")
+    page.get_by_role("button", name="Begin 21 trials").click()
+    page.get_by_role("heading", name="Open your hand").wait_for()
+    accessible(page)
+    controller = httpx.Client(base_url=cell.url("gesture_controller"), timeout=10, trust_env=False)
+
+    def seen() -> dict[str, object] | None:
+        return controller.get("/gloves/glove-1").json()["examination"]  # type: ignore[no-any-return]  # JSON
+
+    met: set[str] = set()
+
+    def moves() -> bool:
+        examination = seen()
+        if examination is None:
+            return True
+        asked = examination["asked"]
+        if isinstance(asked, dict):
+            is_new = asked["gesture"] not in met
+            met.add(asked["gesture"])
+            if is_new and len(met) == 4:
+                page.get_by_text("Show and hold").wait_for()
+                keep(page, "test-asked")
+            glove.show("20022" if is_new and asked["gesture"] == "Horns" else asked["code"], 0.6)
+        else:
+            glove.show("00000", 0.4)
+        return False
+
+    wait_until(moves, within_s=90)
+    page.get_by_role("heading", name="What was taken for what").wait_for()
+    expect(page.get_by_text("95.24%")).to_be_visible()
+    page.wait_for_timeout(300)  # the table has come to rest for its picture
+    accessible(page)
+    keep(page, "test-report")
+    answer = controller.get(page.get_by_role("link", name="CSV").get_attribute("href").split("controller")[1])
+    assert len(answer.text.splitlines()) == 22
+    controller.close()

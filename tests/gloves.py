@@ -1,0 +1,36 @@
+"""A glove for tests: a TCP client with a clock of its own."""
+
+import socket
+from typing import Any
+
+import orjson
+
+STRAIGHT, BENT = 2000, 100
+
+
+class TcpGlove:
+    """Shows hands to the controller; its clock runs as fast as frames are sent."""
+
+    def __init__(self, port: int, name: str = "glove-1", hand: str = "right") -> None:
+        self.link = socket.create_connection(("127.0.0.1", port), timeout=10)
+        self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.t_s = 0.0
+        self.say({"type": "hello", "version": 1, "glove": name, "hand": hand})
+        self.answer = orjson.loads(self.link.recv(4096))
+
+    def show(self, code: str, seconds: float) -> None:
+        """Make five finger states for `seconds` of its own time, at 50 Hz."""
+        bend = [STRAIGHT if state == "0" else BENT for state in code]
+        frames = []
+        for _ in range(round(seconds * 50)):
+            self.t_s = round(self.t_s + 0.02, 3)
+            frames.append(orjson.dumps({"type": "frame", "t": self.t_s, "bend": bend}) + b"\n")
+        self.link.sendall(b"".join(frames))
+
+    def say(self, what: dict[str, Any]) -> None:
+        """Send one line."""
+        self.link.sendall(orjson.dumps(what) + b"\n")
+
+    def close(self) -> None:
+        """Hang up."""
+        self.link.close()

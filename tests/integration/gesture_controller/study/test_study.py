@@ -1,0 +1,140 @@
+"""A study with a real controller: participants go through it, the power fails, and answers are taken home."""
+
+from typing import Any
+
+from services.gesture_controller.study.questionnaires import TLX_PAIRS, TLX_SCALES
+
+
+class Participant:
+    """Answers whatever step is asked."""
+
+    def __init__(self, bench: Any, **session: Any) -> None:
+        self.screen = bench.screen
+        answer = self.screen.post("/study/sessions", json=session)
+        assert answer.status_code == 201, answer.text
+        self.id = answer.json()["id"]
+        self.version = answer.json()["consentVersion"]
+
+    @property
+    def path(self) -> str:
+        return f"/study/sessions/{self.id}"
+
+    def seen(self) -> dict[str, Any]:
+        return dict(self.screen.get(self.path).raise_for_status().json())
+
+    def answer(self, step: str, **content: Any) -> Any:
+        return self.screen.post(f"{self.path}/steps/{step}", json=content)
+
+    def go_to(self, step: str) -> None:
+        while (here := self.seen())["step"] != step:
+            self.answer(here["step"], **self.content(here)).raise_for_status()
+
+    def content(self, here: dict[str, Any]) -> dict[str, Any]:
+        step = here["step"]
+        if step == "consent":
+            return {"agreed": True, "text": self.version}
+        if step == "sus":
+            return {"answers": [5, 1] * 5}
+        if step.startswith("tlx"):
+            rating = 20 if here["condition"] == "personal" else 40
+            choices = [{"of": pair, "chosen": pair[0]} for pair in here["pairs"]]
+            return {"ratings": dict.fromkeys(TLX_SCALES, rating), "choices": choices}
+        return {"preferred": "personal"} if step == "preference" else {}
+
+
+async def test_participants_go_through_the_study_and_what_they_said_is_analysed(bench: Any) -> None:
+    for nth in range(2):
+        participant = Participant(bench, language="de")
+        assert participant.seen()["pseudonym"] == f"P{nth + 1:02}"
+        participant.go_to("finished")
+    firsts = {one["first"] for one in bench.screen.get("/study/sessions").json()}
+    assert firsts == {"personal", "predefined"}
+    analysis = bench.screen.get("/study/analysis").raise_for_status().json()
+    assert (analysis["participants"], analysis["finished"]) == (2, 2)
+    assert (analysis["sus"]["mean"], analysis["sus"]["grade"]) == (100, "A+")
+    assert analysis["tlx"]["weighted"]["personal"]["mean"] == 20
+    assert analysis["tlx"]["weighted"]["test"]["effect"] == -1
+    table = bench.screen.get("/study/answers.csv")
+    assert table.headers["content-type"].startswith("text/csv")
+    assert len(table.text.splitlines()) == 3
+    report = bench.screen.get("/study/report.pdf", params={"language": "fi"})
+    assert report.headers["content-type"] == "application/pdf"
+    assert report.content.startswith(b"%PDF")
+
+
+async def test_a_session_goes_on_after_the_death_of_the_service(bench: Any) -> None:
+    participant = Participant(bench, pseudonym="Lumi")
+    participant.go_to("tlx1")
+    before = participant.seen()
+    bench.cell.kill("gesture_controller")
+    bench.cell.start("gesture_controller")
+    assert participant.seen() == before
+    participant.go_to("finished")
+    assert len(participant.seen()["answers"]) == 9
+
+
+async def test_whoever_declines_is_forgotten(bench: Any) -> None:
+    participant = Participant(bench)
+    assert participant.answer("consent", agreed=False, text=participant.version).json()["step"] == "declined"
+    assert bench.screen.get(participant.path).status_code == 404
+    assert bench.screen.get("/study/sessions").json() == []
+
+
+async def test_nothing_is_asked_out_of_turn_and_nothing_is_taken_back(bench: Any) -> None:
+    participant = Participant(bench)
+    early = participant.answer("sus", answers=[3] * 10)
+    assert early.status_code == 409
+    assert 'P01 is at step 1, "consent", not at "sus"' in early.json()["detail"]
+    outdated = participant.answer("consent", agreed=True, text="en-0")
+    assert outdated.status_code == 409
+    participant.go_to("interaction1")
+    same = participant.answer("sus", answers=[5, 1] * 5)
+    assert same.status_code == 200, "sent twice is said once"
+    assert participant.answer("sus", answers=[1] * 10).status_code == 409
+    assert participant.seen()["answers"]["sus"] == {"answers": [5, 1] * 5}
+
+
+async def test_a_deleted_session_is_gone_from_list_analysis_and_files(bench: Any) -> None:
+    participant = Participant(bench)
+    participant.go_to("preference")
+    participant.answer("preference", preferred="none", comment="unmistakable words").raise_for_status()
+    assert bench.screen.delete(participant.path).status_code == 204
+    assert bench.screen.get(participant.path).status_code == 404
+    assert bench.screen.get("/study/analysis").json()["participants"] == 0
+    holding = [
+        file.name
+        for file in bench.cell.data_dir.rglob("*")
+        if file.is_file() and b"unmistakable words" in file.read_bytes()
+    ]
+    assert holding == []
+
+
+async def test_the_wording_is_there_in_three_languages(bench: Any) -> None:
+    for language in ("en", "de", "fi"):
+        words = bench.screen.get("/study/wording", params={"language": language}).raise_for_status().json()
+        assert len(words["sus"]["items"]) == 10
+        assert [tuple(pair) for pair in words["pairs"]] == list(TLX_PAIRS)
+    assert bench.screen.get("/study/wording", params={"language": "sv"}).status_code == 422
+
+
+async def test_the_glove_is_asked_for_the_gestures_that_the_step_is_about(
+    bench: Any, put_on: Any, eventually: Any
+) -> None:
+    put_on()
+    screen = bench.screen
+    screen.put("/people/P01", json={}).raise_for_status()
+    screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).raise_for_status()
+    screen.put("/gloves/glove-1/person", json={"person": "P01"}).raise_for_status()
+    participant = Participant(bench, glove="glove-1", person="P01")
+    asked = {}
+    for step in ("interaction1", "interaction2"):
+        participant.go_to(step)
+        if step == "interaction2":
+            bench.cell.kill("gesture_controller")
+            bench.cell.start("gesture_controller")
+        await bench.put(step, commandId=3)
+        eventually(lambda: bench.view()["task"] is not None)
+        asked[participant.seen()["condition"]] = bench.view()["task"]["gesture"]
+        bench.press("complete", by="test").raise_for_status()
+        eventually(lambda: bench.view()["task"] is None)
+    assert asked == {"personal": "Horns", "predefined": "Thumbs up"}

@@ -1,0 +1,195 @@
+"""Composed gestures answer Tasks: both hands at once, or one hand in turn; the page is told what is next."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from handover.job import Wants
+from services.gesture_controller.errand import Errand
+from services.gesture_controller.gestures import Shape
+from services.gesture_controller.inquiry import what_is_asked
+from services.gesture_controller.specifications.definition import Definition
+from services.gesture_controller.view import view_of
+from tests.unit.gesture_controller.composed.conftest import SITE, Pair
+
+OPEN, UP, HORNS, POINT, FIST = "00000", "02222", "20220", "20222", "22222"
+Begin = Callable[..., Errand]
+SITE_MINE = Shape("20000")
+
+
+@pytest.fixture
+def begin(pair: Pair, make_job: Callable[..., Any]) -> Begin:
+    """Ask the right hand's glove for a gesture; `both`: the left one takes part."""
+
+    def ask(gesture: str, *, both: bool = False) -> Errand:
+        job = make_job("t1")
+        asked = what_is_asked(job.task, {"gesture": gesture}, Definition(), SITE.gestures, SITE.commands)
+        errand = Errand(asked, job, asyncio.get_running_loop().create_future())
+        pair.right.begin(errand)
+        if both:
+            pair.right.join(pair.left)
+        pair.right.listen()
+        return errand
+
+    return ask
+
+
+def told(pair: Pair, hand: str = "right") -> dict[str, Any]:
+    return view_of(pair.right if hand == "right" else pair.left, pair.now_s)
+
+
+async def test_both_hands_answer_and_both_pages_are_told_what_to_do(pair: Pair, begin: Begin) -> None:
+    errand = begin("Both thumbs up", both=True)
+    pair.show(OPEN, OPEN, 0.3)
+    assert told(pair)["message"]["text"] == "Show with your right hand: Thumbs up."
+    assert told(pair, "left")["message"]["text"] == "Show with your left hand: Thumbs up."
+    pair.show(OPEN, UP, 0.6)
+    view = told(pair)
+    assert view["message"]["text"] == "Right. Now your left hand as well: Thumbs up."
+    assert [part["state"] for part in view["task"]["parts"]] == ["now", "held"]
+    assert told(pair, "left")["differs"] == ["index", "middle", "ring", "little"]
+    pair.show(UP, UP, 0.6)
+    assert told(pair, "left")["message"]["key"] == "holdOn"
+    assert told(pair)["hold"]["heldMs"] == told(pair, "left")["hold"]["heldMs"] == 580
+    assert not errand.answer.done()
+    pair.show(UP, UP, 1.0)
+    assert errand.answer.result().outputs() == {
+        "gesture": "Both thumbs up",
+        "commandId": 3,
+        "heldMs": 1500,
+        "by": "gesture",
+    }
+    assert pair.left.command is not None
+    assert pair.right.command is not None
+    assert pair.left.command[0] == pair.right.command[0] == 3
+    pair.right.end()
+    assert pair.left.errand is pair.left.partner is pair.right.partner is None
+    assert pair.left.free.is_set()
+
+
+async def test_one_hand_alone_never_answers_for_both(pair: Pair, begin: Begin) -> None:
+    errand = begin("Both thumbs up", both=True)
+    pair.show(OPEN, UP, 3)
+    pair.show(UP, OPEN, 3)
+    pair.show(HORNS, UP, 3)
+    assert not errand.answer.done()
+    pair.show(OPEN, OPEN, 0.3)
+    pair.show(UP, UP, 1.6)
+    assert errand.answer.done()
+
+
+async def test_without_the_other_glove_the_page_says_so_and_the_screen_still_completes(
+    pair: Pair, begin: Begin
+) -> None:
+    errand = begin("Cross")
+    pair.show(OPEN, OPEN, 0.2)
+    assert told(pair)["message"]["text"].startswith(
+        "Cross takes both hands. Put on the left glove too and choose that anna wears it"
+    )
+    pair.show(HORNS, FIST, 3)
+    assert not errand.answer.done()
+    pair.show(OPEN, OPEN, 0.2)
+    pair.right.join(pair.left)  # as the controller does when the other glove is there
+    pair.show(HORNS, FIST, 1.6)
+    assert errand.answer.done()
+
+
+async def test_a_hand_that_rested_in_its_part_must_begin_with_the_other(pair: Pair, begin: Begin) -> None:
+    errand = begin("Both thumbs up", both=True)
+    pair.show(UP, OPEN, 3)
+    pair.show(UP, UP, 3)
+    assert not errand.answer.done()
+    assert (
+        told(pair)["message"]["text"] == "Let go, then show Both thumbs up with both hands at the same time."
+    )
+
+
+async def test_while_either_glove_is_testing_paused_or_silent_nothing_answers(
+    pair: Pair, begin: Begin
+) -> None:
+    errand = begin("Both thumbs up", both=True)
+    pair.left.switch(testing=True, filtering=None)
+    pair.show(UP, UP, 2)
+    pair.left.switch(testing=False, filtering=None)
+    pair.left.pause()
+    pair.right.pause()
+    pair.left.resume()
+    assert errand.job.wants is Wants.PAUSE
+    pair.show(UP, UP, 2)
+    pair.right.resume()
+    assert errand.job.wants is Wants.GO
+    pair.show(None, UP, 2.2)
+    assert errand.job.wants is Wants.PAUSE
+    assert told(pair, "left")["lost"] is True
+    assert not errand.answer.done()
+    pair.show(OPEN, OPEN, 0.2)
+    pair.right.listen()
+    assert errand.job.wants is Wants.GO
+    pair.show(UP, UP, 1.6)
+    assert errand.answer.done()
+
+
+async def test_two_in_turn_answer_and_the_page_is_told_which_is_next(pair: Pair, begin: Begin) -> None:
+    errand = begin("Wave off")
+    pair.show(OPEN, OPEN, 0.2)
+    view = told(pair)
+    assert view["message"]["text"] == "Show Wave off. First: Point with index."
+    assert (view["task"]["code"], view["hold"]["confirmMs"]) == (POINT, 500)
+    pair.show(OPEN, POINT, 0.54)
+    view = told(pair)
+    assert view["message"]["text"] == "Right. Now: Horns."
+    assert (view["task"]["code"], view["hold"]["confirmMs"]) == (HORNS, 1000)
+    assert view["task"]["parts"] == [
+        {"gesture": "Point with index", "code": POINT, "hand": None, "state": "done"},
+        {"gesture": "Horns", "code": HORNS, "hand": None, "state": "now"},
+    ]
+    pair.show(OPEN, OPEN, 1)
+    pair.show(OPEN, HORNS, 0.8)
+    assert told(pair)["message"]["key"] == "holdOn"
+    pair.show(OPEN, HORNS, 0.3)
+    assert errand.answer.result().gesture == "Wave off"
+    assert errand.answer.result().held_ms >= 1500
+
+
+async def test_a_part_alone_neither_answers_nor_gives_its_own_command(pair: Pair, begin: Begin) -> None:
+    errand = begin("Wave off")
+    pair.right.switch(testing=None, filtering=False)
+    pair.show(OPEN, HORNS, 5)
+    assert not errand.answer.done()
+    assert pair.right.command is None
+    pair.show(OPEN, OPEN, 0.2)
+    pair.show(OPEN, UP, 2)
+    assert pair.right.command is not None
+    assert pair.right.command[0] == 1
+
+
+async def test_without_filtering_composed_gestures_are_commands_and_their_parts_are_not(pair: Pair) -> None:
+    for glove in (pair.left, pair.right):
+        glove.switch(testing=None, filtering=False)
+    assert told(pair)["warning"]["text"].startswith("Filtering is off: every gesture that has a command")
+    pair.show(UP, UP, 3)
+    assert [glove.command and glove.command[0] for glove in (pair.left, pair.right)] == [3, 3]
+    pair.show(OPEN, OPEN, 0.3)
+    pair.show(OPEN, POINT, 0.6)
+    pair.show(OPEN, HORNS, 3)
+    assert pair.right.command is not None
+    assert pair.right.command[0] == 4
+    pair.show(OPEN, OPEN, 0.3)
+    pair.show(UP, OPEN, 1.6)
+    assert pair.left.command is not None
+    assert pair.left.command[0] == 1
+    pair.show(OPEN, OPEN, 0.3)
+    pair.left.switch(testing=None, filtering=True)
+    assert told(pair, "left")["warning"] is None
+
+
+async def test_what_is_asked_stays_when_somebody_else_wears_the_glove(pair: Pair, begin: Begin) -> None:
+    errand = begin("Wave off")
+    other = SITE.gestures.with_shapes({"Mine": SITE_MINE}).with_parts(errand.asked.parts)
+    pair.right.equip(other, SITE.commands)
+    pair.show(OPEN, OPEN, 0.1)
+    pair.show(OPEN, POINT, 0.6)
+    pair.show(OPEN, HORNS, 1.1)
+    assert errand.answer.done()

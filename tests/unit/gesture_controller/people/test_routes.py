@@ -1,0 +1,130 @@
+"""REST of people: what a screen sends is done or refused in a sentence, and doubtful fingers are heeded."""
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import httpx
+import pytest
+from sqlalchemy import Engine
+
+from handover.service import create_app
+from services.gesture_controller.configuration import built_in
+from services.gesture_controller.glove_store import GloveStore
+from services.gesture_controller.gloves import Gloves
+from services.gesture_controller.people.people import People
+from services.gesture_controller.people.routes import add_people
+from services.gesture_controller.people.store import PeopleStore
+from services.gesture_controller.settings import ControllerSettings
+
+FIST, OPEN = [300.0] * 5, [700.0] * 5
+
+
+@pytest.fixture
+def gloves(database: Engine, notebook: Any) -> Gloves:
+    people = People(built_in(), PeopleStore(database))
+    return Gloves(ControllerSettings(), GloveStore(database), people, notebook, lambda _: None)
+
+
+@pytest.fixture
+async def screen(gloves: Gloves) -> AsyncIterator[httpx.AsyncClient]:
+    """A screen at the routes of people."""
+    app = create_app("People", description="")
+    add_people(app, gloves.people, gloves)
+    transport = httpx.ASGITransport(app)
+    async with httpx.AsyncClient(transport=transport, base_url="http://controller") as client:
+        yield client
+
+
+async def test_a_finger_that_hardly_moves_does_not_tell_two_gestures_apart(
+    screen: httpx.AsyncClient, gloves: Gloves
+) -> None:
+    weak_index = [700.0, 360.0, 700.0, 700.0, 700.0]
+    await gloves.calibrate(gloves.named("glove-1"), [FIST] * 20, [weak_index] * 20)
+    mine = "/people/operator-1/gestures/Mine"
+    refused = await screen.put(mine, json={"code": "20000"})  # the index alone parts it from 22000
+    assert refused.status_code == 409
+    assert "the sensor of the index hardly tells bent from straight" in refused.json()["detail"]
+    assert refused.json()["nearest"] == {
+        "gesture": "Middle, ring and little straight",
+        "code": "22000",
+        "distance": 1,
+        "fingers": ["index"],
+        "timesNoise": None,
+    }
+    await gloves.calibrate(gloves.named("glove-1"), [FIST] * 20, [OPEN] * 20)
+    assert (await screen.put(mine, json={"code": "20000"})).status_code == 201
+    assert (await screen.put(mine, json={"code": "20000"})).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ({}, "give one of code, left and right, sequence"),
+        ({"code": "20000", "sequence": ["Horns", "Horns"]}, "and no other"),
+        ({"frames": [[1, 2, 3, 4, 5]]}, "name the glove"),
+        ({"glove": "glove-1", "frames": [[1, 2, 3, 4]]}, "5 items"),
+        ({"glove": "glove-1", "recordMs": 10}, "200"),
+        ({"left": "Horns"}, "names one hand"),
+        ({"glove": "glove-1", "frames": [[1, 2, 3, 4, 5]]}, "1 frames are too few"),
+        ({"sequence": ["Horns", "Wave"]}, 'unknown part "Wave"'),
+        ({"code": "123456"}, "5 characters"),
+        ({"colour": "red"}, "Extra inputs"),
+    ],
+)
+async def test_a_gesture_that_cannot_be_kept_is_refused_in_a_sentence(
+    screen: httpx.AsyncClient, body: dict[str, Any], words: str
+) -> None:
+    answer = await screen.put("/people/operator-1/gestures/Mine", json=body)
+    assert answer.status_code == 422
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert words in answer.json()["detail"]
+
+
+async def test_nobody_and_no_glove_are_told_apart(screen: httpx.AsyncClient) -> None:
+    for method, path, body in (
+        ("GET", "/people/anna", None),
+        ("GET", "/people/anna/profile.yaml", None),
+        ("DELETE", "/people/anna", None),
+        ("PUT", "/people/anna/commands", {"3": "Horns"}),
+        ("DELETE", "/people/anna/commands/3", None),
+        ("PUT", "/people/anna/gestures/Mine", {"code": "20000"}),
+        ("DELETE", "/people/anna/gestures/Mine", None),
+        ("PUT", "/gloves/glove-1/person", {"person": "anna"}),
+        ("PUT", "/gloves/glove-9/person", {"person": "operator-1"}),
+        ("PUT", "/people/operator-1/gestures/Mine", {"glove": "glove-9", "recordMs": 500}),
+        ("DELETE", "/people/operator-1/commands/3", None),
+        ("DELETE", "/people/operator-1/gestures/Mine", None),
+    ):
+        answer = await screen.request(method, path, json=body)
+        assert answer.status_code == 404, (method, path, answer.text)
+
+
+async def test_commands_are_set_taken_back_and_refused(screen: httpx.AsyncClient) -> None:
+    commands = "/people/operator-1/commands"
+    assert (await screen.put(commands, json={"three": "Horns"})).status_code == 422
+    assert (await screen.put(commands, json={"-1": "Horns"})).status_code == 422
+    twice = await screen.patch(commands, json={"3": "Horns"})
+    assert twice.status_code == 422
+    assert '"Horns" stands for the commands 3 and 8' in twice.json()["detail"]
+    swapped = await screen.patch(commands, json={"3": "horns", "8": "Thumbs up", "9": None})
+    assert swapped.json()["ownCommands"] == {"3": "Horns", "8": "Thumbs up", "9": None}
+    assert "9" not in swapped.json()["commands"]
+    back = await screen.delete(f"{commands}/9")
+    assert back.json()["commands"]["9"] == "Thumb, index and middle straight"
+    whole = await screen.put(commands, json={})
+    assert whole.json()["ownCommands"] == {}
+
+
+async def test_a_title_is_given_changed_and_taken_away(screen: httpx.AsyncClient) -> None:
+    assert (await screen.put("/people/anna", json={"title": "Anna"})).status_code == 201
+    assert (await screen.put("/people/anna")).json()["title"] == "Anna"
+    assert (await screen.put("/people/anna", json={"title": ""})).json()["title"] is None
+    wrong = await screen.put("/people/an%20na")
+    assert wrong.status_code == 422
+    assert "what people call them is the title" in wrong.json()["detail"]
+    assert [one["name"] for one in (await screen.get("/people")).json()] == ["anna", "operator-1"]
+
+
+async def test_a_profile_that_is_too_long_is_not_read_to_its_end(screen: httpx.AsyncClient) -> None:
+    answer = await screen.put("/people/anna/profile.yaml", content=b"#" * 1_100_000)
+    assert answer.status_code == 413

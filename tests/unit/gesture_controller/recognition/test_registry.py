@@ -1,0 +1,122 @@
+"""Recognizers are found by name, a stranger's too; one that fails says so and thresholds take over."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.gesture_controller.calibration.levels import calibrate
+from services.gesture_controller.frames import Frame
+from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.glove import Glove
+from services.gesture_controller.pipeline import Senses, Sight, see
+from services.gesture_controller.recognition.registry import (
+    PERSONAL,
+    THRESHOLDS,
+    UnknownRecognizer,
+    maker_of,
+    recognizers,
+)
+from services.gesture_controller.thresholds import Threshold, Thresholds
+from tests.conftest import REPOSITORY
+
+SAME = Thresholds((Threshold(600, 400),) * 5)
+GESTURES = Gestures(M2O2P_GESTURES)
+CALIBRATION = calibrate([[300.0] * 5] * 20, [[700.0] * 5] * 20)
+THUMB_UP = [700.0, 300, 300, 300, 300]
+
+
+def a_package(folder: Path, name: str, where: str) -> None:
+    """Put what an installed package leaves behind into `folder`: its entry point."""
+    information = folder / f"{name}-1.0.dist-info"
+    information.mkdir(parents=True)
+    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[handover.recognizers]\n{name} = {where}\n")
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A place where packages are installed."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def test_ours_are_there() -> None:
+    assert recognizers()[:2] == [THRESHOLDS, PERSONAL]
+
+
+def test_the_example_is_found_by_its_entry_point_and_works(
+    installed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(REPOSITORY / "examples"))
+    a_package(installed, "nearest", "nearest_recognizer:Nearest")
+    assert "nearest" in recognizers()
+    senses = Senses(SAME, GESTURES, calibration=CALIBRATION, recognizer="nearest")
+    assert senses.missing is None
+    sight = see(Sight(), Frame(0.0, THUMB_UP), senses)
+    assert sight.gesture == "Thumbs up"
+    assert sight.recognition is not None
+    assert senses.reader.odds(sight.recognition)["Thumbs up"] == 1
+    assert "Thumbs up" in senses.reader.why(sight.recognition)
+    assert see(sight, Frame(0.02, [500.0] * 5), senses).gesture is None
+
+
+def test_an_unknown_name_is_answered_with_those_there_are() -> None:
+    with pytest.raises(UnknownRecognizer, match='no recognizer "thresolds"; there are thresholds, personal'):
+        maker_of("thresolds")
+
+
+def test_a_package_that_cannot_be_imported_is_named(installed: Path) -> None:
+    a_package(installed, "broken", "no_such_module:Thing")
+    with pytest.raises(UnknownRecognizer, match=r'"broken" \(no_such_module:Thing\) cannot be loaded'):
+        maker_of("broken")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("personal", "calibrate the glove first"), ("gone", 'no recognizer "gone"')]
+)
+def test_where_the_chosen_one_cannot_work_thresholds_do_and_it_is_said(name: str, words: str) -> None:
+    senses = Senses(SAME, GESTURES, recognizer=name)
+    assert words in (senses.missing or "")
+    assert see(Sight(), Frame(0.0, THUMB_UP), senses).gesture == "Thumbs up"
+
+
+def test_a_controller_that_uses_thresholds_does_not_load_numpy() -> None:
+    code = "import sys, services.gesture_controller.app; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY).returncode == 0
+
+
+FAILS = """
+class Fails:
+    def __init__(self, given):
+        pass
+
+    def see(self, before, frame):
+        raise ZeroDivisionError("in the middle of the work")
+"""
+
+
+def test_a_recognizer_that_fails_at_work_takes_no_glove_away(
+    installed: Path, glove: Glove, hand: Any
+) -> None:
+    (installed / "fails.py").write_text(FAILS)
+    a_package(installed, "fails", "fails:Fails")
+    glove.sense_with(replace(glove.senses, recognizer="fails"))
+    hand.show("Thumbs up", 0.2)
+    assert glove.sight.gesture == "Thumbs up"
+    assert glove.senses.missing == "it failed with ZeroDivisionError: in the middle of the work"
+    assert glove.frames == 10
+
+
+def test_who_learns_other_gestures_goes_on_with_the_same_recognizer(glove: Glove, hand: Any) -> None:
+    levels = calibrate([[300.0] * 5] * 20, [[700.0] * 5] * 20)
+    glove.sense_with(replace(glove.senses, calibration=levels, recognizer=PERSONAL))
+    hand.show("Horns", 0.3)
+    more = Gestures({**glove.senses.gestures.codes, "Four fingers": "20000"})
+    glove.equip(more, glove.commands)
+    assert glove.senses.missing is None
+    hand.make("20000", 0.5)
+    assert glove.sight.gesture == "Four fingers"

@@ -1,0 +1,115 @@
+/** A finger: what its sensor says now, what that is taken for, and its two thresholds with their steps. */
+import { Minus, Plus } from "lucide-react";
+import { useId, useState } from "react";
+import { useTranslation } from "react-i18next";
+import { Button } from "~/design/Button";
+import { fingers } from "~/hand/geometry";
+import { usePick } from "~/live/hooks";
+import type { Finger } from "~/live/messages";
+import { bounds, stateUnder, type Bound, type Thresholds } from "./draft";
+
+interface FingerColumnProps {
+  glove: string;
+  finger: Finger;
+  isChosen: boolean;
+  /** Which of the thresholds differ from what is saved. */
+  saved: Thresholds[Finger];
+  thresholds: Thresholds[Finger];
+  step: number;
+  top: number;
+  onChoose: () => void;
+  onMove: (bound: Bound, to: number) => void;
+}
+
+export function FingerColumn({ glove, finger, isChosen, saved, thresholds, step, top, onChoose, onMove }: FingerColumnProps) {
+  const { t } = useTranslation(["calibrate", "hand"]);
+  const name = t(`hand:finger.${finger}`);
+  return (
+    <section className="calibrate__finger" data-chosen={isChosen || undefined} aria-label={name}>
+      <button type="button" className="calibrate__choose" aria-pressed={isChosen} onClick={onChoose}>
+        <span className="calibrate__swatch" style={{ background: `var(--finger-${fingers.indexOf(finger)})` }} aria-hidden />
+        {name}
+      </button>
+      <Gauge glove={glove} finger={finger} thresholds={thresholds} top={top} />
+      {bounds.map((bound) => (
+        <Stepper
+          key={bound}
+          name={t("of", { bound: t(`bound.${bound}`), finger: name })}
+          label={t(`bound.${bound}`)}
+          value={thresholds[bound]}
+          isChanged={thresholds[bound] !== saved[bound]}
+          step={step}
+          onMove={(to) => onMove(bound, to)}
+        />
+      ))}
+    </section>
+  );
+}
+
+function Gauge({ glove, finger, thresholds, top }: { glove: string; finger: Finger; thresholds: Thresholds[Finger]; top: number }) {
+  const { t } = useTranslation(["calibrate", "hand"]);
+  const place = fingers.indexOf(finger);
+  const bend = usePick(`glove/${glove}`, (view) => view?.bend?.[place] ?? null);
+  const share = (value: number) => `${Math.min(Math.max(value / top, 0), 1) * 100}%`;
+  const state = bend === null ? null : stateUnder(thresholds, bend);
+  return (
+    <div className="calibrate__now">
+      <div className="calibrate__gauge" aria-hidden>
+        <span className="calibrate__zone calibrate__zone--straight" style={{ bottom: share(thresholds.upper), top: 0 }} />
+        <span className="calibrate__zone calibrate__zone--bent" style={{ bottom: 0, height: share(thresholds.lower) }} />
+        {bend !== null && <span className="calibrate__level" style={{ bottom: share(bend), background: `var(--finger-${place})` }} />}
+      </div>
+      <p className="calibrate__says">
+        <strong>{state === null ? t("unseen") : t(`state.${state}`)}</strong>
+        <span className="quiet">{bend === null ? "–" : Math.round(bend)}</span>
+      </p>
+    </div>
+  );
+}
+
+interface StepperProps {
+  name: string;
+  label: string;
+  value: number;
+  isChanged: boolean;
+  step: number;
+  onMove: (to: number) => void;
+}
+
+function Stepper({ name, label, value, isChanged, step, onMove }: StepperProps) {
+  const { t } = useTranslation("calibrate");
+  const id = useId();
+  /** What is being typed; it counts once the field is left. */
+  const [typed, setTyped] = useState<string | null>(null);
+  const commit = () => {
+    const to = Number(typed);
+    if (typed !== null && typed.trim() !== "" && Number.isFinite(to)) onMove(to);
+    setTyped(null);
+  };
+  const move = (by: number) => {
+    setTyped(null);
+    onMove(value + by);
+  };
+  return (
+    <div className="calibrate__stepper" data-changed={isChanged || undefined}>
+      <label htmlFor={id}>{label}</label>
+      <div className="calibrate__steps">
+        <Button kind="plain" label={t("down", { name, step })} icon={<Minus aria-hidden size={18} />} onPress={() => move(-step)} />
+        <input
+          id={id}
+          aria-label={name}
+          inputMode="numeric"
+          value={typed ?? String(value)}
+          onChange={(event) => setTyped(event.target.value)}
+          onBlur={commit}
+          onKeyDown={(event) => {
+            if (event.key === "Enter") commit();
+            else if (event.key === "ArrowUp") move(step);
+            else if (event.key === "ArrowDown") move(-step);
+          }}
+        />
+        <Button kind="plain" label={t("up", { name, step })} icon={<Plus aria-hidden size={18} />} onPress={() => move(step)} />
+      </div>
+    </div>
+  );
+}

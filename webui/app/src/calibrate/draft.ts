@@ -1,0 +1,36 @@
+/** Thresholds as somebody is changing them: nothing counts until it is saved. */
+import { fingers } from "~/hand/geometry";
+import type { Finger, GloveView } from "~/live/messages";
+
+export type Thresholds = GloveView["thresholds"];
+export type Bound = "upper" | "lower";
+export const bounds: readonly Bound[] = ["upper", "lower"];
+
+/** How large a step is, in the glove's own units. */
+export const steps = ["5", "25", "100"] as const;
+export type Step = (typeof steps)[number];
+
+/** The thresholds with one moved; the two of a finger never pass each other. */
+export function moved(thresholds: Thresholds, finger: Finger, bound: Bound, to: number): Thresholds {
+  const { upper, lower } = thresholds[finger];
+  const whole = Math.round(to);
+  const after = bound === "upper" ? { upper: Math.max(whole, lower), lower } : { upper, lower: Math.min(whole, upper) };
+  return { ...thresholds, [finger]: after };
+}
+
+/** What differs from what is saved, as the controller takes it; null if nothing does. */
+export function changesOf(saved: Thresholds, draft: Thresholds): Partial<Thresholds> | null {
+  const changed = fingers.filter((finger) => bounds.some((bound) => saved[finger][bound] !== draft[finger][bound]));
+  return changed.length === 0 ? null : Object.fromEntries(changed.map((finger) => [finger, draft[finger]]));
+}
+
+/** What a finger would be taken for: 0 straight, 1 between, 2 bent. */
+export function stateUnder({ upper, lower }: Thresholds[Finger], bend: number): "0" | "1" | "2" {
+  if (bend > upper) return "0";
+  return bend < lower ? "2" : "1";
+}
+
+/** The gauges end a little above the highest threshold, whatever the sensors say at the moment. */
+export function topOf(thresholds: Thresholds): number {
+  return Math.ceil((Math.max(...fingers.map((finger) => thresholds[finger].upper)) * 1.35) / 100) * 100;
+}

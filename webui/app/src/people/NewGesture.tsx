@@ -1,0 +1,132 @@
+/** A new gesture: by its five fingers, by making it, for both hands, or two in turn. */
+import { Hand as HandIcon } from "lucide-react";
+import { useState } from "react";
+import { useTranslation } from "react-i18next";
+import { describe } from "~/api/http";
+import { Button } from "~/design/Button";
+import { Choice } from "~/design/Choice";
+import { Field } from "~/design/Field";
+import { Pick } from "~/design/Pick";
+import { Problem } from "~/design/Problem";
+import { State } from "~/design/State";
+import { fingers } from "~/hand/geometry";
+import { Hand, useGestureName } from "~/hand/Hand";
+import { define, type Nearest, type PersonInFull, type Recording } from "./people";
+
+const ways = ["fingers", "make", "hands", "turn"] as const;
+type Way = (typeof ways)[number];
+
+/** How long a gesture is recorded: long enough to see whether the hand is still. */
+const RECORD_MS = 1500;
+const FIST = "22222";
+
+export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefined: () => void }) {
+  const { t } = useTranslation("people");
+  const gestureName = useGestureName();
+  const [way, setWay] = useState<Way>("fingers");
+  const [name, setName] = useState("");
+  const [code, setCode] = useState(FIST);
+  const [pair, setPair] = useState<[string, string]>(["", ""]);
+  const [glove, setGlove] = useState("");
+  const [isBusy, setBusy] = useState(false);
+  const [failure, setFailure] = useState<string | null>(null);
+  const [made, setMade] = useState<{ name: string; nearest: Nearest | null } | null>(null);
+
+  const plain = person.gestures.filter((one) => "code" in one);
+  const worn = person.gloves.find((one) => one.glove === glove) ?? person.gloves[0];
+  const [first, second] = [pair[0] || (plain[0]?.name ?? ""), pair[1] || (plain[1]?.name ?? "")];
+  const how = (): Recording | null => {
+    switch (way) {
+      case "fingers":
+        return { code };
+      case "make":
+        return worn === undefined ? null : { glove: worn.glove, recordMs: RECORD_MS };
+      case "hands":
+        return { left: first, right: second };
+      case "turn":
+        return { sequence: [first, second] };
+    }
+  };
+  const save = async () => {
+    const told = how();
+    if (told === null) return;
+    setBusy(true);
+    setFailure(null);
+    setMade(null);
+    try {
+      const { nearest } = await define(person.name, name.trim(), told);
+      setMade({ name: name.trim(), nearest });
+      setName("");
+      onDefined();
+    } catch (error) {
+      setFailure(describe(error));
+    } finally {
+      setBusy(false);
+    }
+  };
+  const options = plain.map((one) => ({ value: one.name, name: gestureName(one.name) }));
+
+  return (
+    <section className="new-gesture" aria-label={t("new.title")}>
+      <h3>{t("new.title")}</h3>
+      <Choice label={t("new.way")} value={way} options={ways.map((one) => ({ value: one, name: t(`new.ways.${one}`) }))} onChange={setWay} />
+      <Field label={t("new.name")} value={name} onChange={setName} />
+      {way === "fingers" && (
+        <div className="new-gesture__fingers">
+          <Hand states={code} size="140px" moveMs={160} />
+          <div className="new-gesture__states">
+            {fingers.map((finger, nth) => (
+              <Choice
+                key={finger}
+                label={t(`hand:finger.${finger}`)}
+                value={code[nth] ?? "2"}
+                options={[
+                  { value: "0", name: t("new.straight", { finger: t(`hand:finger.${finger}`) }) },
+                  { value: "2", name: t("new.bent", { finger: t(`hand:finger.${finger}`) }) },
+                ]}
+                onChange={(state) => setCode(code.slice(0, nth) + state + code.slice(nth + 1))}
+              />
+            ))}
+          </div>
+        </div>
+      )}
+      {way === "make" &&
+        (worn === undefined ? (
+          <p>{t("new.noGlove")}</p>
+        ) : (
+          <>
+            {person.gloves.length > 1 && (
+              <Pick label={t("new.glove")} value={worn.glove} options={person.gloves.map((one) => ({ value: one.glove, name: one.glove }))} onChange={setGlove} />
+            )}
+            <p className="quiet">{t("new.makeMeans")}</p>
+          </>
+        ))}
+      {(way === "hands" || way === "turn") && (
+        <div className="new-gesture__pair">
+          <Pick label={t(way === "hands" ? "new.left" : "new.first")} value={first} options={options} onChange={(one) => setPair([one, second])} />
+          <Pick label={t(way === "hands" ? "new.right" : "new.second")} value={second} options={options} onChange={(one) => setPair([first, one])} />
+        </div>
+      )}
+      {failure !== null && <Problem>{failure}</Problem>}
+      <div className="new-gesture__acts">
+        <Button
+          kind="main"
+          icon={way === "make" ? <HandIcon aria-hidden size={18} /> : undefined}
+          isDisabled={isBusy || name.trim() === "" || how() === null}
+          onPress={() => void save()}
+        >
+          {t(way === "make" ? (isBusy ? "new.recording" : "new.record") : "new.save")}
+        </Button>
+        <p role="status">
+          {made !== null && (
+            <State tone="ok">
+              {made.nearest === null
+                ? t("new.made", { gesture: made.name })
+                : t("new.madeNear", { gesture: made.name, other: gestureName(made.nearest.gesture), count: made.nearest.distance })}
+            </State>
+          )}
+        </p>
+      </div>
+    </section>
+  );
+}

@@ -1,0 +1,193 @@
+/** A person: what they wear, the gesture of each command, the gestures of their own, and all of it as a file. */
+import { Download, FileUp, RotateCcw, Trash2 } from "lucide-react";
+import { useState } from "react";
+import { FileTrigger } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import { download } from "~/api/download";
+import { describe } from "~/api/http";
+import { useAsked } from "~/api/useAsked";
+import { Ask } from "~/design/Ask";
+import { Button } from "~/design/Button";
+import { Card } from "~/design/Card";
+import { Pick } from "~/design/Pick";
+import { Problem } from "~/design/Problem";
+import { State } from "~/design/State";
+import { useGestureName } from "~/hand/Hand";
+import { useGloveNames } from "~/live/names";
+import { GesturePicture } from "./GesturePicture";
+import { NewGesture } from "./NewGesture";
+import {
+  dropGesture, exchanged, giveCommands, profileOf, removePerson, SERVICE, takeCommandBack, takeProfile, wear,
+  type Gesture, type Person, type PersonInFull,
+} from "./people";
+
+const NONE = "";
+
+interface PersonPanelProps {
+  name: string;
+  people: readonly Person[];
+  turn: number;
+  onChange: () => void;
+  onGone: () => void;
+}
+
+export function PersonPanel({ name, people, turn, onChange, onGone }: PersonPanelProps) {
+  const { t } = useTranslation("people");
+  const asked = useAsked<PersonInFull>(SERVICE, `people/${encodeURIComponent(name)}`, turn);
+  const [failure, setFailure] = useState<string | null>(null);
+  const person = asked.value;
+  if (person === null) return asked.failure === null ? null : <Problem>{asked.failure}</Problem>;
+  const act = async (doing: Promise<unknown>) => {
+    setFailure(null);
+    try {
+      await doing;
+    } catch (error) {
+      setFailure(describe(error));
+    }
+    onChange();
+  };
+  return (
+    <>
+      <header className="people__head">
+        <h2>{person.title ?? person.name}</h2>
+        {person.title !== null && <span className="quiet">{person.name}</span>}
+        <Profile person={person} act={act} onGone={onGone} />
+      </header>
+      {failure !== null && <Problem>{failure}</Problem>}
+      {person.faults.map((fault) => (
+        <State key={fault} tone="attention">
+          {fault}
+        </State>
+      ))}
+      <Card title={t("gloves.title")}>
+        <Gloves people={people} act={act} />
+      </Card>
+      <Card title={t("commands.title")}>
+        <p className="quiet">{t("commands.means")}</p>
+        <Commands person={person} act={act} />
+      </Card>
+      <Card title={t("own.title")}>
+        <p className="quiet">{t("own.means")}</p>
+        <OwnGestures person={person} act={act} />
+        <NewGesture person={person} onDefined={onChange} />
+      </Card>
+    </>
+  );
+}
+
+type Act = (doing: Promise<unknown>) => Promise<void>;
+
+function Gloves({ people, act }: { people: readonly Person[]; act: Act }) {
+  const { t } = useTranslation("people");
+  const gloves = useGloveNames();
+  if (gloves.length === 0) return <p className="quiet">{t("gloves.none")}</p>;
+  return (
+    <div className="people__gloves">
+      {gloves.map((glove) => (
+        <Pick
+          key={glove}
+          label={t("gloves.wears", { glove })}
+          value={people.find((one) => one.gloves.some((worn) => worn.glove === glove))?.name ?? NONE}
+          options={[{ value: NONE, name: t("gloves.nobody") }, ...people.map((one) => ({ value: one.name, name: one.title ?? one.name }))]}
+          onChange={(wearer) => void act(wear(glove, wearer === NONE ? null : wearer))}
+        />
+      ))}
+    </div>
+  );
+}
+
+function Commands({ person, act }: { person: PersonInFull; act: Act }) {
+  const { t } = useTranslation("people");
+  const gestureName = useGestureName();
+  const options = [{ value: NONE, name: t("commands.without") }, ...person.gestures.map(({ name }) => ({ value: name, name: gestureName(name) }))];
+  const numbers = [...new Set([...Object.keys(person.commands), ...Object.keys(person.ownCommands)])].sort((a, b) => Number(a) - Number(b));
+  return (
+    <ul className="people__commands">
+      {numbers.map((command) => {
+        const given = person.commands[command];
+        const gesture = person.gestures.find((one) => one.name === given);
+        const isOwn = command in person.ownCommands;
+        return (
+          <li key={command} data-own={isOwn || undefined}>
+            {gesture === undefined ? <span className="people__unseen" /> : <GesturePicture gesture={gesture} size="88px" />}
+            <Pick
+              label={t("commands.command", { command })}
+              value={given ?? NONE}
+              options={options}
+              onChange={(wanted) => void act(giveCommands(person.name, exchanged(person, command, wanted === NONE ? null : wanted)))}
+            />
+            {isOwn && (
+              <Button
+                kind="quiet"
+                label={t("commands.asSite", { command })}
+                icon={<RotateCcw aria-hidden size={16} />}
+                onPress={() => void act(takeCommandBack(person.name, command))}
+              />
+            )}
+          </li>
+        );
+      })}
+    </ul>
+  );
+}
+
+function OwnGestures({ person, act }: { person: PersonInFull; act: Act }) {
+  const { t } = useTranslation("people");
+  const gestureName = useGestureName();
+  const own = person.gestures.filter((one): one is Gesture => one.name in person.ownGestures);
+  if (own.length === 0) return <p className="quiet">{t("own.none")}</p>;
+  return (
+    <ul className="people__own">
+      {own.map((gesture) => (
+        <li key={gesture.name}>
+          <GesturePicture gesture={gesture} size="88px" />
+          <strong>{gestureName(gesture.name)}</strong>
+          <Button
+            kind="quiet"
+            label={t("own.delete", { gesture: gesture.name })}
+            icon={<Trash2 aria-hidden size={16} />}
+            onPress={() => void act(dropGesture(person.name, gesture.name))}
+          />
+        </li>
+      ))}
+    </ul>
+  );
+}
+
+function Profile({ person, act, onGone }: { person: PersonInFull; act: Act; onGone: () => void }) {
+  const { t } = useTranslation("people");
+  const [isAsking, setAsking] = useState(false);
+  const save = async () => download(`${person.name}.yaml`, "application/yaml", await profileOf(person.name));
+  return (
+    <span className="people__profile">
+      <Button icon={<Download aria-hidden size={18} />} onPress={() => void act(save())}>
+        {t("profile.save")}
+      </Button>
+      <FileTrigger
+        acceptedFileTypes={[".yaml", ".yml"]}
+        onSelect={(files) => {
+          const [first] = files ?? [];
+          if (first !== undefined) void act(first.text().then((yaml) => takeProfile(person.name, yaml)));
+        }}
+      >
+        <Button icon={<FileUp aria-hidden size={18} />}>{t("profile.load")}</Button>
+      </FileTrigger>
+      <Button kind="quiet" icon={<Trash2 aria-hidden size={18} />} onPress={() => setAsking(true)}>
+        {t("forget.open")}
+      </Button>
+      <Ask
+        isOpen={isAsking}
+        onClose={() => setAsking(false)}
+        kind="stop"
+        title={t("forget.title", { person: person.title ?? person.name })}
+        act={t("forget.act")}
+        onAct={async () => {
+          await removePerson(person.name);
+          onGone();
+        }}
+      >
+        <p>{t("forget.means")}</p>
+      </Ask>
+    </span>
+  );
+}

@@ -1,0 +1,121 @@
+/**
+ * A plot of the five bends of a glove over the last seconds: thirty times a second at most, and only while it
+ * is seen.
+ */
+import { useEffect, useRef, type RefObject } from "react";
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import { fingers } from "~/hand/geometry";
+import { useLive } from "~/live/hooks";
+import { BendHistory } from "./bend_history";
+import { dashes } from "./fingers";
+import "./fingers.css";
+
+/** What makes a plot: its options for the place it stands in, beginning `now` (seconds since 1970). */
+export type Look = (host: HTMLElement, seconds: number, now: number) => uPlot.Options;
+
+/**
+ * Draw the bends of `glove` into the place that is returned, `look` as often as it is another one. The plot
+ * itself is there for those who draw on it.
+ */
+export function useBendPlot(glove: string, seconds: number, look: Look): { place: RefObject<HTMLDivElement | null>; plot: RefObject<uPlot | null> } {
+  const live = useLive();
+  const place = useRef<HTMLDivElement>(null);
+  const plot = useRef<uPlot>(null);
+  const history = useRef<{ glove: string; bends: BendHistory }>(null);
+
+  useEffect(() => {
+    const host = place.current;
+    if (host === null) return;
+    // What has been seen stays when the plot is drawn in another way.
+    if (history.current?.glove !== glove || history.current.bends.seconds !== seconds) {
+      history.current = { glove, bends: new BendHistory(seconds) };
+    }
+    const { bends } = history.current;
+    const made = new uPlot(look(host, seconds, Date.now() / 1000), columnsOf(bends), host);
+    plot.current = made;
+    let frame = 0;
+    let isSeen = true;
+    const draw = () => {
+      frame = 0;
+      made.setData(columnsOf(bends), false);
+      const now = Date.now() / 1000;
+      made.setScale("x", { min: now - seconds, max: now });
+    };
+    const drawSoon = () => {
+      if (frame === 0 && isSeen && !document.hidden) frame = requestAnimationFrame(draw);
+    };
+    const topic = `glove/${glove}` as const;
+    let last: number[] | null = null;
+    const unwatch = live.watch(topic, () => {
+      const bend = live.value(topic)?.bend ?? null;
+      if (bend === null || bend === last) return;
+      last = bend;
+      bends.push(Date.now() / 1000, bend);
+      drawSoon();
+    });
+    const seen = new IntersectionObserver(([entry]) => {
+      isSeen = entry?.isIntersecting ?? true;
+      drawSoon();
+    });
+    seen.observe(host);
+    const resized = new ResizeObserver(() => made.setSize({ width: host.clientWidth, height: host.clientHeight }));
+    resized.observe(host);
+    return () => {
+      cancelAnimationFrame(frame);
+      unwatch();
+      seen.disconnect();
+      resized.disconnect();
+      made.destroy();
+      plot.current = null;
+    };
+  }, [live, glove, seconds, look]);
+
+  return { place, plot };
+}
+
+/** The axes, scales and lines that all such plots have; `width` of a line by finger. */
+export function bendOptions(host: HTMLElement, seconds: number, now: number, language: string, width: (finger: number) => number): uPlot.Options {
+  const style = getComputedStyle(host);
+  const colour = (name: string) => style.getPropertyValue(name).trim();
+  const axis = { stroke: colour("--text-quiet"), font: `12px ${style.fontFamily}`, grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false } };
+  const marks = [3, 2, 1, 0].map((third) => (third * seconds) / 3);
+  return {
+    width: host.clientWidth,
+    height: host.clientHeight,
+    legend: { show: false },
+    cursor: { show: false },
+    scales: { x: { time: false, min: now - seconds, max: now }, y: { range: (_, least, most) => roomRound(least, most) } },
+    axes: [
+      {
+        ...axis,
+        size: 30,
+        splits: (_, __, min, max) => marks.map((ago) => max - ago).filter((at) => at >= min - 0.01),
+        values: (_, splits) => splits.map((at) => `${Math.round(at - (splits.at(-1) ?? at))} s`),
+      },
+      { ...axis, size: 52, values: (_, splits) => splits.map((value) => value.toLocaleString(language)) },
+    ],
+    series: [
+      {},
+      ...fingers.map((finger, number) => ({
+        label: finger,
+        stroke: colour(`--finger-${number}`),
+        width: width(number),
+        dash: dashes[number] ?? [],
+        points: { show: false },
+      })),
+    ],
+  };
+}
+
+function columnsOf(history: BendHistory): uPlot.AlignedData {
+  return history.columns();
+}
+
+/** What the scale has to show, in steps of 250, so that it does not breathe with every movement. */
+export function roomRound(...shown: (number | null)[]): [number, number] {
+  const values = shown.filter((value) => value !== null);
+  if (values.length === 0) return [0, 2000];
+  const least = Math.floor(Math.min(...values) / 250) * 250;
+  return [least, Math.max(Math.ceil(Math.max(...values) / 250) * 250, least + 250)];
+}

@@ -1,0 +1,150 @@
+/** For who leads the study: begin a session, go on with one, delete one, and see what the answers say. */
+import { useState } from "react";
+import { useTranslation } from "react-i18next";
+import { describe } from "~/api/http";
+import { useLoaded } from "~/api/useLoaded";
+import { Ask } from "~/design/Ask";
+import { Button } from "~/design/Button";
+import { Card } from "~/design/Card";
+import { Choice } from "~/design/Choice";
+import { Empty } from "~/design/Empty";
+import { Field } from "~/design/Field";
+import { Pick } from "~/design/Pick";
+import { Problem } from "~/design/Problem";
+import { State } from "~/design/State";
+import { usePick } from "~/live/hooks";
+import { useGloveNames } from "~/live/names";
+import { Results } from "./Results";
+import { beginSession, deleteSession, languages, type Analysis, type Language, type Session } from "./study";
+
+export function Overview({ open }: { open: (session: string) => void }) {
+  const { t } = useTranslation("study");
+  const { value: sessions, failure, reload } = useLoaded<Session[]>("gesture-controller", "study/sessions");
+  const { value: analysis, reload: reloadAnalysis } = useLoaded<Analysis>("gesture-controller", "study/analysis");
+  return (
+    <div className="study">
+      <h1>{t("title")}</h1>
+      <div className="study__columns">
+        <div className="study__column">
+          <Begin open={open} />
+          {failure !== null && <Problem>{failure}</Problem>}
+          <Sessions
+            sessions={sessions ?? []}
+            open={open}
+            onDeleted={() => {
+              reload();
+              reloadAnalysis();
+            }}
+          />
+        </div>
+        {analysis !== null && <Results analysis={analysis} />}
+      </div>
+    </div>
+  );
+}
+
+function Begin({ open }: { open: (session: string) => void }) {
+  const { t, i18n } = useTranslation("study");
+  const gloves = useGloveNames();
+  const [pseudonym, setPseudonym] = useState("");
+  const [language, setLanguage] = useState<Language>(languages.find((one) => one === i18n.language) ?? "en");
+  const [chosen, setGlove] = useState<string | null>(null);
+  const [busy, setBusy] = useState(false);
+  const [failure, setFailure] = useState<string | null>(null);
+  const glove = chosen ?? gloves[0] ?? "";
+  const person = usePick(`glove/${glove}`, (view) => view?.person ?? null);
+  const options = [...gloves.map((one) => ({ value: one, name: one })), { value: "", name: t("begin.noGlove") }];
+  const begin = async () => {
+    setBusy(true);
+    setFailure(null);
+    const name = pseudonym.trim();
+    try {
+      const session = await beginSession({
+        language,
+        ...(name === "" ? {} : { pseudonym: name }),
+        ...(glove === "" ? {} : { glove }),
+        ...(person === null ? {} : { person }),
+      });
+      open(session.id);
+    } catch (error) {
+      setFailure(describe(error));
+      setBusy(false);
+    }
+  };
+  return (
+    <Card title={t("begin.title")}>
+      <form
+        className="study__begin"
+        onSubmit={(event) => {
+          event.preventDefault();
+          void begin();
+        }}
+      >
+        <Field label={t("begin.pseudonym")} hint={t("begin.pseudonymHint")} value={pseudonym} onChange={setPseudonym} maxLength={64} />
+        <Choice<Language>
+          label={t("begin.language")}
+          value={language}
+          options={languages.map((one) => ({ value: one, name: t(`language.${one}`) }))}
+          onChange={setLanguage}
+        />
+        {gloves.length > 0 && <Pick label={t("begin.glove")} value={glove} options={options} onChange={setGlove} />}
+        {glove !== "" && <p className="quiet">{person === null ? t("begin.nobody") : t("begin.gestures", { person })}</p>}
+        {failure !== null && <Problem>{failure}</Problem>}
+        <Button type="submit" kind="main" isDisabled={busy}>
+          {t("begin.act")}
+        </Button>
+      </form>
+    </Card>
+  );
+}
+
+interface SessionsProps {
+  sessions: readonly Session[];
+  open: (session: string) => void;
+  onDeleted: () => void;
+}
+
+function Sessions({ sessions, open, onDeleted }: SessionsProps) {
+  const { t, i18n } = useTranslation("study");
+  const [leaving, setLeaving] = useState<Session | null>(null);
+  return (
+    <Card title={t("sessions.title")}>
+      {sessions.length === 0 && <Empty title={t("sessions.none.title")}>{t("sessions.none.means")}</Empty>}
+      <ul className="study__sessions">
+        {sessions.map((session) => (
+          <li key={session.id}>
+            <span className="study__who">
+              <strong>{session.pseudonym}</strong>
+              <span className="quiet">
+                {new Date(session.beganAt).toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "short" })}
+                {session.first !== null && ` · ${t(`sessions.first.${session.first}`)}`}
+              </span>
+            </span>
+            {session.endedAt === null ? (
+              <State tone="accent">{t("sessions.at", { step: session.stepNumber, steps: session.steps })}</State>
+            ) : (
+              <State tone="ok">{t("sessions.finished")}</State>
+            )}
+            {session.endedAt === null && <Button onPress={() => open(session.id)}>{t("sessions.goOn", { who: session.pseudonym })}</Button>}
+            <Button kind="quiet" onPress={() => setLeaving(session)}>
+              {t("sessions.delete", { who: session.pseudonym })}
+            </Button>
+          </li>
+        ))}
+      </ul>
+      <Ask
+        isOpen={leaving !== null}
+        onClose={() => setLeaving(null)}
+        title={t("sessions.ask", { who: leaving?.pseudonym ?? "" })}
+        act={t("sessions.delete", { who: leaving?.pseudonym ?? "" })}
+        kind="stop"
+        onAct={async () => {
+          if (leaving !== null) await deleteSession(leaving.id);
+          onDeleted();
+        }}
+      >
+        <p>{t("sessions.askMeans")}</p>
+      </Ask>
+    </Card>
+  );
+}

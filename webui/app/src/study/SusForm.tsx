@@ -1,0 +1,50 @@
+/** SUS on the screen: ten statements, five big places each; the arrow keys move, all must be answered. */
+import { useState } from "react";
+import { useTranslation } from "react-i18next";
+import { Label, RadioGroup } from "react-aria-components";
+import { Button } from "~/design/Button";
+import { Option } from "~/design/Option";
+import type { StepProps } from "./Participant";
+
+const places = [1, 2, 3, 4, 5] as const;
+
+export function SusForm({ words, session, answer, busy }: StepProps) {
+  const { t } = useTranslation("study", { lng: session.language });
+  const { sus } = words;
+  const [answers, setAnswers] = useState<readonly (number | null)[]>(() => sus.items.map(() => null));
+  const open = answers.filter((one) => one === null).length;
+  const set = (nth: number, value: string) => setAnswers(answers.map((one, other) => (other === nth ? Number(value) : one)));
+  const nameOf = (place: number) => (place === 1 ? `1, ${sus.disagree}` : place === 5 ? `5, ${sus.agree}` : String(place));
+  return (
+    <>
+      <h1>{sus.title}</h1>
+      <p className="participant__text">{sus.ask}</p>
+      <ol className="questions">
+        {sus.items.map((item, nth) => (
+          <li key={item}>
+            <RadioGroup orientation="horizontal" value={answers[nth]?.toString() ?? null} onChange={(value) => set(nth, value)}>
+              <Label>
+                {nth + 1}. {item}
+              </Label>
+              <div className="questions__places">
+                <span aria-hidden>{sus.disagree}</span>
+                {places.map((place) => (
+                  <Option key={place} value={String(place)} className="questions__place" label={nameOf(place)}>
+                    {place}
+                  </Option>
+                ))}
+                <span aria-hidden>{sus.agree}</span>
+              </div>
+            </RadioGroup>
+          </li>
+        ))}
+      </ol>
+      <div className="participant__acts">
+        <Button kind="main" size="large" isDisabled={busy || open > 0} onPress={() => answer({ answers })}>
+          {t("next")}
+        </Button>
+        {open > 0 && <p role="status">{t("open", { count: open })}</p>}
+      </div>
+    </>
+  );
+}

@@ -1,0 +1,145 @@
+/** The accuracy test: planned, led, and reported. */
+import { useEffect, useState } from "react";
+import { useTranslation } from "react-i18next";
+import { describe } from "~/api/http";
+import { useLoaded } from "~/api/useLoaded";
+import { Ask } from "~/design/Ask";
+import { Button } from "~/design/Button";
+import { Card } from "~/design/Card";
+import { Choice } from "~/design/Choice";
+import { Empty } from "~/design/Empty";
+import { Problem } from "~/design/Problem";
+import { State, type Tone } from "~/design/State";
+import { Tick } from "~/design/Tick";
+import { useGestureName } from "~/hand/Hand";
+import { usePick } from "~/live/hooks";
+import { useQuery } from "~/route/query";
+import { TestReport } from "./TestReport";
+import { Trial } from "./Trial";
+import { beginTest, deleteTest, leadTest, type Gesture, type Phase, type TestSummary } from "./tests";
+
+const rounds = ["1", "3", "5", "10"] as const;
+const tones: Partial<Record<Phase, Tone>> = { finished: "ok", interrupted: "attention", stopped: "neutral" };
+
+export function Accuracy({ glove }: { glove: string }) {
+  const onItsWay = usePick(`glove/${glove}`, (view) => view?.examination?.id ?? null);
+  const [asked, setTest] = useQuery("test");
+  const { value: tests, failure, reload } = useLoaded<TestSummary[]>("gesture-controller", "tests");
+  useEffect(reload, [onItsWay, reload]);
+  if (onItsWay !== null) return <Trial glove={glove} />;
+  const mine = (tests ?? []).filter((test) => test.glove === glove);
+  const shown = mine.find((test) => test.id === asked) ?? mine[0];
+  return (
+    <div className="test__columns">
+      <div className="test__column">
+        <Planning glove={glove} />
+        {failure !== null && <Problem>{failure}</Problem>}
+        <Earlier tests={mine} shown={shown?.id ?? null} show={setTest} reload={reload} />
+      </div>
+      {shown !== undefined && <TestReport key={`${shown.id} ${shown.phase}`} test={shown.id} />}
+    </div>
+  );
+}
+
+function Planning({ glove }: { glove: string }) {
+  const { t } = useTranslation("test");
+  const nameOf = useGestureName();
+  const { value: gestures } = useLoaded<Gesture[]>("gesture-controller", "gestures");
+  const [howOften, setHowOften] = useQuery("rounds", "10");
+  const [left, setLeft] = useState<readonly string[]>([]);
+  const [failure, setFailure] = useState<string | null>(null);
+  const [busy, setBusy] = useState(false);
+  const isConnected = usePick(`glove/${glove}`, (view) => view?.connected) === true;
+  const plain = (gestures ?? []).filter((one) => one.code !== undefined).map((one) => one.name);
+  const chosen = plain.filter((one) => !left.includes(one));
+  const often = Number(rounds.find((one) => one === howOften) ?? "10");
+  const begin = async () => {
+    setBusy(true);
+    setFailure(null);
+    try {
+      await beginTest({ glove, gestures: chosen, rounds: often, breaks: true });
+    } catch (error) {
+      setFailure(describe(error));
+    } finally {
+      setBusy(false);
+    }
+  };
+  return (
+    <Card title={t("plan.title")}>
+      <p className="quiet">{t("plan.means")}</p>
+      <div className="test__plan">
+        <Choice label={t("plan.rounds")} value={String(often)} options={rounds.map((one) => ({ value: one, name: t("plan.times", { count: Number(one) }) }))} onChange={setHowOften} />
+        <Button kind="main" isDisabled={busy || !isConnected || chosen.length === 0} onPress={() => void begin()}>
+          {t("plan.begin", { count: chosen.length * often })}
+        </Button>
+      </div>
+      {!isConnected && <p className="quiet">{t("plan.connect")}</p>}
+      {failure !== null && <Problem>{failure}</Problem>}
+      <details className="test__which">
+        <summary>{t("plan.which", { chosen: chosen.length, all: plain.length })}</summary>
+        <div className="test__gestures">
+          {plain.map((one) => (
+            <Tick
+              key={one}
+              isSelected={!left.includes(one)}
+              onChange={(isSelected) => setLeft(isSelected ? left.filter((other) => other !== one) : [...left, one])}
+            >
+              {nameOf(one)}
+            </Tick>
+          ))}
+        </div>
+      </details>
+    </Card>
+  );
+}
+
+interface EarlierProps {
+  tests: readonly TestSummary[];
+  shown: string | null;
+  show: (test: string) => void;
+  reload: () => void;
+}
+
+function Earlier({ tests, shown, show, reload }: EarlierProps) {
+  const { t, i18n } = useTranslation("test");
+  const when = (at: string) => new Date(at).toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "short" });
+  const [leaving, setLeaving] = useState<TestSummary | null>(null);
+  const [failure, setFailure] = useState<string | null>(null);
+  const goOn = (test: TestSummary) => {
+    setFailure(null);
+    leadTest(test.id, "continue").catch((error: unknown) => setFailure(describe(error)));
+  };
+  return (
+    <Card title={t("earlier.title")}>
+      {tests.length === 0 && <Empty title={t("earlier.none.title")}>{t("earlier.none.means")}</Empty>}
+      {failure !== null && <Problem>{failure}</Problem>}
+      <ul className="test__list">
+        {tests.map((test) => (
+          <li key={test.id} aria-current={test.id === shown || undefined}>
+            <button type="button" className="test__open" onClick={() => show(test.id)}>
+              {when(test.beganAt)} · {t("earlier.size", { gestures: test.gestures.length, rounds: test.rounds })}
+            </button>
+            <State tone={tones[test.phase] ?? "accent"}>{t(`phase.${test.phase}`)}</State>
+            {test.phase === "interrupted" && <Button onPress={() => goOn(test)}>{t("earlier.continue")}</Button>}
+            <Button kind="quiet" onPress={() => setLeaving(test)}>
+              {t("earlier.delete")}
+            </Button>
+          </li>
+        ))}
+      </ul>
+      <Ask
+        isOpen={leaving !== null}
+        onClose={() => setLeaving(null)}
+        title={t("earlier.ask")}
+        act={t("earlier.delete")}
+        kind="stop"
+        onAct={async () => {
+          if (leaving !== null) await deleteTest(leaving.id);
+          reload();
+        }}
+      >
+        <p>{t("earlier.askMeans")}</p>
+      </Ask>
+    </Card>
+  );
+}

@@ -1,0 +1,102 @@
+/** A test on its way: the hand to make, large, and what came of the one before. */
+import { Check, CircleX, Hand as HandIcon, RotateCcw, TriangleAlert } from "lucide-react";
+import { memo, useState } from "react";
+import { useTranslation } from "react-i18next";
+import { describe } from "~/api/http";
+import { Button } from "~/design/Button";
+import { Problem } from "~/design/Problem";
+import { Hand, useGestureName } from "~/hand/Hand";
+import { useTopic } from "~/live/hooks";
+import type { Examination } from "~/live/messages";
+import { useKeys } from "~/shell/keys";
+import { leadTest } from "./tests";
+
+const icons = { right: Check, corrected: RotateCcw, missed: CircleX };
+
+export function Trial({ glove }: { glove: string }) {
+  const view = useTopic(`glove/${glove}`);
+  if (view?.examination == null) return null;
+  return <Stage examination={view.examination} side={view.hand} states={view.states} isConnected={view.connected} />;
+}
+
+interface StageProps {
+  examination: Examination;
+  side: "left" | "right";
+  states: string | null;
+  isConnected: boolean;
+}
+
+function Stage({ examination, side, states, isConnected }: StageProps) {
+  const { t } = useTranslation("test");
+  const nameOf = useGestureName();
+  const [failure, setFailure] = useState<string | null>(null);
+  const { id, phase, asked, done, trials, round } = examination;
+  const waits = phase === "break" || phase === "interrupted";
+  const lead = (act: "continue" | "stop") => {
+    setFailure(null);
+    leadTest(id, act).catch((error: unknown) => setFailure(describe(error)));
+  };
+  useKeys([
+    ...(waits ? [{ key: "Enter", does: t("trial.continue"), act: () => lead("continue") }] : []),
+    { key: "x", does: t("trial.stop"), act: () => lead("stop") },
+  ]);
+  const held = Math.min(1, examination.heldMs / examination.holdMs);
+  const title = asked === null ? t(`trial.${waits ? phase : "rest"}.title`) : nameOf(asked.gesture);
+  return (
+    <section className="trial" data-phase={phase}>
+      <div className="trial__figure">
+        <Asked code={asked?.code ?? "00000"} side={side} label={title} />
+      </div>
+      <div className="trial__words">
+        <p className="trial__how">{asked === null ? t("trial.wait") : t("trial.show")}</p>
+        <h2 className="trial__what">{title}</h2>
+        {asked === null && <p className="trial__said">{t(`trial.${waits ? phase : "rest"}.means`)}</p>}
+        {asked !== null && (
+          <div className="trial__held" role="presentation">
+            <div style={{ inlineSize: `${held * 100}%` }} />
+          </div>
+        )}
+        {!isConnected && !waits && <Problem>{t("trial.away")}</Problem>}
+        {failure !== null && <Problem>{failure}</Problem>}
+        <div className="trial__acts">
+          {waits && (
+            <Button kind="main" size="large" onPress={() => lead("continue")}>
+              {t("trial.continue")}
+            </Button>
+          )}
+          <Button size="large" onPress={() => lead("stop")}>
+            {t("trial.stop")}
+          </Button>
+        </div>
+        <div className="trial__now">
+          {states === null ? <HandIcon aria-hidden size={48} /> : <Hand states={states} side={side} moveMs={140} size="clamp(96px, 16vh, 170px)" />}
+          <Last last={examination.last} />
+        </div>
+      </div>
+      <footer className="trial__foot">
+        <progress max={trials} value={done} aria-label={t("trial.progress")} />
+        <p>{t("trial.count", { done, trials, round, rounds: examination.rounds })}</p>
+      </footer>
+    </section>
+  );
+}
+
+const Asked = memo(function Asked({ code, side, label }: { code: string; side: "left" | "right"; label: string }) {
+  return <Hand key={code} states={code} side={side} animateFrom="00000" size="100%" label={label} />;
+});
+
+function Last({ last }: { last: Examination["last"] }) {
+  const { t } = useTranslation("test");
+  const nameOf = useGestureName();
+  if (last === null) return <p role="status" />;
+  const Icon = last.first === "no gesture" ? TriangleAlert : icons[last.outcome];
+  const ms = last.recognizedMs;
+  return (
+    <p role="status" className={`trial__last trial__last--${last.outcome}`}>
+      <Icon aria-hidden size={24} />
+      <span>
+        {t(`trial.last.${last.outcome}`, { gesture: nameOf(last.asked), ...(ms === null ? {} : { seconds: (ms / 1000).toFixed(1) }) })}
+      </span>
+    </p>
+  );
+}
