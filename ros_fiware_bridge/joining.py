@@ -16,5 +16,6 @@ async def join(settings: BridgeSettings, store: TypeStore) -> RosGraph:
         interfaces=settings.ros_interfaces,
         peers=settings.ros_peers,
         most_bytes=settings.ros_most_bytes,
+        rosbridge_url=settings.rosbridge_url,
     )
     return await joining.join(store, asked, Adapter(settings.ros_adapter))

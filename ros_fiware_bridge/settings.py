@@ -28,8 +28,9 @@ class BridgeSettings(Settings):
     ros_mapping: MaybePath = Field(
         None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
     )
-    ros_adapter: Literal["cyclone", "rclpy"] = Field(
-        "cyclone", description="what carries the ROS graph: DDS from a wheel, or an installed ROS (rclpy)"
+    ros_adapter: Literal["cyclone", "rclpy", "rosbridge"] = Field(
+        "cyclone",
+        description="what carries the ROS graph: DDS from a wheel, an installed ROS, or a rosbridge server",
     )
     ros_domain_id: int = Field(
         default_factory=_ros_domain_id,
@@ -45,6 +46,11 @@ class BridgeSettings(Settings):
     )
     ros_peers: tuple[str, ...] = Field(
         (), description="addresses of robots that multicast does not reach, as JSON"
+    )
+    rosbridge_url: str = Field(
+        "ws://127.0.0.1:9090",
+        pattern=r"^wss?://",
+        description="where the rosbridge server is, if the adapter is rosbridge",
     )
     ros_most_bytes: int = Field(
         16 * 2**20, ge=1024, description="messages larger than this are refused, coming or going"

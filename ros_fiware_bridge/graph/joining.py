@@ -12,10 +12,11 @@ MOST_BYTES = 16 * 2**20
 
 
 class Adapter(StrEnum):
-    """What carries the graph: a DDS of our own, or the ROS that is installed."""
+    """What carries the graph: a DDS of our own, the ROS that is installed, or a rosbridge server."""
 
     CYCLONE = "cyclone"
     RCLPY = "rclpy"
+    ROSBRIDGE = "rosbridge"
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +25,8 @@ class JoinSettings:
 
     `interfaces` (names or addresses; none: the network that the machine prefers, and loopback), `peers`
     (addresses to which we make ourselves known where multicast does not reach) and `multicast` count for
-    Cyclone; an installed ROS has settings of its own for these. `most_bytes` is the size of the biggest
-    message that is let through, either way.
+    Cyclone; an installed ROS has settings of its own for these. `rosbridge_url` is where a
+    rosbridge server is. `most_bytes` is the size of the biggest message that is let through, either way.
     """
 
     node: str = "handover_bridge"
@@ -36,11 +37,16 @@ class JoinSettings:
     peers: tuple[str, ...] = ()
     multicast: bool = True
     most_bytes: int = MOST_BYTES
+    rosbridge_url: str = "ws://127.0.0.1:9090"
 
 
 def installed() -> list[Adapter]:
     """Return the adapters whose libraries are here."""
-    needs = {Adapter.CYCLONE: ("cyclonedds", "rosbags"), Adapter.RCLPY: ("rclpy", "rosbags")}
+    needs = {
+        Adapter.CYCLONE: ("cyclonedds", "rosbags"),
+        Adapter.RCLPY: ("rclpy", "rosbags"),
+        Adapter.ROSBRIDGE: ("rosbags",),
+    }
     return [one for one in Adapter if all(importlib.util.find_spec(name) for name in needs[one])]
 
 
@@ -54,6 +60,7 @@ async def join(store: TypeStore, settings: JoinSettings, adapter: Adapter = Adap
     if adapter not in installed():
         way = {
             Adapter.CYCLONE: "install the extra: pip install 'handover[ros]'",
+            Adapter.ROSBRIDGE: "install the extra: pip install 'handover[ros]'",
             Adapter.RCLPY: "run the bridge where ROS 2 is installed and its setup.bash was sourced",
         }
         raise AdapterUnavailable(f"the adapter {adapter.value} is not installed; {way[adapter]}")
@@ -61,6 +68,10 @@ async def join(store: TypeStore, settings: JoinSettings, adapter: Adapter = Adap
         from ros_fiware_bridge.graph.ros_installed.graph import RosInstalledGraph  # noqa: PLC0415 - if chosen
 
         return await RosInstalledGraph.join(store, settings)
+    if adapter is Adapter.ROSBRIDGE:
+        from ros_fiware_bridge.graph.rosbridge.graph import RosbridgeGraph  # noqa: PLC0415 - if chosen
+
+        return await RosbridgeGraph.join(store, settings)
     from ros_fiware_bridge.graph.cyclone.graph import CycloneGraph  # noqa: PLC0415 - if chosen
 
     return await CycloneGraph.join(store, settings)

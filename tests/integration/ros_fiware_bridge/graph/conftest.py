@@ -23,7 +23,11 @@ Joined = Callable[..., AbstractAsyncContextManager[RosGraph]]
 
 # What rclpy itself stands on warns of what Python will drop one day.
 _OLD = {Adapter.RCLPY: [pytest.mark.filterwarnings("ignore::DeprecationWarning")]}
-_ADAPTERS = [pytest.param(one, id=one.value, marks=_OLD.get(one, [])) for one in installed()]
+_ADAPTERS = [
+    pytest.param(one, id=one.value, marks=_OLD.get(one, []))
+    for one in installed()
+    if one is not Adapter.ROSBRIDGE  # what its protocol can carry is tested by itself
+]
 
 
 @pytest.fixture(scope="module", params=_ADAPTERS or [None])
