@@ -169,7 +169,13 @@ class RosbridgeServer:
                     "services": list(one.services),
                 }
             case "service_type":
-                return {"type": next(one.services[given["service"]] for one in self._clients if one.services)}
+                return {
+                    "type": next(
+                        one.services[given["service"]]
+                        for one in self._clients
+                        if given["service"] in one.services
+                    )
+                }
         raise AssertionError(what)
 
 
