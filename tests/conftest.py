@@ -20,6 +20,7 @@ import hypothesis
 import pytest
 from httpx._transports import default as transports
 
+from handover.settings import Settings
 from tests import lifeline
 
 REPOSITORY = Path(__file__).parent.parent
@@ -58,6 +59,9 @@ _worker = int(re.sub(r"\D", "", os.environ.get("PYTEST_XDIST_WORKER", "")) or 0)
 _candidates = itertools.count(15_000 + 2_000 * (_worker % 8) + os.getpid() * 37 % 1_200)
 
 
+_tenants = itertools.count(1)
+
+
 def next_free_port() -> int:
     """Return a port nobody listens on, below those the system hands out, another for each call and worker."""
     for port in _candidates:
@@ -77,6 +81,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     from tests.shares import Shares
 
     return Shares(config, log)
+
+
+STARTS_SERVICES = frozenset({"cell", "shared_cell", "host_cell", "own_broker"})
+"""The fixtures with which a test starts services for itself or for its module."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Who starts services is slow, if nobody has said so: an everyday change does not wait for that."""
+    for item in items:
+        if isinstance(item, pytest.Function) and not STARTS_SERVICES.isdisjoint(item.fixturenames):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -121,6 +137,14 @@ class Cell:
     ports: dict[str, int]
     extra: dict[str, str] = field(default_factory=dict)
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    host: "Cell | None" = None
+    """Whose broker this cell uses, as a tenant of its own."""
+    tenant: str = ""
+
+    @property
+    def settings(self) -> Settings:
+        """What a client of this cell's broker is told."""
+        return Settings.load(broker_url=self.url("context_broker"), broker_tenant=self.tenant or None)
 
     @property
     def environment(self) -> dict[str, str]:
@@ -137,6 +161,7 @@ class Cell:
             "HANDOVER_WEBUI_PORT": str(self.ports["webui"]),
             "HANDOVER_BRIDGE_PORT": str(self.ports["ros_fiware_bridge"]),
             "HANDOVER_RECONCILE_S": "1",
+            **({"HANDOVER_BROKER_TENANT": self.tenant} if self.tenant else {}),
             "COLUMNS": "200",
             "NO_COLOR": "1",
             **self.extra,
@@ -152,6 +177,9 @@ class Cell:
 
     def start(self, *services: str, within_s: float = 30.0) -> None:
         """Start services and wait until each is ready."""
+        if self.host and "context_broker" in services:
+            self.host.start("context_broker")
+            services = tuple(service for service in services if service != "context_broker")
         for service in services:
             with (self.data_dir / f"{service}.log").open("ab") as log:
                 self.processes[service] = subprocess.Popen(
@@ -164,6 +192,17 @@ class Cell:
                 )
         for service in services:
             self.wait_ready(service, within_s)
+
+    def run(self, *services: str) -> None:
+        """Start those of the services that do not run."""
+        self.start(*(service for service in services if not self.runs(service)))
+
+    def runs(self, service: str) -> bool:
+        """Whether a service has been started and has not ended."""
+        if self.host and service == "context_broker":
+            return self.host.runs(service)
+        process = self.processes.get(service)
+        return process is not None and process.poll() is None
 
     def wait_ready(self, service: str, within_s: float = 30.0) -> None:
         """Wait until a service says that it is ready."""
@@ -180,6 +219,9 @@ class Cell:
 
     def kill(self, service: str) -> None:
         """End a service as a power cut would."""
+        if self.host and service == "context_broker":
+            self.host.kill(service)
+            return
         process = self.processes.pop(service)
         process.send_signal(signal.SIGKILL)
         process.wait(timeout=10)
@@ -225,12 +267,37 @@ def new_cell(data_dir: Path) -> Iterator[Cell]:
         "ros_fiware_bridge",
     )
     made = Cell(data_dir, {name: next_free_port() for name in names})
-    yield made
-    made.stop()
+    try:
+        yield made
+    finally:
+        made.stop()
 
 
 @pytest.fixture
 def cell(tmp_path: Path) -> Iterator[Cell]:
     """A cell of which nothing runs yet, for one test."""
     with new_cell(tmp_path) as made:
+        yield made
+
+
+@pytest.fixture(scope="session")
+def host_cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """A cell of a broker alone, for cells that are its tenants."""
+    with new_cell(tmp_path_factory.mktemp("host")) as made:
+        yield made
+
+
+@pytest.fixture
+def tenant_cell(cell: Cell, host_cell: Cell) -> Cell:
+    """A cell with a broker in which there is nothing yet: one that others use too, each as another tenant."""
+    host_cell.run("context_broker")
+    cell.host, cell.tenant = host_cell, f"cell-{next(_tenants)}"
+    cell.ports["context_broker"] = host_cell.ports["context_broker"]
+    return cell
+
+
+@pytest.fixture(scope="module")
+def shared_cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    """A cell for all tests of a module, whose names do not meet; each sees to it that what it needs runs."""
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
         yield made

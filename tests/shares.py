@@ -16,7 +16,6 @@ TOGETHER: Final = {
 APART: Final = (
     "tests/e2e/test_demo.py",
     "tests/integration/context_broker/test_crashes*.py",
-    "tests/integration/task_orchestrator/test_whole_chain.py",
     "tests/integration/webui/test_live.py",
 )
 

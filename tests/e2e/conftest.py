@@ -57,12 +57,23 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def screen(cell: Cell) -> Cell:
     """A cell with every service and the screen; a module whose tests share a cell shares what runs in it."""
-    for services in (
-        ["context_broker"],
-        ["task_orchestrator", "gesture_controller", "trajectory_tool", "webui"],
-    ):
-        cell.start(*(service for service in services if service not in cell.processes))
+    cell.run("context_broker")
+    cell.run("task_orchestrator", "gesture_controller", "trajectory_tool", "webui")
     return cell
+
+
+@pytest.fixture
+def quiet_screen(screen: Cell) -> Cell:
+    """A screen at which nobody is asked for anything: what tests before have begun is cancelled."""
+    processes = f"{screen.url('task_orchestrator')}/processes"
+    for process in httpx.get(processes, params={"status": "inProgress"}).json():
+        httpx.post(f"{processes}/{process['id']}/cancel").raise_for_status()
+    for busy in (
+        f"{screen.url('gesture_controller')}/gloves/glove-1",
+        f"{screen.url('trajectory_tool')}/robots/ur10-1",
+    ):
+        wait_until(lambda busy=busy: httpx.get(busy).json()["task"] is None)  # type: ignore[misc]
+    return screen
 
 
 @pytest.fixture

@@ -1,12 +1,12 @@
 """Every page in both themes, three languages and the sizes it is made for: nothing cut off, axe content."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page
 
-from tests.conftest import Cell, new_cell
+from tests.conftest import Cell
 from tests.e2e.conftest import OpenPage
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -26,10 +26,9 @@ PAGES = {
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+def cell(shared_cell: Cell) -> Cell:
     """One cell for all of these tests: they only look."""
-    with new_cell(tmp_path_factory.mktemp("cell")) as made:
-        yield made
+    return shared_cell
 
 
 def settled(page: Page) -> None:

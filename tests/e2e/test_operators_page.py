@@ -21,6 +21,12 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 WORK = "/work?glove=glove-1"
 
 
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests. A glove that was worn in it is lost: those who wear one come last."""
+    return shared_cell
+
+
 def completed_by(cell: Cell) -> list[tuple[str, str]]:
     """How and by whom each Task of the operator was completed in the last process, a completed one."""
     orchestrator = cell.url("task_orchestrator")
@@ -47,7 +53,7 @@ def until_done(page: Page, act: Callable[[], None]) -> None:
     pytest.fail(f"the process did not end: {page.locator('main').inner_text()}")
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_with_the_keyboard_only(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
@@ -77,7 +83,7 @@ def test_with_the_keyboard_only(
     assert set(completed_by(cell)) == {("screen", "Aino")}
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_with_the_mouse_only(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
@@ -105,6 +111,36 @@ def test_with_the_mouse_only(
     assert seen_at_work
     accessible(page)
     assert set(completed_by(cell)) == {("screen", "Anna")}
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        ("context_broker", "The context broker does not answer"),
+        ("gesture_controller", "The gesture controller does not answer"),
+        ("webui", "This screen has lost the cell"),
+    ],
+)
+@pytest.mark.usefixtures("quiet_screen")
+def test_what_is_lost_is_said_and_comes_back_under_the_page(
+    cell: Cell,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
+    lost: tuple[str, str],
+) -> None:
+    service, title = lost
+    page = open_page(WORK, forgives=("WebSocket connection", "Failed to load resource"))
+    page.get_by_role("button", name="Start Bin picking").click()
+    page.get_by_role("heading", name="Confirm that nobody").wait_for()
+    cell.kill(service)
+    page.get_by_role("heading", name=title).wait_for(timeout=30_000)
+    accessible(page)
+    keep(page, f"work-without-{service}")
+    cell.start(service)
+    page.get_by_role("heading", name="Confirm that nobody").wait_for(timeout=30_000)
+    page.get_by_role("button", name="Complete by hand").click()
+    page.get_by_text("Completed by Anna").wait_for()
 
 
 class Wearer:
@@ -157,7 +193,7 @@ def put_on(cell: Cell) -> Iterator[Callable[[], Wearer]]:
         wearer.take_off()
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_with_the_glove_only(
     cell: Cell,
     open_page: OpenPage,
@@ -199,7 +235,7 @@ def test_with_the_glove_only(
     assert {by for by, _ in completed_by(cell)} == {"gesture"}
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_a_lost_glove_is_the_whole_page_until_it_is_back(
     open_page: OpenPage,
     put_on: Callable[[], Wearer],
@@ -218,33 +254,3 @@ def test_a_lost_glove_is_the_whole_page_until_it_is_back(
     page.get_by_role("button", name="Complete by hand").wait_for()
     put_on()
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
-
-
-@pytest.mark.parametrize(
-    "lost",
-    [
-        ("context_broker", "The context broker does not answer"),
-        ("gesture_controller", "The gesture controller does not answer"),
-        ("webui", "This screen has lost the cell"),
-    ],
-)
-@pytest.mark.usefixtures("screen")
-def test_what_is_lost_is_said_and_comes_back_under_the_page(
-    cell: Cell,
-    open_page: OpenPage,
-    keep: Callable[[Page, str], Path],
-    accessible: Callable[[Page], None],
-    lost: tuple[str, str],
-) -> None:
-    service, title = lost
-    page = open_page(WORK, forgives=("WebSocket connection", "Failed to load resource"))
-    page.get_by_role("button", name="Start Bin picking").click()
-    page.get_by_role("heading", name="Confirm that nobody").wait_for()
-    cell.kill(service)
-    page.get_by_role("heading", name=title).wait_for(timeout=30_000)
-    accessible(page)
-    keep(page, f"work-without-{service}")
-    cell.start(service)
-    page.get_by_role("heading", name="Confirm that nobody").wait_for(timeout=30_000)
-    page.get_by_role("button", name="Complete by hand").click()
-    page.get_by_text("Completed by Anna").wait_for()

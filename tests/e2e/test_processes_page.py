@@ -22,6 +22,12 @@ Keep = Callable[[Page, str], Path]
 Accessible = Callable[[Page], None]
 
 
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests; a new version is deployed in the last of them."""
+    return shared_cell
+
+
 def ask(cell: Cell, method: str, path: str, **options: Any) -> Any:
     """What the orchestrator answers."""
     answer = httpx.request(method, f"{cell.url('task_orchestrator')}/{path}", **options)
@@ -46,7 +52,7 @@ def upload(page: Page, file: Path) -> None:
     chooser.value.set_files(file)
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_a_process_is_started_followed_and_cancelled(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
@@ -63,7 +69,7 @@ def test_a_process_is_started_followed_and_cancelled(
 
     # The token goes on without the drawing being made anew.
     page.locator(".djs-container svg").first.evaluate("drawing => { drawing.dataset.first = 'yes' }")
-    [process] = ask(cell, "GET", "processes")
+    process = ask(cell, "GET", "processes")[0]
     [task] = ask(cell, "GET", f"processes/{process['id']}")["tasks"]
     answer(cell, task["id"], "completed", by="screen")
     has_look(page, "confirm_clear", "done")
@@ -92,7 +98,7 @@ def test_a_process_is_started_followed_and_cancelled(
     expect(page.get_by_role("button", name="Cancel Bin picking")).to_have_count(0)
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_a_failed_task_is_seen_at_its_element_and_retried(
     cell: Cell, open_page: OpenPage, keep: Keep
 ) -> None:
@@ -111,7 +117,7 @@ def test_a_failed_task_is_seen_at_its_element_and_retried(
     expect(page.locator(".timeline__bar")).to_have_count(2)
 
 
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_what_is_wrong_with_a_file_stands_at_its_element(
     open_page: OpenPage, tmp_path: Path, keep: Keep, accessible: Accessible
 ) -> None:
@@ -134,28 +140,7 @@ def test_what_is_wrong_with_a_file_stands_at_its_element(
     keep(page, "processes-faults")
 
 
-@pytest.mark.usefixtures("screen")
-def test_a_file_without_a_drawing_is_drawn_and_becomes_a_new_version(
-    cell: Cell, open_page: OpenPage, tmp_path: Path, keep: Keep, accessible: Accessible
-) -> None:
-    bare = tmp_path / "bare.bpmn"
-    drawing = re.compile(r"<bpmndi:BPMNDiagram.*</bpmndi:BPMNDiagram>", re.DOTALL)
-    bare.write_text(drawing.sub("", SHIPPED.read_text("utf-8")), "utf-8")
-    page = open_page("/processes/upload")
-    upload(page, bare)
-    element(page, "confirm_clear").wait_for()
-    expect(page.get_by_text("brings no drawing")).to_be_visible()
-    assert ask(cell, "GET", "definitions/bin-picking")["version"] == 1, "it is only looked at by now"
-    page.get_by_role("button", name="Deploy Bin picking, version 2").click()
-    expect(page.get_by_label("Version")).to_have_value("2")
-    accessible(page)
-    page.get_by_label("Version").select_option("1")
-    expect(page).to_have_url(re.compile(r"/processes/definition/bin-picking\?version=1"))
-    expect(page.get_by_text("brings no drawing")).to_have_count(0)
-    keep(page, "processes-definition")
-
-
-@pytest.mark.usefixtures("screen")
+@pytest.mark.usefixtures("quiet_screen")
 def test_the_diagram_is_moved_with_the_keyboard_and_leaves_nothing_behind(
     cell: Cell, open_page: OpenPage
 ) -> None:
@@ -175,3 +160,24 @@ def test_the_diagram_is_moved_with_the_keyboard_and_leaves_nothing_behind(
         page.wait_for_url(f"**/{ids[(turn + 1) % 2]}")
         has_look(page, "confirm_clear", "token")
     expect(page.locator(".djs-container")).to_have_count(1)
+
+
+@pytest.mark.usefixtures("quiet_screen")
+def test_a_file_without_a_drawing_is_drawn_and_becomes_a_new_version(
+    cell: Cell, open_page: OpenPage, tmp_path: Path, keep: Keep, accessible: Accessible
+) -> None:
+    bare = tmp_path / "bare.bpmn"
+    drawing = re.compile(r"<bpmndi:BPMNDiagram.*</bpmndi:BPMNDiagram>", re.DOTALL)
+    bare.write_text(drawing.sub("", SHIPPED.read_text("utf-8")), "utf-8")
+    page = open_page("/processes/upload")
+    upload(page, bare)
+    element(page, "confirm_clear").wait_for()
+    expect(page.get_by_text("brings no drawing")).to_be_visible()
+    assert ask(cell, "GET", "definitions/bin-picking")["version"] == 1, "it is only looked at by now"
+    page.get_by_role("button", name="Deploy Bin picking, version 2").click()
+    expect(page.get_by_label("Version")).to_have_value("2")
+    accessible(page)
+    page.get_by_label("Version").select_option("1")
+    expect(page).to_have_url(re.compile(r"/processes/definition/bin-picking\?version=1"))
+    expect(page.get_by_text("brings no drawing")).to_have_count(0)
+    keep(page, "processes-definition")

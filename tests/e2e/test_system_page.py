@@ -2,14 +2,14 @@
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, new_cell, wait_until
+from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage, answer
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -35,10 +35,9 @@ def complete(cell: Cell, words: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+def cell(shared_cell: Cell) -> Cell:
     """One cell for all of this page's tests: none needs it as new."""
-    with new_cell(tmp_path_factory.mktemp("cell")) as made:
-        yield made
+    return shared_cell
 
 
 @pytest.mark.usefixtures("screen")

@@ -125,7 +125,8 @@ ON_BOTH = {
     "test_entities",
     "test_queries",
     "test_subscriptions",
-    "test_temporal",
+    "test_temporal_changes",
+    "test_temporal_queries",
 }
 """Modules whose tests run on both databases; others run on one, unless a test asks for both itself."""
 

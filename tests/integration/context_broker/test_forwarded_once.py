@@ -15,6 +15,8 @@ from tests.context_sources import ScriptedSource, put, register
 
 from .several import Brokers
 
+pytestmark = pytest.mark.slow
+
 WRITERS, CHANGES = 4, 15
 
 

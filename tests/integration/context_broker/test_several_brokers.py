@@ -17,6 +17,8 @@ import pytest
 from .conftest import BrokerProcess
 from .several import Brokers, settings
 
+pytestmark = pytest.mark.slow
+
 Eventually = Callable[..., Any]
 SERVING = "SELECT pid FROM pg_stat_activity WHERE application_name = 'handover context broker'"
 """The server's processes that work for brokers."""

@@ -9,7 +9,7 @@ import pytest
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient
-from handover.settings import Settings
+from tests.conftest import Cell
 from tests.gloves import TcpGlove
 
 GLOVE = "urn:ngsi-ld:Device:demo:glove-1"
@@ -76,18 +76,17 @@ def silence_s() -> float:
 
 
 @pytest.fixture
-def running_cell(cell: Any, silence_s: float) -> Any:
+def running_cell(tenant_cell: Cell, silence_s: float) -> Cell:
     """A cell in which broker and controller run."""
-    cell.extra["HANDOVER_SILENCE_S"] = str(silence_s)
-    cell.start("context_broker", "gesture_controller")
-    return cell
+    tenant_cell.extra["HANDOVER_SILENCE_S"] = str(silence_s)
+    tenant_cell.run("context_broker", "gesture_controller")
+    return tenant_cell
 
 
 @pytest.fixture
-async def bench(running_cell: Any) -> AsyncIterator[Bench]:
+async def bench(running_cell: Cell) -> AsyncIterator[Bench]:
     """The workplace."""
-    settings = Settings.load(broker_url=running_cell.url("context_broker"))
-    async with BrokerClient(settings) as broker:
+    async with BrokerClient(running_cell.settings) as broker:
         made = Bench(running_cell, broker)
         try:
             yield made

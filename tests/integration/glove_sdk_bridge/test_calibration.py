@@ -3,7 +3,6 @@
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
 import httpx
 import pytest
@@ -13,6 +12,7 @@ from glove_sdk_bridge.controller import Controller, Declined
 from glove_sdk_bridge.errors import BridgeError
 from glove_sdk_bridge.frames import Frame, Hello
 from glove_sdk_bridge.link import Link
+from tests.conftest import Cell
 
 FIST, OPEN = [301, 402, 503, 404, 305], [701, 802, 903, 804, 705]
 
@@ -47,14 +47,20 @@ class WornGlove:
                 link.send(Frame(time.monotonic(), tuple(value + place % 3 for value in hand)))
 
 
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests: only the first makes thresholds."""
+    return shared_cell
+
+
 @pytest.fixture
-def controller(cell: Any) -> Controller:
-    cell.start("context_broker", "gesture_controller")
+def controller(cell: Cell) -> Controller:
+    cell.run("context_broker", "gesture_controller")
     return Controller(cell.url("gesture_controller"))
 
 
 def test_a_person_makes_a_fist_and_opens_the_hand_and_the_glove_fits(
-    cell: Any, controller: Controller
+    cell: Cell, controller: Controller
 ) -> None:
     with WornGlove(cell.ports["glove"]) as glove:
         calibrator = Calibrator("glove-1", controller, say=glove.listen, wait=lambda s: time.sleep(s / 4))

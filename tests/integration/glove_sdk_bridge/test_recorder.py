@@ -15,6 +15,7 @@ from glove_sdk_bridge.frames import Frame, Hello
 from glove_sdk_bridge.link import Link
 from glove_sdk_bridge.recorder import Recorder
 from glove_sdk_bridge.recording import hello_of, read_recording
+from tests.conftest import Cell
 
 pytestmark = pytest.mark.slow
 
@@ -23,10 +24,16 @@ def frames_in(path: Path) -> list[Frame]:
     return list(read_recording(path, Dropped(str(path), pytest.fail))) if path.exists() else []
 
 
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests: what is recorded is what is sent meanwhile."""
+    return shared_cell
+
+
 @pytest.fixture
-def worn(cell: Any) -> Iterator[Callable[..., Link]]:
+def worn(cell: Cell) -> Iterator[Callable[..., Link]]:
     """Put a glove on that is on the line of a running controller."""
-    cell.start("context_broker", "gesture_controller")
+    cell.run("context_broker", "gesture_controller")
     links: list[Link] = []
 
     def put_on(hello: Hello) -> Link:
@@ -41,7 +48,7 @@ def worn(cell: Any) -> Iterator[Callable[..., Link]]:
 
 
 def test_what_a_glove_sends_is_recorded_and_can_be_replayed(
-    cell: Any, desk: Any, worn: Any, wait_for: Any, tmp_path: Path
+    cell: Cell, desk: Any, worn: Any, wait_for: Any, tmp_path: Path
 ) -> None:
     path, stop, said = tmp_path / "hand.jsonl", threading.Event(), list[str]()
     link = worn(Hello("glove-5", "left"))
@@ -70,7 +77,7 @@ def test_what_a_glove_sends_is_recorded_and_can_be_replayed(
 
 
 def test_a_controller_that_was_killed_is_waited_for_and_the_recording_goes_on(
-    cell: Any, worn: Any, wait_for: Any, tmp_path: Path
+    cell: Cell, worn: Any, wait_for: Any, tmp_path: Path
 ) -> None:
     path, stop, said = tmp_path / "hand.jsonl", threading.Event(), list[str]()
     link = worn(Hello("glove-1"))
@@ -95,7 +102,7 @@ def test_a_controller_that_was_killed_is_waited_for_and_the_recording_goes_on(
     assert any("is back" in line for line in said)
 
 
-def test_recording_for_some_seconds_ends_by_itself(cell: Any, worn: Any, tmp_path: Path) -> None:
+def test_recording_for_some_seconds_ends_by_itself(cell: Cell, worn: Any, tmp_path: Path) -> None:
     worn(Hello("glove-1"))
     path = tmp_path / "hand.jsonl"
     words = ["record", str(path), "--controller", cell.url("gesture_controller"), "--seconds", "0.5"]
@@ -104,7 +111,7 @@ def test_recording_for_some_seconds_ends_by_itself(cell: Any, worn: Any, tmp_pat
 
 
 def test_a_glove_that_the_controller_does_not_know_is_said_in_one_line(
-    cell: Any, worn: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cell: Cell, worn: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     worn(Hello("glove-1"))
     path = tmp_path / "hand.jsonl"

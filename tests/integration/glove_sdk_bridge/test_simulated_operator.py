@@ -1,25 +1,27 @@
 """The simulated operator before a real controller: calibrates the glove, then completes Tasks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import httpx
 import pytest
 
+from tests.conftest import Cell
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 
 
 class Workplace:
-    """A broker into which Tasks are put, and the screen of a controller."""
+    """A broker into which Tasks for glove-1 are put, and the screen of a controller."""
 
-    def __init__(self, cell: Any) -> None:
+    def __init__(self, cell: Cell) -> None:
         self._http = httpx.Client(timeout=10, trust_env=False)
         self._entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
-        self._screen = f"{cell.url('gesture_controller')}/gloves/glove-1"
+        self._gloves = f"{cell.url('gesture_controller')}/gloves"
 
-    def screen(self) -> dict[str, Any]:
-        """What is shown of the glove; empty while it is not known."""
-        answer = self._http.get(self._screen)
+    def screen(self, glove: str) -> dict[str, Any]:
+        """What is shown of a glove; empty while it is not known."""
+        answer = self._http.get(f"{self._gloves}/{glove}")
         return dict(answer.json()) if answer.is_success else {}
 
     def put(self, name: str, gesture: str) -> str:
@@ -48,26 +50,32 @@ class Workplace:
         self._http.close()
 
 
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests: each wears a glove of its own."""
+    return shared_cell
+
+
 @pytest.fixture
-def workplace(cell: Any) -> Any:
-    cell.start("context_broker", "gesture_controller")
+def workplace(cell: Cell) -> Iterator[Workplace]:
+    cell.run("context_broker", "gesture_controller")
     made = Workplace(cell)
     yield made
     made.close()
 
 
-def words(cell: Any, *more: str) -> list[str]:
+def words(cell: Cell, glove: str, *more: str) -> list[str]:
     port, url = cell.ports["glove"], cell.url("gesture_controller")
-    return ["simulate", "--port", str(port), "--controller", url, "--seed", "3", *more]
+    return ["simulate", "--glove", glove, "--port", str(port), "--controller", url, "--seed", "3", *more]
 
 
 GESTURES = ["Thumbs up", "Point with index", "Horns", "Middle, ring and little straight", "Thumbs up"]
 
 
 def test_tasks_are_completed_with_the_gestures_they_ask_for_mistakes_and_a_restart_included(
-    cell: Any, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
 ) -> None:
-    operator = bridge(*words(cell, "--mistakes", "1", "--speed", "3"))
+    operator = bridge(*words(cell, "glove-1", "--mistakes", "1", "--speed", "3"))
     for number, gesture in enumerate(GESTURES):
         task = workplace.put(f"t{number}", gesture)
         wait_for(lambda task=task: workplace.task(task)["status"] == "completed", 60)
@@ -86,23 +94,27 @@ def test_tasks_are_completed_with_the_gestures_they_ask_for_mistakes_and_a_resta
 
 
 def test_the_calibration_fits_the_hand(
-    cell: Any, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
 ) -> None:
-    operator = bridge(*words(cell))
-    wait_for(lambda: workplace.screen().get("thresholds", {}).get("thumb", {}).get("upper", 999) < 500)
-    thresholds = workplace.screen()["thresholds"]
+    operator = bridge(*words(cell, "glove-2"))
+
+    def thresholds() -> dict[str, dict[str, float]]:
+        return dict(workplace.screen("glove-2").get("thresholds", {}))
+
+    wait_for(lambda: thresholds().get("thumb", {}).get("upper", 999) < 500)
+    fitted = thresholds()
     for finger, (bent, straight) in {"thumb": (305, 405), "index": (485, 714), "little": (470, 677)}.items():
-        assert bent < thresholds[finger]["lower"] < thresholds[finger]["upper"] < straight
+        assert bent < fitted[finger]["lower"] < fitted[finger]["upper"] < straight
     operator.terminate()
     assert operator.wait(timeout=20) == 0
 
 
 def test_without_calibration_the_thresholds_stay_as_they_are(
-    cell: Any, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
 ) -> None:
-    operator = bridge(*words(cell, "--no-calibrate"))
-    wait_for(lambda: workplace.screen().get("frames", 0) > 100)
-    assert workplace.screen()["thresholds"]["thumb"] == {"upper": 1000, "lower": 800}
+    operator = bridge(*words(cell, "glove-3", "--no-calibrate"))
+    wait_for(lambda: workplace.screen("glove-3").get("frames", 0) > 100)
+    assert workplace.screen("glove-3")["thresholds"]["thumb"] == {"upper": 1000, "lower": 800}
     operator.terminate()
     assert operator.wait(timeout=20) == 0
     assert b"calibrated" not in operator.stderr.read()

@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import pytest
 from datamodels.entities import Task, TaskStatus
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.settings import Settings
+from tests.conftest import Cell, next_free_port
 from tests.context_sources import ScriptedSource
 
 pytestmark = pytest.mark.slow
@@ -38,13 +39,12 @@ def a_task(name: str, **parameters: Any) -> Task:
 class LampProcess:
     """The lamp of the README, as a process on a port of its own."""
 
-    def __init__(self, cell: Any, port: int) -> None:
+    def __init__(self, cell: Cell) -> None:
         self.cell = cell
-        source = (HERE / "lamp.py").read_text().replace("9100", str(port))
+        cell.ports["lamp"] = next_free_port()
+        source = (HERE / "lamp.py").read_text().replace("9100", str(cell.ports["lamp"]))
         self.file = cell.data_dir / "lamp.py"
         self.file.write_text(source)
-        cell.ports["lamp"] = port
-        self.start()
 
     def start(self) -> None:
         with (self.cell.data_dir / "lamp.log").open("ab") as log:
@@ -61,14 +61,27 @@ class LampProcess:
         self.cell.kill("lamp")
 
 
-@pytest.fixture
-def lamp(cell: Any, free_port: Callable[[], int]) -> Iterator[LampProcess]:
-    cell.start("context_broker")
-    return LampProcess(cell, free_port())
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests: each has Tasks of its own, and leaves the lamp with nothing to do."""
+    return shared_cell
+
+
+@pytest.fixture(scope="module")
+def only_lamp(cell: Cell) -> LampProcess:
+    return LampProcess(cell)
 
 
 @pytest.fixture
-async def broker(cell: Any, lamp: LampProcess) -> AsyncIterator[BrokerClient]:
+def lamp(cell: Cell, only_lamp: LampProcess) -> LampProcess:
+    cell.run("context_broker")
+    if not cell.runs("lamp"):
+        only_lamp.start()
+    return only_lamp
+
+
+@pytest.fixture
+async def broker(cell: Cell, lamp: LampProcess) -> AsyncIterator[BrokerClient]:
     async with BrokerClient(Settings.load(broker_url=cell.url("context_broker"))) as client:
         yield client
 
@@ -124,6 +137,8 @@ async def test_one_task_is_done_at_a_time_and_one_that_waits_can_be_cancelled(br
     await ask(broker, second, "cancelled")
     await comes_to(broker, second, TaskStatus.FAILED)
     assert (await broker.get(first.id, Task)).status.value is TaskStatus.IN_PROGRESS
+    await ask(broker, first, "cancelled")
+    await comes_to(broker, first, TaskStatus.FAILED)
 
 
 async def test_a_task_posted_while_nobody_listened_is_found_by_asking(
@@ -148,7 +163,7 @@ async def test_a_killed_performer_takes_up_again_what_it_had_begun(
 
 
 async def test_a_task_is_finished_though_the_broker_was_killed_meanwhile(
-    broker: BrokerClient, cell: Any, lamp: LampProcess
+    broker: BrokerClient, cell: Cell, lamp: LampProcess
 ) -> None:
     task = a_task("outage", steps=20)
     await broker.create(task)
@@ -188,7 +203,7 @@ async def test_the_first_resource_with_a_performer_gets_the_task(broker: BrokerC
 
 
 async def test_notifications_that_cannot_be_read_are_refused_and_nothing_stops(
-    broker: BrokerClient, cell: Any
+    broker: BrokerClient, cell: Cell
 ) -> None:
     notifications = f"{cell.url('lamp')}/notifications"
     async with httpx.AsyncClient() as http:
@@ -203,7 +218,7 @@ async def test_notifications_that_cannot_be_read_are_refused_and_nothing_stops(
     await comes_to(broker, task, TaskStatus.COMPLETED)
 
 
-async def test_the_client_says_what_went_wrong(broker: BrokerClient, cell: Any, lamp: LampProcess) -> None:
+async def test_the_client_says_what_went_wrong(broker: BrokerClient, cell: Cell, lamp: LampProcess) -> None:
     task = a_task("twice", steps=1)
     await broker.create(task)
     with pytest.raises(AlreadyExists):
@@ -222,11 +237,11 @@ def test_the_readme_shows_the_lamp_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_lamp_ends_quietly_when_told(lamp: LampProcess, cell: Any, number: signal.Signals) -> None:
-    process = cell.processes["lamp"]
+def test_the_lamp_ends_quietly_when_told(lamp: LampProcess, cell: Cell, number: signal.Signals) -> None:
+    process, said_before = cell.processes["lamp"], len(cell.log("lamp"))
     os.kill(process.pid, number)
     assert process.wait(timeout=10) in (0, -signal.SIGTERM)
-    assert "Application shutdown complete" in cell.log("lamp")
+    assert "Application shutdown complete" in cell.log("lamp")[said_before:]
     assert "Traceback" not in cell.log("lamp")
 
 

@@ -61,6 +61,11 @@ class Member:
             )
         self.wait()
 
+    def run(self) -> None:
+        """Start it if it does not run."""
+        if self._process is None or self._process.poll() is not None:
+            self.start()
+
     def wait(self) -> None:
         """Wait until it answers."""
         eventually(self._answers, f"{self.name} being up ({self._log})")
@@ -184,6 +189,18 @@ class Cell:
         """Return the entities of a type."""
         listed: list[dict[str, Any]] = self.entities.get("", params={"type": kind, "limit": 500}).json()
         return listed
+
+    def tasks(self, process: str) -> list[dict[str, Any]]:
+        """Return the Task entities of a process."""
+        return [task for task in self.of_type("Task") if _is_of(task["id"], process)]
+
+    def alerts(self, process: str) -> list[dict[str, Any]]:
+        """Return the Alerts about a process and its Tasks."""
+        return [one for one in self.of_type("Alert") if _is_of(one["alertSource"]["object"], process)]
+
+
+def _is_of(entity_id: str, process: str) -> bool:
+    return entity_id.rpartition(":")[2] == process or f":{process}-" in entity_id
 
 
 @contextmanager

@@ -4,13 +4,13 @@ import itertools
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
-from typing import Any
 
 import httpx
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
+
+from tests.conftest import Cell, wait_until
 
 NAMES = [
     "shoulder_pan_joint",
@@ -22,8 +22,10 @@ NAMES = [
 ]
 
 
-@pytest.fixture
-def tool(cell: Any, eventually: Any) -> Iterator[Any]:
+@pytest.fixture(scope="module")
+def tool(shared_cell: Cell) -> Cell:
+    """A trajectory tool for all tests that only look."""
+    cell = shared_cell
     with (cell.data_dir / "trajectory_tool.log").open("ab") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", "services.trajectory_tool"],
@@ -42,17 +44,17 @@ def tool(cell: Any, eventually: Any) -> Iterator[Any]:
         except httpx.TransportError:
             return False
 
-    eventually(answers, 30)
+    wait_until(answers, 30)
     return cell
 
 
-def joint_states(cell: Any, query: str = "", robot: str = "ur10-1") -> ClientConnection:
+def joint_states(cell: Cell, query: str = "", robot: str = "ur10-1") -> ClientConnection:
     url = cell.url("trajectory_tool").replace("http", "ws")
     return connect(f"{url}/robots/{robot}/joint_states{query}", proxy=None)
 
 
 @pytest.mark.slow
-def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Any) -> None:
+def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
     robots = httpx.get(f"{tool.url('trajectory_tool')}/robots").json()
     assert [robot["id"] for robot in robots] == ["ur10-1"]
     robot = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-1").json()
@@ -87,7 +89,7 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Any) -> None:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_answered_says_why(tool: Any) -> None:
+def test_what_cannot_be_answered_says_why(tool: Cell) -> None:
     assert httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9/scene").status_code == 404
     unknown = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9")
     assert unknown.status_code == 404
@@ -111,7 +113,7 @@ def test_what_cannot_be_answered_says_why(tool: Any) -> None:
         ("HANDOVER_MAX_JOINT_SPEED_RAD_S", "[1, 2]", "HANDOVER_MAX_JOINT_SPEED_RAD_S"),
     ],
 )
-def test_a_wrong_setting_is_one_readable_line(cell: Any, setting: str, value: str, complaint: str) -> None:
+def test_a_wrong_setting_is_one_readable_line(cell: Cell, setting: str, value: str, complaint: str) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "services.trajectory_tool"],
         env={**cell.environment, setting: value},

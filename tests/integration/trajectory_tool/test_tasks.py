@@ -2,7 +2,8 @@
 
 import asyncio
 import itertools
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from datamodels.entities import Device, DeviceState, Task, TaskStatus
 from handover.broker import BrokerClient, NotFound
 from handover.settings import Settings
+from tests.conftest import Cell
 
 pytestmark = pytest.mark.slow
 
@@ -23,10 +25,11 @@ HOME = [0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
 class Shop:
     """A broker and a trajectory tool, and Tasks for its robot."""
 
-    def __init__(self, cell: Any, broker: BrokerClient) -> None:
+    _numbers = itertools.count(1)
+
+    def __init__(self, cell: Cell, broker: BrokerClient) -> None:
         self.cell = cell
         self.broker = broker
-        self._numbers = itertools.count(1)
 
     async def ask(self, operation: str, definition: str = "work", **parameters: Any) -> str:
         """Create a Task and return its id; without `operation` its definition says what to do."""
@@ -93,31 +96,47 @@ def _now() -> str:
     return datetime.now(UTC).isoformat().replace("+00:00", "Z")
 
 
-@pytest.fixture
-async def shop(cell: Any) -> AsyncIterator[Shop]:
-    cell.start("context_broker", "trajectory_tool")
+@asynccontextmanager
+async def at_work(cell: Cell) -> AsyncIterator[Shop]:
+    cell.run("context_broker", "trajectory_tool")
     async with BrokerClient(Settings.load(broker_url=cell.url("context_broker"))) as broker:
         yield Shop(cell, broker)
 
 
-async def test_the_robots_part_of_the_process_is_done(shop: Shop) -> None:
-    assert (await shop.done("", definition="home"))["joints"] == HOME
-    missed = await shop.done("scan", bin="bin-1")
+@pytest.fixture
+async def new_shop(cell: Cell) -> AsyncIterator[Shop]:
+    """A shop in which nothing has been done yet, for tests of what lies where and what the robot holds."""
+    async with at_work(cell) as made:
+        yield made
+
+
+@pytest.fixture
+async def shop(shared_cell: Cell) -> AsyncIterator[Shop]:
+    """The shop of all tests that only move the robot; it begins where a new one does."""
+    async with at_work(shared_cell) as made:
+        await made.done("home")
+        await made.device_is(DeviceState.IDLE)
+        yield made
+
+
+async def test_the_robots_part_of_the_process_is_done(new_shop: Shop) -> None:
+    assert (await new_shop.done("", definition="home"))["joints"] == HOME
+    missed = await new_shop.done("scan", bin="bin-1")
     assert missed["found"] is False
     assert missed["reason"] == "no part lies free in bin-1"
-    seen = await shop.done("scan", bin="bin-1")
+    seen = await new_shop.done("scan", bin="bin-1")
     assert seen["found"] is True
-    picked = await shop.done("pick", part=seen["part"], pose=seen["pose"])
+    picked = await new_shop.done("pick", part=seen["part"], pose=seen["pose"])
     assert picked["part"] == seen["part"]
     assert picked["gripped"] is True
     assert 1 < picked["durationS"] < 10
-    device = await shop.device_is(DeviceState.IDLE)
+    device = await new_shop.device_is(DeviceState.IDLE)
     assert device.value is not None
     assert device.value.value["holds"] == seen["part"]
-    placed = await shop.done("place", location="fixture-1")
+    placed = await new_shop.done("place", location="fixture-1")
     assert placed["location"] == "fixture-1"
     assert placed["progress"] == 1.0
-    metrics = httpx.get(f"{shop.cell.url('trajectory_tool')}/metrics").text
+    metrics = httpx.get(f"{new_shop.cell.url('trajectory_tool')}/metrics").text
     assert 'handover_trajectory_tool_tasks_total{operation="scan",outcome="completed"} 2.0' in metrics
 
 
@@ -206,28 +225,26 @@ async def test_a_motion_cut_short_by_a_power_cut_is_done_again(shop: Shop) -> No
     assert (await shop.comes_to(task, TaskStatus.COMPLETED))["joints"] == AWAY
 
 
-async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(shop: Shop) -> None:
-    task = await shop.ask("pick", bin="bin-1", speed=0.5)
+async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(new_shop: Shop) -> None:
+    task = await new_shop.ask("pick", bin="bin-1", speed=0.5)
     async with asyncio.timeout(30):
-        while shop.robot()["gripper"]["holds"] is None:
+        while new_shop.robot()["gripper"]["holds"] is None:
             await asyncio.sleep(0.01)
-    memory = shop.cell.data_dir / "trajectory_tool" / "ur10-1.json"
+    memory = new_shop.cell.data_dir / "trajectory_tool" / "ur10-1.json"
     async with asyncio.timeout(10):
         while '"held":"part-1"' not in memory.read_text():
             await asyncio.sleep(0.01)
-    shop.cell.kill("trajectory_tool")
-    assert (await shop.broker.get(task, Task)).status.value is TaskStatus.IN_PROGRESS
-    shop.cell.start("trajectory_tool")
-    picked = await shop.comes_to(task, TaskStatus.COMPLETED)
+    new_shop.cell.kill("trajectory_tool")
+    assert (await new_shop.broker.get(task, Task)).status.value is TaskStatus.IN_PROGRESS
+    new_shop.cell.start("trajectory_tool")
+    picked = await new_shop.comes_to(task, TaskStatus.COMPLETED)
     assert picked["part"] == "part-1"
-    placed = await shop.done("place", location="fixture-1")
+    placed = await new_shop.done("place", location="fixture-1")
     assert placed["part"] == "part-1"
-    assert (await shop.done("pick", bin="bin-1"))["part"] == "part-2"
+    assert (await new_shop.done("pick", bin="bin-1"))["part"] == "part-2"
 
 
-async def test_the_device_is_written_again_after_the_broker_was_away(
-    shop: Shop, eventually: Callable[..., None]
-) -> None:
+async def test_the_device_is_written_again_after_the_broker_was_away(shop: Shop) -> None:
     await shop.device_is(DeviceState.IDLE)
     shop.cell.kill("context_broker")
     shop.cell.start("context_broker")
@@ -239,15 +256,15 @@ async def test_the_device_is_written_again_after_the_broker_was_away(
     assert idle.value.value["joints"] == AWAY
 
 
-async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(shop: Shop) -> None:
-    url = f"{shop.cell.url('trajectory_tool')}/robots/ur10-1/gripper/free"
-    await shop.done("pick", bin="bin-1")
-    task = await shop.ask("home")
-    await shop.in_motion()
+async def test_a_person_frees_the_gripper_but_not_while_the_robot_works(new_shop: Shop) -> None:
+    url = f"{new_shop.cell.url('trajectory_tool')}/robots/ur10-1/gripper/free"
+    await new_shop.done("pick", bin="bin-1")
+    task = await new_shop.ask("home")
+    await new_shop.in_motion()
     refused = httpx.post(url)
     assert refused.status_code == 409
     assert task in refused.json()["detail"]
-    await shop.comes_to(task, TaskStatus.COMPLETED)
+    await new_shop.comes_to(task, TaskStatus.COMPLETED)
     async with asyncio.timeout(10):
         while (freed := httpx.post(url)).status_code != 200:
             await asyncio.sleep(0.02)

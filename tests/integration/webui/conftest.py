@@ -96,5 +96,5 @@ def browser(cell: Any) -> Iterator[httpx.Client]:
 def whole_cell(cell: Any) -> Any:
     """A cell in which everything runs; started one after the other, since five at once are slow to come."""
     for service in ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "webui"):
-        cell.start(service)
+        cell.run(service)
     return cell

@@ -1,16 +1,23 @@
 """The doors: REST of the services through the one address, and what is said when one is away."""
 
 import json
-from typing import Any
 
 import httpx
 import pytest
 
+from tests.conftest import Cell
+
 pytestmark = pytest.mark.slow
 
 
-def test_what_the_services_answer_comes_through_as_it_is(cell: Any, browser: httpx.Client) -> None:
-    cell.start("context_broker", "task_orchestrator", "webui")
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests: what they leave in it is in nobody's way."""
+    return shared_cell
+
+
+def test_what_the_services_answer_comes_through_as_it_is(cell: Cell, browser: httpx.Client) -> None:
+    cell.run("context_broker", "task_orchestrator", "webui")
     deployed = browser.get("/api/task-orchestrator/definitions/bin-picking/bpmn")
     assert deployed.headers["content-type"] == "application/xml"
     again = browser.post("/api/task-orchestrator/definitions", content=deployed.content)
@@ -48,8 +55,11 @@ def test_what_the_services_answer_comes_through_as_it_is(cell: Any, browser: htt
     assert kept.json()["id"] == lamp["id"]
 
 
-def test_a_service_that_is_away_is_named(cell: Any, browser: httpx.Client) -> None:
-    cell.start("webui")
+def test_a_service_that_is_away_is_named(cell: Cell, browser: httpx.Client) -> None:
+    cell.run("webui")
+    for service in ("task_orchestrator", "gesture_controller"):
+        if cell.runs(service):
+            cell.kill(service)
     for path in ("task-orchestrator/definitions", "gesture-controller/gloves", "trajectory-tool/robots"):
         away = browser.get(f"/api/{path}")
         assert away.status_code == 502
@@ -62,16 +72,17 @@ def test_a_service_that_is_away_is_named(cell: Any, browser: httpx.Client) -> No
     assert "gesture-controller" in browser.get("/api/no-such-service/x").json()["detail"]
 
 
-def test_nobody_rings_the_brokers_bell_from_here(cell: Any, browser: httpx.Client) -> None:
-    cell.start("context_broker", "gesture_controller", "webui")
+def test_nobody_rings_the_brokers_bell_from_here(cell: Cell, browser: httpx.Client) -> None:
+    cell.run("context_broker", "gesture_controller", "webui")
     for path in ("notifications", "%6eotifications"):
         rung = browser.post(f"/api/gesture-controller/{path}", json={"data": []})
         assert rung.status_code == 404
     assert browser.post("/notifications/guessed", json={"data": []}).status_code == 404
 
 
-def test_a_page_of_another_site_changes_nothing(cell: Any, browser: httpx.Client) -> None:
-    cell.start("context_broker", "task_orchestrator", "webui")
+def test_a_page_of_another_site_changes_nothing(cell: Cell, browser: httpx.Client) -> None:
+    cell.run("context_broker", "task_orchestrator", "webui")
+    before = browser.get("/api/task-orchestrator/processes").json()
     body = json.dumps({"definition": "bin-picking"})
     refused = browser.post(
         "/api/task-orchestrator/processes",
@@ -79,13 +90,13 @@ def test_a_page_of_another_site_changes_nothing(cell: Any, browser: httpx.Client
         headers={"Origin": "http://evil.example", "Content-Type": "text/plain"},
     )
     assert refused.status_code == 403
-    assert browser.get("/api/task-orchestrator/processes").json() == []
+    assert browser.get("/api/task-orchestrator/processes").json() == before
     rebound = browser.get("/api/task-orchestrator/processes", headers={"Host": "evil.example"})
     assert rebound.status_code == 403
 
 
-def test_the_page_is_there_at_every_place_within_it(cell: Any, browser: httpx.Client) -> None:
-    cell.start("webui")
+def test_the_page_is_there_at_every_place_within_it(cell: Cell, browser: httpx.Client) -> None:
+    cell.run("webui")
     for place in ("/", "/work", "/processes/bin-picking-1"):
         page = browser.get(place)
         assert page.status_code == 200

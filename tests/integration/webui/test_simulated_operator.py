@@ -9,10 +9,18 @@ import httpx
 import psutil
 import pytest
 
+from tests.conftest import Cell
+
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
 
 
-def operators(cell: Any) -> list[psutil.Process]:
+@pytest.fixture(scope="module")
+def cell(shared_cell: Cell) -> Cell:
+    """One cell for all of these tests: no operator outlives its test."""
+    return shared_cell
+
+
+def operators(cell: Cell) -> list[psutil.Process]:
     """The operators that the server has started and that live."""
     found = []
     for child in psutil.Process(cell.processes["webui"].pid).children():
@@ -23,7 +31,7 @@ def operators(cell: Any) -> list[psutil.Process]:
 
 
 def test_it_works_the_process_through_while_the_page_looks(
-    whole_cell: Any, look: Callable[[], Any], browser: httpx.Client
+    whole_cell: Cell, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
     viewer = look()
     started = browser.post("/api/operator", json={"glove": "glove-1"})
@@ -64,9 +72,9 @@ def test_it_works_the_process_through_while_the_page_looks(
 
 
 def test_it_is_started_again_when_it_dies_and_dies_with_the_server(
-    cell: Any, browser: httpx.Client, eventually: Callable[..., None]
+    cell: Cell, browser: httpx.Client, eventually: Callable[..., None]
 ) -> None:
-    cell.start("context_broker", "gesture_controller", "webui")
+    cell.run("context_broker", "gesture_controller", "webui")
     assert browser.post("/api/operator", json={"glove": "glove-2"}).status_code == 201
     eventually(lambda: operators(cell), 30)
     (first,) = operators(cell)
@@ -78,9 +86,9 @@ def test_it_is_started_again_when_it_dies_and_dies_with_the_server(
 
 
 def test_it_takes_no_glove_that_somebody_wears(
-    cell: Any, look: Callable[[], Any], browser: httpx.Client
+    cell: Cell, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
-    cell.start("context_broker", "gesture_controller", "webui")
+    cell.run("context_broker", "gesture_controller", "webui")
     viewer = look()
     with socket.create_connection(("127.0.0.1", cell.ports["glove"])) as glove:
         glove.sendall(b'{"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"}\n')

@@ -1,27 +1,15 @@
-"""The temporal API over HTTP: what has been is told, added to and corrected, and survives a power cut."""
+"""Looks into the past over HTTP: windows, forms, aggregates, parts of what is too much, what is refused."""
 
-import threading
-from collections.abc import Iterator
 from itertools import count
 from typing import Any
 
 import httpx
 import pytest
 
-PAST = "/temporal/entities"
+from .past import PAST, a_car, at, fault, readings, told, values
+
 NUMBERS = count(1)
 LD = {"Accept": "application/ld+json"}
-
-
-def at(minute: int) -> str:
-    return f"2026-01-01T{minute // 60:02}:{minute % 60:02}:00Z"
-
-
-def readings(values: list[Any], first: int = 0, **more: Any) -> list[dict[str, Any]]:
-    return [
-        {"type": "Property", "value": value, "observedAt": at(first + minute), **more}
-        for minute, value in enumerate(values)
-    ]
 
 
 @pytest.fixture
@@ -31,59 +19,8 @@ def entity_id() -> str:
 
 @pytest.fixture
 def car(http: httpx.Client, entity_id: str) -> str:
-    """A car that only has a past: five speeds, two headings of a second sensor."""
-    body = {
-        "id": entity_id,
-        "type": "Car",
-        "speed": readings([10, 20, 30, 40, 50]),
-        "heading": [*readings([1, 2]), *readings([8, 9], datasetId="urn:x:gps")],
-    }
-    answer = http.post(PAST, json=body)
-    assert answer.status_code == 201, answer.text
-    assert answer.headers["location"] == f"/ngsi-ld/v1{PAST}/{entity_id}"
-    return entity_id
-
-
-def told(http: httpx.Client, entity_id: str, **parameters: Any) -> dict[str, Any]:
-    answer = http.get(f"{PAST}/{entity_id}", params=parameters)
-    assert answer.status_code == 200, answer.text
-    found: dict[str, Any] = answer.json()
-    return found
-
-
-def values(told_of: dict[str, Any], name: str = "speed") -> list[Any]:
-    return [one["value"] for one in told_of.get(name, [])]
-
-
-def fault(answer: httpx.Response) -> tuple[int, str]:
-    return answer.status_code, answer.json()["type"].rpartition("/")[2]
-
-
-def test_changes_of_the_present_become_the_past(http: httpx.Client, entity_id: str) -> None:
-    entity = {"id": entity_id, "type": "Car", "scope": "/a", "speed": readings([1])[0], "colour": "red"}
-    path = f"/entities/{entity_id}"
-    assert http.post("/entities", json=entity).status_code == 201
-    assert http.patch(f"{path}/attrs/speed", json=readings([2], 1)[0]).status_code == 204
-    assert http.patch(f"{path}/attrs", json={"colour": "blue"}).status_code == 204
-    assert http.patch(path, json={"speed": {"value": 3, "observedAt": at(2)}}).status_code == 204
-    assert http.delete(f"{path}/attrs/colour").status_code == 204
-    past = told(http, entity_id)
-    assert values(past) == [1, 2, 3]
-    assert values(past, "colour") == ["red", "blue"]
-    assert values(past, "scope") == ["/a"]
-    assert past["scope"][0]["observedAt"]
-    ids = [one["instanceId"] for name in ("speed", "colour", "scope") for one in past[name]]
-    assert len(set(ids)) == len(ids)
-    gone = told(http, entity_id, timeproperty="deletedAt")
-    assert [(one["value"], "deletedAt" in one) for one in gone["colour"]] == [("urn:ngsi-ld:null", True)]
-    assert "speed" not in gone
-    assert http.delete(path).status_code == 204
-    after = told(http, entity_id, options="sysAttrs")
-    assert values(after) == [1, 2, 3]
-    assert after["deletedAt"] > after["modifiedAt"] >= after["createdAt"]
-    assert values(told(http, entity_id, timeproperty="deletedAt")) == ["urn:ngsi-ld:null"]
-    assert http.post("/entities", json=entity).status_code == 201
-    assert values(told(http, entity_id, timeproperty="modifiedAt")) == [1, 2, 3, 1]
+    """A car that only has a past."""
+    return a_car(http, entity_id)
 
 
 @pytest.mark.parametrize(
@@ -278,101 +215,6 @@ def test_more_than_fits_an_answer_is_told_in_parts(http: httpx.Client, entity_id
     assert latest[-1][1] == at(1399)
 
 
-def test_the_past_is_added_to(http: httpx.Client, car: str) -> None:
-    more = {"id": car, "type": ["Truck"], "speed": readings([60], 5), "scope": ["/a", "/b"]}
-    assert http.post(PAST, json=more).status_code == 204
-    assert (
-        http.post(f"{PAST}/{car}/attrs", json={"speed": readings([70, 80], 6), "colour": "red"}).status_code
-        == 204
-    )
-    past = told(http, car)
-    assert past["type"] == ["Car", "Truck"]
-    assert values(past) == [10, 20, 30, 40, 50, 60, 70, 80]
-    assert values(past, "scope") == [["/a", "/b"]]
-    deletion = {"speed": readings(["urn:ngsi-ld:null"], 9)}
-    assert http.post(f"{PAST}/{car}/attrs", json=deletion).status_code == 204
-    assert values(told(http, car))[-1] == "urn:ngsi-ld:null"
-    assert http.get(f"/entities/{car}").status_code == 404  # the present knows nothing of it
-
-
-def test_what_is_said_twice_is_known_once(http: httpx.Client, car: str) -> None:
-    before = told(http, car, options="sysAttrs")
-    again = {
-        "id": car,
-        "type": "Car",
-        "speed": [*readings([11, 20]), *readings([60], 5)],
-        "heading": [*readings([7], 1, datasetId="urn:x:gps"), *readings([3], 9)],
-        "scope": readings(["/a"]),
-    }
-    for _ in range(2):
-        assert http.post(PAST, json=again).status_code == 204
-        past = told(http, car, options="sysAttrs")
-        assert values(past) == [11, 20, 30, 40, 50, 60]
-        assert values(past, "scope") == ["/a"]
-        headings = [(one["value"], one.get("datasetId")) for one in past["heading"]]
-        assert sorted(headings, key=str) == [
-            (1, None),
-            (2, None),
-            (3, None),
-            (7, "urn:x:gps"),
-            (8, "urn:x:gps"),
-        ]
-        first, was = past["speed"][0], before["speed"][0]
-        assert (first["instanceId"], first["createdAt"]) == (was["instanceId"], was["createdAt"])
-        assert first["modifiedAt"] > was["modifiedAt"]
-    http.post(f"{PAST}/{car}/attrs", json={"speed": readings([12])})
-    assert sorted(values(told(http, car))) == [11, 12, 20, 30, 40, 50, 60]
-
-
-def test_an_instance_is_corrected_and_deleted(http: httpx.Client, car: str) -> None:
-    first, second, *_ = told(http, car)["speed"]
-    path = f"{PAST}/{car}/attrs/speed"
-    assert http.patch(f"{path}/{first['instanceId']}", json={"value": 11}).status_code == 204
-    part = {"type": "Property", "value": 21, "observedAt": at(30), "unitCode": "KMH"}
-    assert http.patch(f"{path}/{second['instanceId']}", json=part).status_code == 204
-    past = told(http, car, options="sysAttrs")["speed"]
-    assert [one["value"] for one in past] == [11, 30, 40, 50, 21]
-    assert past[-1]["instanceId"] == second["instanceId"]
-    assert past[-1]["unitCode"] == "KMH"
-    assert past[-1]["modifiedAt"] > past[-1]["createdAt"]
-    newer = {"timerel": "after", "timeAt": past[1]["modifiedAt"], "timeproperty": "modifiedAt"}
-    assert values(told(http, car, **newer)) == [11, 21]
-    assert http.delete(f"{path}/{first['instanceId']}").status_code == 204
-    assert values(told(http, car)) == [30, 40, 50, 21]
-    assert fault(http.delete(f"{path}/{first['instanceId']}")) == (404, "ResourceNotFound")
-    for wrong in ("urn:ngsi-ld:Instance:1-1-0", "urn:x:1", first["instanceId"]):
-        assert fault(http.patch(f"{path}/{wrong}", json={"value": 1})) == (404, "ResourceNotFound")
-    assert (
-        fault(http.patch(f"{PAST}/{car}/attrs/heading/{second['instanceId']}", json={"value": 1}))[0] == 404
-    )
-
-
-def test_attributes_and_entities_are_forgotten(http: httpx.Client, car: str) -> None:
-    path = f"{PAST}/{car}"
-    assert http.delete(f"{path}/attrs/heading", params={"datasetId": "urn:x:gps"}).status_code == 204
-    assert values(told(http, car), "heading") == [1, 2]
-    assert http.delete(f"{path}/attrs/heading").status_code == 204
-    assert fault(http.delete(f"{path}/attrs/heading", params={"deleteAll": "true"})) == (
-        404,
-        "ResourceNotFound",
-    )
-    assert http.delete(f"{path}/attrs/speed", params={"deleteAll": "true"}).status_code == 204
-    assert set(told(http, car)) == {"id", "type"}
-    assert http.delete(path).status_code == 204
-    for method, at_path in (("GET", path), ("DELETE", path), ("DELETE", f"{path}/attrs/speed")):
-        assert fault(http.request(method, at_path)) == (404, "ResourceNotFound")
-    assert fault(http.post(f"{path}/attrs", json={"speed": readings([1])})) == (404, "ResourceNotFound")
-
-
-def test_forgetting_the_past_leaves_the_present_alone(http: httpx.Client, entity_id: str) -> None:
-    assert http.post("/entities", json={"id": entity_id, "type": "Car", "speed": 1}).status_code == 201
-    assert http.delete(f"{PAST}/{entity_id}").status_code == 204
-    assert http.get(f"/entities/{entity_id}").status_code == 200
-    assert set(told(http, entity_id)) == {"id", "type"}
-    assert http.patch(f"/entities/{entity_id}/attrs", json={"speed": 2}).status_code == 204
-    assert values(told(http, entity_id)) == [2]
-
-
 @pytest.mark.parametrize(
     "parameters",
     [
@@ -428,28 +270,6 @@ def test_queries_that_are_too_broad_or_unknown_are_refused(http: httpx.Client) -
         assert fault(http.post("/temporal/entityOperations/query", json=body)) == (400, "BadRequestData")
 
 
-@pytest.mark.parametrize(
-    "part",
-    [
-        {"speed": []},
-        {"speed": [{"value": None}]},
-        {"speed": [{"value": 1, "observedAt": "now"}]},
-        {"speed": [{"type": "Property"}]},
-        {"scope": "no scope"},
-        {"scope": [{"type": "Relationship", "object": "urn:x:1"}]},
-        {"expiresAt": "urn:ngsi-ld:null"},
-        {"type": []},
-        {"id": "no uri"},
-    ],
-)
-def test_what_cannot_have_been_is_refused(http: httpx.Client, entity_id: str, part: dict[str, Any]) -> None:
-    body = {"id": entity_id, "type": "Car", **part}
-    answer = http.post(PAST, json=body)
-    if part != {"speed": []}:  # which is a Property whose value is an empty list
-        assert fault(answer) == (400, "BadRequestData")
-        assert http.get(f"{PAST}/{entity_id}").status_code == 404
-
-
 def test_tenants_have_their_own_past(http: httpx.Client, car: str, entity_id: str) -> None:
     assert fault(http.get(f"{PAST}/{car}", headers={"NGSILD-Tenant": "nobody"}))[1] == "NonexistentTenant"
     theirs = {"NGSILD-Tenant": "theirs"}
@@ -460,67 +280,6 @@ def test_tenants_have_their_own_past(http: httpx.Client, car: str, entity_id: st
     asked = {"type": "Car", "attrs": "speed", "timerel": "after", "timeAt": "2026-01-01T03:00:00+04:00"}
     found = http.get(PAST, params=asked, headers=theirs).json()
     assert [one["id"] for one in found] == [car]
-
-
-def test_nothing_is_recorded_where_that_is_turned_off(own_broker: Any) -> None:
-    own_broker.extra = {"HANDOVER_BROKER_HISTORY": "false"}
-    own_broker.start()
-    with own_broker.client() as http:
-        assert http.post("/entities", json={"id": "urn:x:1", "type": "Car", "speed": 1}).status_code == 201
-        assert set(told(http, "urn:x:1")) == {"id", "type"}
-        assert (
-            http.post(PAST, json={"id": "urn:x:2", "type": "Car", "speed": readings([1])}).status_code == 201
-        )
-        assert values(told(http, "urn:x:2")) == [1]
-
-
-class Writer(threading.Thread):
-    """Patches one entity as fast as it can, and notes what was acknowledged."""
-
-    def __init__(self, broker: Any, entity_id: str) -> None:
-        super().__init__(daemon=True)
-        self.broker = broker
-        self.entity_id = entity_id
-        self.acknowledged = 0
-        self.over = threading.Event()
-
-    def run(self) -> None:
-        with self.broker.client() as http:
-            try:
-                for number in self._numbers():
-                    if http.patch(f"/entities/{self.entity_id}/attrs", json={"n": number}).status_code == 204:
-                        self.acknowledged = number
-            except httpx.TransportError:
-                return
-
-    def _numbers(self) -> Iterator[int]:
-        number = self.acknowledged
-        while not self.over.is_set():
-            number += 1
-            yield number
-
-
-def test_a_power_cut_takes_nothing_acknowledged_out_of_the_past(own_broker: Any, eventually: Any) -> None:
-    own_broker.start()
-    ids = [f"urn:x:{number}" for number in range(4)]
-    with own_broker.client() as http:
-        for entity_id in ids:
-            assert (
-                http.post("/entities", json={"id": entity_id, "type": "Counter", "n": 0}).status_code == 201
-            )
-    writers = [Writer(own_broker, entity_id) for entity_id in ids]
-    for writer in writers:
-        writer.start()
-    eventually(lambda: all(one.acknowledged > 50 for one in writers))
-    own_broker.kill()
-    for writer in writers:
-        writer.join(10)
-    own_broker.start()
-    with own_broker.client() as http:
-        for writer in writers:
-            told_of = values(told(http, writer.entity_id, timeproperty="modifiedAt"), "n")
-            assert told_of == list(range(len(told_of)))
-            assert len(told_of) - 1 in {writer.acknowledged, writer.acknowledged + 1}
 
 
 def test_a_map_of_entities_also_serves_looks_into_the_past(http: httpx.Client) -> None:
