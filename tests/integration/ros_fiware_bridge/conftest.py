@@ -21,6 +21,7 @@ from ros_fiware_bridge.graph.port import Publisher, Received, Subscription
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.conftest import new_cell
+from tests.integration.ros_fiware_bridge.everyday import ASKING, BOTH_WAYS
 
 
 class Shop:
@@ -118,6 +119,15 @@ class Shop:
 
     def _log(self) -> str:
         return str(self.cell.log("ros_fiware_bridge")[-3000:])
+
+
+@pytest.fixture(scope="session")
+def everyday(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+    """A broker and a bridge with the everyday mapping, for the modules that need no other."""
+    with new_cell(tmp_path_factory.mktemp("cell")) as cell:
+        made = Shop(cell, random.randint(1, 100))
+        made.begin(BOTH_WAYS + ASKING)
+        yield made
 
 
 @pytest.fixture(scope="module")

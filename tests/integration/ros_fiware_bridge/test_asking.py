@@ -10,60 +10,19 @@ import pytest
 from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
 from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, Message, ServedGoal
+from tests.integration.ros_fiware_bridge.conftest import Shop
 
 pytestmark = pytest.mark.slow
 
 ARM = "urn:ngsi-ld:Device:demo:arm"
 LAMP = "urn:ngsi-ld:Device:demo:lamp"
 
-MAPPING = """
-services:
-  reset:
-    service: /arm/reset
-    type: std_srvs/SetBool
-    task: reset
-    resource: Device:arm
-    request: {data: {attribute: hard, default: false}}
-    success: success
-    message: message
-    outputs: {words: message}
-    timeout_s: 4
-  light:
-    service: /lamp/on
-    type: std_srvs/SetBool
-    when: {entity: Device:lamp, attribute: wanted, is: true}
-    request: {data: wanted}
-    outputs: {answer: message}
-actions:
-  count:
-    action: /arm/count
-    type: example_interfaces/Fibonacci
-    task: count
-    resource: Device:arm
-    goal: {order: {attribute: upTo, required: true}}
-    feedback: {sequence: sequence}
-    outputs: {sequence: sequence}
-  once:
-    action: /arm/count
-    type: example_interfaces/Fibonacci
-    task: once
-    resource: Device:arm
-    again: false
-tasks_from_ros:
-  ask:
-    service: /ask_for_help
-    type: std_srvs/SetBool
-    task:
-      definition: help
-      resources: [Person:anna]
-      description: Please help the arm
-      parameters: {commandId: {constant: 3}, urgent: data}
-    answer: finished
-    response: {success: completed, message: {text: "{status} {id}"}}
-    timeout_s: 20
-"""
-
 _numbers = itertools.count(1)
+
+
+@pytest.fixture(scope="module")
+def at_work(everyday: Shop) -> Shop:
+    return everyday
 
 
 def prop(value: Any) -> dict[str, Any]:
