@@ -31,7 +31,7 @@ define tests_beside_page
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test crashes thorough check lint python-check page-check lock bench bench-broker bench-gestures bench-handover bench-screen clean
+.PHONY: help setup demo up test crashes thorough check lint python-check page-check lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -85,12 +85,14 @@ page-check: setup
 
 lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds hashes)
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) pyproject.toml -o requirements/run.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra ros pyproject.toml -o requirements/ros.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.12 $(ARGS) --extra ros --override requirements/jazzy.in pyproject.toml -o requirements/jazzy.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra dev pyproject.toml -o requirements/dev.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/uv.in -o requirements/uv.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/node.in -o requirements/node.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) requirements/build.in -o requirements/build.lock
 
-bench: bench-broker bench-gestures bench-handover  ## measure everything
+bench: bench-broker bench-gestures bench-handover bench-bridge  ## measure everything
 
 bench-broker: setup  ## the broker: create, patch, retrieve, query, notify
 	@$(BIN)/python -m benchmarks.broker
@@ -100,6 +102,10 @@ bench-gestures: setup  ## the gesture controller: frames a second, cost of 50 gl
 
 bench-handover: setup  ## from the held gesture to the robot; cold start; memory
 	@$(BIN)/python -m benchmarks.handover
+
+bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker, 1,000 messages a second
+	@$(BIN)/python -m benchmarks.ros_graph
+	@$(BIN)/python -m benchmarks.ros_bridge $(ARGS)
 
 bench-screen: setup  ## the screen in Chromium: how fast it answers, whether its memory grows
 	@$(BIN)/python -m benchmarks.screen $(ARGS)

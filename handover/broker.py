@@ -151,15 +151,26 @@ class BrokerClient:
             change = {key: value for key, value in subscription.items() if key not in {"id", "@context"}}
             await self._call("PATCH", f"/subscriptions/{_in_path(subscription['id'])}", body=change)
 
+    async def types(self) -> list[str]:
+        """Return the types of the entities that there are."""
+        response = await self._call("GET", "/types")
+        return [str(name) for name in orjson.loads(response.content).get("typeList", [])]
+
+    async def subscriptions(self) -> list[dict[str, Any]]:
+        """Return the subscriptions that there are."""
+        return [subscription async for subscription in self._pages({}, "/subscriptions")]
+
     async def delete_subscription(self, subscription_id: str) -> None:
         """Delete a subscription; raise `NotFound` if there is none."""
         await self._call("DELETE", f"/subscriptions/{_in_path(subscription_id)}")
 
-    async def _pages(self, selection: Mapping[str, Any]) -> AsyncIterator[dict[str, Any]]:
+    async def _pages(
+        self, selection: Mapping[str, Any], path: str = "/entities"
+    ) -> AsyncIterator[dict[str, Any]]:
         params = {_parameter(name): _joined(value) for name, value in selection.items() if value is not None}
         offset = 0
         while True:
-            page = await self._call("GET", "/entities", params={**params, "limit": PAGE, "offset": offset})
+            page = await self._call("GET", path, params={**params, "limit": PAGE, "offset": offset})
             entities = orjson.loads(page.content)
             for entity in entities:
                 yield entity

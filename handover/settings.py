@@ -9,10 +9,10 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from dotenv import dotenv_values
-from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic import BeforeValidator, Field, SecretStr, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from handover.errors import UsageError
@@ -23,6 +23,10 @@ LIFELINE = f"{PREFIX}LIFELINE"
 ENV_FILE = ".env"
 STARS = "********"
 PASSWORD_IN_URL = re.compile(r"(://[^:/@\s]*:)[^@\s]*@")
+
+
+MaybePath = Annotated[Path | None, BeforeValidator(lambda given: given or None)]
+"""A path that may be absent, or empty, which is how a container is told nothing."""
 
 
 class Settings(BaseSettings):

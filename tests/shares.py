@@ -12,6 +12,8 @@ from xdist.scheduler.loadscope import LoadScopeScheduling
 TOGETHER: Final = {
     "tests/e2e/test_*_page.py": "screen",  # one browser at a time is what two cores bear
     "tests/integration/context_broker/test_distributed_*.py": "registered brokers",
+    "tests/integration/ros_fiware_bridge/test_both_ways.py": "everyday shop with a robot",
+    "tests/integration/ros_fiware_bridge/test_asking.py": "everyday shop with a robot",
 }
 APART: Final = (
     "tests/e2e/test_demo.py",

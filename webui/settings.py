@@ -8,12 +8,13 @@ from urllib.parse import urlsplit
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import NoDecode
 
-from handover.settings import Settings
+from handover.settings import MaybePath, Settings
 
 BROKER = "context-broker"
 ORCHESTRATOR = "task-orchestrator"
 CONTROLLER = "gesture-controller"
 TRAJECTORY = "trajectory-tool"
+ROS_BRIDGE = "ros-bridge"
 
 
 class WebuiSettings(Settings):
@@ -48,6 +49,13 @@ class WebuiSettings(Settings):
     trajectory_url: str | None = Field(
         None, description="where the broker reaches the trajectory tool; http://host:port of it if absent"
     )
+    bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
+    bridge_url: str | None = Field(
+        None, description="where the broker reaches the ROS bridge; http://host:port of it if absent"
+    )
+    ros_mapping: MaybePath = Field(
+        None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
+    )
     glove_host: str = Field("127.0.0.1", description="the address on which gloves are awaited")
     glove_port: int = Field(54000, ge=1, le=65535, description="the TCP port on which gloves are awaited")
     glove_token: SecretStr | None = Field(
@@ -68,13 +76,19 @@ class WebuiSettings(Settings):
 
     @property
     def service_urls(self) -> Mapping[str, str]:
-        """Return where each service behind the screen answers, by its name."""
-        return {
+        """Return where each service behind the screen answers, by its name.
+
+        The ROS bridge is one of them where a mapping is set: a cell without it lacks nothing.
+        """
+        urls = {
             BROKER: self.broker_url,
             ORCHESTRATOR: self.url_of(self.orchestrator_port, self.orchestrator_url),
             CONTROLLER: self.url_of(self.controller_port, self.controller_url),
             TRAJECTORY: self.url_of(self.trajectory_port, self.trajectory_url),
         }
+        if self.ros_mapping is not None:
+            urls[ROS_BRIDGE] = self.url_of(self.bridge_port, self.bridge_url)
+        return urls
 
     @property
     def gloves_awaited_at(self) -> str:

@@ -12,7 +12,7 @@ from datamodels.entities import Task
 from handover.broker import BrokerClient, BrokerError
 from handover.cli.glove import bridge_words
 from handover.cli.launcher import Launcher
-from handover.cli.services import SERVICES, service_named
+from handover.cli.services import service_named, wanted
 from handover.cli.story import Say, Story
 from handover.errors import UsageError
 from handover.settings import Settings
@@ -29,9 +29,10 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
     Raises `UsageError` with the reason when the process does not complete within `timeout_s`.
     """
     began_s = time.monotonic()
-    async with Launcher(SERVICES, settings, say) as launcher:
+    services = wanted()
+    async with Launcher(services, settings, say) as launcher:
         await launcher.keep("simulated-operator", _operator())
-        say(f"{', '.join(service.name for service in SERVICES)}: ready in {time.monotonic() - began_s:.1f} s")
+        say(f"{', '.join(service.name for service in services)}: ready in {time.monotonic() - began_s:.1f} s")
         say(f"Look at it on {service_named('webui').url()}")
         try:
             async with asyncio.timeout(timeout_s):

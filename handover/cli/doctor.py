@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handover.cli.launcher import make_room
-from handover.cli.services import SERVICES
+from handover.cli.services import wanted
 from handover.errors import UsageError
 from handover.ports import hold
 from handover.settings import Settings
@@ -56,7 +56,7 @@ def _disk(settings: Settings) -> Iterator[Finding]:
 
 
 def _ports() -> Iterator[Finding]:
-    for service in SERVICES:
+    for service in wanted():
         for host, port, setting in service.listens():
             try:
                 hold(host, port, setting).close()

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
-from handover.cli import process, specification
+from handover.cli import bridge, process, specification
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_words
 from handover.cli.launcher import Launcher
-from handover.cli.services import SERVICES, service_named
+from handover.cli.services import BESIDES, SERVICES, service_named, wanted
 from handover.errors import HandoverError, Problem, UsageError
 from handover.settings import Settings, origins
 
@@ -25,6 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(process.app, name="process")
+app.add_typer(bridge.app, name="bridge")
 app.add_typer(specification.app, name="specification")
 
 DataDir = Annotated[
@@ -46,14 +47,25 @@ def demo(
 
 
 @app.command()
-def up(data_dir: DataDir = None) -> None:
+def up(
+    data_dir: DataDir = None,
+    ros: Annotated[
+        Path | None,
+        typer.Option(
+            "--ros", help="Also the ROS bridge, with this mapping: a file, or the name of a shipped one."
+        ),
+    ] = None,
+) -> None:
     """Every service with the simulated robot; nobody wears a glove, no process is started."""
+    if ros is not None:
+        os.environ["HANDOVER_ROS_MAPPING"] = str(ros.absolute() if ros.exists() else ros)
     _until_stopped(_up(_settings(data_dir)))
 
 
 async def _up(settings: Settings) -> None:
-    async with Launcher(SERVICES, settings, say):
-        for service in SERVICES:
+    services = wanted()
+    async with Launcher(services, settings, say):
+        for service in services:
             say(f"{service.name:<20} {service.url()}")
         say(f"ready; look at it on {service_named('webui').url()}; Ctrl-C ends it")
         await asyncio.Event().wait()
@@ -61,7 +73,7 @@ async def _up(settings: Settings) -> None:
 
 @app.command()
 def run(
-    service: Annotated[str, typer.Argument(help=", ".join(service.name for service in SERVICES))],
+    service: Annotated[str, typer.Argument(help=", ".join(one.name for one in (*SERVICES, *BESIDES)))],
     port: Annotated[int | None, typer.Option("--port", help="Listen here instead.")] = None,
     data_dir: DataDir = None,
 ) -> None:
@@ -86,7 +98,7 @@ def glove(context: typer.Context) -> None:
 @app.command()
 def settings() -> None:
     """Every setting, its value and where it comes from."""
-    known = list(origins([service.settings for service in SERVICES]))
+    known = list(origins([service.settings for service in (*SERVICES, *BESIDES)]))
     width = max(len(setting.name) for setting in known)
     for setting in known:
         say(f"{setting.name:<{width}}  {setting.value or '-':<36} {setting.origin:<12} {setting.description}")

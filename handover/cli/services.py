@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from handover.errors import UsageError
 from handover.settings import Settings
+from ros_fiware_bridge.settings import BridgeSettings
 from services.context_broker.settings import BrokerSettings
 from services.gesture_controller.settings import ControllerSettings
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -57,12 +58,20 @@ SERVICES = (
     Service("trajectory-tool", "services.trajectory_tool", TrajectorySettings, "trajectory_port"),
     Service("webui", "webui", WebuiSettings, "webui_port"),
 )
+ROS_BRIDGE = Service("ros-bridge", "ros_fiware_bridge", BridgeSettings, "bridge_port")
+BESIDES = (ROS_BRIDGE,)
+"""Services that are run where they are wanted."""
+
+
+def wanted() -> tuple[Service, ...]:
+    """Return the services of the cell as it is set: the ROS bridge is one of them if it has a mapping."""
+    return (*SERVICES, ROS_BRIDGE) if BridgeSettings.load().ros_mapping is not None else SERVICES
 
 
 def service_named(name: str) -> Service:
     """Return the service called `name`; raise `UsageError` with the names there are."""
-    for service in SERVICES:
+    for service in (*SERVICES, *BESIDES):
         if service.name == name:
             return service
-    known = ", ".join(service.name for service in SERVICES)
+    known = ", ".join(service.name for service in (*SERVICES, *BESIDES))
     raise UsageError(f'there is no service "{name}"; the services are {known}')

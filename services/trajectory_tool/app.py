@@ -12,6 +12,7 @@ from handover.errors import Problem
 from handover.service import create_app
 from services.trajectory_tool.controller import Controller
 from services.trajectory_tool.joint_states import stream, written
+from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.settings import TrajectorySettings
 
 STREAM_HZ = 30.0
@@ -87,7 +88,10 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
             raise Problem(
                 409, "Robot at work", f"{robot} does {controller.work.task}; wait for its end or cancel it"
             )
-        await controller.cell.free()
+        try:
+            await controller.cell.free()
+        except RobotFault as fault:
+            raise Problem(503, "Robot fault", f"the gripper cannot be opened: {fault}") from fault
         controller.device.tell(controller.device.state)
         return view_of(controller)
 

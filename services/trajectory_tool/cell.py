@@ -3,12 +3,14 @@
 import asyncio
 from typing import Self
 
+from handover.broker import BrokerClient
 from handover.telemetry import get_logger
 from services.trajectory_tool.camera import Camera
 from services.trajectory_tool.contents import Contents, Lying, fresh
 from services.trajectory_tool.memory import Act, Memory, MemoryFile
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, Robot
+from services.trajectory_tool.ros_robot import RosRobot
 from services.trajectory_tool.scene import Scene
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.simulated_ur10 import Clock, SimulatedUR10
@@ -19,11 +21,18 @@ log = get_logger(__name__)
 class Cell:
     """One robot with its gripper, the camera, the scene around it and the parts in it.
 
-    An asynchronous context manager while the robot is switched on. Raises `UsageError` when the memory in
-    the data directory cannot be used.
+    An asynchronous context manager while the robot is switched on. A robot behind ROS is reached through
+    `broker`. Raises `UsageError` when the memory in the data directory cannot be used.
     """
 
-    def __init__(self, settings: TrajectorySettings, scene: Scene, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        settings: TrajectorySettings,
+        scene: Scene,
+        clock: Clock | None = None,
+        *,
+        broker: BrokerClient | None = None,
+    ) -> None:
         self.scene = scene
         self.arm = scene.arm
         self.file = MemoryFile(settings.data_dir / "trajectory_tool" / f"{settings.robot_name}.json")
@@ -34,15 +43,7 @@ class Cell:
         self.seen: str | None = known.seen if known else None
         self.in_hand = asyncio.Lock()
         """Held by whoever has the robot or its gripper in hand: one Task, or a person."""
-        self.robot: Robot = SimulatedUR10(
-            known.joints if known else scene.home_rad,
-            settings.limits,
-            something_there=lambda joints: self._between_fingers(self.arm.tool_pose(joints)) is not None,
-            gripper_closed=known.gripper_closed if known else False,
-            gripper_s=scene.gripper.acts_in_s,
-            control_hz=settings.control_hz,
-            clock=clock,
-        )
+        self.robot: Robot = self._robot(settings, known, clock, broker)
 
     async def __aenter__(self) -> Self:
         await self.robot.__aenter__()
@@ -138,6 +139,28 @@ class Cell:
             self.contents = self.contents.emptied(fixture)
             nest = self.contents.free_nest(self.scene, fixture)
         return nest
+
+    def _robot(
+        self,
+        settings: TrajectorySettings,
+        known: Memory | None,
+        clock: Clock | None,
+        broker: BrokerClient | None,
+    ) -> Robot:
+        joints = known.joints if known else self.scene.home_rad
+        closed = known.gripper_closed if known else False
+        acts_in_s = self.scene.gripper.acts_in_s
+        if settings.robot == "ros" and broker is not None:
+            return RosRobot(joints, settings, broker, gripper_closed=closed, gripper_s=acts_in_s)
+        return SimulatedUR10(
+            joints,
+            settings.limits,
+            something_there=lambda joints: self._between_fingers(self.arm.tool_pose(joints)) is not None,
+            gripper_closed=closed,
+            gripper_s=acts_in_s,
+            control_hz=settings.control_hz,
+            clock=clock,
+        )
 
     def _between_fingers(self, tool: Pose) -> str | None:
         return self.contents.between_fingers(tool, self.scene.gripper.opening_m)

@@ -6,6 +6,8 @@ from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
 from typing import Any, Self
 
+from fastapi import FastAPI
+
 from datamodels.entities import DeviceState
 from handover.broker import BrokerClient
 from handover.performer import Job, Performer, TaskCancelled, TaskFailed, TaskGone, Wants
@@ -15,6 +17,7 @@ from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.device import RobotDevice
 from services.trajectory_tool.metrics import TASKS
 from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.ros_robot import RosRobot
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.work import Work
 
@@ -31,11 +34,17 @@ class Controller(Performer):
             f"trajectory-tool-{settings.robot_name}", settings, broker, notify_url=settings.notify_url
         )
         self.robot_name = settings.robot_name
-        self.cell = Cell(settings, scene.load(settings.scene_file))
+        self.cell = Cell(settings, scene.load(settings.scene_file), broker=broker)
         self.work: Work | None = None
         self._speed = settings.robot_speed
         self._on = AsyncExitStack()
         self.device = RobotDevice(settings.entity_id("Device", settings.robot_name), self.cell, broker)
+
+    def mount(self, app: FastAPI) -> None:
+        """Add the routes that the broker notifies."""
+        super().mount(app)
+        if isinstance(self.cell.robot, RosRobot):
+            self.cell.robot.mount(app)
 
     async def __aenter__(self) -> Self:
         await self._on.enter_async_context(self.cell)

@@ -1,7 +1,7 @@
 """The settings of the trajectory tool, beside those that every component shares."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,14 @@ class TrajectorySettings(Settings):
     trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
     trajectory_url: str | None = Field(
         None, description="where the broker reaches the trajectory tool; http://host:port of it if absent"
+    )
+    robot: Literal["simulated", "ros"] = Field(
+        "simulated", description="what moves: a simulated UR10, or an arm of a ROS graph, by the ROS bridge"
+    )
+    ros_arm: str = Field(
+        "arm-1",
+        pattern=r"^[A-Za-z0-9_.:-]+$",
+        description="the Device of the arm that the ROS bridge moves, where robot is ros",
     )
     robot_name: str = Field(
         "ur10-1", pattern=r"^[A-Za-z0-9_.-]+$", description="the robot, as the last part of its Device's id"

@@ -63,7 +63,6 @@ def screen(cell: Cell) -> Cell:
 
 
 @pytest.fixture
-<<<<<<< HEAD
 def quiet_screen(screen: Cell) -> Cell:
     """A screen at which nobody is asked for anything: what tests before have begun is cancelled."""
     processes = f"{screen.url('task_orchestrator')}/processes"
@@ -75,13 +74,14 @@ def quiet_screen(screen: Cell) -> Cell:
     ):
         wait_until(lambda busy=busy: httpx.get(busy).json()["task"] is None)  # type: ignore[misc]
     return screen
-=======
+
+
+@pytest.fixture
 def glove_screen(cell: Cell) -> Cell:
     """A cell with the screen and what gloves need, but no processes and no robot."""
-    for services in (["context_broker"], ["gesture_controller", "webui"]):
-        cell.start(*(service for service in services if service not in cell.processes))
+    cell.run("context_broker")
+    cell.run("gesture_controller", "webui")
     return cell
->>>>>>> origin/gestures
 
 
 @pytest.fixture

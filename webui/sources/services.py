@@ -10,7 +10,7 @@ import orjson
 
 from handover.broker import BrokerClient, BrokerError
 from webui.events import EventLog, Happening, now
-from webui.settings import BROKER, CONTROLLER, ORCHESTRATOR, TRAJECTORY
+from webui.settings import BROKER, CONTROLLER, ORCHESTRATOR, ROS_BRIDGE, TRAJECTORY
 from webui.sources.source import Source
 from webui.world import World
 
@@ -36,6 +36,10 @@ COUNTED: Final[Mapping[str, Mapping[str, str]]] = {
     TRAJECTORY: {
         "tasks": "handover_tasks_total",
         "scans": "handover_trajectory_tool_scans_total",
+    },
+    ROS_BRIDGE: {
+        "heard": "handover_ros_bridge_heard_total",
+        "told": "handover_ros_bridge_told_total",
     },
 }
 """What is counted of a service, by the word that the page has for it, and the counters that count it."""

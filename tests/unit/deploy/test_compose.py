@@ -10,14 +10,20 @@ from dotenv import dotenv_values
 
 from glove_sdk_bridge.command_line import parse
 from handover.cli.glove import bridge_words
-from handover.cli.services import SERVICES
+from handover.cli.services import BESIDES
+from handover.cli.services import SERVICES as USUAL
 from handover.settings import origins
 
 REPOSITORY = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((REPOSITORY / "docker-compose.yml").read_text())
 ENV = {name: value or "" for name, value in dotenv_values(REPOSITORY / ".env", interpolate=False).items()}
 CONTAINERS: dict[str, dict[str, Any]] = COMPOSE["services"]
-OURS = {name: each for name, each in CONTAINERS.items() if each["image"].startswith("handover:")}
+SERVICES = (*USUAL, *BESIDES)
+OURS = {
+    name: each
+    for name, each in CONTAINERS.items()
+    if each["image"].startswith(("handover:", "handover-ros:"))
+}
 THIRD_PARTY = {name: each for name, each in CONTAINERS.items() if name not in OURS}
 CHOSEN = {name for name in ENV["COMPOSE_PROFILES"].split(",") if name}
 VARIABLE = re.compile(r"\$\{([A-Z_]+)(?::-([^}]*))?\}")
@@ -120,6 +126,25 @@ def test_the_image_runs_as_nobody_of_importance() -> None:
     assert re.search(r"^USER (\d+):(\d+)$", last_stage, re.MULTILINE)
     assert set(re.findall(r"^FROM (\S+)", dockerfile, re.MULTILINE)) == {"${BASE}", "workshop"}
     assert "ARG BASE=python:3.12-slim\n" in dockerfile
+
+
+def test_the_image_with_ros_runs_as_nobody_of_importance_and_keeps_what_sources_ros() -> None:
+    build = OURS["ros-bridge"]["build"]
+    dockerfile = (REPOSITORY / build["dockerfile"]).read_text()
+    last_stage = dockerfile.rsplit("\nFROM ", 1)[1]
+    assert re.search(r"^USER (\d+):(\d+)$", last_stage, re.MULTILINE)
+    assert 'ENTRYPOINT ["/ros_entrypoint.sh"]' in last_stage
+    assert set(re.findall(r"^FROM (\S+)", dockerfile, re.MULTILINE)) == {"${BASE}"}
+    assert "ARG BASE=ros:jazzy-ros-base\n" in dockerfile
+    for copied in re.findall(r"^COPY (requirements/.*) requirements/$", dockerfile, re.MULTILINE):
+        for file in copied.split():
+            assert (REPOSITORY / file).exists(), file
+
+
+def test_the_ros_bridge_is_there_only_where_it_is_chosen_with_numpy_as_jazzy_has_it() -> None:
+    assert OURS["ros-bridge"]["profiles"] == ["ros"]
+    assert ENV.get("CELL_ROS_MAPPING", "") == ""
+    assert "\nnumpy==1.26." in (REPOSITORY / "requirements" / "jazzy.lock").read_text()
 
 
 @every_container

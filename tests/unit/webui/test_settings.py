@@ -42,6 +42,11 @@ def test_every_service_has_a_door() -> None:
     assert urls["trajectory-tool"] == "http://127.0.0.1:54220"
 
 
+def test_the_ros_bridge_has_a_door_where_it_has_a_mapping() -> None:
+    assert "ros-bridge" not in WebuiSettings.load().service_urls
+    assert WebuiSettings.load(ros_mapping="arm").service_urls["ros-bridge"] == "http://127.0.0.1:54100"
+
+
 def test_a_site_says_where_its_real_emergency_stop_is() -> None:
     assert "emergencyStop" not in cell_of(WebuiSettings.load())
     assert "emergencyStop" not in cell_of(WebuiSettings.load(emergency_stop=""))

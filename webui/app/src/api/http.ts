@@ -1,6 +1,6 @@
 /** REST through the one door: `/api/<service>/<path>`. What is refused comes as a `Refusal` in plain words. */
 
-export type Service = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool";
+export type Service = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool" | "ros-bridge";
 
 /** Problem details (RFC 7807) as our services answer them, with what they add. */
 export interface ProblemDetails {

@@ -2,7 +2,7 @@
 import { useTranslation } from "react-i18next";
 import { useEffect, useRef, type ReactNode } from "react";
 import { Tab, TabList, TabPanel, Tabs } from "react-aria-components";
-import { Activity, Bot, Cpu, Hand, ScrollText, TriangleAlert } from "lucide-react";
+import { Activity, Bot, Cpu, Hand, ScrollText, TriangleAlert, Waypoints } from "lucide-react";
 import { useFamily, useTopic } from "~/live/hooks";
 import { useQuery } from "~/route/query";
 import { useKeys } from "~/shell/keys";
@@ -12,23 +12,28 @@ import { EventsPanel } from "./events/EventsPanel";
 import { GlovesPanel } from "./gloves/GlovesPanel";
 import { useGloveNames, useRobotNames } from "~/live/names";
 import { RobotsPanel } from "./robots/RobotsPanel";
+import { RosPanel } from "./ros/RosPanel";
 import { ServicesPanel } from "./services/ServicesPanel";
 import "./SystemPage.css";
 
-const tabs = [
+const allTabs = [
   { id: "services", icon: Activity, key: "s", panel: <ServicesPanel /> },
   { id: "gloves", icon: Hand, key: "g", panel: <GlovesPanel /> },
   { id: "robots", icon: Bot, key: "r", panel: <RobotsPanel /> },
   { id: "devices", icon: Cpu, key: "d", panel: <DevicesPanel /> },
+  { id: "ros", icon: Waypoints, key: "o", panel: <RosPanel /> },
   { id: "alerts", icon: TriangleAlert, key: "a", panel: <AlertsPanel /> },
   { id: "events", icon: ScrollText, key: "e", panel: <EventsPanel /> },
 ] as const;
 
-type TabId = (typeof tabs)[number]["id"];
+type TabId = (typeof allTabs)[number]["id"];
 
 export default function SystemPage() {
   const { t } = useTranslation("system");
   const [asked, setTab] = useQuery("tab", "services");
+  const hasRos = (useTopic("services") ?? []).some((service) => service.name === "ros-bridge");
+  // A cell without a ROS bridge lacks nothing; it has one tab less.
+  const tabs = allTabs.filter((one) => one.id !== "ros" || hasRos);
   const tab = tabs.find((one) => one.id === asked)?.id ?? "services";
   useKeys(tabs.map(({ id, key }) => ({ key, does: t("keys.show", { tab: t(`tab.${id}`) }), act: () => setTab(id) })));
   return (
@@ -84,6 +89,7 @@ function Count({ tab }: { tab: TabId }): ReactNode {
       return <Devices />;
     case "alerts":
       return <OpenAlerts />;
+    case "ros":
     case "events":
       return null;
   }

@@ -1,0 +1,274 @@
+"""The ROS bridge: a robot on a graph, the bridge and the broker as processes, JointStates of 4 KB.
+
+    python -m benchmarks.ros_bridge [--seconds 10] [--rate 100]
+
+Prints one way from a message of the robot until a subscriber of the broker is told (ROS to NGSI-LD), from a
+write in the broker until the robot hears it (NGSI-LD to ROS), both as p50 and p99 with how many were lost;
+and what the bridge costs of a core when 1,000 messages a second come to a rule with a dead band, with how
+much its resident memory grows.
+"""
+
+import argparse
+import asyncio
+import os
+import random
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import orjson
+import psutil
+import uvicorn
+
+from handover.broker import BrokerClient
+from handover.settings import Settings
+from ros_fiware_bridge.graph.joining import JoinSettings, join
+from ros_fiware_bridge.graph.qos import Qos
+from ros_fiware_bridge.types.type_store import TypeStore
+
+FLOOR_P50_MS, FLOOR_P99_MS = 5.0, 25.0
+FLOOR_CORE = 0.5
+JOINTS = 100
+ROBOT = "urn:ngsi-ld:Device:demo:arm-1"
+GOAL = "urn:ngsi-ld:Device:demo:goal-1"
+MAPPING = """
+ros_to_ngsild:
+  joints:
+    topic: /joint_states
+    type: sensor_msgs/JointState
+    entity: Device:arm-1
+    buffer: {keep: 1000}
+    attributes: {number: "velocity[0]", jointPositions: position}
+  banded:
+    topic: /banded
+    type: sensor_msgs/JointState
+    entity: Device:arm-2
+    attributes: {jointPositions: {field: position, dead_band: 0.5}}
+ngsild_to_ros:
+  goal: {entity: Device:goal-1, topic: /goal, type: std_msgs/Float64, fields: {data: goal}}
+"""
+
+
+def joint_state(number: int) -> dict[str, Any]:
+    """Return a JointState of some 4 KB that carries its number."""
+    return {
+        "name": [f"joint_{joint:03}" for joint in range(JOINTS)],
+        "position": [0.1] * JOINTS,
+        "velocity": [float(number)] + [0.2] * (JOINTS - 1),
+        "effort": [0.3] * JOINTS,
+    }
+
+
+class Bench:
+    """The processes, and what is noted of their messages."""
+
+    def __init__(self, folder: Path) -> None:
+        self.domain = random.randint(1, 100)
+        self.broker_port, self.bridge_port, self.own_port = (_free_port() for _ in range(3))
+        (folder / "mapping.yaml").write_text(MAPPING)
+        self.environment = {
+            **os.environ,
+            "HANDOVER_DATA_DIR": str(folder),
+            "HANDOVER_BROKER_PORT": str(self.broker_port),
+            "HANDOVER_BROKER_URL": f"http://127.0.0.1:{self.broker_port}",
+            "HANDOVER_BROKER_NOTIFY_LOOPBACK": "true",
+            "HANDOVER_BRIDGE_PORT": str(self.bridge_port),
+            "HANDOVER_ROS_MAPPING": str(folder / "mapping.yaml"),
+            "HANDOVER_ROS_DOMAIN_ID": str(self.domain),
+            "HANDOVER_ROS_INTERFACES": '["127.0.0.1"]',
+            "HANDOVER_LOG_LEVEL": "warning",
+        }
+        self.seen_s: dict[int, float] = {}
+
+    def start(self, module: str) -> "subprocess.Popen[bytes]":
+        """Start a service."""
+        return subprocess.Popen([sys.executable, "-m", module], env=self.environment)
+
+    async def ready(self, port: int) -> None:
+        """Wait until a service is ready."""
+        async with httpx.AsyncClient(trust_env=False) as http:
+            for _ in range(600):
+                try:
+                    if (await http.get(f"http://127.0.0.1:{port}/readyz")).is_success:
+                        return
+                except httpx.TransportError:
+                    pass
+                await asyncio.sleep(0.1)
+        raise SystemExit(f"what should listen on port {port} is not ready")
+
+    async def told(self, scope: Any, receive: Any, send: Any) -> None:
+        """Take notifications of the robot's entity (an ASGI application)."""
+        if scope["type"] != "http":
+            return
+        body = b""
+        while True:
+            message = await receive()
+            body += message.get("body", b"")
+            if not message.get("more_body"):
+                break
+        now_s = time.perf_counter()
+        for entity in orjson.loads(body)["data"]:
+            self.seen_s.setdefault(int(entity["number"]["value"]), now_s)
+        await send({"type": "http.response.start", "status": 204, "headers": []})
+        await send({"type": "http.response.body", "body": b""})
+
+
+async def measure(seconds: float, rate_hz: float) -> None:
+    """Measure and print."""
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(Path(folder))
+        processes = [bench.start("services.context_broker")]
+        try:
+            await bench.ready(bench.broker_port)
+            processes.append(bench.start("ros_fiware_bridge"))
+            await bench.ready(bench.bridge_port)
+            await _all(bench, psutil.Process(processes[1].pid), seconds, rate_hz)
+        finally:
+            for process in reversed(processes):
+                process.terminate()
+                process.wait(timeout=10)
+
+
+async def _all(bench: Bench, bridge: psutil.Process, seconds: float, rate_hz: float) -> None:
+    config = uvicorn.Config(
+        bench.told, port=bench.own_port, log_level="error", lifespan="off", interface="asgi3"
+    )
+    server = uvicorn.Server(config)
+    serving = asyncio.create_task(server.serve())
+    robot = await join(
+        TypeStore(), JoinSettings(node="robot", domain_id=bench.domain, interfaces=("127.0.0.1",))
+    )
+    url = f"http://127.0.0.1:{bench.broker_port}"
+    async with BrokerClient(Settings.load(broker_url=url)) as broker:
+        await broker.ensure_subscription(
+            {
+                "id": "urn:ngsi-ld:Subscription:demo:bench",
+                "type": "Subscription",
+                "entities": [{"type": "Device", "id": ROBOT}],
+                "watchedAttributes": ["number"],
+                "notification": {
+                    "attributes": ["number"],
+                    "endpoint": {
+                        "uri": f"http://127.0.0.1:{bench.own_port}/",
+                        "accept": "application/json",
+                    },
+                },
+            }
+        )
+        count = int(seconds * rate_hz)
+        await _ros_to_ngsild(bench, robot, count, rate_hz)
+        await _ngsild_to_ros(robot, broker, count, rate_hz)
+        await _banded(robot, bridge, seconds)
+    await robot.close()
+    server.should_exit = True
+    await serving
+
+
+async def _ros_to_ngsild(bench: Bench, robot: Any, count: int, rate_hz: float) -> None:
+    publisher = await robot.publisher("/joint_states", "sensor_msgs/msg/JointState", Qos(depth=100))
+    assert await publisher.matched(20)
+    sent_s: dict[int, float] = {}
+
+    async def say(number: int) -> None:
+        message = joint_state(number)
+        sent_s[number] = time.perf_counter()
+        publisher.publish(message)
+
+    await _at_rate(say, count, rate_hz)
+    await _until(lambda: len(bench.seen_s) >= count)
+    _print("ROS to NGSI-LD", sent_s, bench.seen_s, rate_hz)
+
+
+async def _ngsild_to_ros(robot: Any, broker: BrokerClient, count: int, rate_hz: float) -> None:
+    heard_s: dict[int, float] = {}
+    sent_s: dict[int, float] = {}
+
+    def hear(received: Any) -> None:
+        heard_s.setdefault(int(received.value("data")), time.perf_counter())
+
+    subscription = await robot.subscribe("/goal", "std_msgs/msg/Float64", hear, Qos(depth=100))
+    assert await subscription.matched(20)
+
+    async def say(number: int) -> None:
+        sent_s[number] = time.perf_counter()
+        attribute = {"type": "Property", "value": number}
+        await broker.upsert([{"id": GOAL, "type": "Device", "goal": attribute}])
+
+    await _at_rate(say, count, rate_hz)
+    await _until(lambda: len(heard_s) >= count)
+    _print("NGSI-LD to ROS", sent_s, heard_s, rate_hz)
+
+
+async def _banded(robot: Any, bridge: psutil.Process, seconds: float) -> None:
+    publisher = await robot.publisher("/banded", "sensor_msgs/msg/JointState", Qos(depth=1000))
+    assert await publisher.matched(20)
+    message = joint_state(0)
+
+    async def say(number: int) -> None:
+        message["header"] = {"stamp": {"sec": number + 1, "nanosec": 0}}
+        publisher.publish(message)
+
+    await _at_rate(say, 1000, 1000.0)
+    before, memory, began_s = bridge.cpu_times(), bridge.memory_info().rss, time.perf_counter()
+    await _at_rate(say, int(1000 * seconds), 1000.0)
+    took_s, after = time.perf_counter() - began_s, bridge.cpu_times()
+    share = (after.user + after.system - before.user - before.system) / took_s
+    grown_mb = (bridge.memory_info().rss - memory) / 2**20
+    print(
+        f"dead band, {1000 * seconds / took_s:.0f} messages a second: {share:.0%} of a core "
+        f"({FLOOR_CORE / share:.1f} times better than the floor), memory {grown_mb:+.1f} MB"
+    )
+
+
+async def _at_rate(say: Callable[[int], Awaitable[None]], count: int, rate_hz: float) -> None:
+    start_s = time.perf_counter()
+    for number in range(count):
+        early_s = start_s + number / rate_hz - time.perf_counter()
+        await asyncio.sleep(max(early_s, 0))
+        await say(number)
+
+
+async def _until(done: Callable[[], bool], within_s: float = 10.0) -> None:
+    deadline_s = time.perf_counter() + within_s
+    while not done() and time.perf_counter() < deadline_s:
+        await asyncio.sleep(0.05)
+
+
+def _print(what: str, sent_s: dict[int, float], seen_s: dict[int, float], rate_hz: float) -> None:
+    late_ms = sorted((seen_s[number] - at_s) * 1000 for number, at_s in sent_s.items() if number in seen_s)
+    if not late_ms:
+        print(f"{what}: nothing came")
+        return
+    p50, p99 = (late_ms[int(len(late_ms) * share)] for share in (0.5, 0.99))
+    print(
+        f"{what}, {rate_hz:.0f} Hz: p50 {p50:.2f} ms ({FLOOR_P50_MS / p50:.1f} times better than the floor), "
+        f"p99 {p99:.2f} ms ({FLOOR_P99_MS / p99:.1f} times), "
+        f"{len(sent_s) - len(late_ms)} of {len(sent_s)} lost"
+    )
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def main() -> None:
+    """Measure as the command line says."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--rate", type=float, default=100.0, help="messages a second, each way")
+    asked = parser.parse_args()
+    asyncio.run(measure(asked.seconds, asked.rate))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""`handover bridge`: check a mapping, see what is on the ROS graph, write a mapping for a topic."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import httpx
+import typer
+
+from handover.cli.services import ROS_BRIDGE
+from handover.errors import UsageError
+from ros_fiware_bridge.settings import BridgeSettings
+
+app = typer.Typer(
+    help="The ROS bridge: check a mapping, see the graph, write a mapping.", no_args_is_help=True
+)
+
+LOOK_S = 3.0
+"""Nodes of other middleware need this long to make themselves known."""
+Answer = TypeVar("Answer")
+
+LookS = Annotated[float, typer.Option("--wait", min=0.1, help="Seconds to look round on the graph.")]
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(help="A mapping file, or the name of a shipped one.")],
+    live: Annotated[
+        bool, typer.Option("--live", help="Also look at the graph: types, who is there, QoS.")
+    ] = False,
+    wait_s: LookS = LOOK_S,
+) -> None:
+    """Say what a mapping would do, or what is wrong with it and where."""
+    from ros_fiware_bridge import explaining, mapping  # noqa: PLC0415 - only this command needs it
+    from ros_fiware_bridge.rules import plan  # noqa: PLC0415
+
+    settings = BridgeSettings.load()
+    document = mapping.load(file)
+    store = plan.type_store(document)
+    if not live:
+        for line in explaining.lines(plan.make(document, store, settings.factory)):
+            print(line)
+        return
+
+    async def look(graph: Any) -> list[str]:
+        types = {topic.name: topic.type_names for topic in graph.topics()}
+        made = plan.make(document, store, settings.factory, lambda topic: types.get(topic, ()))
+        return [*explaining.lines(made), *explaining.against(made, graph)]
+
+    for line in asyncio.run(_on_the_graph(settings, store, wait_s, look)):
+        print(line)
+
+
+@app.command()
+def graph(wait_s: LookS = LOOK_S) -> None:
+    """Print what is on the ROS graph, and the entities in the broker."""
+    from ros_fiware_bridge import graph_view  # noqa: PLC0415
+    from ros_fiware_bridge.types.type_store import TypeStore  # noqa: PLC0415
+
+    settings = BridgeSettings.load()
+
+    async def look(found: Any) -> dict[str, Any]:
+        return graph_view.of(found)
+
+    view = _asked_of_bridge("/graph")
+    if view is None:
+        view = asyncio.run(_on_the_graph(settings, TypeStore(), wait_s, look))
+    for line in graph_view.lines(view):
+        print(line)
+    for line in asyncio.run(_entities(settings)):
+        print(line)
+
+
+@app.command()
+def scaffold(
+    topic: Annotated[str, typer.Argument(help="A topic that somebody publishes, such as /joint_states.")],
+    type_name: Annotated[
+        str | None, typer.Option("--type", help="Its type; then nobody need publish it now.")
+    ] = None,
+    wait_s: LookS = LOOK_S,
+) -> None:
+    """Write a mapping for a topic to the standard output."""
+    from ros_fiware_bridge import scaffolding  # noqa: PLC0415
+    from ros_fiware_bridge.mapping import names  # noqa: PLC0415
+    from ros_fiware_bridge.types.type_store import TypeStore  # noqa: PLC0415
+
+    settings, store = BridgeSettings.load(), TypeStore()
+    try:
+        wanted = names.topic(topic)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    if type_name is not None:
+        print(scaffolding.mapping_for(wanted, store.resolve(type_name), None, store), end="")
+        return
+
+    async def look(found: Any) -> Any:
+        return next((one for one in found.topics() if one.name == wanted and one.publishers), None)
+
+    found = asyncio.run(_on_the_graph(settings, store, wait_s, look))
+    if found is None:
+        raise UsageError(
+            f"nobody publishes {wanted} in ROS domain {settings.ros_domain_id}; start its node, set "
+            "ROS_DOMAIN_ID, or say what it would be with --type"
+        )
+    if len(found.type_names) > 1:
+        raise UsageError(f"{wanted} has the types {' and '.join(found.type_names)}; say which with --type")
+    print(scaffolding.mapping_for(wanted, found.type_names[0], found.publishers[0].qos, store), end="")
+
+
+async def _on_the_graph(
+    settings: BridgeSettings, store: Any, wait_s: float, look: Callable[[Any], Awaitable[Answer]]
+) -> Answer:
+    from ros_fiware_bridge.joining import join  # noqa: PLC0415 - loads the middleware
+
+    found = await join(settings, store)
+    try:
+        await asyncio.sleep(wait_s)
+        return await look(found)
+    finally:
+        await found.close()
+
+
+def _asked_of_bridge(path: str) -> Any:
+    """Return what a bridge that runs answers; None if none does."""
+    try:
+        answer = httpx.get(f"{ROS_BRIDGE.url()}{path}", timeout=5, trust_env=False)
+    except httpx.TransportError:
+        return None
+    return answer.json() if answer.is_success else None
+
+
+async def _entities(settings: BridgeSettings) -> list[str]:
+    from handover.broker import BrokerClient, BrokerError  # noqa: PLC0415
+
+    try:
+        async with BrokerClient(settings) as broker:
+            types = await broker.types()
+    except BrokerError as error:
+        return [f"the broker cannot be asked: {error}"]
+    return [f"entities  {', '.join(types) if types else 'none'}"]

@@ -1,0 +1,159 @@
+"""Sending goals: an action is three services and two topics, and to its user one thing."""
+
+import asyncio
+import contextlib
+import secrets
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from ros_fiware_bridge.errors import CallTimeout, GoalRefused, GraphClosed
+from ros_fiware_bridge.graph.cyclone.services import CycloneClient
+from ros_fiware_bridge.graph.port import GoalResult, GoalStatus, Message, Received, Subscription
+from ros_fiware_bridge.graph.qos import DEFAULT, LATCHED, Qos
+from ros_fiware_bridge.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
+
+OnFeedback = Callable[[Message], None]
+_ENDED = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
+
+
+class Means(Protocol):
+    """What an action is made of."""
+
+    def client(self, service: str, base: str) -> CycloneClient:
+        """Return the client of a service."""
+
+    async def subscribe(
+        self, topic: str, type_name: str, on_message: Callable[[Received], None], qos: Qos = DEFAULT
+    ) -> Subscription:
+        """Listen to a topic."""
+
+
+class CycloneGoal:
+    """A goal that was accepted; see `port.Goal`."""
+
+    def __init__(self, client: "CycloneActionClient", goal_id: bytes) -> None:
+        self.goal_id = goal_id
+        self._client = client
+        self._status = GoalStatus.ACCEPTED
+        self._result: asyncio.Task[GoalResult] | None = None
+
+    @property
+    def status(self) -> GoalStatus:
+        """How it stands."""
+        return self._status
+
+    def told(self, status: GoalStatus) -> None:
+        """Take what the server tells; what has ended does not begin again."""
+        if self._status not in _ENDED:
+            self._status = status
+
+    async def result(self, timeout_s: float | None = None) -> GoalResult:
+        """Wait for its end."""
+        if self._result is None or (self._result.done() and self._result.exception() is not None):
+            self._result = asyncio.get_running_loop().create_task(self._client.ask_result(self))
+        try:
+            return await asyncio.wait_for(asyncio.shield(self._result), timeout_s)
+        except asyncio.CancelledError:
+            if self._result.cancelled():  # by `forget`, not whoever waits here
+                raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
+            raise
+        except TimeoutError:
+            raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
+
+    async def cancel(self, timeout_s: float = 5.0) -> bool:
+        """Ask the server to cancel it."""
+        return await self._client.cancel(self, timeout_s)
+
+    def forget(self) -> None:
+        """Wait for nothing any more."""
+        if self._result is not None:
+            self._result.cancel()
+
+
+class CycloneActionClient:
+    """An action that goals are sent to; see `port.ActionClient`."""
+
+    def __init__(self, means: Means, action: str, type_name: str, closed: Callable[[Any], None]) -> None:
+        self.name = action
+        self.type_name = type_name
+        self._means = means
+        self._closed = closed
+        base = f"{action}/_action"
+        self._send = means.client(f"{base}/send_goal", f"{type_name}_SendGoal")
+        self._get_result = means.client(f"{base}/get_result", f"{type_name}_GetResult")
+        self._cancel = means.client(f"{base}/cancel_goal", CANCEL_GOAL)
+        self._goals: dict[bytes, tuple[CycloneGoal, OnFeedback | None]] = {}
+        self._heard: list[Subscription] = []
+
+    async def open(self) -> None:
+        """Listen to what the server tells of goals."""
+        base = f"{self.name}/_action"
+        self._heard = [
+            await self._means.subscribe(
+                f"{base}/feedback", f"{self.type_name}_FeedbackMessage", self._on_feedback, DEFAULT
+            ),
+            await self._means.subscribe(f"{base}/status", GOAL_STATUS_ARRAY, self._on_status, LATCHED),
+        ]
+
+    def _on_feedback(self, received: Received) -> None:
+        message = received.message
+        _, on_feedback = self._goals.get(message["goal_id"]["uuid"], (None, None))
+        if on_feedback is not None:
+            on_feedback(message["feedback"])
+
+    def _on_status(self, received: Received) -> None:
+        for one in received.message["status_list"]:
+            goal, _ = self._goals.get(one["goal_info"]["goal_id"]["uuid"], (None, None))
+            if goal is not None:
+                with contextlib.suppress(ValueError):
+                    goal.told(GoalStatus(one["status"]))
+
+    async def available(self, timeout_s: float) -> bool:
+        """Wait until a server is there."""
+        return await self._send.available(timeout_s)
+
+    async def send_goal(
+        self, goal: Message, *, on_feedback: OnFeedback | None = None, timeout_s: float = 5.0
+    ) -> CycloneGoal:
+        """Send a goal."""
+        goal_id = secrets.token_bytes(16)
+        sent = CycloneGoal(self, goal_id)
+        # Known before it is sent: feedback may overtake the answer.
+        self._goals[goal_id] = (sent, on_feedback)
+        try:
+            answer = await self._send.call({"goal_id": {"uuid": goal_id}, "goal": goal}, timeout_s)
+        except BaseException:
+            self._goals.pop(goal_id, None)
+            raise
+        if not answer["accepted"]:
+            del self._goals[goal_id]
+            raise GoalRefused(f"{self.name}: the server did not accept the goal")
+        return sent
+
+    async def ask_result(self, goal: CycloneGoal) -> GoalResult:
+        """Wait for the result of a goal as long as its server is there."""
+        answer = await self._get_result.call({"goal_id": {"uuid": goal.goal_id}}, None)
+        try:
+            status = GoalStatus(answer["status"])
+        except ValueError:
+            status = GoalStatus.UNKNOWN
+        goal.told(status)
+        self._goals.pop(goal.goal_id, None)
+        return GoalResult(status, answer["result"])
+
+    async def cancel(self, goal: CycloneGoal, timeout_s: float) -> bool:
+        """Ask to cancel a goal."""
+        answer = await self._cancel.call({"goal_info": {"goal_id": {"uuid": goal.goal_id}}}, timeout_s)
+        agreed = any(one["goal_id"]["uuid"] == goal.goal_id for one in answer["goals_canceling"])
+        if agreed:
+            goal.told(GoalStatus.CANCELING)
+        return agreed
+
+    async def close(self) -> None:
+        """Let go of the action."""
+        for one in self._heard:
+            await one.close()
+        for goal, _ in self._goals.values():
+            goal.forget()
+        self._goals.clear()
+        self._closed(self)

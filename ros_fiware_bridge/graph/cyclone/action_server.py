@@ -1,0 +1,234 @@
+"""Serving goals: each accepted goal is worked on by a task; its result is kept a while for whoever asks."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import structlog
+
+from ros_fiware_bridge.errors import BadMessage, GraphError
+from ros_fiware_bridge.graph.port import (
+    ActionHandler,
+    GoalEnded,
+    GoalStatus,
+    Message,
+    Publisher,
+    Served,
+    ServiceHandler,
+)
+from ros_fiware_bridge.graph.qos import DEFAULT, LATCHED, Qos
+from ros_fiware_bridge.types.type_store import TypeStore
+from ros_fiware_bridge.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
+
+log = structlog.get_logger(__name__)
+
+_KEPT_S = 900.0
+_MOST_KEPT = 1000
+_ENDED = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
+_ANY = bytes(16)
+_AGREED, _REFUSED, _UNKNOWN, _OVER = 0, 1, 2, 3  # the constants of action_msgs/srv/CancelGoal
+
+
+class Means(Protocol):
+    """What an action is made of."""
+
+    store: TypeStore
+
+    def server(self, service: str, base: str, handler: ServiceHandler) -> Served:
+        """Serve a service."""
+
+    async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
+        """Speak on a topic."""
+
+
+class CycloneServedGoal:
+    """A goal that is worked on; see `port.ServedGoal`."""
+
+    def __init__(self, server: "CycloneActionServer", goal_id: bytes, request: Message) -> None:
+        self.goal_id = goal_id
+        self.request = request
+        self.status = GoalStatus.ACCEPTED
+        self.accepted_ns = time.time_ns()
+        self.ended_s: float | None = None
+        self.result: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
+        self.task: asyncio.Task[None] | None = None
+        self._server = server
+        self._cancel = asyncio.Event()
+
+    @property
+    def info(self) -> Message:
+        """The goal as `action_msgs/msg/GoalInfo`."""
+        sec, nanosec = divmod(self.accepted_ns, 10**9)
+        return {"goal_id": {"uuid": self.goal_id}, "stamp": {"sec": sec, "nanosec": nanosec}}
+
+    @property
+    def cancel_requested(self) -> bool:
+        """Whether the client asked to cancel."""
+        return self._cancel.is_set()
+
+    async def wait_cancel_requested(self) -> None:
+        """Wait until the client asks to cancel."""
+        await self._cancel.wait()
+
+    def cancel(self) -> None:
+        """Take the client's wish."""
+        self.status = GoalStatus.CANCELING
+        self._cancel.set()
+
+    def feedback(self, feedback: Message) -> None:
+        """Tell how far it is."""
+        self._server.told(self, feedback)
+
+
+class CycloneActionServer:
+    """An action that is served; see `port.Served`."""
+
+    def __init__(
+        self,
+        means: Means,
+        action: str,
+        type_name: str,
+        handler: ActionHandler,
+        *,
+        accept: Callable[[Message], bool] | None,
+        closed: Callable[[Any], None],
+    ) -> None:
+        self.name = action
+        self.type_name = type_name
+        self.calls = 0
+        self.failed = 0
+        self.last_error: str | None = None
+        self._means = means
+        self._handler = handler
+        self._accept = accept
+        self._closed = closed
+        self._goals: dict[bytes, CycloneServedGoal] = {}
+        self._parts: list[Served | Publisher] = []
+
+    async def open(self) -> None:
+        """Be there for goals."""
+        base = f"{self.name}/_action"
+        means = self._means
+        self._feedback = await means.publisher(
+            f"{base}/feedback", f"{self.type_name}_FeedbackMessage", DEFAULT
+        )
+        self._status = await means.publisher(f"{base}/status", GOAL_STATUS_ARRAY, LATCHED)
+        self._parts = [
+            self._feedback,
+            self._status,
+            means.server(f"{base}/cancel_goal", CANCEL_GOAL, self._on_cancel),
+            means.server(f"{base}/get_result", f"{self.type_name}_GetResult", self._on_get_result),
+            means.server(f"{base}/send_goal", f"{self.type_name}_SendGoal", self._on_send_goal),
+        ]
+
+    async def _on_send_goal(self, request: Message) -> Message:
+        self.calls += 1
+        goal_id = request["goal_id"]["uuid"]
+        self._forget_old()
+        if goal_id in self._goals or len(self._goals) >= _MOST_KEPT or not self._wanted(request["goal"]):
+            return {"accepted": False}
+        goal = CycloneServedGoal(self, goal_id, request["goal"])
+        self._goals[goal_id] = goal
+        goal.task = asyncio.get_running_loop().create_task(self._work(goal))
+        return {"accepted": True, "stamp": goal.info["stamp"]}
+
+    def _wanted(self, goal: Message) -> bool:
+        try:
+            return self._accept is None or self._accept(goal)
+        except Exception as error:  # noqa: BLE001 - one goal must not end the action
+            self._fault(error)
+            return False
+
+    async def _work(self, goal: CycloneServedGoal) -> None:
+        goal.status = GoalStatus.EXECUTING
+        self._tell()
+        result: Message = {}
+        try:
+            result = await self._handler(goal)
+            self._means.store.check(f"{self.type_name}_Result", result)
+            status = GoalStatus.SUCCEEDED
+        except GoalEnded as ended:
+            status, result = ended.status, ended.result
+            if status not in _ENDED or (status is GoalStatus.CANCELED and not goal.cancel_requested):
+                status = GoalStatus.ABORTED
+        except asyncio.CancelledError:
+            status = GoalStatus.ABORTED
+        except Exception as error:  # noqa: BLE001 - one goal must not end the action
+            self._fault(error)
+            status, result = GoalStatus.ABORTED, {}
+        goal.status = status
+        goal.ended_s = time.monotonic()
+        if not goal.result.done():
+            goal.result.set_result(result)
+        self._tell()
+
+    async def _on_get_result(self, request: Message) -> Message:
+        goal = self._goals.get(request["goal_id"]["uuid"])
+        if goal is None:
+            return {"status": int(GoalStatus.UNKNOWN)}
+        result = await asyncio.shield(goal.result)
+        return {"status": int(goal.status), "result": result}
+
+    async def _on_cancel(self, request: Message) -> Message:
+        goal_id = request["goal_info"]["goal_id"]["uuid"]
+        stamp = request["goal_info"]["stamp"]
+        until_ns = stamp["sec"] * 10**9 + stamp["nanosec"]
+        meant = [
+            one
+            for one in self._goals.values()
+            if one.goal_id == goal_id
+            or (until_ns and one.accepted_ns <= until_ns)
+            or (goal_id == _ANY and not until_ns)
+        ]
+        going = [one for one in meant if one.status not in _ENDED]
+        for one in going:
+            one.cancel()
+        if going:
+            self._tell()
+            code = _AGREED
+        elif meant:
+            code = _OVER
+        else:
+            code = _UNKNOWN if goal_id != _ANY else _REFUSED
+        return {"return_code": code, "goals_canceling": [one.info for one in going]}
+
+    def told(self, goal: CycloneServedGoal, feedback: Message) -> None:
+        """Publish how far a goal is.
+
+        Raises:
+            BadMessage: it does not fit the definition.
+        """
+        self._feedback.publish({"goal_id": {"uuid": goal.goal_id}, "feedback": feedback})
+
+    def _tell(self) -> None:
+        listed = [{"goal_info": one.info, "status": int(one.status)} for one in self._goals.values()]
+        try:
+            self._status.publish({"status_list": listed})
+        except (GraphError, BadMessage) as error:
+            self._fault(error)
+
+    def _forget_old(self) -> None:
+        now_s = time.monotonic()
+        for goal_id, one in list(self._goals.items()):
+            full = len(self._goals) >= _MOST_KEPT
+            if one.ended_s is not None and (full or now_s - one.ended_s > _KEPT_S):
+                del self._goals[goal_id]
+
+    def _fault(self, error: Exception) -> None:
+        self.failed += 1
+        self.last_error = f"{type(error).__name__}: {error}"
+        log.error("a goal of the ROS graph was not dealt with", action=self.name, error=self.last_error)
+
+    async def close(self) -> None:
+        """Stop serving; goals that are worked on are aborted."""
+        going = [one.task for one in self._goals.values() if one.task is not None and not one.task.done()]
+        for task in going:
+            task.cancel()
+        await asyncio.gather(*going, return_exceptions=True)
+        # Whoever waits for a result is given it before the service is gone.
+        await asyncio.sleep(0)
+        for part in self._parts:
+            await part.close()
+        self._goals.clear()
+        self._closed(self)

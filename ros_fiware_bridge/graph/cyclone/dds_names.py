@@ -1,0 +1,76 @@
+"""How ROS names its topics, services and types on DDS, and back again.
+
+Topics stand under `rt`, requests under `rq`, replies under `rr`; a type `pkg/msg/X` is `pkg::msg::dds_::X_`.
+"""
+
+DISCOVERY_TOPIC = "ros_discovery_info"
+DISCOVERY_TYPE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+
+_VENDORS = {
+    b"\x01\x01": "connext",
+    b"\x01\x02": "opensplice",
+    b"\x01\x03": "opendds",
+    b"\x01\x0f": "fastdds",
+    b"\x01\x10": "cyclonedds",
+    b"\x01\x11": "gurumdds",
+    b"\x01\x12": "rustdds",
+}
+
+
+def of_topic(name: str) -> str:
+    """Return the DDS topic of a ROS topic."""
+    return f"rt{name}"
+
+
+def of_request(name: str) -> str:
+    """Return the DDS topic that carries the requests of a service."""
+    return f"rq{name}Request"
+
+
+def of_reply(name: str) -> str:
+    """Return the DDS topic that carries the replies of a service."""
+    return f"rr{name}Reply"
+
+
+def of_type(type_name: str) -> str:
+    """Return the DDS type of a ROS message type."""
+    package, kind, name = type_name.split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def to_topic(dds_topic: str) -> str | None:
+    """Return the ROS topic of a DDS topic; None if it is none."""
+    return dds_topic.removeprefix("rt") if dds_topic.startswith("rt/") else None
+
+
+def to_service(dds_topic: str) -> tuple[str, bool] | None:
+    """Return the service of a DDS topic, and whether it carries the requests; None if it is of none."""
+    if dds_topic.startswith("rq/") and dds_topic.endswith("Request"):
+        return dds_topic[2 : -len("Request")], True
+    if dds_topic.startswith("rr/") and dds_topic.endswith("Reply"):
+        return dds_topic[2 : -len("Reply")], False
+    return None
+
+
+def to_type(dds_type: str) -> str:
+    """Return the ROS type of a DDS type; another program's type is given as it is."""
+    parts = dds_type.split("::")
+    if len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_"):
+        return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
+    return dds_type
+
+
+def vendor(guid: bytes) -> str:
+    """Return the middleware of a participant: its GUID begins with the vendor's number."""
+    return _VENDORS.get(guid[:2], f"vendor {guid[:2].hex()}")
+
+
+def user_data(pairs: dict[str, str]) -> bytes:
+    """Return what a participant or endpoint tells about itself, `key=value;key=value;`."""
+    return "".join(f"{key}={value};" for key, value in pairs.items()).encode()
+
+
+def told(data: bytes) -> dict[str, str]:
+    """Read what a participant or endpoint tells about itself; what cannot be read is left out."""
+    pairs = (part.partition("=") for part in data.decode("utf-8", "replace").split(";"))
+    return {key: value for key, found, value in pairs if found}

@@ -1,0 +1,182 @@
+"""The ROS graph over DDS: everything that the port promises, from PyPI wheels, without a ROS installation."""
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ros_fiware_bridge.errors import GraphClosed, GraphError
+from ros_fiware_bridge.graph import names
+from ros_fiware_bridge.graph.cyclone import view
+from ros_fiware_bridge.graph.cyclone.action_client import CycloneActionClient
+from ros_fiware_bridge.graph.cyclone.action_server import CycloneActionServer
+from ros_fiware_bridge.graph.cyclone.domain import DomainSettings
+from ros_fiware_bridge.graph.cyclone.node import OwnNode
+from ros_fiware_bridge.graph.cyclone.services import CycloneClient, CycloneServer
+from ros_fiware_bridge.graph.cyclone.topics import CyclonePublisher, CycloneSubscription
+from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.port import (
+    ActionHandler,
+    ActionInfo,
+    Message,
+    NodeInfo,
+    OnMessage,
+    ServiceHandler,
+    ServiceInfo,
+    TopicInfo,
+)
+from ros_fiware_bridge.graph.qos import DEFAULT, Qos
+from ros_fiware_bridge.types.type_store import TypeStore
+
+
+class CycloneGraph:
+    """A node on the graph; see `port.RosGraph`. Made by `joining.join`."""
+
+    def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnNode) -> None:
+        self.store = store
+        self._settings = settings
+        self._node = node
+        self._opened: dict[int, Any] = {}
+        self._clients: dict[tuple[str, str], CycloneClient] = {}
+        self._closed = False
+        self.node_name = names.full_name(settings.node, settings.namespace, settings.node)
+
+    @classmethod
+    async def join(cls, store: TypeStore, settings: JoinSettings) -> "CycloneGraph":
+        """Join the graph.
+
+        Raises:
+            BadName: the node or its namespace cannot be called so.
+            AdapterUnavailable: the domain cannot be opened.
+        """
+        name, namespace = names.node_name(settings.node), names.namespace(settings.namespace)
+        network = DomainSettings(
+            settings.domain_id, settings.interfaces, settings.peers, multicast=settings.multicast
+        )
+        node = await asyncio.to_thread(OwnNode, network, store, name, namespace, settings.enclave)
+        return cls(store, settings, node)
+
+    def _full(self, name: str) -> str:
+        if self._closed:
+            raise GraphClosed(f"{name}: the graph was closed")
+        return names.full_name(name, self._settings.namespace, self._settings.node)
+
+    def _type(self, type_name: str, kind: str, *parts: str) -> str:
+        full = self.store.resolve(type_name, kind)
+        for part in parts:
+            self.store.sound(f"{full}{part}")
+        return full
+
+    def _keep(self, opened: Any) -> Callable[[Any], None]:
+        self._opened[id(opened)] = opened
+        return self._gone
+
+    def _gone(self, opened: Any) -> None:
+        self._opened.pop(id(opened), None)
+
+    async def subscribe(
+        self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
+    ) -> CycloneSubscription:
+        """Listen to a topic."""
+        name, full = self._full(topic), self._type(type_name, "msg", "")
+        opened = CycloneSubscription(
+            self._node,
+            name,
+            full,
+            qos,
+            on_message=on_message,
+            most_bytes=self._settings.most_bytes,
+            closed=self._gone,
+        )
+        self._keep(opened)
+        return opened
+
+    async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> CyclonePublisher:
+        """Speak on a topic."""
+        name, full = self._full(topic), self._type(type_name, "msg", "")
+        opened = CyclonePublisher(
+            self._node, name, full, qos, most_bytes=self._settings.most_bytes, closed=self._gone
+        )
+        self._keep(opened)
+        return opened
+
+    async def call(self, service: str, type_name: str, request: Message, timeout_s: float = 5.0) -> Message:
+        """Call a service."""
+        name = self._full(service)
+        base = self._type(type_name, "srv", "_Request", "_Response")
+        return await self.client(name, base).call(request, timeout_s)
+
+    def client(self, service: str, base: str) -> CycloneClient:
+        """Return the client of a service, by its full name and type; it is made once."""
+        key = (service, base)
+        if key not in self._clients:
+            self._clients[key] = CycloneClient(self._node, service, base, self._settings.most_bytes)
+        return self._clients[key]
+
+    async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> CycloneServer:
+        """Serve a service."""
+        name = self._full(service)
+        return self.server(name, self._type(type_name, "srv", "_Request", "_Response"), handler)
+
+    def server(self, service: str, base: str, handler: ServiceHandler) -> CycloneServer:
+        """Serve a service, by its full name and type."""
+        opened = CycloneServer(
+            self._node, service, base, handler, most_bytes=self._settings.most_bytes, closed=self._gone
+        )
+        self._keep(opened)
+        return opened
+
+    async def action_client(self, action: str, type_name: str) -> CycloneActionClient:
+        """Send goals to an action."""
+        name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
+        opened = CycloneActionClient(self, name, full, self._gone)
+        self._keep(opened)
+        await opened.open()
+        return opened
+
+    async def serve_action(
+        self,
+        action: str,
+        type_name: str,
+        handler: ActionHandler,
+        *,
+        accept: Callable[[Message], bool] | None = None,
+    ) -> CycloneActionServer:
+        """Serve an action."""
+        name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
+        opened = CycloneActionServer(self, name, full, handler, accept=accept, closed=self._gone)
+        self._keep(opened)
+        await opened.open()
+        return opened
+
+    def topics(self) -> Sequence[TopicInfo]:
+        """Return the topics of the graph."""
+        return view.topics(self._node.discovery.picture())
+
+    def services(self) -> Sequence[ServiceInfo]:
+        """Return the services of the graph."""
+        return view.services(self._node.discovery.picture())
+
+    def actions(self) -> Sequence[ActionInfo]:
+        """Return the actions of the graph."""
+        return view.actions(self._node.discovery.picture())
+
+    def nodes(self) -> Sequence[NodeInfo]:
+        """Return the nodes of the graph."""
+        return view.nodes(self._node.discovery.picture())
+
+    def problems(self) -> Sequence[GraphError]:
+        """Return what stands between us and peers now."""
+        return view.problems(self._node.discovery.picture())
+
+    async def close(self) -> None:
+        """Leave the graph."""
+        if self._closed:
+            return
+        self._closed = True
+        # What was opened last stands on what was opened first.
+        for opened in reversed(list(self._opened.values())):
+            await opened.close()
+        for client in self._clients.values():
+            client.close()
+        self._clients.clear()
+        await asyncio.to_thread(self._node.close)

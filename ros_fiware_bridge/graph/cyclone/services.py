@@ -1,0 +1,313 @@
+"""Services over DDS, as Cyclone's ROS middleware carries them: a header before each request and reply.
+
+The header says who asked (8 bytes, chosen by the client) and which of its requests it is. Fast DDS carries
+the same in another place, so the two cannot call each other; who tries is told so, before anything is sent (a
+Fast DDS server would keep every request that it cannot answer).
+"""
+
+import asyncio
+import secrets
+import struct
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import structlog
+
+from ros_fiware_bridge.errors import (
+    CallTimeout,
+    GraphClosed,
+    ServiceUnavailable,
+    TypeHashDiffers,
+    VendorNotShared,
+)
+from ros_fiware_bridge.graph.cyclone import dds_names
+from ros_fiware_bridge.graph.cyclone.discovery import Known, handles
+from ros_fiware_bridge.graph.cyclone.node import OwnNode
+from ros_fiware_bridge.graph.cyclone.samples import Sample
+from ros_fiware_bridge.graph.cyclone.topics import send
+from ros_fiware_bridge.graph.port import Message, ServiceHandler
+from ros_fiware_bridge.graph.qos import SERVICES
+from ros_fiware_bridge.graph.waiting import until
+
+log = structlog.get_logger(__name__)
+
+VENDOR = "cyclonedds"
+_HEADER = struct.Struct("<Qq")
+_CDR = 4
+_MOST_AT_ONCE = 256
+_CLIENT_WAIT_S = 1.0
+_AWAY_S = 2.0
+
+
+def _wrapped(writer_guid: int, sequence: int, data: bytes) -> bytes:
+    return data[:_CDR] + _HEADER.pack(writer_guid, sequence) + data[_CDR:]
+
+
+def _unwrapped(data: bytes) -> tuple[int, int, bytes]:
+    guid, sequence = _HEADER.unpack_from(data, _CDR)
+    return guid, sequence, data[:_CDR] + data[_CDR + _HEADER.size :]
+
+
+def _id_of_pair() -> str:
+    return ".".join(f"{byte:x}" for byte in secrets.token_bytes(16))
+
+
+def vendor_refused(service: str, endpoint: Known, node: str | None, doing: str) -> str:
+    """Say that a peer carries services in another way."""
+    return (
+        f"{service}: {node or 'a node'} {doing} it with {endpoint.vendor}, whose services cannot be reached "
+        "from Cyclone DDS; start it with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or run the bridge on its ROS"
+    )
+
+
+class CycloneClient:
+    """Calls one service. `base` is the type without `_Request` and `_Response`."""
+
+    def __init__(self, node: OwnNode, service: str, base: str, most_bytes: int) -> None:
+        self.service = service
+        self.base = base
+        self._node = node
+        self._most_bytes = most_bytes
+        self._loop = asyncio.get_running_loop()
+        self._guid = secrets.randbits(63) + 1
+        self._sequence = 0
+        self._asked: dict[int, asyncio.Future[bytes]] = {}
+        self._pair: tuple[Any, Any] | None = None
+        self._stop: Callable[[], None] = lambda: None
+        self._request_topic = dds_names.of_request(service)
+        self._reply_topic = dds_names.of_reply(service)
+
+    def _servers(self) -> list[Known]:
+        """Return the request readers that may be asked.
+
+        Raises:
+            VendorNotShared, TypeHashDiffers: one of them must not be asked.
+        """
+        picture = self._node.discovery.picture()
+        servers = picture.at(self._request_topic, writes=False)
+        for one in servers:
+            if one.vendor != VENDOR:
+                self.close()
+                raise VendorNotShared(vendor_refused(self.service, one, picture.node_of(one), "serves"))
+            ours, theirs = self._node.store.hash(self.base), one.type_hash
+            name = dds_names.to_type(one.dds_type).removesuffix("_Request")
+            if name != self.base or (theirs is not None and theirs != ours):
+                raise TypeHashDiffers(
+                    f"{self.service}: {picture.node_of(one) or 'its server'} serves {name} ({theirs}), we "
+                    f"call {self.base} ({ours}); give that type, or name the robot's definition in type_paths"
+                )
+        return servers
+
+    def _matched(self) -> bool:
+        servers = {one.participant for one in self._servers()}
+        if not servers:
+            return False
+        writer, reader = self._open()
+        picture = self._node.discovery.picture()
+        answering = handles(reader.get_matched_publications())
+        asked = handles(writer.get_matched_subscriptions())
+        servers &= {
+            one.participant for one in picture.at(self._reply_topic, writes=True) if one.handle in answering
+        }
+        servers &= {
+            one.participant for one in picture.at(self._request_topic, writes=False) if one.handle in asked
+        }
+        return bool(servers)
+
+    def _open(self) -> tuple[Any, Any]:
+        if self._pair is None:
+            user = {"clientid": _id_of_pair(), "typehash": self._node.store.hash(self.base)}
+            reader = self._node.reader(
+                self._reply_topic, f"{self.base}_Response", SERVICES, user=user, header=True
+            )
+            writer = self._node.writer(
+                self._request_topic, f"{self.base}_Request", SERVICES, user=user, header=True
+            )
+            self._stop = self._node.listening.to_samples(reader, self._on_samples)
+            self._pair = writer, reader
+        return self._pair
+
+    def _on_samples(self, samples: list[Sample]) -> None:
+        for sample in samples:
+            if sample.data is None or len(sample.data) < _CDR + _HEADER.size:
+                continue
+            guid, sequence, body = _unwrapped(sample.data)
+            if guid == self._guid:
+                try:
+                    self._loop.call_soon_threadsafe(self._answered, sequence, body)
+                except RuntimeError:  # the loop is closed
+                    return
+
+    def _answered(self, sequence: int, body: bytes) -> None:
+        waiting = self._asked.get(sequence)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(body)
+
+    async def available(self, timeout_s: float) -> bool:
+        """Wait until a server is there that can be asked; False if none came in time."""
+        return await until(self._matched, timeout_s)
+
+    async def call(self, request: Message, timeout_s: float | None) -> Message:
+        """Ask and return the response; None waits as long as a server is there.
+
+        Raises:
+            BadMessage, VendorNotShared, TypeHashDiffers, ServiceUnavailable, CallTimeout, GraphClosed.
+        """
+        data = self._node.store.encode(f"{self.base}_Request", request)
+        start_s = self._loop.time()
+        if not await self.available(5.0 if timeout_s is None else timeout_s):
+            raise ServiceUnavailable(
+                f"nobody serves {self.service} ({self.base}); start its node, or check the name and the "
+                "number of the domain (ROS_DOMAIN_ID)"
+            )
+        self._sequence += 1
+        sequence = self._sequence
+        answer: asyncio.Future[bytes] = self._loop.create_future()
+        self._asked[sequence] = answer
+        try:
+            writer, _ = self._open()
+            send(self._node, writer, _wrapped(self._guid, sequence, data), self._most_bytes, self.service)
+            if timeout_s is None:
+                body = await self._while_served(answer)
+            else:
+                left_s = max(0.0, start_s + timeout_s - self._loop.time())
+                body = await asyncio.wait_for(answer, left_s)
+        except TimeoutError:
+            raise CallTimeout(f"{self.service} did not answer within {timeout_s} s") from None
+        finally:
+            self._asked.pop(sequence, None)
+        return self._node.store.decode(f"{self.base}_Response", body)
+
+    async def _while_served(self, answer: asyncio.Future[bytes]) -> bytes:
+        while True:
+            done, _ = await asyncio.wait([answer], timeout=_AWAY_S)
+            if done:
+                return answer.result()
+            if not await self.available(_AWAY_S):
+                raise ServiceUnavailable(f"the server of {self.service} went away before it answered")
+
+    def close(self) -> None:
+        """Ask no more; who still waits is told."""
+        for waiting in self._asked.values():
+            if not waiting.done():
+                waiting.set_exception(GraphClosed(f"{self.service} was closed before it answered"))
+        if self._pair is not None:
+            self._stop()
+            self._node.drop(*self._pair)
+            self._pair = None
+
+
+class CycloneServer:
+    """Serves one service; see `port.Served`."""
+
+    def __init__(
+        self,
+        node: OwnNode,
+        service: str,
+        base: str,
+        handler: ServiceHandler,
+        *,
+        most_bytes: int,
+        closed: Callable[[Any], None],
+    ) -> None:
+        self.name = service
+        self.type_name = base
+        self.calls = 0
+        self.failed = 0
+        self.last_error: str | None = None
+        self._node = node
+        self._handler = handler
+        self._most_bytes = most_bytes
+        self._closed = closed
+        self._loop = asyncio.get_running_loop()
+        self._working: set[asyncio.Task[None]] = set()
+        self._is_open = True
+        # Each is counted by one thread alone: what listening hands over, and what the loop has taken.
+        self._handed = 0
+        self._taken = 0
+        user = {"serviceid": _id_of_pair(), "typehash": node.store.hash(base)}
+        self._reply_topic = dds_names.of_reply(service)
+        self._writer = node.writer(self._reply_topic, f"{base}_Response", SERVICES, user=user, header=True)
+        self._reader = node.reader(
+            dds_names.of_request(service), f"{base}_Request", SERVICES, user=user, header=True
+        )
+        self._stop = node.listening.to_samples(self._reader, self._on_samples)
+
+    def _on_samples(self, samples: list[Sample]) -> None:
+        for sample in samples:
+            if sample.data is None or len(sample.data) < _CDR + _HEADER.size:
+                continue
+            client = self._node.discovery.writer(sample.writer)
+            if client is None:
+                self._node.discovery.look()
+                client = self._node.discovery.writer(sample.writer)
+            if self._handed - self._taken >= _MOST_AT_ONCE:
+                self._fault(f"{self.name}: {_MOST_AT_ONCE} requests wait to be answered; one was let go")
+                continue
+            self._handed += 1
+            try:
+                self._loop.call_soon_threadsafe(self._asked, client, sample.data)
+            except RuntimeError:  # the loop is closed
+                return
+
+    def _asked(self, client: Known | None, data: bytes) -> None:
+        self._taken += 1
+        if not self._is_open:
+            return
+        self.calls += 1
+        if client is not None and client.vendor != VENDOR:
+            node = self._node.discovery.picture().node_of(client)
+            self._fault(vendor_refused(self.name, client, node, "calls"))
+        elif len(data) > self._most_bytes:
+            self._fault(f"{self.name}: a request of {len(data)} bytes came, {self._most_bytes} are allowed")
+        elif len(self._working) >= _MOST_AT_ONCE:
+            self._fault(f"{self.name}: {_MOST_AT_ONCE} requests are being answered already; one was let go")
+        else:
+            self._spawn(self._answer(client, *_unwrapped(data)))
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = self._loop.create_task(work)
+        self._working.add(task)
+        task.add_done_callback(self._working.discard)
+
+    async def _answer(self, client: Known | None, guid: int, sequence: int, body: bytes) -> None:
+        try:
+            request = self._node.store.decode(f"{self.type_name}_Request", body)
+            response = await self._handler(request)
+            data = self._node.store.encode(f"{self.type_name}_Response", response)
+            # Replies are volatile: one sent before the client's reader is matched would be lost to it.
+            await until(lambda: self._heard_by(client), _CLIENT_WAIT_S)
+            if self._is_open:
+                send(self._node, self._writer, _wrapped(guid, sequence, data), self._most_bytes, self.name)
+        except Exception as error:  # one caller's request must not end the service
+            self._fault(f"{type(error).__name__}: {error}")
+            log.exception("a request of the ROS graph was not answered", service=self.name)
+
+    def _heard_by(self, client: Known | None) -> bool:
+        if not self._is_open:
+            return True
+        matched = handles(self._writer.get_matched_subscriptions())
+        if client is None:
+            return bool(matched)
+        same = "clientid" if "clientid" in client.told else None
+        return any(
+            one.handle in matched
+            and one.participant == client.participant
+            and (same is None or one.told.get(same) == client.told[same])
+            for one in self._node.discovery.picture().at(self._reply_topic, writes=False)
+        )
+
+    def _fault(self, error: str) -> None:
+        self.failed += 1
+        self.last_error = error
+
+    async def close(self) -> None:
+        """Stop serving."""
+        if self._is_open:
+            self._is_open = False
+            self._stop()
+            for task in list(self._working):
+                task.cancel()
+            await asyncio.gather(*self._working, return_exceptions=True)
+            self._node.drop(self._reader, self._writer)
+            self._closed(self)

@@ -1,0 +1,140 @@
+"""The inbox of a topic: what the threads of an adapter bring waits here for the loop."""
+
+import asyncio
+import time
+from collections import deque
+from typing import Any
+
+import structlog
+
+from ros_fiware_bridge.errors import BadMessage
+from ros_fiware_bridge.graph.port import Message, OnMessage
+from ros_fiware_bridge.graph.qos import History, Qos
+from ros_fiware_bridge.types.type_store import TypeStore
+
+log = structlog.get_logger(__name__)
+
+_MOST_WAITING = 1000
+
+
+class RawReceived:
+    """A message as it came, decoded when it is first looked at; see `port.Received`."""
+
+    __slots__ = ("_data", "_message", "_store", "ours", "received_at_s", "sent_at_s", "topic", "type_name")
+
+    def __init__(
+        self, store: TypeStore, topic: str, type_name: str, data: bytes, *, sent_ns: int, ours: bool | None
+    ) -> None:
+        self._store = store
+        self._data = data
+        self._message: Message | None = None
+        self.topic = topic
+        self.type_name = type_name
+        self.received_at_s = time.time()
+        self.sent_at_s = sent_ns / 1e9 if sent_ns > 0 else None
+        self.ours = ours
+
+    @property
+    def size_bytes(self) -> int:
+        """How long it is on the wire, with its 4 bytes of header."""
+        return len(self._data)
+
+    @property
+    def message(self) -> Message:
+        """The whole message."""
+        if self._message is None:
+            self._message = self._store.decode(self.type_name, self._data)
+        return self._message
+
+    def value(self, path: str) -> Any:
+        """Return one field."""
+        return self._store.field(self.type_name, path).of(self.message)
+
+
+class Inbox:
+    """What every adapter's subscription does once a message is here; see `port.Subscription`."""
+
+    def __init__(
+        self,
+        store: TypeStore,
+        topic: str,
+        type_name: str,
+        qos: Qos,
+        *,
+        on_message: OnMessage,
+        most_bytes: int,
+    ) -> None:
+        self.topic = topic
+        self.type_name = type_name
+        self.qos = qos
+        self.received = 0
+        self.dropped = 0
+        self.refused = 0
+        self.last_error: str | None = None
+        self._store = store
+        self._on_message = on_message
+        self._most_bytes = most_bytes
+        self._loop = asyncio.get_running_loop()
+        self._waiting: deque[RawReceived] = deque()
+        self._most_waiting = _MOST_WAITING if qos.history is History.KEEP_ALL else qos.depth
+        self._called = False
+        self._open = True
+
+    def put(self, data: bytes, *, sent_ns: int, ours: bool | None, why_not: str | None = None) -> None:
+        """Take a message from one thread of the adapter, or refuse it because of `why_not`."""
+        self.received += 1
+        if why_not is None and len(data) > self._most_bytes:
+            why_not = (
+                f"{self.topic}: a message of {len(data)} bytes came, {self._most_bytes} are allowed; "
+                "raise the limit if such messages are meant"
+            )
+        if why_not is not None:
+            self.refused += 1
+            self.last_error = why_not
+            return
+        if len(self._waiting) >= self._most_waiting:
+            self._waiting.popleft()
+            self.dropped += 1
+        self._waiting.append(
+            RawReceived(self._store, self.topic, self.type_name, data, sent_ns=sent_ns, ours=ours)
+        )
+        if not self._called:
+            self._called = True
+            try:
+                self._loop.call_soon_threadsafe(self._deliver)
+            except RuntimeError:  # the loop is closed: nobody is there to be told
+                self._open = False
+
+    def _deliver(self) -> None:
+        self._called = False
+        for _ in range(len(self._waiting)):
+            if not self._open:
+                return
+            try:
+                received = self._waiting.popleft()
+            except IndexError:  # overtaken and dropped meanwhile
+                return
+            try:
+                self._on_message(received)
+            except BadMessage as error:
+                self.refused += 1
+                self.last_error = str(error)
+            except Exception as error:  # the subscription goes on, whatever its user does
+                self.last_error = f"{type(error).__name__}: {error}"
+                log.exception("a message of the ROS graph was not dealt with", topic=self.topic)
+
+    def shut(self) -> bool:
+        """Deliver nothing more; whether it was open until now."""
+        was_open, self._open = self._open, False
+        self._waiting.clear()
+        return was_open
+
+
+def hash_differs(topic: str, type_name: str, ours: str, theirs: str | None, who: str) -> str | None:
+    """Say that a peer means another type by the same name; None if it means the same, or does not tell."""
+    if theirs is None or theirs == ours:
+        return None
+    return (
+        f"{topic}: {who} has another definition of {type_name} (its hash is {theirs}, ours is {ours}); "
+        "name the files of its definition in type_paths"
+    )

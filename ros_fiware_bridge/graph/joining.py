@@ -1,0 +1,77 @@
+"""Joining the graph: under which name, on which network, and over which of the installed adapters."""
+
+import importlib.util
+from dataclasses import dataclass
+from enum import StrEnum
+
+from ros_fiware_bridge.errors import AdapterUnavailable
+from ros_fiware_bridge.graph.port import RosGraph
+from ros_fiware_bridge.types.type_store import TypeStore
+
+MOST_BYTES = 16 * 2**20
+
+
+class Adapter(StrEnum):
+    """What carries the graph: a DDS of our own, the ROS that is installed, or a rosbridge server."""
+
+    CYCLONE = "cyclone"
+    RCLPY = "rclpy"
+    ROSBRIDGE = "rosbridge"
+
+
+@dataclass(frozen=True, slots=True)
+class JoinSettings:
+    """How the bridge joins the graph.
+
+    `interfaces` (names or addresses; none: the network that the machine prefers, and loopback), `peers`
+    (addresses to which we make ourselves known where multicast does not reach) and `multicast` count for
+    Cyclone; an installed ROS has settings of its own for these. `rosbridge_url` is where a
+    rosbridge server is. `most_bytes` is the size of the biggest message that is let through, either way.
+    """
+
+    node: str = "handover_bridge"
+    namespace: str = "/"
+    enclave: str = "/"
+    domain_id: int = 0
+    interfaces: tuple[str, ...] = ()
+    peers: tuple[str, ...] = ()
+    multicast: bool = True
+    most_bytes: int = MOST_BYTES
+    rosbridge_url: str = "ws://127.0.0.1:9090"
+
+
+def installed() -> list[Adapter]:
+    """Return the adapters whose libraries are here."""
+    needs = {
+        Adapter.CYCLONE: ("cyclonedds", "rosbags"),
+        Adapter.RCLPY: ("rclpy", "rosbags"),
+        Adapter.ROSBRIDGE: ("rosbags",),
+    }
+    return [one for one in Adapter if all(importlib.util.find_spec(name) for name in needs[one])]
+
+
+async def join(store: TypeStore, settings: JoinSettings, adapter: Adapter = Adapter.CYCLONE) -> RosGraph:
+    """Join the graph; the caller closes it.
+
+    Raises:
+        BadName: the node or its namespace cannot be called so.
+        AdapterUnavailable: the adapter's library is not installed, or the domain cannot be opened.
+    """
+    if adapter not in installed():
+        way = {
+            Adapter.CYCLONE: "install the extra: pip install 'handover[ros]'",
+            Adapter.ROSBRIDGE: "install the extra: pip install 'handover[ros]'",
+            Adapter.RCLPY: "run the bridge where ROS 2 is installed and its setup.bash was sourced",
+        }
+        raise AdapterUnavailable(f"the adapter {adapter.value} is not installed; {way[adapter]}")
+    if adapter is Adapter.RCLPY:
+        from ros_fiware_bridge.graph.ros_installed.graph import RosInstalledGraph  # noqa: PLC0415 - if chosen
+
+        return await RosInstalledGraph.join(store, settings)
+    if adapter is Adapter.ROSBRIDGE:
+        from ros_fiware_bridge.graph.rosbridge.graph import RosbridgeGraph  # noqa: PLC0415 - if chosen
+
+        return await RosbridgeGraph.join(store, settings)
+    from ros_fiware_bridge.graph.cyclone.graph import CycloneGraph  # noqa: PLC0415 - if chosen
+
+    return await CycloneGraph.join(store, settings)

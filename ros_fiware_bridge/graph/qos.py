@@ -1,0 +1,82 @@
+"""Quality of service: how surely and for how long a message is kept for its readers, named as in ROS."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+
+from ros_fiware_bridge.errors import UnknownQos
+
+
+class Reliability(StrEnum):
+    """Whether a lost message is sent again."""
+
+    RELIABLE = "reliable"
+    BEST_EFFORT = "best_effort"
+
+
+class Durability(StrEnum):
+    """Whether a reader that comes late is given what was said before."""
+
+    VOLATILE = "volatile"
+    TRANSIENT_LOCAL = "transient_local"
+
+
+class History(StrEnum):
+    """Whether the last `depth` messages are kept, or all."""
+
+    KEEP_LAST = "keep_last"
+    KEEP_ALL = "keep_all"
+
+
+@dataclass(frozen=True, slots=True)
+class Qos:
+    """A quality of service; `depth` is a number of messages, used with `keep_last`."""
+
+    reliability: Reliability = Reliability.RELIABLE
+    durability: Durability = Durability.VOLATILE
+    history: History = History.KEEP_LAST
+    depth: int = 10
+
+    def __post_init__(self) -> None:
+        if self.depth < 1:
+            raise UnknownQos(f"a depth of {self.depth} keeps nothing; give a depth of 1 or more")
+
+    @classmethod
+    def named(cls, name: str) -> "Qos":
+        """Return the profile called `name` (`default`, `sensor_data`, `services`, `latched`).
+
+        Raises:
+            UnknownQos: there is no such profile.
+        """
+        try:
+            return PROFILES[name]
+        except KeyError:
+            known = ", ".join(PROFILES)
+            raise UnknownQos(f'there is no quality of service "{name}"; it is one of {known}') from None
+
+    def unmet(self, offered: "Qos") -> str | None:
+        """Return why a reader that wants this is not served by a writer that offers `offered`, or None.
+
+        The request-versus-offered rules of the DDS specification (1.4, 2.2.3).
+        """
+        reasons = []
+        if self.reliability is Reliability.RELIABLE and offered.reliability is Reliability.BEST_EFFORT:
+            reasons.append("the reader wants reliable, the writer offers best_effort")
+        if self.durability is Durability.TRANSIENT_LOCAL and offered.durability is Durability.VOLATILE:
+            reasons.append("the reader wants transient_local, the writer offers volatile")
+        return " and ".join(reasons) or None
+
+    def __str__(self) -> str:
+        kept = f"keep_last {self.depth}" if self.history is History.KEEP_LAST else "keep_all"
+        return f"{self.reliability.value}, {self.durability.value}, {kept}"
+
+
+DEFAULT = Qos()
+SENSOR_DATA = Qos(reliability=Reliability.BEST_EFFORT, depth=5)
+SERVICES = Qos(depth=10)
+LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+
+PROFILES: Mapping[str, Qos] = MappingProxyType(
+    {"default": DEFAULT, "sensor_data": SENSOR_DATA, "services": SERVICES, "latched": LATCHED}
+)

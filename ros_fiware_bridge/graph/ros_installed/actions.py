@@ -1,0 +1,304 @@
+"""Actions over an installed ROS."""
+
+import asyncio
+import concurrent.futures
+import secrets
+import time
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+
+from ros_fiware_bridge.errors import CallTimeout, GoalRefused, GraphClosed, ServiceUnavailable
+from ros_fiware_bridge.graph.port import ActionHandler, GoalEnded, GoalResult, GoalStatus, Message
+from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, as_future, call
+from ros_fiware_bridge.graph.waiting import until
+
+log = structlog.get_logger(__name__)
+
+_AWAY_S = 2.0
+_CANCELING_S = 1.0
+
+
+class RosGoal:
+    """A goal that was accepted; see `port.Goal`."""
+
+    def __init__(self, client: "RosActionClient", handle: Any, goal_id: bytes) -> None:
+        self.goal_id = goal_id
+        self._client = client
+        self._handle = handle
+        self._ended: asyncio.Task[GoalResult] | None = None
+
+    @property
+    def status(self) -> GoalStatus:
+        """How it stands."""
+        if self._ended is not None and self._ended.done() and self._ended.exception() is None:
+            return self._ended.result().status
+        return GoalStatus(self._handle.status)
+
+    async def result(self, timeout_s: float | None = None) -> GoalResult:
+        """Wait for its end."""
+        if self._ended is None or (self._ended.done() and self._ended.exception() is not None):
+            self._ended = asyncio.get_running_loop().create_task(self._client.ask_result(self._handle))
+        try:
+            return await asyncio.wait_for(asyncio.shield(self._ended), timeout_s)
+        except asyncio.CancelledError:
+            if self._ended.cancelled():  # by `forget`, not whoever waits here
+                raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
+            raise
+        except TimeoutError:
+            raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
+
+    async def cancel(self, timeout_s: float = 5.0) -> bool:
+        """Ask the server to cancel it."""
+        answer = await self._client.within(self._handle.cancel_goal_async(), timeout_s)
+        return any(bytes(one.goal_id.uuid) == self.goal_id for one in answer.goals_canceling)
+
+    def forget(self) -> None:
+        """Wait for nothing any more."""
+        if self._ended is not None:
+            self._ended.cancel()
+
+
+class RosActionClient:
+    """An action that goals are sent to; see `port.ActionClient`."""
+
+    def __init__(
+        self, node: OwnRosNode, action: str, type_name: str, *, closed: Callable[[Any], None]
+    ) -> None:
+        from rclpy.action import ActionClient  # noqa: PLC0415 - is only there where ROS is
+
+        self.name = action
+        self.type_name = type_name
+        self._node = node
+        self._closed = closed
+        self._loop = asyncio.get_running_loop()
+        self._interface = node.interface(type_name)
+        self._client = ActionClient(node.node, self._interface, action, callback_group=node.group)
+        self._goals: list[RosGoal] = []
+        self._open = True
+
+    async def available(self, timeout_s: float) -> bool:
+        """Wait until a server is there."""
+        return await until(self._client.server_is_ready, timeout_s)
+
+    async def within(self, pending: Any, timeout_s: float) -> Any:
+        """Wait for a future of rclpy.
+
+        Raises:
+            CallTimeout: it does not end in time.
+        """
+        try:
+            return await asyncio.wait_for(as_future(pending, self._loop), timeout_s)
+        except TimeoutError:
+            raise CallTimeout(f"{self.name} did not answer within {timeout_s} s") from None
+
+    async def send_goal(
+        self,
+        goal: Message,
+        *,
+        on_feedback: Callable[[Message], None] | None = None,
+        timeout_s: float = 5.0,
+    ) -> RosGoal:
+        """Send a goal."""
+        from unique_identifier_msgs.msg import UUID  # noqa: PLC0415 - is only there where ROS is
+
+        sent = self._node.to_ros(self._interface.Goal, f"{self.type_name}_Goal", goal)
+        start_s = self._loop.time()
+        if not await self.available(timeout_s):
+            raise ServiceUnavailable(
+                f"nobody serves {self.name} ({self.type_name}); start its node, or check the name and the "
+                "number of the domain (ROS_DOMAIN_ID)"
+            )
+
+        def told(feedback: Any) -> None:
+            if on_feedback is not None:
+                message = self._node.from_ros(f"{self.type_name}_Feedback", feedback.feedback)
+                call(self._loop, on_feedback, message)
+
+        goal_id = secrets.token_bytes(16)
+        pending = self._client.send_goal_async(sent, told, UUID(uuid=list(goal_id)))
+        handle = await self.within(pending, max(0.0, start_s + timeout_s - self._loop.time()))
+        if not handle.accepted:
+            raise GoalRefused(f"{self.name}: the server did not accept the goal")
+        accepted = RosGoal(self, handle, goal_id)
+        self._goals.append(accepted)
+        return accepted
+
+    async def ask_result(self, handle: Any) -> GoalResult:
+        """Wait for the result of a goal as long as its server is there."""
+        answer = as_future(handle.get_result_async(), self._loop)
+        while True:
+            done, _ = await asyncio.wait([answer], timeout=_AWAY_S)
+            if done:
+                ended = answer.result()
+                result = self._node.from_ros(f"{self.type_name}_Result", ended.result)
+                return GoalResult(GoalStatus(ended.status), result)
+            if not await self.available(_AWAY_S):
+                raise ServiceUnavailable(f"the server of {self.name} went away before the goal ended")
+
+    async def close(self) -> None:
+        """Let go of the action."""
+        if self._open:
+            self._open = False
+            for goal in self._goals:
+                goal.forget()
+            self._client.destroy()
+            self._closed(self)
+
+
+class RosServedGoal:
+    """A goal that is worked on; see `port.ServedGoal`."""
+
+    def __init__(self, server: "RosActionServer", handle: Any, request: Message) -> None:
+        self.goal_id = bytes(handle.goal_id.uuid)
+        self.request = request
+        self._server = server
+        self._handle = handle
+        self._cancel = asyncio.Event()
+        if handle.is_cancel_requested:
+            self._cancel.set()
+
+    @property
+    def cancel_requested(self) -> bool:
+        """Whether the client asked to cancel."""
+        return self._cancel.is_set()
+
+    async def wait_cancel_requested(self) -> None:
+        """Wait until the client asks to cancel."""
+        await self._cancel.wait()
+
+    def cancel(self) -> None:
+        """Take the client's wish."""
+        self._cancel.set()
+
+    def feedback(self, feedback: Message) -> None:
+        """Tell how far it is."""
+        self._server.told(self._handle, feedback)
+
+
+class RosActionServer:
+    """An action that is served; see `port.Served`."""
+
+    def __init__(
+        self,
+        node: OwnRosNode,
+        action: str,
+        type_name: str,
+        handler: ActionHandler,
+        *,
+        accept: Callable[[Message], bool] | None,
+        closed: Callable[[Any], None],
+    ) -> None:
+        from rclpy.action import ActionServer, CancelResponse, GoalResponse  # noqa: PLC0415 - where ROS is
+
+        self.name = action
+        self.type_name = type_name
+        self.calls = 0
+        self.failed = 0
+        self.last_error: str | None = None
+        self._node = node
+        self._handler = handler
+        self._accept = accept
+        self._closed = closed
+        self._loop = asyncio.get_running_loop()
+        self._interface = node.interface(type_name)
+        self._goal_response, self._cancel_response = GoalResponse, CancelResponse
+        self._goals: dict[bytes, RosServedGoal] = {}
+        self._working: set[concurrent.futures.Future[tuple[GoalStatus, Message]]] = set()
+        self._open = True
+        self._server = ActionServer(
+            node.node,
+            self._interface,
+            action,
+            self._execute,
+            callback_group=node.group,
+            goal_callback=self._wanted,
+            cancel_callback=self._cancelled,
+        )
+
+    def _wanted(self, goal: Any) -> Any:
+        self.calls += 1
+        try:
+            wanted = self._accept is None or self._accept(self._node.from_ros(f"{self.type_name}_Goal", goal))
+        except Exception as error:  # noqa: BLE001 - one goal must not end the action
+            self._fault(error)
+            wanted = False
+        return self._goal_response.ACCEPT if wanted else self._goal_response.REJECT
+
+    def _cancelled(self, handle: Any) -> Any:
+        goal = self._goals.get(bytes(handle.goal_id.uuid))
+        if goal is not None:
+            call(self._loop, goal.cancel)
+        return self._cancel_response.ACCEPT
+
+    def _execute(self, handle: Any) -> Any:
+        """Work on one goal; in a thread of the executor, which waits for the loop."""
+        work = asyncio.run_coroutine_threadsafe(self._work(handle), self._loop)
+        self._working.add(work)
+        try:
+            status, result = work.result()
+        except concurrent.futures.CancelledError:
+            status, result = GoalStatus.ABORTED, {}
+        finally:
+            self._working.discard(work)
+        if status is GoalStatus.CANCELED and self._canceling(handle):
+            handle.canceled()
+        elif status is GoalStatus.SUCCEEDED:
+            handle.succeed()
+        else:
+            handle.abort()
+        return self._node.to_ros(self._interface.Result, f"{self.type_name}_Result", result)
+
+    @staticmethod
+    def _canceling(handle: Any) -> bool:
+        """Wait until rclpy has noted the wish that our handler knows already; False if there is none."""
+        end_s = time.monotonic() + _CANCELING_S
+        while not handle.is_cancel_requested:
+            if time.monotonic() > end_s:
+                return False
+            time.sleep(0.005)
+        return True
+
+    async def _work(self, handle: Any) -> tuple[GoalStatus, Message]:
+        request = self._node.from_ros(f"{self.type_name}_Goal", handle.request)
+        goal = RosServedGoal(self, handle, request)
+        self._goals[goal.goal_id] = goal
+        try:
+            result = await self._handler(goal)
+            self._node.store.check(f"{self.type_name}_Result", result)
+        except GoalEnded as ended:
+            status = ended.status
+            if status is GoalStatus.CANCELED and not goal.cancel_requested:
+                status = GoalStatus.ABORTED
+            return status, ended.result
+        except Exception as error:  # noqa: BLE001 - one goal must not end the action
+            self._fault(error)
+            return GoalStatus.ABORTED, {}
+        finally:
+            self._goals.pop(goal.goal_id, None)
+        return GoalStatus.SUCCEEDED, result
+
+    def told(self, handle: Any, feedback: Message) -> None:
+        """Publish how far a goal is.
+
+        Raises:
+            BadMessage: it does not fit the definition.
+        """
+        made = self._interface.Feedback
+        handle.publish_feedback(self._node.to_ros(made, f"{self.type_name}_Feedback", feedback))
+
+    def _fault(self, error: Exception) -> None:
+        self.failed += 1
+        self.last_error = f"{type(error).__name__}: {error}"
+        log.error("a goal of the ROS graph was not dealt with", action=self.name, error=self.last_error)
+
+    async def close(self) -> None:
+        """Stop serving; goals that are worked on are aborted."""
+        if self._open:
+            self._open = False
+            for work in list(self._working):
+                work.cancel()
+            await asyncio.to_thread(concurrent.futures.wait, list(self._working), 2.0)
+            self._server.destroy()
+            self._closed(self)

@@ -1,0 +1,173 @@
+"""The ROS graph over an installed ROS: everything that the port promises, by rclpy."""
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ros_fiware_bridge.errors import GraphClosed, GraphError
+from ros_fiware_bridge.graph import names
+from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.port import (
+    ActionHandler,
+    ActionInfo,
+    Message,
+    NodeInfo,
+    OnMessage,
+    ServiceHandler,
+    ServiceInfo,
+    TopicInfo,
+)
+from ros_fiware_bridge.graph.qos import DEFAULT, Qos
+from ros_fiware_bridge.graph.ros_installed import view
+from ros_fiware_bridge.graph.ros_installed.actions import RosActionClient, RosActionServer
+from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, hash_of
+from ros_fiware_bridge.graph.ros_installed.services import RosClient, RosServer
+from ros_fiware_bridge.graph.ros_installed.topics import RosPublisher, RosSubscription
+from ros_fiware_bridge.types.type_store import TypeStore
+
+
+class RosInstalledGraph:
+    """A node on the graph; see `port.RosGraph`. Made by `joining.join`."""
+
+    def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnRosNode) -> None:
+        self.store = store
+        self._settings = settings
+        self._node = node
+        self._opened: dict[int, Any] = {}
+        self._clients: dict[tuple[str, str], RosClient] = {}
+        self._closed = False
+        self.node_name = names.full_name(settings.node, settings.namespace, settings.node)
+
+    @classmethod
+    async def join(cls, store: TypeStore, settings: JoinSettings) -> "RosInstalledGraph":
+        """Join the graph.
+
+        Raises:
+            BadName: the node or its namespace cannot be called so.
+            AdapterUnavailable: the installed ROS does not start.
+        """
+        names.node_name(settings.node)
+        names.namespace(settings.namespace)
+        return cls(store, settings, await asyncio.to_thread(OwnRosNode, settings, store))
+
+    def _full(self, name: str) -> str:
+        if self._closed:
+            raise GraphClosed(f"{name}: the graph was closed")
+        return names.full_name(name, self._settings.namespace, self._settings.node)
+
+    def _type(self, type_name: str, kind: str, *parts: str) -> str:
+        full = self.store.resolve(type_name, kind)
+        for part in parts:
+            self.store.sound(f"{full}{part}")
+        return full
+
+    def _keep(self, opened: Any) -> None:
+        self._opened[id(opened)] = opened
+
+    def _gone(self, opened: Any) -> None:
+        self._opened.pop(id(opened), None)
+
+    async def subscribe(
+        self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
+    ) -> RosSubscription:
+        """Listen to a topic."""
+        name, full = self._full(topic), self._type(type_name, "msg", "")
+        opened = RosSubscription(
+            self._node,
+            name,
+            full,
+            qos,
+            on_message=on_message,
+            most_bytes=self._settings.most_bytes,
+            closed=self._gone,
+        )
+        self._keep(opened)
+        await self._checked(opened, self._node.node.get_subscriptions_info_by_topic)
+        return opened
+
+    async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> RosPublisher:
+        """Speak on a topic."""
+        name, full = self._full(topic), self._type(type_name, "msg", "")
+        opened = RosPublisher(
+            self._node, name, full, qos, most_bytes=self._settings.most_bytes, closed=self._gone
+        )
+        self._keep(opened)
+        await self._checked(opened, self._node.node.get_publishers_info_by_topic)
+        return opened
+
+    async def _checked(self, opened: Any, ends: Callable[[str], Any]) -> None:
+        """Let nothing pass where the installed ROS means another type than we do."""
+        for end in ends(opened.topic):
+            if view.full_name(end) == self.node_name and end.topic_type == opened.type_name:
+                try:
+                    self._node.same(opened.topic, opened.type_name, hash_of(end))
+                except GraphError:
+                    await opened.close()
+                    raise
+
+    async def call(self, service: str, type_name: str, request: Message, timeout_s: float = 5.0) -> Message:
+        """Call a service."""
+        key = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
+        if key not in self._clients:
+            self._clients[key] = RosClient(self._node, *key)
+        return await self._clients[key].call(request, timeout_s)
+
+    async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> RosServer:
+        """Serve a service."""
+        name, full = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
+        opened = RosServer(self._node, name, full, handler, closed=self._gone)
+        self._keep(opened)
+        return opened
+
+    async def action_client(self, action: str, type_name: str) -> RosActionClient:
+        """Send goals to an action."""
+        name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
+        opened = RosActionClient(self._node, name, full, closed=self._gone)
+        self._keep(opened)
+        return opened
+
+    async def serve_action(
+        self,
+        action: str,
+        type_name: str,
+        handler: ActionHandler,
+        *,
+        accept: Callable[[Message], bool] | None = None,
+    ) -> RosActionServer:
+        """Serve an action."""
+        name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
+        opened = RosActionServer(self._node, name, full, handler, accept=accept, closed=self._gone)
+        self._keep(opened)
+        return opened
+
+    def topics(self) -> Sequence[TopicInfo]:
+        """Return the topics of the graph."""
+        return view.topics(self._node.node, self.node_name)
+
+    def services(self) -> Sequence[ServiceInfo]:
+        """Return the services of the graph."""
+        return view.services(self._node.node, self._node.vendor)
+
+    def actions(self) -> Sequence[ActionInfo]:
+        """Return the actions of the graph."""
+        return view.actions(self._node.node)
+
+    def nodes(self) -> Sequence[NodeInfo]:
+        """Return the nodes of the graph."""
+        return view.nodes(self._node.node, self.node_name, self._node.vendor)
+
+    def problems(self) -> Sequence[GraphError]:
+        """Return what stands between us and peers now."""
+        return view.problems(self.topics())
+
+    async def close(self) -> None:
+        """Leave the graph."""
+        if self._closed:
+            return
+        self._closed = True
+        for opened in reversed(list(self._opened.values())):
+            await opened.close()
+        for client in self._clients.values():
+            client.close()
+        self._clients.clear()
+        await asyncio.to_thread(self._node.close)

@@ -1,0 +1,186 @@
+"""Our node in an installed ROS: it spins in threads of its own, and messages cross over as CDR.
+
+The installed ROS knows its types by Python modules; we know them by definitions. Both must be the same, or
+the bridge would read what nobody wrote: their hashes are compared when something is opened.
+"""
+
+import asyncio
+import importlib
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+
+from ros_fiware_bridge.errors import AdapterUnavailable, TypeHashDiffers, UnknownType
+from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.port import Message
+from ros_fiware_bridge.graph.qos import Durability, History, Qos, Reliability
+from ros_fiware_bridge.types.type_store import TypeStore
+
+log = structlog.get_logger(__name__)
+
+_ROUND_S = 1.0
+_THREADS = 64
+"""Handlers of services and goals keep a thread each while they work."""
+
+
+class OwnRosNode:
+    """The bridge as an rclpy node."""
+
+    def __init__(self, settings: JoinSettings, store: TypeStore) -> None:
+        """Start the node and its threads.
+
+        Raises:
+            AdapterUnavailable: the installed ROS does not start.
+        """
+        import rclpy  # noqa: PLC0415 - is only there where ROS is
+        from rclpy.callback_groups import ReentrantCallbackGroup  # noqa: PLC0415
+        from rclpy.executors import MultiThreadedExecutor  # noqa: PLC0415
+        from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+
+        self.store = store
+        self._context = rclpy.Context()
+        try:
+            rclpy.init(
+                args=["--ros-args", "-e", settings.enclave],
+                context=self._context,
+                domain_id=settings.domain_id,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            self.node: Any = rclpy.create_node(
+                settings.node, namespace=settings.namespace, context=self._context, use_global_arguments=False
+            )
+        except Exception as error:
+            raise AdapterUnavailable(f"the installed ROS does not start: {error}") from error
+        self.vendor = rclpy.get_rmw_implementation_identifier()
+        self.group = ReentrantCallbackGroup()
+        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+        self._executor.add_node(self.node)
+        self._stopping = False
+        self._thread = threading.Thread(target=self._spin, name="ros-graph", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        from rclpy.executors import ExternalShutdownException, ShutdownException  # noqa: PLC0415 - where ROS is
+
+        while not self._stopping and self._context.ok():
+            try:
+                self._executor.spin_once(timeout_sec=_ROUND_S)
+            except (ExternalShutdownException, ShutdownException):
+                return
+            except Exception:
+                # One callback's fault, or what was closed while it was waited on: the others go on.
+                if not self._stopping:
+                    log.exception("the ROS graph had a fault")
+
+    def interface(self, type_name: str) -> Any:
+        """Return the Python class of a message, service or action type.
+
+        Raises:
+            UnknownType: the installed ROS has no such type.
+        """
+        package, kind, name = type_name.split("/")
+        from rclpy.type_support import check_for_type_support  # noqa: PLC0415 - is only there where ROS is
+
+        try:
+            found = getattr(importlib.import_module(f"{package}.{kind}"), name)
+            check_for_type_support(found)
+        except Exception as error:
+            built = f"ros-jazzy-{package.replace('_', '-')}"
+            raise UnknownType(
+                f"the installed ROS has no {type_name}; install its package ({built}), build it in a "
+                "workspace, or use the adapter cyclone, which reads definition files"
+            ) from error
+        return found
+
+    def same(self, where: str, type_name: str, theirs: str | None) -> None:
+        """Check that the installed ROS means by a type what we mean.
+
+        Raises:
+            TypeHashDiffers: it does not.
+        """
+        ours = self.store.hash(type_name)
+        if theirs is not None and theirs != ours:
+            raise TypeHashDiffers(
+                f"{where}: the installed ROS has another definition of {type_name} (its hash is {theirs}, "
+                f"ours is {ours}); name the share folder of its package in type_paths"
+            )
+
+    def to_ros(self, made: Any, type_name: str, message: Message) -> Any:
+        """Return `message` as an instance of the Python class `made`."""
+        from rclpy.serialization import deserialize_message  # noqa: PLC0415 - is only there where ROS is
+
+        return deserialize_message(self.store.encode(type_name, message), made)
+
+    def from_ros(self, type_name: str, message: Any) -> Message:
+        """Return an instance of a Python class as a message."""
+        from rclpy.serialization import serialize_message  # noqa: PLC0415 - is only there where ROS is
+
+        return self.store.decode(type_name, serialize_message(message))
+
+    def close(self) -> None:
+        """End the node and its threads."""
+        import rclpy  # noqa: PLC0415 - is only there where ROS is
+
+        self._stopping = True
+        self._executor.shutdown(timeout_sec=2.0)
+        self._thread.join(5.0)
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+
+def profile(qos: Qos, depth: int | None = None) -> Any:
+    """Return the profile of the installed ROS."""
+    from rclpy import qos as ros  # noqa: PLC0415 - is only there where ROS is
+
+    keep_all = qos.history is History.KEEP_ALL
+    return ros.QoSProfile(
+        reliability=ros.ReliabilityPolicy[qos.reliability.name],
+        durability=ros.DurabilityPolicy[qos.durability.name],
+        history=ros.HistoryPolicy.KEEP_ALL if keep_all else ros.HistoryPolicy.KEEP_LAST,
+        depth=depth or qos.depth,
+    )
+
+
+def offered(found: Any) -> Qos:
+    """Return what an endpoint of the installed ROS offers or wants."""
+    best_effort = found.reliability.name == "BEST_EFFORT"
+    late = found.durability.name == "TRANSIENT_LOCAL"
+    return Qos(
+        Reliability.BEST_EFFORT if best_effort else Reliability.RELIABLE,
+        Durability.TRANSIENT_LOCAL if late else Durability.VOLATILE,
+    )
+
+
+def hash_of(endpoint: Any) -> str | None:
+    """Return the type hash that an endpoint told, `RIHS01_…`; None if it did not."""
+    told = str(endpoint.topic_type_hash)
+    return told if told.startswith("RIHS01_") else None
+
+
+def as_future(pending: Any, loop: asyncio.AbstractEventLoop) -> asyncio.Future[Any]:
+    """Return a future of the loop that ends as a future of rclpy ends."""
+    mine: asyncio.Future[Any] = loop.create_future()
+
+    def settle() -> None:
+        if mine.done():
+            return
+        if pending.exception() is not None:
+            mine.set_exception(pending.exception())
+        else:
+            mine.set_result(pending.result())
+
+    def ended(_: Any) -> None:
+        call(loop, settle)
+
+    pending.add_done_callback(ended)
+    return mine
+
+
+def call(loop: asyncio.AbstractEventLoop, function: Callable[..., Any], *arguments: Any) -> None:
+    """Call a function in the loop; nothing happens where the loop is closed."""
+    try:
+        loop.call_soon_threadsafe(function, *arguments)
+    except RuntimeError:
+        return

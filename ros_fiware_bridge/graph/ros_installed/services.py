@@ -1,0 +1,128 @@
+"""Services over an installed ROS, whichever middleware carries them."""
+
+import asyncio
+import concurrent.futures
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+
+from ros_fiware_bridge.errors import CallTimeout, GraphClosed, ServiceUnavailable
+from ros_fiware_bridge.graph.port import Message, ServiceHandler
+from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, as_future
+from ros_fiware_bridge.graph.waiting import until
+
+log = structlog.get_logger(__name__)
+
+
+class RosClient:
+    """Calls one service."""
+
+    def __init__(self, node: OwnRosNode, service: str, type_name: str) -> None:
+        self.service = service
+        self.type_name = type_name
+        self._node = node
+        self._interface = node.interface(type_name)
+        self._client = node.node.create_client(self._interface, service, callback_group=node.group)
+        self._waiting: set[asyncio.Future[Any]] = set()
+
+    async def call(self, request: Message, timeout_s: float) -> Message:
+        """Ask and return the response.
+
+        Raises:
+            BadMessage, ServiceUnavailable, CallTimeout, GraphClosed.
+        """
+        loop = asyncio.get_running_loop()
+        start_s = loop.time()
+        asked = self._node.to_ros(self._interface.Request, f"{self.type_name}_Request", request)
+        if not await until(self._client.service_is_ready, timeout_s):
+            raise ServiceUnavailable(
+                f"nobody serves {self.service} ({self.type_name}); start its node, or check the name and the "
+                "number of the domain (ROS_DOMAIN_ID)"
+            )
+        pending = self._client.call_async(asked)
+        answer = as_future(pending, loop)
+        self._waiting.add(answer)
+        try:
+            response = await asyncio.wait_for(answer, max(0.0, start_s + timeout_s - loop.time()))
+        except TimeoutError:
+            self._client.remove_pending_request(pending)
+            raise CallTimeout(f"{self.service} did not answer within {timeout_s} s") from None
+        finally:
+            self._waiting.discard(answer)
+        return self._node.from_ros(f"{self.type_name}_Response", response)
+
+    def close(self) -> None:
+        """Ask no more; who still waits is told."""
+        for waiting in self._waiting:
+            if not waiting.done():
+                waiting.set_exception(GraphClosed(f"{self.service} was closed before it answered"))
+        self._node.node.destroy_client(self._client)
+
+
+class RosServer:
+    """Serves one service; see `port.Served`."""
+
+    def __init__(
+        self,
+        node: OwnRosNode,
+        service: str,
+        type_name: str,
+        handler: ServiceHandler,
+        *,
+        closed: Callable[[Any], None],
+    ) -> None:
+        self.name = service
+        self.type_name = type_name
+        self.calls = 0
+        self.failed = 0
+        self.last_error: str | None = None
+        self._node = node
+        self._handler = handler
+        self._closed = closed
+        self._loop = asyncio.get_running_loop()
+        self._working: set[concurrent.futures.Future[Message]] = set()
+        self._open = True
+        self._interface = node.interface(type_name)
+        self._service = node.node.create_service(
+            self._interface, service, self._asked, callback_group=node.group
+        )
+        self._send = self._service.send_response
+        # rclpy answers whatever a callback returns; a handler that failed has nothing to answer.
+        self._service.send_response = self._send_if_answered
+
+    def _send_if_answered(self, response: Any, header: Any) -> None:
+        if response is not None:
+            self._send(response, header)
+
+    def _asked(self, request: Any, _: Any) -> Any:
+        """Answer one request; in a thread of the executor, which waits for the loop."""
+        self.calls += 1
+        work = None
+        try:
+            asked = self._node.from_ros(f"{self.type_name}_Request", request)
+            work = asyncio.run_coroutine_threadsafe(self._handle(asked), self._loop)
+            self._working.add(work)
+            return self._node.to_ros(self._interface.Response, f"{self.type_name}_Response", work.result())
+        except concurrent.futures.CancelledError:
+            return None
+        except Exception as error:  # one caller's request must not end the service
+            self.failed += 1
+            self.last_error = f"{type(error).__name__}: {error}"
+            log.exception("a request of the ROS graph was not answered", service=self.name)
+            return None
+        finally:
+            if work is not None:
+                self._working.discard(work)
+
+    async def _handle(self, request: Message) -> Message:
+        return await self._handler(request)
+
+    async def close(self) -> None:
+        """Stop serving."""
+        if self._open:
+            self._open = False
+            for work in list(self._working):
+                work.cancel()
+            self._node.node.destroy_service(self._service)
+            self._closed(self)

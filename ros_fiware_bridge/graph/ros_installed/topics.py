@@ -1,0 +1,128 @@
+"""Topics over an installed ROS, taken and given as CDR."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from ros_fiware_bridge.errors import GraphClosed, MessageTooBig
+from ros_fiware_bridge.graph.inbox import Inbox, hash_differs
+from ros_fiware_bridge.graph.port import Message, OnMessage
+from ros_fiware_bridge.graph.qos import Qos
+from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, hash_of, profile
+from ros_fiware_bridge.graph.waiting import until
+
+_PLACES = 256
+_LOOK_AGAIN_S = 1.0
+
+
+class RosSubscription(Inbox):
+    """A topic that is listened to; see `port.Subscription`."""
+
+    def __init__(
+        self,
+        node: OwnRosNode,
+        topic: str,
+        type_name: str,
+        qos: Qos,
+        *,
+        on_message: OnMessage,
+        most_bytes: int,
+        closed: Callable[[Any], None],
+    ) -> None:
+        super().__init__(node.store, topic, type_name, qos, on_message=on_message, most_bytes=most_bytes)
+        self._node = node
+        self._closed = closed
+        self._hash = node.store.hash(type_name)
+        self._looked_s = 0.0
+        self._why_not: str | None = None
+        self._subscription = node.node.create_subscription(
+            node.interface(type_name),
+            topic,
+            self._came,
+            profile(qos, max(qos.depth, _PLACES)),
+            callback_group=None,  # the node's own, which lets one callback run at a time: the order is kept
+            raw=True,
+        )
+
+    def _came(self, data: bytes, told: Any) -> None:
+        if self._open:
+            # Who of several publishers sent it is not told; one with another definition spoils the topic.
+            now_s = time.monotonic()
+            if now_s - self._looked_s > _LOOK_AGAIN_S:
+                self._looked_s, self._why_not = now_s, self._differs()
+            sent_ns = told["source_timestamp"] or 0
+            self.put(bytes(data), sent_ns=sent_ns, ours=None, why_not=self._why_not)
+
+    def _differs(self) -> str | None:
+        for one in self._node.node.get_publishers_info_by_topic(self.topic):
+            who = f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+            why_not = hash_differs(self.topic, self.type_name, self._hash, hash_of(one), who)
+            if why_not is not None:
+                return why_not
+        return None
+
+    def publishers(self) -> int:
+        """Return how many publishers are on the topic."""
+        return int(self._node.node.count_publishers(self.topic)) if self._open else 0
+
+    async def matched(self, timeout_s: float) -> bool:
+        """Wait until a publisher is on the topic."""
+        return await until(lambda: self.publishers() > 0, timeout_s)
+
+    async def close(self) -> None:
+        """Stop listening."""
+        if self.shut():
+            self._node.node.destroy_subscription(self._subscription)
+            self._closed(self)
+
+
+class RosPublisher:
+    """A topic that is spoken on; see `port.Publisher`."""
+
+    def __init__(
+        self,
+        node: OwnRosNode,
+        topic: str,
+        type_name: str,
+        qos: Qos,
+        *,
+        most_bytes: int,
+        closed: Callable[[Any], None],
+    ) -> None:
+        self.topic = topic
+        self.type_name = type_name
+        self.qos = qos
+        self.published = 0
+        self._node = node
+        self._most_bytes = most_bytes
+        self._closed = closed
+        self._open = True
+        self._publisher = node.node.create_publisher(node.interface(type_name), topic, profile(qos))
+
+    def publish(self, message: Message) -> None:
+        """Send `message`."""
+        if not self._open:
+            raise GraphClosed(f"{self.topic} was closed; nothing can be published on it")
+        data = self._node.store.encode(self.type_name, message)
+        if len(data) > self._most_bytes:
+            raise MessageTooBig(
+                f"{self.topic}: a message of {len(data)} bytes is too big, {self._most_bytes} are allowed; "
+                "raise the limit if it is meant"
+            )
+        self._publisher.publish(data)
+        self.published += 1
+
+    def subscribers(self) -> int:
+        """Return how many subscribers are matched."""
+        return int(self._publisher.get_subscription_count()) if self._open else 0
+
+    async def matched(self, timeout_s: float) -> bool:
+        """Wait until a subscriber is matched."""
+        return await until(lambda: self.subscribers() > 0, timeout_s)
+
+    async def close(self) -> None:
+        """Stop speaking."""
+        if self._open:
+            self._open = False
+            self._node.node.destroy_publisher(self._publisher)
+            self._closed(self)

@@ -1,0 +1,232 @@
+"""A path: the way to a value inside a message, as an integrator writes it.
+
+header.stamp                    a field of a field
+position[0]                     an element of an array
+position[name=elbow_joint]      the element for which `name` says so: of the array of structures itself,
+                                or, in an array of plain values, at the place that the array `name`
+                                beside it gives
+status[].level                  of the element that the rule's `each: status` is at
+.                               the whole message
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any, TypeAlias
+
+from handover.errors import HandoverError
+
+Getter: TypeAlias = Callable[[Any], Any]
+
+LONGEST = 200
+_TOKEN = re.compile(
+    r"(?P<name>[A-Za-z][A-Za-z0-9_]*)"
+    r"|\[(?P<index>\d{1,9})\]"
+    r"|(?P<each>\[\])"
+    r"|\[(?P<key>[A-Za-z][A-Za-z0-9_]*)=(?P<wanted>[^\]]+)\]"
+)
+
+
+class WrongPath(ValueError):
+    """What was written is not a path; the message says why."""
+
+
+class NotThere(HandoverError):
+    """A message does not have the value that a path leads to; `path` is how far it leads."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Into the field `name`."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return f".{self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """Into the element at `place`, from 0."""
+
+    place: int
+
+    def __str__(self) -> str:
+        return f"[{self.place}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Into the element for which `key` is `wanted`."""
+
+    key: str
+    wanted: str
+
+    def __str__(self) -> str:
+        return f"[{self.key}={self.wanted}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Each:
+    """Into the element that the rule is at."""
+
+    def __str__(self) -> str:
+        return "[]"
+
+
+Step: TypeAlias = Field | Index | Where | Each
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """The steps from a message to a value; none for the whole message."""
+
+    steps: tuple[Step, ...] = ()
+
+    def __str__(self) -> str:
+        return "".join(map(str, self.steps)).removeprefix(".") or "."
+
+    @property
+    def root(self) -> str | None:
+        """Return the first field; None for the whole message."""
+        first = self.steps[0] if self.steps else None
+        return first.name if isinstance(first, Field) else None
+
+    def split(self) -> tuple["Path", "Path"] | None:
+        """Return the way to the array and the way on from its element, if it goes over `[]`."""
+        if Each() not in self.steps:
+            return None
+        at = self.steps.index(Each())
+        return Path(self.steps[:at]), Path(self.steps[at + 1 :])
+
+
+WHOLE = Path()
+
+
+def parse(text: str) -> Path:
+    """Return the path that `text` writes. Raises `WrongPath`."""
+    if text == ".":
+        return WHOLE
+    if not text or len(text) > LONGEST:
+        raise WrongPath(f"a path has 1 to {LONGEST} characters, such as pose.pose.position or position[0]")
+    path = Path(tuple(_steps(text)))
+    if sum(isinstance(step, Each) for step in path.steps) > 1:
+        raise WrongPath(f'the path "{text}" goes over [] twice; a rule has one `each`')
+    return path
+
+
+def _steps(text: str) -> Iterator[Step]:
+    at, after_dot = 0, True
+    while at < len(text):
+        found = _TOKEN.match(text, at)
+        if found is None or (found["name"] is not None) is not after_dot:
+            raise WrongPath(
+                f'the path "{text}" cannot be read from "{text[at:]}"; '
+                "a path looks like header.stamp, position[0] or position[name=elbow_joint]"
+            )
+        at = found.end()
+        if found["name"] is not None:
+            yield Field(found["name"])
+        elif found["index"] is not None:
+            yield Index(int(found["index"]))
+        elif found["each"] is not None:
+            yield Each()
+        else:
+            yield Where(found["key"], found["wanted"])
+        after_dot = text[at : at + 1] == "."
+        if after_dot:
+            at += 1
+            if at == len(text):
+                raise WrongPath(f'the path "{text}" ends with a dot; name the field behind it, or drop it')
+
+
+def getter(path: Path) -> Getter:
+    """Return a function from a message (or element) to the value at `path`; it raises `NotThere`.
+
+    Paths that go over `[]` must be split first.
+    """
+    if not path.steps:
+        return lambda message: message
+    names = [step.name for step in path.steps if isinstance(step, Field)]
+    if len(names) == len(path.steps):
+        return _through_fields(names, str(path))
+    steps = [_stepper(path, place) for place in range(len(path.steps))]
+    return lambda message: reduce(_take, steps, (message, None))[0]
+
+
+def _through_fields(names: list[str], written: str) -> Getter:
+    if len(names) == 1:
+        (only,) = names
+
+        def one(message: Any) -> Any:
+            try:
+                return message[only]
+            except (KeyError, TypeError, IndexError):
+                raise NotThere(f"the message has no {written}") from None
+
+        return one
+
+    def several(message: Any) -> Any:
+        try:
+            for name in names:
+                message = message[name]
+        except (KeyError, TypeError, IndexError):
+            raise NotThere(f"the message has no {written}") from None
+        return message
+
+    return several
+
+
+_Place: TypeAlias = tuple[Any, Any]
+"""A value, and the message in which it is a field."""
+
+
+def _take(place: _Place, step: Callable[[_Place], _Place]) -> _Place:
+    return step(place)
+
+
+def _stepper(path: Path, place: int) -> Callable[[_Place], _Place]:
+    step, written = path.steps[place], str(Path(path.steps[: place + 1]))
+    if isinstance(step, Field):
+
+        def field(at: _Place) -> _Place:
+            message = at[0]
+            if not isinstance(message, Mapping) or step.name not in message:
+                raise NotThere(f"the message has no {written}")
+            return message[step.name], message
+
+        return field
+    if isinstance(step, Index):
+
+        def index(at: _Place) -> _Place:
+            array = at[0]
+            try:
+                return array[step.place], None
+            except (IndexError, TypeError, KeyError):
+                raise NotThere(f"the message has no {written}: {_length(array)}") from None
+
+        return index
+    if isinstance(step, Where):
+        return lambda at: (_where(step, at, written), None)
+    raise TypeError("a path over [] is split before it is followed")
+
+
+def _where(step: Where, at: _Place, written: str) -> Any:
+    array, beside = at
+    if len(array) and isinstance(array[0], Mapping):
+        for element in array:
+            if str(element.get(step.key)) == step.wanted:
+                return element
+    elif isinstance(beside, Mapping) and step.key in beside:
+        for place, name in enumerate(beside[step.key]):
+            if str(name) == step.wanted and place < len(array):
+                return array[place]
+    raise NotThere(f"the message has no {written}: nothing there has {step.key} {step.wanted}")
+
+
+def _length(array: Any) -> str:
+    try:
+        return f"it holds {len(array)}"
+    except TypeError:
+        return "it is no array"

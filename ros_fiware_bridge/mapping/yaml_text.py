@@ -1,0 +1,115 @@
+"""YAML with line numbers, without its surprises: `on` is a word, 010 is not 8, no key stands twice."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import yaml
+
+from handover.errors import UsageError
+
+Where: TypeAlias = tuple[str | int, ...]
+"""The keys and indexes from the top of the file to a value."""
+
+MOST_NODES = 50_000
+_NUMBER = re.compile(r"[-+]?(0|[1-9]\d*)")
+_DECIMAL = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_WORDS: Mapping[str, Any] = {
+    "true": True,
+    "false": False,
+    "null": None,
+    "~": None,
+    "": None,
+}
+
+
+class NotYaml(UsageError):
+    """The text cannot be read; `line` counts from 1."""
+
+    def __init__(self, line: int, why: str) -> None:
+        super().__init__(why)
+        self.line = line
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What a file says, and in which line (from 1) each value stands."""
+
+    content: Any
+    lines: Mapping[Where, int]
+
+    def line_of(self, where: Where) -> int:
+        """Return the line of the value at `where`, or of the nearest that holds it."""
+        while where and where not in self.lines:
+            where = where[:-1]
+        return self.lines.get(where, 1)
+
+
+def read(text: str) -> Written:
+    """Return what `text` says. Raises `NotYaml`."""
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        problem = getattr(error, "problem", None) or str(error)
+        raise NotYaml(mark.line + 1 if mark else 1, f"this is not YAML: {problem}") from None
+    except RecursionError:
+        raise NotYaml(1, "the file is nested too deeply") from None
+    reader = _Reader()
+    return Written(None if root is None else reader.value(root, ()), reader.lines)
+
+
+class _Reader:
+    def __init__(self) -> None:
+        self.lines: dict[Where, int] = {}
+        self._count = 0
+        self._inside: list[yaml.Node] = []
+
+    def value(self, node: yaml.Node, where: Where) -> Any:
+        line = int(node.start_mark.line) + 1
+        self.lines.setdefault(where, line)
+        self._count += 1
+        if self._count > MOST_NODES:
+            raise NotYaml(line, f"the file holds more than {MOST_NODES} values")
+        if isinstance(node, yaml.ScalarNode):
+            return _scalar(node)
+        if node in self._inside:
+            raise NotYaml(line, "what an alias (*) stands for holds the alias itself")
+        self._inside.append(node)
+        try:
+            if isinstance(node, yaml.SequenceNode):
+                return [self.value(one, (*where, index)) for index, one in enumerate(node.value)]
+            return self._mapping(node, where)
+        finally:
+            self._inside.pop()
+
+    def _mapping(self, node: yaml.Node, where: Where) -> dict[Any, Any]:
+        made: dict[Any, Any] = {}
+        for key_node, value_node in node.value:
+            line = int(key_node.start_mark.line) + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise NotYaml(line, "a key is a word or a number")
+            key = _scalar(key_node)
+            place = (*where, key if isinstance(key, str | int) else str(key))
+            if key in made:
+                raise NotYaml(
+                    line,
+                    f'"{key}" stands twice, first in line {self.lines[place]}; remove or rename one of them',
+                )
+            self.lines[place] = line
+            made[key] = self.value(value_node, place)
+        return made
+
+
+def _scalar(node: yaml.ScalarNode) -> Any:
+    text = str(node.value)
+    if node.style is not None:
+        return text
+    if text.lower() in _WORDS and text in {text.lower(), text.capitalize(), text.upper()}:
+        return _WORDS[text.lower()]
+    if _NUMBER.fullmatch(text):
+        return int(text) if len(text) < 40 else text
+    if _DECIMAL.fullmatch(text) and not re.fullmatch(r"[-+]?\d+", text):
+        return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    return text

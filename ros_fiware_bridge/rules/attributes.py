@@ -1,0 +1,222 @@
+"""Attributes: how each is made of a message, ready before the first message comes."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from handover.errors import HandoverError
+from ros_fiware_bridge.mapping.paths import Getter, Path
+from ros_fiware_bridge.mapping.templates import Template, in_id
+from ros_fiware_bridge.mapping.values import Attribute, DeadBand, Origin
+from ros_fiware_bridge.rules import conversion
+from ros_fiware_bridge.rules.definitions import Anatomy, WrongRule
+from ros_fiware_bridge.rules.json_values import JsonValues, absent
+from ros_fiware_bridge.types.definition import Many
+
+Make = Callable[[Any], Any]
+
+EARTH_M_PER_DEG = 111_195.0
+"""Along a meridian, of a sphere of 6 371 km."""
+_VALUE_MEMBER = {
+    "Property": "value",
+    "GeoProperty": "value",
+    "LanguageProperty": "languageMap",
+    "Relationship": "object",
+    "JsonProperty": "json",
+}
+
+
+class NoPlace(HandoverError):
+    """A message tells no place on earth."""
+
+
+@dataclass(frozen=True, slots=True)
+class MadeAttribute:
+    """One attribute of a rule: `make` gives its value from a message (or message and element)."""
+
+    name: str
+    kind: str
+    make: Make
+    unit_code: str | None = None
+    dead_band: DeadBand | None = None
+
+    def written(self, value: Any, observed_at: str | None) -> dict[str, Any]:
+        """Return it as NGSI-LD has it (normalized)."""
+        written = {"type": self.kind, _VALUE_MEMBER[self.kind]: value}
+        if observed_at is not None:
+            written["observedAt"] = observed_at
+        if self.unit_code is not None:
+            written["unitCode"] = self.unit_code
+        return written
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """What the attributes of one rule are made of: the message, and places such as `factory`."""
+
+    anatomy: Anatomy
+    values: JsonValues
+    settings: Mapping[str, str]
+
+
+def compiled(
+    name: str, attribute: Attribute, ground: Ground, dead_band: DeadBand | None = None
+) -> MadeAttribute:
+    """Return `attribute` ready to be made of messages. Raises `WrongRule`."""
+    anatomy, values, settings = ground.anatomy, ground.values, ground.settings
+    kind = attribute.known_kind
+    if kind == "GeoProperty":
+        make = _place(attribute, anatomy)
+    elif kind == "LanguageProperty":
+        make = _languages(attribute, anatomy, values)
+    elif kind == "Relationship":
+        make = _link(attribute, anatomy, settings)
+    else:
+        make = _value(attribute, anatomy, values, settings)
+    convert = conversion.compiled(attribute)
+    if convert is not None:
+        _require_convertible(attribute, anatomy)
+        unconverted, converted = make, convert
+        make = lambda scope: converted(unconverted(scope))  # noqa: E731 - one step more
+    return MadeAttribute(name, kind, make, attribute.unit_code, attribute.dead_band or dead_band)
+
+
+def entity_id(template: Template, anatomy: Anatomy, settings: Mapping[str, str]) -> Callable[[Any], str]:
+    """Return the function that makes an entity id of a message. Raises `WrongRule`."""
+
+    def safe(path: Path) -> Getter:
+        find = anatomy.find(path)
+        return lambda scope: in_id(find(scope), path)
+
+    return template.with_settings(settings).filler(safe)
+
+
+def text(template: Template, anatomy: Anatomy, settings: Mapping[str, str]) -> Callable[[Any], str]:
+    """Return the function that fills `template` from a message. Raises `WrongRule`."""
+    return template.with_settings(settings).filler(anatomy.find)
+
+
+def _value(attribute: Attribute, anatomy: Anatomy, values: JsonValues, settings: Mapping[str, str]) -> Make:
+    if attribute.field is not None:
+        find = anatomy.find(attribute.field)
+        nan = attribute.nan if "nan" in attribute.model_fields_set else absent()
+        to_json = values.maker(anatomy.leads(attribute.field), str(attribute.field), nan)
+        return lambda scope: to_json(find(scope))
+    if attribute.text is not None:
+        return text(attribute.text, anatomy, settings)
+    if attribute.list is not None:
+        nan = attribute.nan if "nan" in attribute.model_fields_set else absent()
+        makes = [
+            _then(anatomy.find(path), values.maker(anatomy.leads(path), str(path), nan))
+            for path in attribute.list
+        ]
+        return lambda scope: [make(scope) for make in makes]
+    constant = attribute.constant
+    if constant is None:
+        raise WrongRule("`constant` is empty; NGSI-LD has no attribute without a value")
+    return lambda _: constant
+
+
+def _languages(attribute: Attribute, anatomy: Anatomy, values: JsonValues) -> Make:
+    if attribute.languages is None:
+        constant = attribute.constant
+        if not isinstance(constant, dict):
+            raise WrongRule("a LanguageProperty is words by language, such as {en: open, fi: auki}")
+        return lambda _: constant
+    made: dict[str, Make] = {}
+    for language, path in attribute.languages.items():
+        if not (leads := anatomy.leads(path)).is_text:
+            raise WrongRule(f"{path} is {leads}; a LanguageProperty is made of text")
+        made[language] = _then(anatomy.find(path), values.maker(leads, str(path)))
+    return lambda scope: {language: make(scope) for language, make in made.items()}
+
+
+def _link(attribute: Attribute, anatomy: Anatomy, settings: Mapping[str, str]) -> Make:
+    if attribute.object is None:
+        raise WrongRule("a Relationship is made of `object`, such as Device:{header.frame_id}")
+    written = str(attribute.object)
+    kind, _, rest = written.partition(":")
+    if kind == "urn":
+        template = attribute.object
+    elif rest and "{" not in kind:
+        first, *others = attribute.object.parts
+        template = Template((f"urn:ngsi-ld:{kind}:{settings['factory']}{str(first)[len(kind) :]}", *others))
+    else:
+        raise WrongRule(f'"{written}" is no entity; write Type:id, such as Device:{{header.frame_id}}')
+    return entity_id(template, anatomy, settings)
+
+
+def _place(attribute: Attribute, anatomy: Anatomy) -> Make:
+    if attribute.constant is not None:
+        constant = attribute.constant
+        return lambda _: constant
+    if attribute.point is not None:
+        for path in attribute.point:
+            if not (leads := anatomy.leads(path)).is_number:
+                raise WrongRule(f"{path} is {leads}; a point is made of numbers")
+        finds = [anatomy.find(path) for path in attribute.point]
+        if attribute.origin is not None:
+            return _from_metres(lambda scope: [find(scope) for find in finds], attribute.origin)
+        return lambda scope: _point([find(scope) for find in finds])
+    assert attribute.field is not None  # noqa: S101 - the mapping has made sure of it
+    found = anatomy.leads(attribute.field).type
+    find = anatomy.find(attribute.field)
+    if found is None:
+        return find
+    names = _coordinates(found.base, anatomy) if found.many is Many.ONE and found.is_message else None
+    if names is None:
+        raise WrongRule(
+            f"{attribute.field} is {found}; a GeoProperty is made of a message with longitude and latitude, "
+            "or with x and y in metres (and an `origin`), or of a `point` of two paths"
+        )
+    if names[0] == "longitude":
+        return lambda scope: _point([find(scope)[name] for name in names])
+    if attribute.origin is None:
+        raise WrongRule(
+            f"{attribute.field} is {found}, in metres of its frame, and a GeoProperty is in degrees; say "
+            "where the frame lies (origin: {longitude: …, latitude: …}), or map it as a Property"
+        )
+    return _from_metres(lambda scope: [find(scope)[name] for name in names], attribute.origin)
+
+
+def _coordinates(type_name: str, anatomy: Anatomy) -> tuple[str, ...] | None:
+    definition = anatomy.definition(type_name)
+    for names in (("longitude", "latitude"), ("x", "y")):
+        if all(definition.field(name) for name in names):
+            return names
+    return None
+
+
+def _from_metres(place: Make, origin: Origin) -> Make:
+    """Return the place on the plane that touches the earth at `origin`; good to some kilometres."""
+    turned = math.radians(origin.turned_deg)
+    cosine, sine = math.cos(turned), math.sin(turned)
+    per_longitude = EARTH_M_PER_DEG * math.cos(math.radians(origin.latitude))
+
+    def make(scope: Any) -> dict[str, Any]:
+        x, y = place(scope)[:2]
+        east, north = x * cosine - y * sine, x * sine + y * cosine
+        longitude = origin.longitude + east / per_longitude
+        return _point([longitude, origin.latitude + north / EARTH_M_PER_DEG])
+
+    return make
+
+
+def _point(coordinates: list[Any]) -> dict[str, Any]:
+    numbers = [float(one) for one in coordinates]
+    if not all(map(math.isfinite, numbers)) or abs(numbers[0]) > 180 or abs(numbers[1]) > 90:
+        raise NoPlace(f"longitude {numbers[0]} and latitude {numbers[1]} are no place on earth")
+    return {"type": "Point", "coordinates": [round(numbers[0], 9), round(numbers[1], 9), *numbers[2:]]}
+
+
+def _require_convertible(attribute: Attribute, anatomy: Anatomy) -> None:
+    if attribute.values is not None or attribute.field is None:
+        return
+    found = anatomy.leads(attribute.field).type
+    if found is not None and (found.is_message or found.base in {"string", "bool"}):
+        raise WrongRule(f"{attribute.field} is {found}, and only numbers are converted and rounded")
+
+
+def _then(first: Make, second: Make) -> Make:
+    return lambda scope: second(first(scope))

@@ -1,0 +1,96 @@
+"""Conversion: what is done to a value on its way, made ready before anything runs.
+
+A conversion of units is a factor and an offset (every one that pint knows of physical units is, but for the
+logarithmic ones, which are refused).
+"""
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from handover.errors import HandoverError
+from ros_fiware_bridge.mapping.values import Conversion
+from ros_fiware_bridge.rules.definitions import WrongRule
+
+Convert = Callable[[Any], Any]
+
+
+class NotInTheMap(HandoverError):
+    """A value came that `values` does not have, and there is no `otherwise`."""
+
+
+class NoNumber(HandoverError):
+    """Something that is to be computed with is no number."""
+
+
+def compiled(conversion: Conversion) -> Convert | None:
+    """Return the function that does what `conversion` says; None if it does nothing. Raises `WrongRule`."""
+    if conversion.values is not None:
+        return _lookup(conversion)
+    steps: list[Convert] = []
+    if conversion.units is not None:
+        factor, offset = affine(*conversion.units)
+        steps.append(lambda number: number * factor + offset)
+    if (digits := conversion.round) is not None:
+        steps.append(lambda number: round(number, digits) if math.isfinite(number) else number)
+    if not steps:
+        return None
+
+    def convert(value: Any) -> Any:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            if isinstance(value, list):
+                return [convert(one) for one in value]
+            raise NoNumber(f"{value!r:.80} is no number, and only numbers are converted and rounded")
+        for step in steps:
+            value = step(value)
+        return value
+
+    return convert
+
+
+@cache
+def affine(given: str, wanted: str) -> tuple[float, float]:
+    """Return factor and offset of the conversion between two units. Raises `WrongRule`."""
+    import pint  # noqa: PLC0415 - reading its units takes a while, and few mappings convert
+
+    registry = _registry()
+    try:
+        at_0, at_1, at_2 = (
+            float(registry.Quantity(number, given).to(wanted).magnitude) for number in (0.0, 1.0, 2.0)
+        )
+    except pint.DimensionalityError as error:
+        raise WrongRule(f'"{given}" cannot be converted to "{wanted}": {error}') from None
+    except (pint.UndefinedUnitError, pint.PintError, AttributeError, ValueError, TypeError) as error:
+        raise WrongRule(f'"{given} -> {wanted}" has a unit that pint does not know: {error}') from None
+    except (ZeroDivisionError, OverflowError, ArithmeticError):
+        at_0, at_1, at_2 = math.inf, 0.0, 0.0
+    factor = at_1 - at_0
+    if not math.isclose(at_2, at_0 + 2 * factor, rel_tol=1e-9, abs_tol=1e-12) or not math.isfinite(at_2):
+        raise WrongRule(f'"{given} -> {wanted}" is no factor with an offset; let the sender compute it')
+    return factor, at_0
+
+
+@cache
+def _registry() -> Any:
+    import pint  # noqa: PLC0415
+
+    return pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
+
+
+def _lookup(conversion: Conversion) -> Convert:
+    values, otherwise = dict(conversion.values or {}), conversion.otherwise
+    has_otherwise = "otherwise" in conversion.model_fields_set
+    known = ", ".join(map(repr, values))
+
+    def look_up(value: Any) -> Any:
+        try:
+            return values[value]
+        except (KeyError, TypeError):
+            if has_otherwise:
+                return otherwise
+            raise NotInTheMap(
+                f"{value!r:.80} is not among the `values` {known:.200}; add it, or say `otherwise`"
+            ) from None
+
+    return look_up

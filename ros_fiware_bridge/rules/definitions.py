@@ -1,0 +1,176 @@
+"""Where a path leads in the definition of a message: checked once, before anything runs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Protocol
+
+from ros_fiware_bridge.mapping.paths import Each, Field, Getter, Index, Path, Where, getter
+from ros_fiware_bridge.types.definition import Definition, FieldType, Many
+
+TIME = "builtin_interfaces/msg/Time"
+HEADER = "std_msgs/msg/Header"
+
+Find = Callable[[Path], Getter]
+
+
+class WrongRule(ValueError):
+    """A rule cannot work as it is written; the message names the rule and the way out."""
+
+
+class Definitions(Protocol):
+    """Whoever knows the definitions of message types."""
+
+    def definition(self, type_name: str) -> Definition:
+        """Return the definition of a message type. Raises `UnknownType`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leads:
+    """What a path leads to: a field's type; None where it leads into JSON text, of which nothing is known."""
+
+    type: FieldType | None
+
+    @property
+    def is_number(self) -> bool:
+        """Say whether it may be one number."""
+        return self.type is None or (
+            self.type.many is Many.ONE
+            and not self.type.is_message
+            and self.type.base not in {"string", "bool"}
+        )
+
+    @property
+    def is_text(self) -> bool:
+        """Say whether it may be text."""
+        return self.type is None or (self.type.many is Many.ONE and self.type.base == "string")
+
+    def is_message(self, type_name: str) -> bool:
+        """Say whether it may be a message of this type."""
+        return self.type is None or (self.type.many is Many.ONE and self.type.base == type_name)
+
+    def __str__(self) -> str:
+        return "JSON" if self.type is None else str(self.type)
+
+
+class Anatomy:
+    """The inside of a message of `type_name`, as a rule looks at it.
+
+    `each` is the array whose elements the rule goes through; `json_text` are fields that hold JSON.
+    """
+
+    def __init__(
+        self,
+        definitions: Definitions,
+        type_name: str,
+        each: Path | None = None,
+        json_text: Sequence[Path] = (),
+    ) -> None:
+        self._definitions = definitions
+        self._top = FieldType(type_name)
+        self.each = each
+        self._json_text: frozenset[Path] = frozenset()
+        for path in json_text:
+            if not (found := self._plainly(path)).is_text:
+                raise WrongRule(f"{path} is {found}, and only text (string) can hold JSON")
+        self._json_text = frozenset(json_text)
+        through = self._plainly(each).type if each is not None else None
+        if through is not None and through.many is Many.ONE:
+            raise WrongRule(f"{each} is one {through}; `each` is for arrays, so drop it and its []")
+
+    def leads(self, path: Path) -> Leads:
+        """Return what `path` leads to. Raises `WrongRule` when it leads nowhere."""
+        split = path.split()
+        if split is None:
+            return self._plainly(path)
+        if split[0] != self.each:
+            meant = f"`each` is {self.each}" if self.each else f"the rule has no `each: {split[0]}`"
+            raise WrongRule(f"{path} goes over each element of {split[0]}, but {meant}")
+        found = self._plainly(split[0]).type
+        return Leads(None) if found is None else self._walk(split[1], found.item, path)
+
+    def require_time(self, path: Path) -> None:
+        """Raise `WrongRule` unless `path` leads to a time."""
+        if not (found := self.leads(path)).is_message(TIME):
+            raise WrongRule(f"{path} is {found}, not a time ({TIME}); name one, or write received or none")
+
+    def find(self, path: Path) -> Getter:
+        """Return the function that follows `path`.
+
+        With `each`, what it is given is a pair: the message and the element; else the message.
+        """
+        self.leads(path)
+        split = path.split()
+        if self.each is None:
+            return getter(path)
+        if split is None:
+            in_message = getter(path)
+            return lambda scope: in_message(scope[0])
+        in_element = getter(split[1])
+        return lambda scope: in_element(scope[1])
+
+    def definition(self, type_name: str) -> Definition:
+        """Return the definition of a message type."""
+        return self._definitions.definition(type_name)
+
+    def has_stamp(self) -> bool:
+        """Say whether the message has a header."""
+        header = self._definitions.definition(self._top.base).field("header")
+        return header is not None and header.type == FieldType(HEADER)
+
+    def _plainly(self, path: Path) -> Leads:
+        return self._walk(path, self._top, path)
+
+    def _walk(self, path: Path, start: FieldType, whole: Path) -> Leads:
+        here, holder = start, None
+        for place, step in enumerate(path.steps):
+            if Path(path.steps[:place]) in self._json_text:
+                return Leads(None)
+            so_far = str(Path(path.steps[:place])) if place else "the message"
+            if isinstance(step, Field):
+                holder = self._definition_of(here, so_far, step.name)
+                here = _field_of(holder, step.name, so_far)
+            elif isinstance(step, Each):
+                raise WrongRule(f"{whole} goes over [] where the rule has no `each`")
+            else:
+                here, holder = self._element(here, holder, step, so_far), None
+        return Leads(None if path in self._json_text else here)
+
+    def _definition_of(self, here: FieldType, so_far: str, name: str) -> Definition:
+        if here.many is not Many.ONE:
+            raise WrongRule(
+                f"{so_far} is an array ({here}) and has no field {name}; choose an element, as {so_far}[0]"
+            )
+        if not here.is_message:
+            raise WrongRule(f"{so_far} is {here} and has no field {name}")
+        return self._definitions.definition(here.base)
+
+    def _element(
+        self, here: FieldType, holder: Definition | None, step: Index | Where, so_far: str
+    ) -> FieldType:
+        if here.many is Many.ONE:
+            raise WrongRule(f"{so_far} is {here}, not an array, and has no element {step}")
+        if isinstance(step, Index):
+            if here.size and step.place >= here.size:
+                raise WrongRule(f"{so_far} holds {here.size} at most ({here}), so there is no {step}")
+            return here.item
+        if here.is_message:
+            _field_of(self._definitions.definition(here.base), step.key, f"each of {so_far}")
+        else:
+            names = _field_of(holder, step.key, "the message") if holder else None
+            if names is None or names.many is Many.ONE:
+                raise WrongRule(
+                    f"{so_far}{step} looks for {step.wanted} in the array {step.key} beside {so_far}, "
+                    "and there is no such array"
+                )
+        return here.item
+
+
+def _field_of(definition: Definition, name: str, so_far: str) -> FieldType:
+    found = definition.field(name)
+    if found is not None:
+        return found.type
+    names = [field.name for field in definition.fields]
+    close = get_close_matches(name, names, n=1)
+    meant = f'did you mean "{close[0]}"?' if close else f"it has {', '.join(names) or 'no fields'}"
+    raise WrongRule(f'{so_far} ({definition.type_name}) has no field "{name}"; {meant}')

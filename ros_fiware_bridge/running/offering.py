@@ -1,0 +1,155 @@
+"""Offering: a service that the bridge serves; with it a node of the graph asks for a Task."""
+
+import asyncio
+import uuid
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from datamodels.entities import Task, TaskStatus
+from datamodels.times import iso
+from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
+from handover.errors import HandoverError
+from handover.settings import Settings
+from handover.task_life import FINISHED
+from handover.telemetry import get_logger
+from ros_fiware_bridge.graph.port import Message, RosGraph, Served
+from ros_fiware_bridge.mapping import paths
+from ros_fiware_bridge.mapping.templates import Template
+from ros_fiware_bridge.mapping.values import Source
+from ros_fiware_bridge.rules import conversion
+from ros_fiware_bridge.rules.definitions import Leads
+from ros_fiware_bridge.rules.inward import Scope
+from ros_fiware_bridge.rules.json_values import JsonValues
+from ros_fiware_bridge.rules.outward import SURVIVED
+from ros_fiware_bridge.rules.plan import Plan, PlannedOffer
+from ros_fiware_bridge.running.tally import Tally
+
+log = get_logger(__name__)
+
+LOOK_EVERY_S = 0.25
+
+
+class Offering:
+    """A rule at work while it is `start`ed."""
+
+    def __init__(
+        self,
+        planned: PlannedOffer,
+        tally: Tally,
+        graph: RosGraph,
+        broker: BrokerClient,
+        *,
+        settings: Settings,
+        plan: Plan,
+    ) -> None:
+        self.planned = planned
+        self.tally = tally
+        self._graph = graph
+        self._broker = broker
+        self._settings = settings
+        self._places = plan.settings
+        self._to_json = JsonValues(plan.definitions, 10_000, large_arrays=False)
+        self._served: Served | None = None
+
+    async def start(self) -> None:
+        """Serve. Raises `GraphError`."""
+        if self._served is None:
+            rule = self.planned.rule
+            self._served = await self._graph.serve(rule.service, rule.type, self._answer)
+
+    async def stop(self) -> None:
+        """Serve no more."""
+        if self._served is not None:
+            served, self._served = self._served, None
+            await served.close()
+
+    async def _answer(self, request: Message) -> Message:
+        clock = asyncio.get_running_loop().time
+        self.tally.hear(clock())
+        task_id = self._settings.entity_id("Task", f"{self.planned.name}-{uuid.uuid4().hex[:12]}")
+        answer: dict[str, Any] = {"id": task_id, "accepted": False, "completed": False}
+        try:
+            await self._broker.create(self._task(task_id, request))
+            answer |= {"accepted": True, "status": TaskStatus.PENDING.value}
+            self.tally.tell(clock(), {"task": task_id})
+            if self.planned.rule.answer == "finished":
+                answer |= await self._end_of(task_id)
+        except SURVIVED as error:
+            self.tally.fault(str(error), clock())
+            answer["reason"] = str(error)
+        values = {name: value for name, value in answer.items() if value is not None}
+        try:
+            return self.planned.response.message(Scope(values))
+        except SURVIVED as error:
+            self.tally.fault(f"the answer cannot be made: {error}", clock())
+            return {}
+
+    def _task(self, task_id: str, request: Message) -> Task:
+        asked = self.planned.rule.task
+        parameters = {name: self._value(source, request) for name, source in asked.parameters.items()}
+        given = {name: value for name, value in parameters.items() if value is not None}
+        definition = self._settings.entity_id("TaskDefinition", self._filled(asked.definition, request))
+        now = iso(datetime.now(UTC))
+        entity: dict[str, Any] = {
+            "id": task_id,
+            "type": "Task",
+            "isDefinedBy": {"type": "Relationship", "object": definition},
+            "status": {"type": "Property", "value": TaskStatus.PENDING.value, "observedAt": now},
+            "involves": {
+                "type": "Property",
+                "value": [{"type": "Relationship", "object": one} for one in self.planned.resources],
+            },
+        }
+        if asked.description is not None:
+            description = self._filled(asked.description, request)
+            entity["description"] = {"type": "Property", "value": description}
+            given.setdefault("description", description)
+        entity["workParameters"] = {"type": "Property", "value": given}
+        return Task.from_ngsild(entity)
+
+    def _value(self, source: Source, request: Message) -> Any:
+        if source.attribute is not None:
+            value = paths.getter(source.attribute)(request)
+            value = self._to_json.maker(Leads(None), str(source.attribute))(value)
+        elif source.text is not None:
+            value = self._filled(source.text, request)
+        else:
+            value = source.constant
+        convert = conversion.compiled(source)
+        return value if convert is None else convert(value)
+
+    def _filled(self, template: Template, request: Mapping[str, Any]) -> str:
+        filler = template.with_settings(self._places).filler(paths.getter)
+        return filler(request)
+
+    async def _end_of(self, task_id: str) -> dict[str, Any]:
+        """Wait for the end of the Task and return what there is to answer."""
+        try:
+            async with asyncio.timeout(self.planned.rule.timeout_s):
+                while True:
+                    task = await self._look(task_id)
+                    if task is not None and task.status.value in FINISHED:
+                        break
+                    await asyncio.sleep(LOOK_EVERY_S)
+        except TimeoutError:
+            raise HandoverError(
+                f"{task_id} was not finished within {self.planned.rule.timeout_s:g} s; it goes on"
+            ) from None
+        outputs = dict(task.output_parameters.value) if task.output_parameters is not None else {}
+        done = task.status.value is TaskStatus.COMPLETED
+        return {
+            "completed": done,
+            "status": task.status.value.value,
+            "outputs": outputs,
+            "reason": None if done else str(outputs.get("reason", "failed")),
+        }
+
+    async def _look(self, task_id: str) -> Task | None:
+        try:
+            return await self._broker.get(task_id, Task)
+        except BrokerUnavailable as error:
+            log.info("the broker cannot be asked for a Task", task=task_id, error=str(error))
+            return None
+        except BrokerError as error:
+            raise HandoverError(f"{task_id} is gone: {error}") from None

@@ -1,0 +1,100 @@
+"""The definition of a ROS message: its fields in order, each with its kind, bounds and default."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+from typing import Any
+
+INTEGER_RANGES: Mapping[str, tuple[int, int]] = MappingProxyType(
+    {
+        "int8": (-(2**7), 2**7 - 1),
+        "uint8": (0, 2**8 - 1),
+        "byte": (0, 2**8 - 1),
+        "char": (0, 2**8 - 1),
+        "int16": (-(2**15), 2**15 - 1),
+        "uint16": (0, 2**16 - 1),
+        "int32": (-(2**31), 2**31 - 1),
+        "uint32": (0, 2**32 - 1),
+        "int64": (-(2**63), 2**63 - 1),
+        "uint64": (0, 2**64 - 1),
+    }
+)
+FLOATS = frozenset({"float32", "float64"})
+OCTETS = frozenset({"uint8", "byte", "char"})
+"""Arrays of these are bytes in a message."""
+PRIMITIVES = frozenset({*INTEGER_RANGES, *FLOATS, "bool", "string"})
+
+
+class Many(Enum):
+    """Whether a field holds one value, as many as its definition says, or as many as it likes."""
+
+    ONE = "one"
+    FIXED = "fixed"
+    SEQUENCE = "sequence"
+
+
+@dataclass(frozen=True, slots=True)
+class FieldType:
+    """What a field holds: `base` is a primitive (`float64`, `string`) or a message type.
+
+    `size` is the length of a fixed array or the bound of a sequence (0: none); `text_bound` that of a string,
+    in bytes (0: none).
+    """
+
+    base: str
+    many: Many = Many.ONE
+    size: int = 0
+    text_bound: int = 0
+
+    @property
+    def is_message(self) -> bool:
+        """Whether it holds a message (or several)."""
+        return self.base not in PRIMITIVES
+
+    @property
+    def is_octets(self) -> bool:
+        """Whether it is an array that is bytes in a message."""
+        return self.many is not Many.ONE and self.base in OCTETS
+
+    @property
+    def is_number_array(self) -> bool:
+        """Whether it is an array that arrives as a NumPy array."""
+        return (
+            self.many is not Many.ONE and not self.is_message and self.base != "string" and not self.is_octets
+        )
+
+    @property
+    def item(self) -> "FieldType":
+        """What one item of the array is."""
+        return FieldType(self.base, text_bound=self.text_bound)
+
+    def __str__(self) -> str:
+        base = f"{self.base}<={self.text_bound}" if self.text_bound else self.base
+        if self.many is Many.ONE:
+            return base
+        if self.many is Many.FIXED:
+            return f"{base}[{self.size}]"
+        return f"{base}[<={self.size}]" if self.size else f"{base}[]"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field; `default` is None where the definition gives none (then it is zero, empty or false)."""
+
+    name: str
+    type: FieldType
+    default: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """The definition of one message type, `sensor_msgs/msg/JointState`."""
+
+    type_name: str
+    fields: tuple[Field, ...]
+    constants: Mapping[str, Any] = field(default_factory=dict)
+
+    def field(self, name: str) -> Field | None:
+        """Return the field of that name, or None."""
+        return next((one for one in self.fields if one.name == name), None)

@@ -1,0 +1,78 @@
+"""RIHS01: the hash by which two ROS 2 programs see that they mean the same type (REP-2016).
+
+It is the SHA-256 of the type's description as JSON: its fields, and those of every type they name.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable
+from typing import Any
+
+from ros_fiware_bridge.types.definition import Definition, FieldType, Many
+
+_TYPE_IDS = {
+    "int8": 2,
+    "uint8": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    # ROS 2 has no characters: a char of a .msg file is a uint8 before anything is hashed.
+    "char": 3,
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+}
+_MESSAGE, _BOUNDED_STRING = 1, 21
+_FIXED, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
+
+
+def rihs01(type_name: str, definition_of: Callable[[str], Definition]) -> str:
+    """Return `RIHS01_` and 64 hexadecimal digits; `definition_of` gives the definition of each type named."""
+    described: dict[str, dict[str, Any]] = {}
+
+    def describe(name: str) -> None:
+        if name in described:
+            return
+        described[name] = {}
+        definition = definition_of(name)
+        fields = [_field(one.name, one.type) for one in definition.fields]
+        if not fields:
+            fields = [_field("structure_needs_at_least_one_member", FieldType("uint8"))]
+        described[name] = {"type_name": name, "fields": fields}
+        for one in definition.fields:
+            if one.type.is_message:
+                describe(one.type.base)
+
+    describe(type_name)
+    whole = {
+        "type_description": described[type_name],
+        "referenced_type_descriptions": [described[name] for name in sorted(described) if name != type_name],
+    }
+    return f"RIHS01_{hashlib.sha256(json.dumps(whole).encode()).hexdigest()}"
+
+
+def _field(name: str, kind: FieldType) -> dict[str, Any]:
+    if kind.is_message:
+        number = _MESSAGE
+    elif kind.text_bound:
+        number = _BOUNDED_STRING
+    else:
+        number = _TYPE_IDS[kind.base]
+    if kind.many is Many.FIXED:
+        number += _FIXED
+    elif kind.many is Many.SEQUENCE:
+        number += _BOUNDED_SEQUENCE if kind.size else _SEQUENCE
+    return {
+        "name": name,
+        "type": {
+            "type_id": number,
+            "capacity": kind.size,
+            "string_capacity": kind.text_bound,
+            "nested_type_name": kind.base if kind.is_message else "",
+        },
+    }

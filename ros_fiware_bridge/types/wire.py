@@ -1,0 +1,103 @@
+"""The wire form of messages: CDR as all ROS 2 middlewares speak it (XCDR1, little endian).
+
+The functions that read and write are made by rosbags from the definitions. It would pack `byte` as signed and
+knows `char` as a type of its own; on the wire both are what they are in ROS 2, unsigned octets.
+"""
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from ros_fiware_bridge.errors import BadMessage
+from ros_fiware_bridge.types.definition import Definition, FieldType, Many
+
+_HEADER_BYTES = 4
+_MEMBER = "structure_needs_at_least_one_member"
+
+
+def attribute(field_name: str) -> str:
+    """Return the attribute by which the codec reads a field (`from` is a word of Python's)."""
+    from rosbags.typesys.base import normalize_fieldname  # noqa: PLC0415 - heavy
+
+    return normalize_fieldname(field_name)
+
+
+class Wire:
+    """Reads and writes messages; the functions for a type are made when it is first met."""
+
+    def __init__(self, definition_of: Callable[[str], Definition]) -> None:
+        self._definition_of = definition_of
+        self._store: Any = None
+        self._met: set[str] = set()
+
+    def encode(self, type_name: str, message: Any) -> bytes:
+        """Return what `Fitting.message` gave as CDR."""
+        self._meet(type_name)
+        return bytes(self._store.serialize_cdr(message, type_name, little_endian=True))
+
+    def decode(self, type_name: str, data: bytes) -> dict[str, Any]:
+        """Return the message that `data` holds.
+
+        Raises:
+            BadMessage: it is not a message of this type.
+        """
+        self._meet(type_name)
+        if data[:2] not in (b"\x00\x00", b"\x00\x01") or len(data) < _HEADER_BYTES:
+            raise BadMessage(
+                f"what came is not a message of {type_name}: it is not CDR (XCDR1) but begins with "
+                f"{data[:_HEADER_BYTES].hex() or 'nothing'}"
+            )
+        described = self._store.get_msgdef(type_name)
+        read = described.deserialize_cdr_le if data[1] else described.deserialize_cdr_be
+        try:
+            # What follows the message is let be: the serializer of Fast DDS hands out all that it reserved.
+            message: dict[str, Any] = read(memoryview(data)[_HEADER_BYTES:], 0, described.cls, self._store)[0]
+        except (self._fault, IndexError, struct.error, ValueError, OverflowError) as error:
+            raise BadMessage(f"what came is not a message of {type_name}: {error}") from error
+        return message
+
+    def _meet(self, type_name: str) -> None:
+        if type_name in self._met:
+            return
+        if self._store is None:
+            from rosbags.serde import SerdeError  # noqa: PLC0415 - heavy
+            from rosbags.typesys.store import Typestore  # noqa: PLC0415
+
+            self._store, self._fault = Typestore(), SerdeError
+        definition = self._definition_of(type_name)
+        for one in definition.fields:
+            if one.type.is_message:
+                self._meet(one.type.base)
+        described = [(one.name, _described(one.type)) for one in definition.fields]
+        self._store.fielddefs[type_name] = ([], described or [(_MEMBER, _described(FieldType("uint8")))])
+        self._store.types[type_name] = _maker(definition)
+        self._met.add(type_name)
+
+
+def _maker(definition: Definition) -> Callable[..., dict[str, Any]]:
+    names = [one.name for one in definition.fields]
+    octets = [one.name for one in definition.fields if one.type.is_octets]
+    if not names:
+        return lambda _member: {}
+    if not octets:
+        return lambda *values: dict(zip(names, values, strict=True))
+
+    def made(*values: Any) -> dict[str, Any]:
+        message = dict(zip(names, values, strict=True))
+        for name in octets:
+            message[name] = message[name].tobytes()
+        return message
+
+    return made
+
+
+def _described(kind: FieldType) -> Any:
+    from rosbags.interfaces import Nodetype  # noqa: PLC0415 - heavy
+
+    if kind.is_message:
+        inner: Any = (Nodetype.NAME, kind.base)
+    else:
+        inner = (Nodetype.BASE, ("uint8" if kind.base in ("byte", "char") else kind.base, kind.text_bound))
+    if kind.many is Many.ONE:
+        return inner
+    return (Nodetype.ARRAY if kind.many is Many.FIXED else Nodetype.SEQUENCE, (inner, kind.size))

@@ -1,0 +1,315 @@
+"""A robot behind ROS 2: its trajectory controller follows what the tool plans, by way of the ROS bridge.
+
+The bridge keeps a Device of the arm (`jointNames`, `jointPositions`, `jointVelocities`) and does three kinds
+of Tasks for it: `followTrajectory`, `closeGripper`, `openGripper` (the mapping `arm` that ships with it).
+The tool plans as for its own robots: a straight line in joint space within the limits. Nothing moves from
+joints that are not known to be those of this moment.
+"""
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Self
+
+from fastapi import FastAPI, Request, Response
+
+from handover.broker import BrokerClient, BrokerError, NotFound
+from handover.notifications import notified_entities
+from handover.rounds import Rounds
+from handover.telemetry import get_logger
+from services.trajectory_tool.metrics import MOTION_SECONDS
+from services.trajectory_tool.orders import Ended, Orders
+from services.trajectory_tool.robot import JOINT_NAMES, Joints, JointState, Robot, RobotFault
+from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
+
+log = get_logger(__name__)
+
+FRESH_S = 15.0
+"""The joints of an arm that have not been told for so long are not known any more."""
+KNOWN_WITHIN_S = 10.0
+STEP_S, MOST_POINTS = 0.1, 200
+"""A trajectory has a point every 100 ms, and no more than 200."""
+MAY_GO_EVERY_S = 0.02
+STILL_S, STILL_RAD, STILL_RAD_S = 0.3, 0.003, 0.02
+"""An arm rests whose joints turn slower than this, or that for 0.3 s have turned no further."""
+RESTS_WITHIN_S = 10.0
+NOTIFIED_AT = "/notifications/arm"
+
+
+class RosRobot(Robot):
+    """The arm whose Device is `settings.ros_arm`; until its joints are told they are `joints` (rad)."""
+
+    def __init__(
+        self,
+        joints: Joints,
+        settings: TrajectorySettings,
+        broker: BrokerClient,
+        *,
+        gripper_closed: bool = False,
+        gripper_s: float = 0.3,
+    ) -> None:
+        self.arm = settings.entity_id("Device", settings.ros_arm)
+        self._limits: Limits = settings.limits
+        self._broker = broker
+        self._notify_url = (
+            f"{settings.url_of(settings.trajectory_port, settings.trajectory_url)}{NOTIFIED_AT}"
+        )
+        self._subscription_id = settings.entity_id("Subscription", f"{settings.robot_name}-arm")
+        self._orders = Orders(settings.robot_name, self.arm, settings, broker)
+        self._state = JointState(time.time(), joints, (0.0,) * len(joints))
+        self._stamp = ""
+        self._told_s: float | None = None
+        self._gripper_closed = gripper_closed
+        self._gripper_s = gripper_s
+        self._rounds = Rounds(self._ask, settings.reconcile_s)
+        self._asking: asyncio.Task[None] | None = None
+        self._ready = asyncio.Event()
+        self._ends_s: float | None = None
+        self._fault = f"the ROS bridge has not told of {self.arm} yet"
+
+    def mount(self, app: FastAPI) -> None:
+        """Add the route by which the broker tells of the arm and of orders."""
+
+        @app.post(NOTIFIED_AT, status_code=204, tags=["notifications"])
+        async def notify(request: Request) -> Response:
+            """Take notice of joints and orders that changed."""
+            for entity in await notified_entities(request):
+                if entity.get("id") == self.arm:
+                    self._take(entity)
+                else:
+                    self._orders.wake()
+            return Response(status_code=204)
+
+    async def __aenter__(self) -> Self:
+        self._asking = asyncio.create_task(self._rounds.keep())
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        if self._asking is not None:
+            self._asking.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._asking
+
+    def state(self) -> JointState:
+        """Return the joints as they were told last."""
+        return self._state
+
+    def remaining_s(self) -> float:
+        """Return how long the motion under way will still take, as it was planned; 0 at rest."""
+        return 0.0 if self._ends_s is None else max(self._ends_s - time.monotonic(), 0.01)
+
+    def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
+        """Return how long a motion from rest to rest takes."""
+        return duration_s(start, target, self._limits.slowed(speed))
+
+    async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
+        """Have the arm follow a trajectory to `target`; see `Robot.move`."""
+        start = await self._joints_of_now()
+        cruise = self._limits.slowed(speed)
+        course = Course(start, target, cruise, self._limits, began_s=0.0)
+        planned_s = course.remaining_s(0.0)
+        if planned_s == 0.0:
+            return True
+        if not may_go():
+            return False
+        order = await self._orders.give(
+            "followTrajectory", jointNames=list(JOINT_NAMES), points=points(course), durationS=planned_s
+        )
+        began_s = time.monotonic()
+        self._ends_s = began_s + planned_s
+        try:
+            ended = await self._watched(order, may_go, 2 * planned_s + 10)
+            if not ended.completed and not ended.cancelled:
+                raise RobotFault(f"{self.arm} did not follow the trajectory: {ended.reason}")
+            await self._rest()
+        except asyncio.CancelledError:
+            await asyncio.shield(self._orders.cancel(order))
+            raise
+        finally:
+            self._ends_s = None
+            MOTION_SECONDS.inc(time.monotonic() - began_s)
+        return ended.completed
+
+    async def close_gripper(self) -> bool:
+        """Close the gripper; True when something has kept it from closing wholly."""
+        ended = await self._grip("closeGripper")
+        self._gripper_closed = True
+        stalled = ended.outputs.get("stalled") is True
+        if not ended.completed and not stalled:
+            raise RobotFault(f"the gripper of {self.arm} did not close: {ended.reason}")
+        return stalled
+
+    async def open_gripper(self) -> None:
+        """Open the gripper."""
+        ended = await self._grip("openGripper")
+        if not ended.completed:
+            raise RobotFault(f"the gripper of {self.arm} did not open: {ended.reason}")
+        self._gripper_closed = False
+
+    @property
+    def gripper_closed(self) -> bool:
+        """Say whether the gripper was closed last."""
+        return self._gripper_closed
+
+    async def _grip(self, operation: str) -> Ended:
+        await self._joints_of_now()
+        order = await self._orders.give(operation)
+        return await self._orders.end_of(order, self._gripper_s + 20)
+
+    async def _watched(self, order: str, may_go: Callable[[], bool], within_s: float) -> Ended:
+        """Wait for the end of a motion, and wish it to end once it may not go on."""
+        end = asyncio.ensure_future(self._orders.end_of(order, within_s))
+        stopping = False
+        try:
+            while not end.done():
+                await asyncio.wait({end}, timeout=MAY_GO_EVERY_S if not stopping else None)
+                if not stopping and not end.done() and not may_go():
+                    stopping = True
+                    await self._orders.cancel(order)
+            return end.result()
+        finally:
+            end.cancel()
+
+    async def _rest(self) -> None:
+        """Wait until the joints told are those of an arm that stands still. Raises `RobotFault`."""
+        before, since_s = self._state, time.monotonic()
+        deadline_s = since_s + RESTS_WITHIN_S
+        while time.monotonic() < deadline_s:
+            await asyncio.sleep(MAY_GO_EVERY_S)
+            now = self._state
+            if now is not before and max(map(abs, now.velocities)) < STILL_RAD_S:
+                return
+            if _apart(now.positions, before.positions) > STILL_RAD:
+                before, since_s = now, time.monotonic()
+            elif time.monotonic() - since_s >= STILL_S:
+                return
+        raise RobotFault(f"{self.arm} was told to stop and has not come to rest; look after it")
+
+    async def _joints_of_now(self) -> Joints:
+        """Return where the joints are, asked of the broker. Raises `RobotFault` when nobody knows."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(KNOWN_WITHIN_S):
+                await self._ready.wait()
+                while True:
+                    if await self._look() and self._is_fresh():
+                        return self._state.positions
+                    await asyncio.sleep(0.2)
+        raise RobotFault(
+            f"where the joints of {self.arm} are is not known: {self._fault}; start its driver, "
+            "and the ROS bridge with a mapping that tells of it (handover bridge check arm)"
+        )
+
+    def _is_fresh(self) -> bool:
+        fresh = self._told_s is not None and time.monotonic() - self._told_s < FRESH_S
+        if not fresh and self._told_s is not None:
+            self._fault = f"they were told {time.monotonic() - self._told_s:.0f} s ago for the last time"
+        return fresh
+
+    # What is told of the arm
+
+    async def _ask(self) -> bool:
+        """One round: subscriptions in place, old orders ended, the arm looked at."""
+        try:
+            await self._broker.ensure_subscription(self._subscription())
+            await self._broker.ensure_subscription(self._orders.subscription(self._notify_url))
+            if not self._ready.is_set():
+                await self._orders.end_old()
+                self._ready.set()
+            return await self._look()
+        except RobotFault as fault:
+            self._fault = str(fault)
+            return False
+        except BrokerError as error:
+            self._fault = f"the broker cannot be asked: {error}"
+            log.warning("cannot ask the broker for the arm", arm=self.arm, error=str(error))
+            return False
+
+    async def _look(self) -> bool:
+        try:
+            self._take(await self._broker.retrieve(self.arm))
+        except NotFound:
+            self._fault = "the broker has no such Device"
+        except BrokerError as error:
+            self._fault = f"the broker cannot be asked: {error}"
+            return False
+        return True
+
+    def _take(self, entity: Mapping[str, Any]) -> None:
+        """Take the joints of an arm as the bridge has written them; older ones are no news."""
+        positions = _told(entity, "jointPositions")
+        names = _told(entity, "jointNames")
+        stamp = str(entity.get("jointPositions", {}).get("observedAt", ""))
+        if stamp <= self._stamp:
+            return
+        try:
+            told = in_order(names, positions)
+            velocities = _told(entity, "jointVelocities")
+            turning = in_order(names, velocities) if velocities else (0.0,) * len(told)
+        except RobotFault as fault:
+            self._fault = str(fault)
+            return
+        if self._stamp:  # what was there before we looked for the first time may be long past
+            self._told_s = time.monotonic()
+        self._stamp = stamp
+        self._state = JointState(time.time(), told, turning)
+
+    def _subscription(self) -> dict[str, Any]:
+        return {
+            "id": self._subscription_id,
+            "type": "Subscription",
+            "description": f"The joints of {self.arm}",
+            "entities": [{"id": self.arm, "type": "Device"}],
+            "watchedAttributes": ["jointPositions"],
+            "notification": {
+                "attributes": ["jointNames", "jointPositions", "jointVelocities"],
+                "endpoint": {"uri": self._notify_url, "accept": "application/json"},
+            },
+        }
+
+
+def points(course: Course) -> list[dict[str, Any]]:
+    """Return the points of a trajectory that a controller follows, the last one at rest at the target.
+
+    Each has `positions` in rad, `velocities` in rad/s, `accelerations` in rad/s^2 and `time_from_start`.
+    """
+    whole_s = course.remaining_s(0.0)
+    count = min(max(math.ceil(whole_s / STEP_S), 1), MOST_POINTS)
+    made = []
+    for number in range(1, count + 1):
+        at_s = whole_s * number / count
+        setpoint: Setpoint = course.at(at_s)
+        made.append(
+            {
+                "positions": [round(value, 6) for value in setpoint.positions],
+                "velocities": [round(value, 6) for value in setpoint.velocities],
+                "accelerations": [round(value, 6) for value in setpoint.accelerations],
+                "time_from_start": {"sec": int(at_s), "nanosec": int(at_s % 1 * 1e9)},
+            }
+        )
+    return made
+
+
+def in_order(names: Any, values: Any) -> Joints:
+    """Return the values of our joints out of those told by name. Raises `RobotFault`.
+
+    Drivers put the joints of a gripper, or of a second arm, into the same message, in any order.
+    """
+    if not isinstance(names, Sequence) or not isinstance(values, Sequence) or len(names) != len(values):
+        raise RobotFault(f"{len(names or ())} joints and {len(values or ())} values are told of the arm")
+    by_name = dict(zip(names, values, strict=True))
+    missing = [name for name in JOINT_NAMES if not isinstance(by_name.get(name), int | float)]
+    if missing:
+        raise RobotFault(f"nothing is told of {', '.join(missing)}; the joints told are {', '.join(by_name)}")
+    return tuple(float(by_name[name]) for name in JOINT_NAMES)
+
+
+def _told(entity: Mapping[str, Any], attribute: str) -> Any:
+    found = entity.get(attribute)
+    return found.get("value") if isinstance(found, Mapping) else None
+
+
+def _apart(some: Joints, others: Joints) -> float:
+    return max(abs(one - other) for one, other in zip(some, others, strict=True))

@@ -1,0 +1,98 @@
+"""The System page of a cell with a ROS bridge: its rules, what they pass on, and how one is switched off."""
+
+import random
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.conftest import Cell, new_cell
+from tests.e2e.conftest import OpenPage
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+MAPPING = """
+ros_to_ngsild:
+  battery:
+    topic: /battery_state
+    type: sensor_msgs/BatteryState
+    entity: Device:agv-1
+    attributes: {batteryLevel: percentage}
+ngsild_to_ros:
+  belt:
+    entity: Device:belt-1
+    topic: /belt/speed
+    type: std_msgs/Float64
+    fields:
+      data: {attribute: speed, convert: km/h -> m/s, required: true}
+"""
+
+BELT = {"id": "urn:ngsi-ld:Device:demo:belt-1", "type": "Device"}
+OURS = {"Link": '<https://w3id.org/handover/context.jsonld>; rel="http://www.w3.org/ns/json-ld#context"'}
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[Cell]:
+    mapping = tmp_path / "cell.yaml"
+    mapping.write_text(MAPPING)
+    with new_cell(tmp_path) as made:
+        made.extra.update(
+            {
+                "HANDOVER_ROS_MAPPING": str(mapping),
+                "HANDOVER_ROS_DOMAIN_ID": str(random.randint(1, 100)),
+                "HANDOVER_ROS_INTERFACES": '["127.0.0.1"]',
+            }
+        )
+        made.start("context_broker")
+        made.start("ros_fiware_bridge", "webui")
+        yield made
+
+
+def test_rules_are_seen_at_work_and_switched_off_and_on(
+    cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
+) -> None:
+    page = open_page("/system")
+    services = page.get_by_role("table", name="Services")
+    expect(services.get_by_role("row", name=re.compile("^ROS 2 bridge"))).to_contain_text("running")
+    page.get_by_role("tab", name="ROS 2").click()
+    rules = page.get_by_role("table", name="ROS 2")
+    battery = rules.get_by_role("row", name=re.compile("^battery"))
+    belt = rules.get_by_role("row", name=re.compile("^belt"))
+    expect(battery).to_contain_text("nobody speaks")
+    expect(belt).to_contain_text("waits for news")
+
+    entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
+    speed = {"speed": {"type": "Property", "value": 3.6}}
+    httpx.post(entities, json={**BELT, **speed}, headers=OURS).raise_for_status()
+    expect(belt).to_contain_text("at work")
+    expect(belt).to_contain_text('{"data":1}')
+    fast = {"speed": {"type": "Property", "value": "fast"}}
+    httpx.patch(f"{entities}/{BELT['id']}/attrs", json=fast, headers=OURS).raise_for_status()
+    expect(belt).to_contain_text("fast")
+    accessible(page)
+    keep(page, "system-ros")
+
+    belt.get_by_role("button", name="Switch off belt").click()
+    expect(belt).to_contain_text("switched off")
+    belt.get_by_role("button", name="Switch on belt").click()
+    expect(belt).not_to_contain_text("switched off")
+
+    for language, theme, tab in (("de", "dark", "ROS 2"), ("fi", "light", "ROS 2")):
+        other = open_page("/system?tab=ros", language=language, theme=theme)
+        expect(other.get_by_role("table", name=tab)).to_contain_text("agv-1")
+        accessible(other)
+        keep(other, f"system-ros-{language}-{theme}")
+
+
+def test_a_cell_without_a_bridge_lacks_nothing(open_page: OpenPage, cell: Cell) -> None:
+    cell.kill("webui")
+    del cell.extra["HANDOVER_ROS_MAPPING"]
+    cell.start("webui")
+    page = open_page("/system?tab=ros")
+    services = page.get_by_role("table", name="Services")
+    expect(services.get_by_role("row", name=re.compile("^Context broker"))).to_be_visible()
+    expect(page.get_by_role("tab", name="ROS 2")).to_have_count(0)
+    expect(services.get_by_role("row", name=re.compile("^ROS 2 bridge"))).to_have_count(0)

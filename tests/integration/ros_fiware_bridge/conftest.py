@@ -1,0 +1,157 @@
+"""A cell with a broker and a ROS bridge, both processes, and a robot on a ROS graph of its own."""
+
+import asyncio
+import random
+import textwrap
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import httpx
+import pytest
+
+from handover.broker import BrokerClient, BrokerError
+from handover.settings import Settings
+
+pytest.importorskip("cyclonedds", reason="the extra [ros] is not installed")
+
+from ros_fiware_bridge.graph.joining import JoinSettings, join
+from ros_fiware_bridge.graph.port import Publisher, Received, Subscription
+from ros_fiware_bridge.graph.qos import DEFAULT, Qos
+from ros_fiware_bridge.types.type_store import TypeStore
+from tests.conftest import new_cell
+from tests.integration.ros_fiware_bridge.everyday import ASKING, BOTH_WAYS
+
+
+class Shop:
+    """A broker and a bridge as processes, and `robot`, a node on the graph that they share."""
+
+    def __init__(self, cell: Any, domain: int) -> None:
+        self.cell = cell
+        self.domain = domain
+        self.robot: Any = None
+        self.broker: Any = None
+
+    def begin(self, mapping: str, **settings: str) -> None:
+        """Start the broker, if it does not run, and the bridge with `mapping`."""
+        file = self.cell.data_dir / "mapping.yaml"
+        file.write_text(textwrap.dedent(mapping))
+        self.cell.extra.update(
+            {
+                "HANDOVER_ROS_MAPPING": str(file),
+                "HANDOVER_ROS_DOMAIN_ID": str(self.domain),
+                "HANDOVER_ROS_INTERFACES": '["127.0.0.1"]',
+                **settings,
+            }
+        )
+        if "context_broker" not in self.cell.processes:
+            self.cell.start("context_broker", within_s=90.0)
+        self.cell.start("ros_fiware_bridge", within_s=90.0)  # it loads a middleware
+
+    @asynccontextmanager
+    async def opened(self) -> AsyncIterator[None]:
+        """Have a client of the broker, and the robot on the graph."""
+        asked = JoinSettings(node="robot", domain_id=self.domain, interfaces=("127.0.0.1",))
+        self.robot = await join(TypeStore(), asked)
+        try:
+            settings = Settings.load(broker_url=self.cell.url("context_broker"))
+            async with BrokerClient(settings) as self.broker:
+                yield
+        finally:
+            await self.robot.close()
+
+    async def speaks(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
+        """Return a publisher of the robot that somebody listens to."""
+        publisher = await self.robot.publisher(topic, type_name, qos)
+        assert await publisher.matched(10.0), f"nobody listens to {topic}"
+        return publisher
+
+    async def listens(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> tuple[Subscription, list[Any]]:
+        """Return a subscription of the robot that somebody speaks to, and the list of what it hears."""
+        heard: list[Any] = []
+
+        def hear(received: Received) -> None:
+            heard.append(received.message)
+
+        subscription = await self.robot.subscribe(topic, type_name, hear, qos)
+        assert await subscription.matched(10.0), f"nobody speaks on {topic}"
+        return subscription, heard
+
+    def rule(self, name: str) -> dict[str, Any]:
+        """Return what the bridge says of a rule."""
+        answer = httpx.get(f"{self.cell.url('ros_fiware_bridge')}/rules/{name}", timeout=10)
+        assert answer.is_success, answer.text
+        found: dict[str, Any] = answer.json()
+        return found
+
+    def post(self, path: str) -> httpx.Response:
+        """Ask the bridge for something."""
+        return httpx.post(f"{self.cell.url('ros_fiware_bridge')}{path}", timeout=10)
+
+    async def until(self, condition: Callable[[], Any], within_s: float = 15.0, why: str = "") -> Any:
+        """Wait until `condition` holds; return what it gives."""
+        deadline_s = time.monotonic() + within_s
+        while True:
+            found = condition()
+            if asyncio.iscoroutine(found):
+                found = await found
+            if found:
+                return found
+            assert time.monotonic() < deadline_s, f"{why or 'it never came'}: {self._log()}"
+            await asyncio.sleep(0.02)
+
+    async def value(self, entity_id: str, attribute: str) -> Any:
+        """Return the value of an attribute; None while there is none."""
+        try:
+            entity = await self.broker.retrieve(entity_id)
+        except BrokerError:
+            return None
+        return entity.get(attribute, {}).get("value")
+
+    async def becomes(self, entity_id: str, attribute: str, value: Any, within_s: float = 15.0) -> None:
+        """Wait until an attribute has a value."""
+
+        async def is_there() -> bool:
+            return bool(await self.value(entity_id, attribute) == value)
+
+        await self.until(is_there, within_s, f"{attribute} of {entity_id} never became {value}")
+
+    def _log(self) -> str:
+        return str(self.cell.log("ros_fiware_bridge")[-3000:])
+
+
+@pytest.fixture(scope="session")
+def everyday(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+    """A broker and a bridge with the everyday mapping, for the modules that need no other."""
+    with new_cell(tmp_path_factory.mktemp("cell")) as cell:
+        made = Shop(cell, random.randint(1, 100))
+        made.begin(BOTH_WAYS + ASKING)
+        yield made
+
+
+@pytest.fixture(scope="module")
+def at_work(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+    """A broker and a bridge that works by the `MAPPING` of the test's module, for all tests of it."""
+    with new_cell(tmp_path_factory.mktemp("cell")) as cell:
+        made = Shop(cell, random.randint(1, 100))
+        try:
+            made.begin(request.module.MAPPING)
+            yield made
+        finally:
+            cell.stop()
+
+
+@pytest.fixture
+async def shop(at_work: Shop) -> AsyncIterator[Shop]:
+    """The module's broker and bridge, with a robot on the graph."""
+    async with at_work.opened():
+        yield at_work
+
+
+@pytest.fixture
+async def own_shop(cell: Any) -> AsyncIterator[Shop]:
+    """A shop of which nothing runs yet, but its robot is on the graph."""
+    made = Shop(cell, random.randint(1, 100))
+    async with made.opened():
+        yield made

@@ -1,0 +1,127 @@
+import asyncio
+import os
+import random
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
+from ros_fiware_bridge.graph.port import RosGraph
+from ros_fiware_bridge.types.type_store import TypeStore
+
+# An installed ROS keeps to this machine too; our own DDS is told so by its settings.
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+TYPES = Path(__file__).parent / "types"
+REPEAT = "rcl_interfaces/srv/ListParameters"
+Joined = Callable[..., AbstractAsyncContextManager[RosGraph]]
+
+
+# What rclpy itself stands on warns of what Python will drop one day.
+_OLD = {Adapter.RCLPY: [pytest.mark.filterwarnings("ignore::DeprecationWarning")]}
+_ADAPTERS = [
+    pytest.param(one, id=one.value, marks=_OLD.get(one, []))
+    for one in installed()
+    if one is not Adapter.ROSBRIDGE  # what its protocol can carry is tested by itself
+]
+
+
+@pytest.fixture(scope="module", params=_ADAPTERS or [None])
+def adapter(request: pytest.FixtureRequest) -> Adapter:
+    if request.param is None:
+        pytest.skip("no adapter is installed")
+    return Adapter(request.param)
+
+
+@pytest.fixture(scope="module")
+def domain_id(request: pytest.FixtureRequest) -> int:
+    """An even number of the module's own eighteen, so that modules that run at once do not meet.
+
+    From 101 on the ports of a domain lie where the system takes its own from.
+    """
+    modules = sorted(one.stem for one in Path(__file__).parent.glob("test_*.py"))
+    return modules.index(Path(str(request.path)).stem) * 18 % 90 + 2 * random.randint(1, 8)
+
+
+@contextmanager
+def running_peer(adapter: Adapter, domain_id: int, *type_paths: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, str(Path(__file__).parent / "peer.py"), adapter.value, str(domain_id)]
+    with subprocess.Popen(
+        [*command, *map(str, type_paths)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        try:
+            assert process.stdout.readline() == "ready\n"
+            yield process
+        finally:
+            process.stdin.close()
+            try:
+                process.wait(10)
+            finally:
+                process.kill()
+
+
+@pytest.fixture(scope="module")
+def peer(adapter: Adapter, domain_id: int) -> Iterator[subprocess.Popen[str]]:
+    with running_peer(adapter, domain_id) as process:
+        yield process
+
+
+@pytest.fixture(scope="session")
+def store() -> TypeStore:
+    return TypeStore([TYPES])
+
+
+@pytest.fixture
+def joined(adapter: Adapter, domain_id: int, store: TypeStore) -> Joined:
+    @asynccontextmanager
+    async def graph(**settings: Any) -> AsyncIterator[RosGraph]:
+        types = settings.pop("store", store)
+        opened = await join(
+            types,
+            JoinSettings(
+                **{"node": "tested", "domain_id": domain_id, "interfaces": ("127.0.0.1",), **settings}
+            ),
+            adapter,
+        )
+        try:
+            yield opened
+        finally:
+            await opened.close()
+
+    return graph
+
+
+@pytest.fixture
+async def graph(joined: Joined) -> AsyncIterator[RosGraph]:
+    async with joined() as opened:
+        yield opened
+
+
+@pytest.fixture
+def only_cyclone(adapter: Adapter) -> None:
+    if adapter is not Adapter.CYCLONE:
+        pytest.skip("an installed ROS knows only types that were built for it")
+
+
+async def true(holds: Callable[[], Any], timeout_s: float = 20.0) -> None:
+    async with asyncio.timeout(timeout_s):
+        while not holds():
+            await asyncio.sleep(0.01)
+
+
+async def repeated(graph: RosGraph, text: str, times: int, timeout_s: float = 10) -> list[str]:
+    answer = await graph.call("/repeat", REPEAT, {"prefixes": [text], "depth": times}, timeout_s)
+    return list(answer["result"]["names"])
+
+
+def part(folder: Path, text: str) -> Path:
+    file = folder / "cell_msgs" / "msg" / "Part.msg"
+    file.parent.mkdir(parents=True)
+    file.write_text(text)
+    return folder

@@ -1,0 +1,154 @@
+"""Services and actions, as every adapter of the port keeps them, between two processes."""
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from ros_fiware_bridge.errors import (
+    BadMessage,
+    CallTimeout,
+    GoalRefused,
+    ServiceUnavailable,
+)
+from ros_fiware_bridge.graph.joining import Adapter
+from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, RosGraph, ServedGoal
+from tests.integration.ros_fiware_bridge.graph.conftest import (
+    REPEAT,
+    Joined,
+    repeated,
+    running_peer,
+    true,
+)
+
+FIBONACCI = "test_msgs/action/Fibonacci"
+pytestmark = pytest.mark.usefixtures("peer")
+
+
+async def test_a_service_answers(graph: RosGraph) -> None:
+    assert await repeated(graph, "ab", 2) == ["ab", "ab"]
+    answers = await asyncio.gather(*(repeated(graph, str(n), 3) for n in range(12)))
+    assert answers == [[str(n)] * 3 for n in range(12)]
+
+
+async def test_a_service_that_does_not_answer_is_told_apart_from_one_that_is_not_there(
+    graph: RosGraph,
+) -> None:
+    with pytest.raises(ServiceUnavailable, match="nobody serves /subtract"):
+        await graph.call("/subtract", REPEAT, {}, 0.2)
+    assert await repeated(graph, "a", 1) == ["a"]
+    with pytest.raises(CallTimeout, match=r"/repeat did not answer within 0\.3 s"):
+        await repeated(graph, "a", 99, 0.3)
+    with pytest.raises(CallTimeout):
+        await repeated(graph, "a", 13, 0.3)
+    assert await repeated(graph, "a", 2) == ["a", "a"]
+
+
+async def test_a_request_that_does_not_fit_is_never_sent(graph: RosGraph) -> None:
+    with pytest.raises(BadMessage, match=r"ListParameters_Request, depth: 1\.5 is not a whole number"):
+        await graph.call("/repeat", REPEAT, {"depth": 1.5})
+    with pytest.raises(BadMessage, match='no field "c"'):
+        await graph.call("/repeat", REPEAT, {"c": 1})
+
+
+async def test_we_are_asked_and_answer(graph: RosGraph) -> None:
+    async def answer(request: dict[str, Any]) -> dict[str, Any]:
+        assert request == {}
+        return {"success": True, "message": "here"}
+
+    async def fail(_: dict[str, Any]) -> dict[str, Any]:
+        raise RuntimeError("no")
+
+    good = await graph.serve("/ours", "std_srvs/srv/Trigger", answer)
+    bad = await graph.serve("/failing", "std_srvs/srv/Trigger", fail)
+    got: asyncio.Queue[Any] = asyncio.Queue()
+    heard = await graph.subscribe("/asked", "std_msgs/msg/String", got.put_nowait)
+    ask = await graph.publisher("/ask", "std_msgs/msg/String")
+    assert await heard.matched(10)
+    assert await ask.matched(10)
+    ask.publish({"data": "/ours"})
+    assert (await asyncio.wait_for(got.get(), 10)).message == {"data": "here"}
+    ask.publish({"data": "/failing"})
+    assert (await asyncio.wait_for(got.get(), 10)).message == {"data": "CallTimeout"}
+    assert (good.calls, good.failed) == (1, 0)
+    assert (bad.calls, bad.failed) == (1, 1)
+    assert bad.last_error == "RuntimeError: no"
+
+
+async def test_a_goal_runs_to_its_end_with_feedback(graph: RosGraph) -> None:
+    action = await graph.action_client("/fibonacci", FIBONACCI)
+    assert await action.available(10)
+    told: list[list[int]] = []
+    goal = await action.send_goal(
+        {"order": 6}, on_feedback=lambda one: told.append(one["sequence"].tolist()), timeout_s=10
+    )
+    ended = await goal.result(10)
+    assert ended.status is GoalStatus.SUCCEEDED
+    assert ended.result["sequence"].tolist() == [0, 1, 1, 2, 3, 5]
+    assert goal.status is GoalStatus.SUCCEEDED
+    assert len(goal.goal_id) == 16
+    await true(lambda: told)
+    assert told == [[0, 1, 1, 2, 3, 5][: len(one)] for one in told]
+
+
+async def test_a_goal_is_cancelled(graph: RosGraph) -> None:
+    action = await graph.action_client("/fibonacci", FIBONACCI)
+    goal = await action.send_goal({"order": 900}, timeout_s=10)
+    with pytest.raises(CallTimeout, match=r"the goal did not end within 0\.1 s"):
+        await goal.result(0.1)
+    assert await goal.cancel(10)
+    ended = await goal.result(10)
+    assert ended.status is GoalStatus.CANCELED
+    assert ended.result["sequence"].tolist()[:2] == [0, 1]
+    assert not await goal.cancel(10)
+
+
+async def test_a_goal_is_refused_aborted_and_its_fault_survived(graph: RosGraph) -> None:
+    action = await graph.action_client("/fibonacci", FIBONACCI)
+    with pytest.raises(GoalRefused, match="/fibonacci: the server did not accept the goal"):
+        await action.send_goal({"order": 5000}, timeout_s=10)
+    aborted = await (await action.send_goal({"order": 40}, timeout_s=10)).result(10)
+    assert aborted.status is GoalStatus.ABORTED
+    assert aborted.result["sequence"].tolist() == [0, 1, 1, 2, 3]
+    fault = await (await action.send_goal({"order": 41}, timeout_s=10)).result(10)
+    assert fault.status is GoalStatus.ABORTED
+    assert (
+        await (await action.send_goal({"order": 3}, timeout_s=10)).result(10)
+    ).status is GoalStatus.SUCCEEDED
+
+
+async def test_goals_of_others_are_served(joined: Joined, graph: RosGraph) -> None:
+    async def work(goal: ServedGoal) -> dict[str, Any]:
+        goal.feedback({"sequence": [1]})
+        await goal.wait_cancel_requested()
+        raise GoalEnded(GoalStatus.CANCELED, {"sequence": [1, 2]})
+
+    served = await graph.serve_action("work", FIBONACCI, work)
+    async with joined(node="other") as other:
+        action = await other.action_client("/work", FIBONACCI)
+        told: list[Any] = []
+        goal = await action.send_goal({"order": 1}, on_feedback=told.append, timeout_s=10)
+        await true(lambda: goal.status is GoalStatus.EXECUTING)
+        assert await goal.cancel(10)
+        assert (await goal.result(10)).result["sequence"].tolist() == [1, 2]
+        assert served.calls == 1
+
+
+@pytest.mark.slow
+async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
+    joined: Joined, adapter: Adapter, domain_id: int
+) -> None:
+    elsewhere = domain_id + 1
+    async with joined(domain_id=elsewhere) as graph:
+        action = await graph.action_client("/fibonacci", FIBONACCI)
+        with running_peer(adapter, elsewhere) as peer:
+            goal = await action.send_goal({"order": 900}, timeout_s=10)
+            waiting = asyncio.ensure_future(goal.result())
+            await asyncio.sleep(0.2)
+            peer.kill()
+            # DDS gives a program that says nothing ten seconds (ROS 2 Fast DDS: twenty).
+            with pytest.raises(ServiceUnavailable, match=r"the server of .* went away before"):
+                await asyncio.wait_for(waiting, 40)
+        with running_peer(adapter, elsewhere):
+            ended = await (await action.send_goal({"order": 4}, timeout_s=10)).result(10)
+            assert ended.status is GoalStatus.SUCCEEDED

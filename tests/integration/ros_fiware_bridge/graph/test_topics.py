@@ -1,0 +1,170 @@
+"""Topics, as every adapter of the port keeps them, between two processes."""
+
+import asyncio
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ros_fiware_bridge.errors import (
+    IncompatibleQos,
+)
+from ros_fiware_bridge.graph.port import Publisher, RosGraph
+from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, History, Qos
+from ros_fiware_bridge.types.type_store import TypeStore
+from tests.integration.ros_fiware_bridge.graph.conftest import (
+    REPEAT,
+    Joined,
+    part,
+    running_peer,
+    true,
+)
+
+JOINTS = "sensor_msgs/msg/JointState"
+FIBONACCI = "test_msgs/action/Fibonacci"
+pytestmark = pytest.mark.usefixtures("peer")
+
+
+async def test_a_message_goes_out_and_comes_back_as_it_was(graph: RosGraph) -> None:
+    got: asyncio.Queue[Any] = asyncio.Queue()
+    heard = await graph.subscribe("/echo", JOINTS, got.put_nowait)
+    said = await graph.publisher("/say", JOINTS)
+    assert await heard.matched(10)
+    assert await said.matched(10)
+    message = {
+        "header": {"stamp": {"sec": 12, "nanosec": 34}, "frame_id": "Grüße"},
+        "name": ["shoulder", "elbow"],
+        "position": [0.5, -1.5],
+    }
+    said.publish(message)
+    received = await asyncio.wait_for(got.get(), 10)
+    assert received.topic == "/echo"
+    assert received.type_name == JOINTS
+    assert received.message["header"] == message["header"]
+    assert received.message["name"] == message["name"]
+    assert isinstance(received.message["position"], np.ndarray)
+    assert received.message["position"].tolist() == [0.5, -1.5]
+    assert received.message["velocity"].tolist() == []
+    assert received.value("position[1]") == -1.5
+    assert received.value("header.stamp") == {"sec": 12, "nanosec": 34}
+    assert received.value("effort[0]") is None
+    assert received.sent_at_s is not None
+    assert 0 <= received.received_at_s - received.sent_at_s < 10
+    assert received.ours in (False, None)
+    assert (heard.received, heard.refused, said.published) == (1, 0, 1)
+
+
+async def test_what_a_publisher_latched_is_given_to_who_comes_late(graph: RosGraph) -> None:
+    got: asyncio.Queue[Any] = asyncio.Queue()
+    await graph.subscribe("/cell/greeting", "std_msgs/msg/String", got.put_nowait, LATCHED)
+    received = await asyncio.wait_for(got.get(), 10)
+    assert received.message == {"data": "welcome"}
+    await asyncio.sleep(0.1)
+    assert got.empty()
+
+
+async def both_know(numbers: list[int], count: Publisher) -> None:
+    """Wait until the peer's publisher has met our subscription too: what it says before is not for us."""
+    assert await count.matched(10)
+    async with asyncio.timeout(10):
+        while not numbers:
+            count.publish({"data": 1})
+            await asyncio.sleep(0.1)
+    await asyncio.sleep(0.2)
+    numbers.clear()
+
+
+async def test_messages_come_in_order_and_none_is_lost(graph: RosGraph) -> None:
+    numbers: list[int] = []
+    deep = Qos(history=History.KEEP_LAST, depth=1000)
+    heard = await graph.subscribe(
+        "/numbered", "std_msgs/msg/UInt32", lambda got: numbers.append(got.message["data"]), deep
+    )
+    count = await graph.publisher("/count", "std_msgs/msg/UInt32")
+    await both_know(numbers, count)
+    count.publish({"data": 200})
+    await true(lambda: len(numbers) == 200)
+    assert numbers == list(range(200))
+    assert heard.dropped == 0
+
+
+async def test_who_is_too_slow_keeps_the_last_and_is_told_how_many_were_dropped(graph: RosGraph) -> None:
+    numbers: list[int] = []
+    heard = await graph.subscribe(
+        "/numbered", "std_msgs/msg/UInt32", lambda got: numbers.append(got.message["data"]), Qos(depth=5)
+    )
+    count = await graph.publisher("/count", "std_msgs/msg/UInt32")
+    await both_know(numbers, count)
+    before = heard.received
+    count.publish({"data": 100})
+    # The loop is busy while they come, as a bridge is that waits for a slow disk.
+    for _ in range(200):
+        if heard.received - before >= 100:
+            break
+        time.sleep(0.02)
+    numbers.clear()
+    await true(lambda: numbers and numbers[-1] == 99)
+    assert numbers == [95, 96, 97, 98, 99]
+    assert heard.dropped == 95
+
+
+async def test_best_effort_is_heard_by_best_effort(graph: RosGraph) -> None:
+    got: asyncio.Queue[Any] = asyncio.Queue()
+    await graph.subscribe("/noise", "std_msgs/msg/Float32", got.put_nowait, SENSOR_DATA)
+    assert (await asyncio.wait_for(got.get(), 10)).message == {"data": 0.5}
+
+
+async def test_quality_of_service_that_does_not_meet_is_named_with_both_sides(graph: RosGraph) -> None:
+    got: list[Any] = []
+    await graph.subscribe("/noise", "std_msgs/msg/Float32", got.append)
+    # Which node a publisher belongs to is told a moment after the publisher.
+    says = "/noise: /cell/peer publishes it with best_effort, volatile, we have reliable, volatile"
+    await true(lambda: any(says in str(one) for one in graph.problems()))
+    assert [type(one) for one in graph.problems()] == [IncompatibleQos]
+    assert not got
+
+
+async def test_the_graph_is_read_with_types_qos_hashes_and_nodes(graph: RosGraph, store: TypeStore) -> None:
+    await graph.publisher("~/mine", "std_msgs/msg/String")
+    await true(lambda: {"/cell/peer", "/tested"} <= {one.full_name for one in graph.nodes()})
+    await true(lambda: {"/echo", "/noise", "/tested/mine"} <= {one.name for one in graph.topics()})
+    assert graph.node_name == "/tested"
+    assert [one.full_name for one in graph.nodes() if one.ours] == ["/tested"]
+    topics = {one.name: one for one in graph.topics()}
+    assert topics["/echo"].type_names == (JOINTS,)
+    await true(lambda: {t.name: t for t in graph.topics()}["/noise"].publishers[0].node == "/cell/peer")
+    (noise,) = {one.name: one for one in graph.topics()}["/noise"].publishers
+    assert noise.qos.reliability.value == "best_effort"
+    assert noise.type_hash == store.hash("std_msgs/msg/Float32")
+    assert not noise.ours
+    assert not any("_action" in name or name == "ros_discovery_info" for name in topics)
+    await true(lambda: "/repeat" in {one.name for one in graph.services()})
+    (repeat,) = (one for one in graph.services() if one.name == "/repeat")
+    assert repeat.type_names == (REPEAT,)
+    assert repeat.servers == ("/cell/peer",)
+    await true(lambda: "/fibonacci" in {one.name for one in graph.actions()})
+    (action,) = (one for one in graph.actions() if one.name == "/fibonacci")
+    assert action.type_names == (FIBONACCI,)
+
+
+async def test_what_we_say_ourselves_is_heard_and_known_as_ours(graph: RosGraph) -> None:
+    got: asyncio.Queue[Any] = asyncio.Queue()
+    await graph.subscribe("mine", "std_msgs/msg/String", got.put_nowait, LATCHED)
+    publisher = await graph.publisher("/mine", "std_msgs/msg/String", LATCHED)
+    publisher.publish({"data": "echo"})
+    received = await asyncio.wait_for(got.get(), 10)
+    assert received.message == {"data": "echo"}
+    assert received.ours in (True, None)
+
+
+@pytest.mark.usefixtures("only_cyclone")
+async def test_an_own_type_is_carried(joined: Joined, adapter: Any, domain_id: int, tmp_path: Path) -> None:
+    folder = part(tmp_path, "string<=8 name\nuint32 count\nfloat64[3] size_m\n")
+    with running_peer(adapter, domain_id, folder):
+        async with joined(store=TypeStore([folder])) as graph:
+            got: asyncio.Queue[Any] = asyncio.Queue()
+            await graph.subscribe("/part", "cell_msgs/msg/Part", got.put_nowait)
+            message = (await asyncio.wait_for(got.get(), 10)).message
+            assert (message["name"], message["count"], message["size_m"].tolist()) == ("", 7, [0, 0, 0])

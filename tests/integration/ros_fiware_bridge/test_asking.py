@@ -1,0 +1,169 @@
+"""Tasks and changes call services and send goals; and a node of the graph asks for a Task."""
+
+import asyncio
+import itertools
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+
+from datamodels.entities import Task, TaskStatus
+from datamodels.times import iso
+from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, Message, ServedGoal
+from tests.integration.ros_fiware_bridge.conftest import Shop
+
+pytestmark = pytest.mark.slow
+
+ARM = "urn:ngsi-ld:Device:demo:arm"
+LAMP = "urn:ngsi-ld:Device:demo:lamp"
+
+_numbers = itertools.count(1)
+
+
+@pytest.fixture(scope="module")
+def at_work(everyday: Shop) -> Shop:
+    return everyday
+
+
+def prop(value: Any) -> dict[str, Any]:
+    return {"type": "Property", "value": value, "observedAt": iso(datetime.now(UTC))}
+
+
+async def ask(shop: Any, operation: str, status: str = "pending", **parameters: Any) -> str:
+    task_id = f"urn:ngsi-ld:Task:demo:{operation}-{next(_numbers)}"
+    await shop.broker.create(
+        {
+            "id": task_id,
+            "type": "Task",
+            "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"},
+            "status": prop(status),
+            "involves": {"type": "Property", "value": [{"type": "Relationship", "object": ARM}]},
+            "workParameters": {"type": "Property", "value": {"operation": operation, **parameters}},
+        }
+    )
+    return task_id
+
+
+async def end_of(shop: Any, task_id: str) -> tuple[str, dict[str, Any]]:
+    async def ended() -> Task | None:
+        task: Task = await shop.broker.get(task_id, Task)
+        return task if task.status.value in {TaskStatus.COMPLETED, TaskStatus.FAILED} else None
+
+    task = await shop.until(ended, 25.0, f"{task_id} never ended")
+    return task.status.value.value, dict(task.output_parameters.value) if task.output_parameters else {}
+
+
+async def test_a_task_calls_a_service(shop: Any) -> None:
+    asked: list[Message] = []
+
+    async def reset(request: Message) -> Message:
+        asked.append(request)
+        return {"success": not request["data"], "message": "hard is forbidden" if request["data"] else "done"}
+
+    served = await shop.robot.serve("/arm/reset", "std_srvs/srv/SetBool", reset)
+    try:
+        assert await end_of(shop, await ask(shop, "reset")) == ("completed", {"words": "done"})
+        status, outputs = await end_of(shop, await ask(shop, "reset", hard=True))
+        assert status == "failed"
+        assert outputs["reason"] == "/arm/reset did not succeed: hard is forbidden"
+        status, outputs = await end_of(shop, await ask(shop, "reset", hard="very"))
+        assert (status, "'very' is not true or false" in outputs["reason"]) == ("failed", True)
+        assert asked == [{"data": False}, {"data": True}]
+    finally:
+        await served.close()
+
+
+async def test_a_task_for_a_service_that_nobody_serves_fails_with_the_reason(shop: Any) -> None:
+    status, outputs = await end_of(shop, await ask(shop, "reset"))
+    assert status == "failed"
+    assert "/arm/reset" in outputs["reason"]
+    status, outputs = await end_of(shop, await ask(shop, "dance"))
+    assert (
+        outputs["reason"] == f'no rule of the ROS bridge does "dance" for {ARM}; they do reset, count, once'
+    )
+
+
+async def test_a_task_sends_a_goal_and_tells_how_it_goes(shop: Any) -> None:
+    async def count(goal: ServedGoal) -> Message:
+        order = goal.request["order"]
+        if order > 10:
+            raise GoalEnded(GoalStatus.ABORTED, {"sequence": [0]})
+        sequence = [0, 1]
+        goal.feedback({"sequence": sequence})
+        if order == 7:
+            await goal.wait_cancel_requested()
+            raise GoalEnded(GoalStatus.CANCELED)
+        while len(sequence) <= order:
+            sequence.append(sequence[-1] + sequence[-2])
+        return {"sequence": sequence}
+
+    served = await shop.robot.serve_action("/arm/count", "example_interfaces/action/Fibonacci", count)
+    try:
+        assert await end_of(shop, await ask(shop, "count", upTo=5)) == (
+            "completed",
+            {"sequence": [0, 1, 1, 2, 3, 5]},
+        )
+        status, outputs = await end_of(shop, await ask(shop, "count", upTo=11))
+        assert (status, outputs["reason"], outputs["sequence"]) == ("failed", "/arm/count gave up", [0])
+        status, outputs = await end_of(shop, await ask(shop, "count"))
+        assert (status, "there is no upTo" in outputs["reason"]) == ("failed", True)
+
+        task_id = await ask(shop, "count", upTo=7)
+
+        async def told() -> bool:
+            entity = await shop.broker.retrieve(task_id)
+            return entity.get("outputParameters", {}).get("value", {}).get("sequence") == [0, 1]
+
+        await shop.until(told, why="the feedback never came")
+        await shop.broker.append(task_id, {"requestedStatus": prop("cancelled")})
+        status, outputs = await end_of(shop, task_id)
+        assert (status, outputs["reason"]) == ("failed", "cancelled")
+    finally:
+        await served.close()
+
+
+async def test_a_change_of_an_attribute_calls_a_service_once(shop: Any) -> None:
+    asked: list[Message] = []
+
+    async def on(request: Message) -> Message:
+        asked.append(request)
+        return {"success": True, "message": f"lit {len(asked)}"}
+
+    served = await shop.robot.serve("/lamp/on", "std_srvs/srv/SetBool", on)
+    try:
+        await shop.broker.upsert([{"id": LAMP, "type": "Device", "wanted": prop(False)}])
+        await shop.broker.update(LAMP, {"wanted": prop(True)})
+        await shop.becomes(LAMP, "answer", "lit 1")
+        assert asked == [{"data": True}]
+        await shop.broker.update(LAMP, {"wanted": prop(True)})
+        await shop.becomes(LAMP, "answer", "lit 2")
+    finally:
+        await served.close()
+
+
+async def test_a_node_asks_for_a_task_and_learns_how_it_ended(shop: Any) -> None:
+    answering = asyncio.create_task(
+        shop.robot.call("/ask_for_help", "std_srvs/srv/SetBool", {"data": True}, 30.0)
+    )
+
+    async def asked() -> Any:
+        return [one for one in await shop.broker.query(type="Task") if ":ask-" in one["id"]]
+
+    (task,) = await shop.until(asked)
+    assert task["workParameters"]["value"] == {
+        "commandId": 3,
+        "urgent": True,
+        "description": "Please help the arm",
+    }
+    assert task["isDefinedBy"]["object"] == "urn:ngsi-ld:TaskDefinition:demo:help"
+    for status in ("assigned", "inProgress", "completed"):
+        await shop.broker.append(task["id"], {"status": prop(status)})
+    assert await answering == {"success": True, "message": f"completed {task['id']}"}
+
+
+async def test_a_goal_that_is_not_to_be_sent_again_is_not_after_a_bridge_was_ended(shop: Any) -> None:
+    status, outputs = await end_of(shop, await ask(shop, "once", status="inProgress"))
+    assert status == "failed"
+    assert outputs["reason"].endswith(
+        "was ended while /arm/count worked on this; such a goal is not sent again"
+    )

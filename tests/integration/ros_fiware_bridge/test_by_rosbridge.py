@@ -1,0 +1,60 @@
+"""The bridge at work by way of a rosbridge server: the same mapping, another adapter."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack
+
+import pytest
+
+from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
+from ros_fiware_bridge.types.type_store import TypeStore
+from tests.conftest import Cell
+from tests.integration.ros_fiware_bridge.conftest import Shop
+from tests.integration.ros_fiware_bridge.graph.rosbridge_server import running
+
+pytestmark = pytest.mark.slow
+
+BELT = "urn:ngsi-ld:Device:demo:belt-1"
+MAPPING = """
+ros_to_ngsild:
+  counted:
+    topic: /counted
+    type: std_msgs/UInt32
+    entity: Device:counter
+    attributes: {count: data}
+    observed_at: received
+ngsild_to_ros:
+  belt:
+    entity: Device:belt-1
+    topic: /belt/speed
+    type: std_msgs/Float64
+    fields: {data: {attribute: speed, required: true}}
+"""
+
+
+@pytest.fixture
+def at_work(cell: Cell) -> Shop:
+    return Shop(cell, 0)
+
+
+@pytest.fixture
+async def shop(at_work: Shop) -> AsyncIterator[Shop]:
+    async with AsyncExitStack() as on:
+        server = await on.enter_async_context(running())
+        settings = {"HANDOVER_ROS_ADAPTER": "rosbridge", "HANDOVER_ROSBRIDGE_URL": server.url}
+        await asyncio.to_thread(at_work.begin, MAPPING, **settings)  # the server answers meanwhile
+        await on.enter_async_context(at_work.opened())
+        await at_work.robot.close()
+        asked = JoinSettings(node="robot", rosbridge_url=server.url)
+        at_work.robot = await join(TypeStore(), asked, Adapter.ROSBRIDGE)
+        yield at_work
+
+
+async def test_a_rule_passes_on_both_ways(shop: Shop) -> None:
+    said = await shop.speaks("/counted", "std_msgs/msg/UInt32")
+    said.publish({"data": 7})
+    await shop.becomes("urn:ngsi-ld:Device:demo:counter", "count", 7)
+    _, heard = await shop.listens("/belt/speed", "std_msgs/msg/Float64")
+    speed = {"type": "Property", "value": 0.25}
+    await shop.broker.create({"id": BELT, "type": "Device", "speed": speed})
+    await shop.until(lambda: heard == [{"data": 0.25}], why="the speed never came")

@@ -1,0 +1,61 @@
+import pytest
+
+from ros_fiware_bridge.errors import AdapterUnavailable, BadName
+from ros_fiware_bridge.graph.cyclone import domain
+from ros_fiware_bridge.graph.cyclone.domain import DomainSettings
+from ros_fiware_bridge.graph.joining import JoinSettings, join
+from ros_fiware_bridge.types.type_store import TypeStore
+
+pytest.importorskip("cyclonedds")
+
+
+def test_without_a_word_both_the_network_and_this_machine_are_reached() -> None:
+    first, without_network = DomainSettings().configurations()
+    assert 'autodetermine="true"/>' in first
+    assert 'address="127.0.0.1" multicast="false"/>' in first
+    assert "autodetermine" not in without_network
+    for one in (first, without_network):
+        assert '<Peer Address="127.0.0.1"/>' in one
+
+
+def test_interfaces_and_peers_are_taken_and_cannot_break_out_of_their_place() -> None:
+    settings = DomainSettings(
+        interfaces=("eth1", "10.0.0.7", "lo"), peers=('192.168.0.9"/><x',), multicast=False
+    )
+    (one,) = settings.configurations()
+    assert '<NetworkInterface name="eth1" multicast="false"/>' in one
+    assert '<NetworkInterface address="10.0.0.7" multicast="false"/>' in one
+    assert "<x" not in one
+
+
+@pytest.mark.parametrize("number", [-1, 233])
+def test_a_domain_that_does_not_exist_is_named(number: int) -> None:
+    with pytest.raises(AdapterUnavailable, match="a number from 0 to 232"):
+        domain.enter(DomainSettings(number))
+
+
+def test_an_interface_that_is_not_there_is_named() -> None:
+    with pytest.raises(
+        AdapterUnavailable, match="cannot be opened on eth99; check the names of the interfaces"
+    ):
+        domain.enter(DomainSettings(97, ("eth99",)))
+
+
+async def test_a_node_that_cannot_be_called_so_does_not_join() -> None:
+    with pytest.raises(BadName):
+        await join(TypeStore(), JoinSettings(node="the bridge"))
+    with pytest.raises(BadName):
+        await join(TypeStore(), JoinSettings(namespace="cell"))
+
+
+async def test_two_graphs_share_a_domain_in_one_process_if_they_agree_on_the_network() -> None:
+    settings = JoinSettings(domain_id=99, interfaces=("127.0.0.1",))
+    one = await join(TypeStore(), settings)
+    other = await join(TypeStore(), settings)
+    with pytest.raises(AdapterUnavailable, match="with other settings"):
+        await join(TypeStore(), JoinSettings(domain_id=99, interfaces=("lo",)))
+    await one.close()
+    assert any(node.ours for node in other.nodes())
+    await other.close()
+    again = await join(TypeStore(), JoinSettings(domain_id=99, interfaces=("lo",)))
+    await again.close()

@@ -1,0 +1,33 @@
+import pytest
+
+from ros_fiware_bridge.errors import UnknownQos
+from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Durability, Qos, Reliability
+
+
+def test_profiles_are_named_as_in_ros() -> None:
+    assert Qos.named("default") == Qos()
+    assert Qos.named("sensor_data") == SENSOR_DATA
+    assert str(SENSOR_DATA) == "best_effort, volatile, keep_last 5"
+    assert str(LATCHED) == "reliable, transient_local, keep_last 1"
+    with pytest.raises(UnknownQos, match='no quality of service "fast"; it is one of default, sensor_data'):
+        Qos.named("fast")
+
+
+def test_a_depth_of_nothing_is_refused() -> None:
+    with pytest.raises(UnknownQos, match="a depth of 0 keeps nothing"):
+        Qos(depth=0)
+
+
+@pytest.mark.parametrize("reliability", Reliability)
+@pytest.mark.parametrize("durability", Durability)
+def test_a_reader_that_wants_least_is_served_by_all(reliability: Reliability, durability: Durability) -> None:
+    assert Qos(Reliability.BEST_EFFORT).unmet(Qos(reliability, durability)) is None
+    assert Qos(reliability, durability).unmet(LATCHED) is None
+
+
+def test_what_is_wanted_and_not_offered_is_said() -> None:
+    assert Qos().unmet(SENSOR_DATA) == "the reader wants reliable, the writer offers best_effort"
+    assert LATCHED.unmet(SENSOR_DATA) == (
+        "the reader wants reliable, the writer offers best_effort and "
+        "the reader wants transient_local, the writer offers volatile"
+    )

@@ -1,0 +1,101 @@
+from ros_fiware_bridge.errors import IncompatibleQos, TypeHashDiffers, VendorNotShared
+from ros_fiware_bridge.graph.cyclone import view
+from ros_fiware_bridge.graph.cyclone.discovery import Known, Picture
+from ros_fiware_bridge.graph.qos import SENSOR_DATA, Qos
+
+OURS = bytes.fromhex("0110") + bytes(14)
+CYCLONE = bytes.fromhex("0110") + b"\1" + bytes(13)
+FAST = bytes.fromhex("010f") + bytes(14)
+STRING = "std_msgs::msg::dds_::String_"
+
+
+def end(
+    participant: bytes,
+    topic: str,
+    dds_type: str = STRING,
+    *,
+    writes: bool,
+    qos: Qos = SENSOR_DATA,
+    type_hash: str = "RIHS01_1",
+) -> Known:
+    return Known(
+        0,
+        participant[:4] + topic.encode(),
+        participant,
+        writes,
+        topic,
+        dds_type,
+        qos,
+        {"typehash": type_hash},
+    )
+
+
+def test_services_that_fast_dds_carries_are_named_whoever_calls() -> None:
+    add = "example_interfaces::srv::dds_::AddTwoInts_Request_"
+    picture = Picture(
+        OURS,
+        (
+            end(OURS, "rq/addRequest", add, writes=False),
+            end(FAST, "rq/addRequest", add, writes=True),
+            end(CYCLONE, "rq/addRequest", add, writes=True),
+        ),
+    )
+    (problem,) = view.problems(picture)
+    assert isinstance(problem, VendorNotShared)
+    assert str(problem).startswith("/add: a node calls it with fastdds, whose services cannot be reached")
+    (service,) = view.services(picture)
+    assert service.type_names == ("example_interfaces/srv/AddTwoInts",)
+    assert service.servers == (None,)
+    assert service.clients == (None, None)
+
+
+def test_topics_pass_between_vendors() -> None:
+    picture = Picture(OURS, (end(OURS, "rt/a", writes=False), end(FAST, "rt/a", writes=True)))
+    assert view.problems(picture) == []
+    (topic,) = view.topics(picture)
+    assert topic.publishers[0].vendor == "fastdds"
+    assert topic.subscribers[0].ours
+
+
+def test_peers_among_themselves_are_no_problem_of_ours() -> None:
+    picture = Picture(OURS, (end(CYCLONE, "rt/a", writes=False, qos=Qos()), end(FAST, "rt/a", writes=True)))
+    assert view.problems(picture) == []
+
+
+def test_quality_hash_and_type_are_compared_in_both_directions() -> None:
+    ours = end(OURS, "rt/a", writes=True)
+    for theirs, kind, says in (
+        (end(FAST, "rt/a", writes=False, qos=Qos()), IncompatibleQos, "listens to it with reliable"),
+        (end(FAST, "rt/a", writes=False, type_hash="RIHS01_2"), TypeHashDiffers, "its hash is RIHS01_2"),
+        (
+            end(FAST, "rt/a", "std_msgs::msg::dds_::Bool_", writes=False),
+            TypeHashDiffers,
+            "listens to std_msgs/msg/Bool, we use std_msgs/msg/String",
+        ),
+    ):
+        (problem,) = view.problems(Picture(OURS, (ours, theirs)))
+        assert isinstance(problem, kind)
+        assert says in str(problem)
+
+
+def test_a_topic_with_two_types_shows_both() -> None:
+    picture = Picture(
+        OURS,
+        (end(FAST, "rt/a", writes=True), end(CYCLONE, "rt/a", "std_msgs::msg::dds_::Bool_", writes=True)),
+    )
+    assert view.topics(picture)[0].type_names == ("std_msgs/msg/Bool", "std_msgs/msg/String")
+
+
+def test_actions_are_shown_as_one_thing() -> None:
+    goal = "example_interfaces::action::dds_::Fibonacci_SendGoal_Request_"
+    picture = Picture(
+        OURS,
+        (
+            end(CYCLONE, "rq/arm/_action/send_goalRequest", goal, writes=False),
+            end(CYCLONE, "rt/arm/_action/feedback", writes=True),
+        ),
+    )
+    (action,) = view.actions(picture)
+    assert (action.name, action.type_names) == ("/arm", ("example_interfaces/action/Fibonacci",))
+    assert view.services(picture) == []
+    assert view.topics(picture) == []

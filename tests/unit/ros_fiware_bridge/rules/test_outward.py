@@ -1,0 +1,242 @@
+"""Messages become updates; what is wrong with one attribute costs that attribute alone."""
+
+import math
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ros_fiware_bridge.mapping import parse
+from ros_fiware_bridge.rules import plan
+from ros_fiware_bridge.rules.outward import Harvest, Outward
+from ros_fiware_bridge.types.type_store import TypeStore
+
+TYPES = TypeStore()
+RECEIVED_S = 1_770_000_000.5
+
+
+def ready(type_name: str, attributes: str, entity: str = "Device:d", **more: str) -> Outward:
+    extra = "".join(f"    {key}: {value}\n" for key, value in more.items())
+    text = (
+        f"ros_to_ngsild:\n  rule:\n    topic: /t\n    type: {type_name}\n    entity: {entity}\n{extra}"
+        f"    attributes: {attributes}\n"
+    )
+    made = plan.make(parse(text), TYPES, "demo").outward[0].outward
+    assert made is not None
+    return made
+
+
+def message(type_name: str, **fields: Any) -> dict[str, Any]:
+    package, name = type_name.split("/")
+    return {**TYPES.default(f"{package}/msg/{name}"), **fields}
+
+
+def attribute(harvest: Harvest, name: str = "a") -> Any:
+    assert harvest.faults == []
+    return harvest.updates[0].attributes[name]
+
+
+STAMP = {"frame_id": "base", "stamp": {"sec": 1_770_000_000, "nanosec": 250_000_000}}
+JOINTS = message(
+    "sensor_msgs/JointState", header=STAMP, name=["elbow", "wrist"], position=np.array([math.pi, 0.5])
+)
+
+
+def test_fields_become_attributes_observed_when_the_header_says() -> None:
+    rule = ready(
+        "sensor_msgs/JointState",
+        "{a: 'position[name=wrist]', deg: {field: 'position[0]', convert: rad -> deg, unit_code: DD}}",
+        "Device:{header.frame_id}",
+    )
+    update = rule.harvest(JOINTS, RECEIVED_S).updates[0]
+    assert (update.entity_id, update.entity_type) == ("urn:ngsi-ld:Device:demo:base", "Device")
+    assert update.attributes == {
+        "a": {"type": "Property", "value": 0.5, "observedAt": "2026-02-02T02:40:00.250000Z"},
+        "deg": {
+            "type": "Property",
+            "value": pytest.approx(180.0),
+            "observedAt": "2026-02-02T02:40:00.250000Z",
+            "unitCode": "DD",
+        },
+    }
+
+
+@pytest.mark.parametrize(
+    ("observed_at", "written"),
+    [
+        ("received", "2026-02-02T02:40:00.500000Z"),
+        ("none", None),
+        ("header.stamp", "2026-02-02T02:40:00.250000Z"),
+    ],
+)
+def test_when_something_was_observed_is_said_as_wanted(observed_at: str, written: str | None) -> None:
+    rule = ready("sensor_msgs/JointState", "{a: name}", observed_at=observed_at)
+    assert attribute(rule.harvest(JOINTS, RECEIVED_S)).get("observedAt") == written
+
+
+def test_a_stamp_that_nobody_set_does_not_count() -> None:
+    rule = ready("sensor_msgs/JointState", "{a: name}")
+    unset = message("sensor_msgs/JointState")
+    assert attribute(rule.harvest(unset, RECEIVED_S))["observedAt"] == "2026-02-02T02:40:00.500000Z"
+
+
+def test_the_kinds_of_ngsild_are_made() -> None:
+    fix = message("sensor_msgs/NavSatFix", header=STAMP, longitude=24.9, latitude=60.2)
+    rule = ready(
+        "sensor_msgs/NavSatFix",
+        "{a: {field: ., kind: GeoProperty}, p: {point: [longitude, latitude]}, whole: {field: status, kind: "
+        "JsonProperty}, words: {languages: {en: header.frame_id}}, "
+        "link: {object: 'Asset:{header.frame_id}'}, text: {text: 'at {latitude}'}, one: {constant: [pose]}}",
+    )
+    made = rule.harvest(fix, RECEIVED_S).updates[0].attributes
+    place = {"type": "Point", "coordinates": [24.9, 60.2]}
+    assert (made["a"]["type"], made["a"]["value"]) == ("GeoProperty", place)
+    assert made["p"]["value"] == place
+    assert made["whole"]["type"] == "JsonProperty"
+    assert set(made["whole"]["json"]) == {"status", "service"}
+    assert made["words"]["languageMap"] == {"en": "base"}
+    assert made["link"]["object"] == "urn:ngsi-ld:Asset:demo:base"
+    assert made["text"]["value"] == "at 60.2"
+    assert made["one"]["value"] == ["pose"]
+
+
+def test_metres_become_degrees_where_the_frame_lies() -> None:
+    rule = ready(
+        "geometry_msgs/PointStamped",
+        "{a: {field: point, kind: GeoProperty, origin: {longitude: 24.0, latitude: 60.0, turned_deg: 90}}}",
+    )
+    moved = message("geometry_msgs/PointStamped", point={"x": 111_195.0, "y": 0.0, "z": 0.0})
+    assert attribute(rule.harvest(moved, RECEIVED_S))["value"]["coordinates"] == pytest.approx([24.0, 61.0])
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_left_out_and_told_or_said_as_wanted(bad: float) -> None:
+    battery = message("sensor_msgs/BatteryState", voltage=bad, percentage=0.5)
+    harvest = ready("sensor_msgs/BatteryState", "{a: voltage, b: percentage}").harvest(battery, RECEIVED_S)
+    assert list(harvest.updates[0].attributes) == ["b"]
+    assert "voltage is" in harvest.faults[0]
+    assert "JSON cannot say" in harvest.faults[0]
+    wanted = ready("sensor_msgs/BatteryState", "{a: {field: voltage, nan: unknown}}")
+    assert attribute(wanted.harvest(battery, RECEIVED_S))["value"] == "unknown"
+    scan = message("sensor_msgs/LaserScan", ranges=np.array([1.0, bad], np.float32))
+    assert ready("sensor_msgs/LaserScan", "{a: ranges}").harvest(scan, RECEIVED_S).updates == []
+    filled = ready("sensor_msgs/LaserScan", "{a: {field: ranges, nan: -1}}").harvest(scan, RECEIVED_S)
+    assert attribute(filled)["value"] == [1.0, -1]
+
+
+def test_a_large_array_is_refused_unless_it_is_wanted() -> None:
+    scan = message("sensor_msgs/LaserScan", ranges=np.zeros(257, np.float32))
+    harvest = ready("sensor_msgs/LaserScan", "{a: ranges, b: angle_min}").harvest(scan, RECEIVED_S)
+    assert list(harvest.updates[0].attributes) == ["b"]
+    assert "ranges holds 257 elements, more than 256 (most_elements)" in harvest.faults[0]
+    more = ready("sensor_msgs/LaserScan", "{a: ranges}", most_elements="257")
+    assert len(attribute(more.harvest(scan, RECEIVED_S))["value"]) == 257
+    wanted = ready("sensor_msgs/Image", "{a: data}", large_arrays="true")
+    assert attribute(wanted.harvest(message("sensor_msgs/Image", data=b"ab"), RECEIVED_S))["value"] == [
+        97,
+        98,
+    ]
+
+
+def test_an_entity_that_is_not_named_is_told_of() -> None:
+    harvest = ready("sensor_msgs/JointState", "{a: name}", "Device:{header.frame_id}").harvest(
+        message("sensor_msgs/JointState"), RECEIVED_S
+    )
+    assert harvest.updates == []
+    assert "header.frame_id is empty" in harvest.faults[0]
+
+
+def test_values_are_looked_up() -> None:
+    rule = ready("std_msgs/Int8", "{a: {field: data, values: {0: idle, 1: busy}}}")
+    assert attribute(rule.harvest({"data": 1}, RECEIVED_S))["value"] == "busy"
+    assert "2 is not among the `values`" in rule.harvest({"data": 2}, RECEIVED_S).faults[0]
+    else_known = ready("std_msgs/Int8", "{a: {field: data, values: {0: idle}, otherwise: error}}")
+    assert attribute(else_known.harvest({"data": 2}, RECEIVED_S))["value"] == "error"
+
+
+def test_only_what_a_condition_holds_for_is_written() -> None:
+    rule = ready("std_msgs/Int8", "{a: data}", when="{field: data, above: 1, none_of: [5]}")
+    said = [bool(rule.harvest({"data": number}, RECEIVED_S).updates) for number in (1, 2, 5, 6)]
+    assert said == [False, True, False, True]
+
+
+def test_json_in_text_is_looked_into() -> None:
+    rule = ready("std_msgs/String", "{a: data.value}", "'Task:{data.id}'", json_text="[data]")
+    text = orjson.dumps({"value": "completed", "id": "t-1"}).decode()
+    update = rule.harvest({"data": text}, RECEIVED_S).updates[0]
+    assert (update.entity_id, update.values) == ("urn:ngsi-ld:Task:demo:t-1", {"a": "completed"})
+    assert "data holds no JSON" in rule.harvest({"data": "completed"}, RECEIVED_S).faults[0]
+    assert "no data.id" in rule.harvest({"data": "{}"}, RECEIVED_S).faults[0]
+
+
+def test_each_element_is_an_entity_of_its_own() -> None:
+    rule = ready(
+        "tf2_msgs/TFMessage",
+        "{a: 'transforms[].transform.translation.x'}",
+        "'Asset:{transforms[].child_frame_id}'",
+        each="transforms",
+    )
+    moved = [
+        {**TYPES.default("geometry_msgs/msg/TransformStamped"), "child_frame_id": name} for name in ("p", "q")
+    ]
+    ids = [update.entity_id for update in rule.harvest({"transforms": moved}, RECEIVED_S).updates]
+    assert ids == ["urn:ngsi-ld:Asset:demo:p", "urn:ngsi-ld:Asset:demo:q"]
+
+
+DIAGNOSTICS = """
+ros_to_ngsild:
+  diagnostics:
+    topic: /diagnostics
+    type: diagnostic_msgs/DiagnosticArray
+    each: status
+    alert:
+      key: "{status[].hardware_id} {status[].name}"
+      about: Device:{status[].hardware_id}
+      standing: {field: "status[].level", none_of: [0]}
+      category: diagnostics
+      severity: {field: "status[].level", values: {1: medium, 2: high}, otherwise: low}
+      description: "{status[].name}: {status[].message}"
+"""
+
+
+def test_an_alert_stands_while_its_condition_holds() -> None:
+    rule = plan.make(parse(DIAGNOSTICS), TYPES, "demo").outward[0].outward
+    assert rule is not None
+    one = TYPES.default("diagnostic_msgs/msg/DiagnosticStatus")
+    status = [
+        {**one, "level": 2, "hardware_id": "arm", "name": "motor", "message": "hot"},
+        {**one, "level": 0, "hardware_id": "arm", "name": "fan"},
+    ]
+    alerts = rule.harvest({"header": STAMP, "status": status}, RECEIVED_S).alerts
+    assert [(alert.key, alert.standing, alert.severity) for alert in alerts] == [
+        ("arm motor", True, "high"),
+        ("arm fan", False, "medium"),
+    ]
+    assert alerts[0].description == "motor: hot"
+
+
+numbers = st.floats(width=32) | st.integers(-(2**31), 2**31 - 1).map(float)
+
+
+@given(st.lists(numbers, max_size=300), st.text(max_size=20), st.integers(-(2**31), 2**31 - 1))
+def test_whatever_comes_nothing_is_raised_and_json_can_be_made(
+    positions: list[float], frame: str, seconds: int
+) -> None:
+    rule = ready(
+        "sensor_msgs/JointState",
+        "{a: position, b: 'position[3]', c: {field: 'velocity[0]', convert: rad -> deg, round: 2}, d: .}",
+        "Device:{header.frame_id}",
+    )
+    said = message(
+        "sensor_msgs/JointState",
+        header={"frame_id": frame, "stamp": {"sec": seconds, "nanosec": 4_000_000_000}},
+        position=np.array(positions, np.float64),
+        velocity=np.array(positions[:1], np.float64),
+    )
+    harvest = rule.harvest(said, RECEIVED_S)
+    for update in harvest.updates:
+        assert b"null" not in orjson.dumps(dict(update.attributes))
+    assert harvest.faults or harvest.updates

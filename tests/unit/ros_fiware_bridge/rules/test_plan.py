@@ -1,0 +1,177 @@
+"""A mapping is checked against the message definitions before anything starts."""
+
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ros_fiware_bridge.mapping import WrongMapping, parse
+from ros_fiware_bridge.rules import plan
+from ros_fiware_bridge.types.type_store import TypeStore
+
+TYPES = TypeStore()
+
+
+def planned(text: str, **types: tuple[str, ...]) -> plan.Plan:
+    return plan.make(parse(text), TYPES, "demo", lambda topic: types.get(topic.strip("/"), ()))
+
+
+def outward(topic_type: str, attribute: str, **more: str) -> str:
+    extra = "".join(f"    {key}: {value}\n" for key, value in more.items())
+    return (
+        f"ros_to_ngsild:\n  rule:\n    topic: /t\n    type: {topic_type}\n    entity: Device:d\n{extra}"
+        f"    attributes:\n      a: {attribute}\n"
+    )
+
+
+def inward(topic_type: str, field: str, source: str) -> str:
+    return (
+        f"ngsild_to_ros:\n  rule:\n    entity: Device:d\n    topic: /t\n    type: {topic_type}\n"
+        f"    fields:\n      b: {{attribute: c}}\n      {field}: {source}\n"
+    ).replace("      b: {attribute: c}\n", "")
+
+
+OUTWARD_MISTAKES = [
+    ("sensor_msgs/JointStat", "position", 4, "did you mean sensor_msgs/msg/JointState"),
+    ("nowhere_msgs/Thing", "x", 4, "type_paths"),
+    ("sensor_msgs/JointState", "positions", 7, 'has no field "positions"; did you mean "position"?'),
+    ("sensor_msgs/JointState", "header.stamp.secs", 7, 'has no field "secs"; did you mean "sec"?'),
+    ("sensor_msgs/JointState", "position.x", 7, r"choose an element, as position[0]"),
+    ("sensor_msgs/JointState", "header[0]", 7, "not an array"),
+    ("sensor_msgs/JointState", "position[joint=elbow]", 7, 'has no field "joint"'),
+    ("geometry_msgs/PoseWithCovariance", "covariance[36]", 7, "holds 36 at most"),
+    ("sensor_msgs/JointState", "position[].x", 7, "the rule has no `each: position`"),
+    ("sensor_msgs/Image", "data", 7, "large_arrays: true"),
+    ("sensor_msgs/Image", ".", 7, "bytes without a limit"),
+    ("sensor_msgs/PointCloud2", "{field: ., kind: JsonProperty}", 7, "bytes without a limit"),
+    ("sensor_msgs/BatteryState", "{field: voltage, convert: V -> m}", 7, "cannot be converted"),
+    ("sensor_msgs/BatteryState", "{field: voltage, convert: V -> vlot}", 7, "pint does not know"),
+    ("sensor_msgs/BatteryState", "{field: location, convert: V -> mV}", 7, "only numbers are converted"),
+    ("nav_msgs/Odometry", "{field: pose.pose.position, kind: GeoProperty}", 7, "in metres of its frame"),
+    ("nav_msgs/Odometry", "{field: header, kind: GeoProperty}", 7, "longitude and latitude"),
+    ("std_msgs/Int32", "{languages: {en: data}}", 7, "made of text"),
+    ("std_msgs/String", "{object: nothing}", 7, "write Type:id"),
+]
+
+
+@pytest.mark.parametrize(("topic_type", "attribute", "line", "why"), OUTWARD_MISTAKES)
+def test_what_cannot_be_taken_from_a_message_is_told_with_its_line(
+    topic_type: str, attribute: str, line: int, why: str
+) -> None:
+    with pytest.raises(WrongMapping, match=re.escape(why)) as told:
+        planned(outward(topic_type, attribute))
+    assert [fault.line for fault in told.value.faults] == [line]
+
+
+INWARD_MISTAKES = [
+    ("std_msgs/String", "data", "{constant: 5}", "5 is not text"),
+    ("std_msgs/Int8", "data", "{attribute: c, values: {on: 300}}", "300 does not fit int8"),
+    ("std_msgs/Int8", "data", "{text: 'x {c}'}", "text goes into a string"),
+    ("std_msgs/Int8", "dota", "c", 'did you mean "data"?'),
+    ("std_msgs/Header", "frame_id", "{now: true}", "not a time"),
+    ("geometry_msgs/PoseWithCovariance", "covariance[36]", "c", "holds 36 at most"),
+    ("sensor_msgs/JointState", "position[name=a]", "c", "use a number"),
+    ("std_msgs/String", "data", "{constant: x}", "nothing to listen to"),
+]
+
+
+@pytest.mark.parametrize(("topic_type", "field", "source", "why"), INWARD_MISTAKES)
+def test_what_cannot_go_into_a_message_is_told(topic_type: str, field: str, source: str, why: str) -> None:
+    with pytest.raises(WrongMapping, match=re.escape(why)) as told:
+        planned(inward(topic_type, field, source))
+    assert told.value.faults[0].line >= 2
+
+
+def test_mistakes_of_all_rules_are_told_at_once() -> None:
+    text = outward("std_msgs/String", "dat") + inward("std_msgs/String", "dot", "c").replace("rule", "other")
+    with pytest.raises(WrongMapping) as told:
+        planned(text)
+    assert [fault.line for fault in told.value.faults] == [7, 14]
+
+
+def test_the_type_may_come_from_the_graph() -> None:
+    text = outward("X", "data").replace("    type: X\n", "")
+    assert planned(text).outward[0].outward is None
+    found = planned(text, t=("std_msgs/msg/String",)).outward[0].outward
+    assert found is not None
+    assert found.type_name == "std_msgs/msg/String"
+    with pytest.raises(WrongMapping, match="say which"):
+        planned(text, t=("std_msgs/msg/String", "std_msgs/msg/Bool"))
+
+
+def test_services_and_actions_are_checked_like_messages() -> None:
+    text = """
+services:
+  reset:
+    service: /reset
+    type: std_srvs/SetBool
+    task: reset
+    resource: Device:d
+    request: {dada: on}
+    success: massage
+actions:
+  count:
+    action: /count
+    type: example_interfaces/Fibonacci
+    task: reset
+    resource: Device:d
+    goal: {order: {constant: many}}
+    feedback: {progress: percent}
+tasks_from_ros:
+  ask:
+    service: /ask
+    type: std_srvs/Trigger
+    task: {definition: confirm, resources: [Person:anna]}
+    response: {message: result}
+"""
+    with pytest.raises(WrongMapping) as told:
+        planned(text)
+    whys = {fault.line: fault.why for fault in told.value.faults}
+    assert 'did you mean "data"?' in whys[8]
+    assert 'did you mean "message"?' in whys[9]
+    assert "not a whole number" in whys[16]
+    assert 'no field "percent"' in whys[17]
+    assert 'there is no "result" to answer' in whys[23]
+    assert any("is done by the rule" in why for why in whys.values())
+
+
+def test_types_of_ones_own_are_found_from_where_the_mapping_lies(tmp_path: Path) -> None:
+    folder = tmp_path / "msgs" / "cell_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Grip.msg").write_text("float32 force\nbool[<=2] fingers\n")
+    text = "type_paths: [./msgs]\n" + outward("cell_msgs/Grip", "{field: force, unit_code: NEW}")
+    document = parse(text, "cell.yaml", tmp_path)
+    made = plan.make(document, plan.type_store(document), "demo").outward[0].outward
+    assert made is not None
+    assert made.harvest({"force": 2.5, "fingers": [True]}, 0.0).updates[0].values == {"a": 2.5}
+    missing = parse("\ntype_paths: [./nowhere]\n", "cell.yaml", tmp_path)
+    with pytest.raises(WrongMapping, match=r"cell\.yaml:2: type_paths: .*nowhere"):
+        plan.type_store(missing)
+
+
+MESSAGES = [name for name in TYPES.type_names() if "/msg/" in name]
+WORDS = sorted({field.name for name in MESSAGES for field in TYPES.definition(name).fields})
+steps = st.builds(
+    "{}{}".format, st.sampled_from(WORDS), st.sampled_from(["", "", "", "[0]", "[name=a]", "[7]", "[]"])
+)
+paths = st.one_of(st.just("."), st.lists(steps, min_size=1, max_size=4).map(".".join))
+options = st.sampled_from(["", ", convert: m -> km", ", kind: GeoProperty", ", round: 1", ", nan: 0"])
+
+
+@given(st.sampled_from(MESSAGES), paths, options)
+def test_any_path_into_any_message_works_or_is_refused_with_a_line(
+    type_name: str, path: str, option: str
+) -> None:
+    text = outward(type_name, f"{{field: '{path}'{option}}}")
+    lines: list[int] = []
+    try:
+        made = planned(text).outward[0].outward
+    except WrongMapping as wrong:
+        lines = [fault.line for fault in wrong.faults]
+    else:
+        assert made is not None
+        harvest = made.harvest(TYPES.default(type_name), 1_770_000_000.0)
+        assert harvest.updates or harvest.faults
+    assert all(line == 7 for line in lines)

@@ -1,0 +1,30 @@
+"""What the README shows can be done."""
+
+import textwrap
+from pathlib import Path
+
+import pytest
+
+import ros_fiware_bridge
+from ros_fiware_bridge.mapping import parse
+from ros_fiware_bridge.rules import plan
+from ros_fiware_bridge.types.type_store import TypeStore
+
+README = Path(ros_fiware_bridge.__path__[0]) / "README.md"
+SECTION = README.read_text().partition("## The mapping file")[2].partition("\n## ")[0]
+BLOCKS = [
+    textwrap.dedent(block)
+    for block in SECTION.split("\n\n")
+    if block.startswith("    ") and block.strip().split(":")[0].isidentifier()
+]
+
+
+def test_there_are_examples_of_every_section() -> None:
+    assert {block.split(":")[0] for block in BLOCKS} >= {"type_paths", "ros_to_ngsild", "ngsild_to_ros"}
+    assert {block.split(":")[0] for block in BLOCKS} >= {"services", "tasks_from_ros"}
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_an_example_of_the_readme_can_work(block: str) -> None:
+    document = parse(block, "README.md", README.parent)
+    assert plan.make(document, TypeStore(), "demo").document is document

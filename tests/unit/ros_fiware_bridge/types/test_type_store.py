@@ -1,0 +1,339 @@
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ros_fiware_bridge.errors import BadDefinition, BadMessage, UnknownField, UnknownType, UnsupportedType
+from ros_fiware_bridge.types.definition import FLOATS, INTEGER_RANGES, FieldType, Many
+from ros_fiware_bridge.types.type_store import TypeStore
+
+pytest.importorskip("rosbags")
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+store = TypeStore()
+
+
+def written(root: Path, text: str, where: str = "cell_msgs/msg/Part.msg") -> Path:
+    file = root / where
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text)
+    return file
+
+
+def test_every_type_that_is_known_can_be_sent_with_its_defaults() -> None:
+    for name in store.type_names():
+        if "/msg/" in name:
+            store.sound(name)
+            message = store.default(name)
+            assert store.decode(name, store.encode(name, message)).keys() == message.keys()
+
+
+def test_defaults_are_those_of_the_definition() -> None:
+    assert store.default("geometry_msgs/msg/Pose")["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    assert store.default("sensor_msgs/msg/NavSatFix")["status"]["status"] == -2
+
+
+def test_a_default_of_an_own_message_is_kept(tmp_path: Path) -> None:
+    text = 'string<=8 name "bolt"\nfloat64[] sizes_mm [1.5, 2.0]\nuint8 count 3\nbool loose true\n'
+    own = TypeStore([written(tmp_path, text)])
+    message = own.default("cell_msgs/msg/Part")
+    assert message["name"] == "bolt"
+    assert message["sizes_mm"].tolist() == [1.5, 2.0]
+    assert message["count"] == 3
+    assert message["loose"] is True
+
+
+def test_quotes_in_a_default_are_kept(tmp_path: Path) -> None:
+    lines = (
+        'string a "it\'s"',
+        "string b 'it\\'s'",
+        'string c "\\"so\\""',
+        "string[] d ['x', \"y\"]",
+        "string e bare words",
+    )
+    text = "\n".join(lines)
+    message = TypeStore([written(tmp_path, text)]).default("cell_msgs/msg/Part")
+    assert message == {"a": "it's", "b": "it's", "c": '"so"', "d": ["x", "y"], "e": "bare words"}
+
+
+def test_what_follows_a_message_on_the_wire_is_let_be() -> None:
+    # The serializer of Fast DDS hands out the space that it reserved to align empty arrays.
+    data = store.encode(JOINT_STATE, {"name": ["a"]})
+    assert store.decode(JOINT_STATE, data + b"\x6f\x73\x69" * 5)["name"] == ["a"]
+
+
+def test_octets_are_bytes_and_numbers_are_arrays_that_cannot_be_written_to() -> None:
+    image = store.decode(
+        "sensor_msgs/msg/Image", store.encode("sensor_msgs/msg/Image", {"data": [0, 255, 128]})
+    )
+    assert image["data"] == b"\x00\xff\x80"
+    joints = store.decode(JOINT_STATE, store.encode(JOINT_STATE, {"position": [1, 2.5]}))
+    assert joints["position"].tolist() == [1.0, 2.5]
+    with pytest.raises(ValueError, match="read-only"):
+        joints["position"][0] = 7
+
+
+def test_a_byte_is_an_unsigned_octet() -> None:
+    status = store.encode("diagnostic_msgs/msg/DiagnosticStatus", {"level": 200})
+    assert store.decode("diagnostic_msgs/msg/DiagnosticStatus", status)["level"] == 200
+
+
+def test_an_empty_message_is_an_empty_dict() -> None:
+    assert store.decode("std_msgs/msg/Empty", store.encode("std_msgs/msg/Empty", {})) == {}
+
+
+@pytest.mark.parametrize(
+    ("type_name", "message", "says"),
+    [
+        (JOINT_STATE, {"positio": [1]}, 'no field "positio"; did you mean "position"?'),
+        (JOINT_STATE, {"name": ["a", 1]}, "name[1]: 1 is not text"),
+        (JOINT_STATE, {"position": [0.5, "x"]}, "position[1]: 'x' is not a number"),
+        (JOINT_STATE, {"position": [[1.0], [2.0]]}, "position[0]: [1.0] is not a number"),
+        (JOINT_STATE, {"position": {"a": 1}}, "is not a list; float64[] is wanted"),
+        (
+            JOINT_STATE,
+            {"header": {"stamp": {"sec": 2**31}}},
+            "header.stamp.sec: 2147483648 does not fit int32",
+        ),
+        (JOINT_STATE, {"header": None}, "header: None is not a message of std_msgs/msg/Header"),
+        ("std_msgs/msg/UInt8", {"data": -1}, "data: -1 does not fit uint8, which goes from 0 to 255"),
+        ("std_msgs/msg/UInt8", {"data": 1.5}, "data: 1.5 is not a whole number; uint8 is wanted"),
+        ("std_msgs/msg/Bool", {"data": 1}, "data: 1 is not true or false"),
+        ("std_msgs/msg/Float32", {"data": 1e300}, "data: 1e+300 is beyond float32"),
+        ("std_msgs/msg/Float32MultiArray", {"data": [0.0, 1e300]}, "data[1]: 1e+300 is beyond float32"),
+        ("std_msgs/msg/Int8MultiArray", {"data": [0, 128]}, "data[1]: 128 does not fit int8"),
+        ("std_msgs/msg/String", {"data": "a\0b"}, "NUL character"),
+        (
+            "geometry_msgs/msg/PoseWithCovariance",
+            {"covariance": [0.0] * 35},
+            "35 items do not fit float64[36]",
+        ),
+        ("std_msgs/msg/Float64", {"data": 10**400}, "beyond float64"),
+        ("std_msgs/msg/Float64", "text", "'text' is not a message of std_msgs/msg/Float64"),
+    ],
+)
+def test_what_does_not_fit_is_named_by_its_path(type_name: str, message: Any, says: str) -> None:
+    with pytest.raises(BadMessage) as error:
+        store.encode(type_name, message)
+    assert says in str(error.value)
+
+
+def test_bounds_are_kept(tmp_path: Path) -> None:
+    own = TypeStore([written(tmp_path, "string<=4 name\nint32[<=2] slots\nstring<=3[<=2] tags\n")])
+    part = "cell_msgs/msg/Part"
+    own.check(part, {"name": "ÄÖ", "slots": [1, 2], "tags": ["abc"]})
+    for message, says in [
+        ({"name": "ÄÖa"}, "name: 5 bytes of text do not fit string<=4"),
+        ({"slots": [1, 2, 3]}, "slots: 3 items do not fit int32[<=2]; at most 2 are allowed"),
+        ({"tags": ["a", "abcd"]}, "tags[1]: 4 bytes of text do not fit string<=3"),
+    ]:
+        with pytest.raises(BadMessage) as error:
+            own.check(part, message)
+        assert says in str(error.value)
+
+
+def test_a_field_named_like_a_word_of_python_is_carried(tmp_path: Path) -> None:
+    own = TypeStore([written(tmp_path, "string from\nuint8 class_\nstd_msgs/Header header\n")])
+    data = own.encode("cell_msgs/msg/Part", {"from": "bin-1"})
+    assert own.decode("cell_msgs/msg/Part", data)["from"] == "bin-1"
+
+
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0\xff\xff\xff\x7f", b"\0\7\0\0\0\0\0\0"])
+def test_what_is_not_a_message_is_refused(data: bytes) -> None:
+    with pytest.raises(BadMessage, match="is not a message of std_msgs/msg/String"):
+        store.decode("std_msgs/msg/String", data)
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=300, deadline=None)
+def test_no_bytes_from_the_network_do_more_than_be_refused(body: bytes) -> None:
+    for name in (
+        "sensor_msgs/msg/JointState",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "tf2_msgs/msg/TFMessage",
+    ):
+        try:
+            store.decode(name, b"\0\1\0\0" + body)
+        except BadMessage:
+            continue
+
+
+def one(kind: FieldType) -> st.SearchStrategy[Any]:
+    if kind.is_message:
+        return message_of(kind.base)
+    if kind.base == "string":
+        return st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8)
+    if kind.base == "bool":
+        return st.booleans()
+    if kind.base in FLOATS:
+        return st.floats(width=32 if kind.base == "float32" else 64, allow_nan=False)
+    return st.integers(*INTEGER_RANGES[kind.base])
+
+
+def message_of(type_name: str) -> st.SearchStrategy[dict[str, Any]]:
+    parts = {}
+    for field in store.definition(type_name).fields:
+        kind = field.type
+        if kind.many is Many.ONE:
+            parts[field.name] = one(kind)
+        else:
+            most = kind.size or 3
+            items = st.lists(
+                one(kind.item), min_size=kind.size if kind.many is Many.FIXED else 0, max_size=most
+            )
+            parts[field.name] = items.map(bytes) if kind.is_octets else items
+    return st.fixed_dictionaries(parts)
+
+
+def listed(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, list):
+        return [listed(item) for item in value]
+    return {key: listed(item) for key, item in value.items()} if isinstance(value, dict) else value
+
+
+@given(st.data())
+@settings(max_examples=120, deadline=None)
+def test_a_message_comes_out_as_it_went_in(data: st.DataObject) -> None:
+    name = data.draw(
+        st.sampled_from(
+            [
+                "sensor_msgs/msg/JointState",
+                "nav_msgs/msg/OccupancyGrid",
+                "diagnostic_msgs/msg/DiagnosticArray",
+                "rcl_interfaces/msg/ParameterValue",
+                "trajectory_msgs/msg/JointTrajectory",
+                "rmw_dds_common/msg/ParticipantEntitiesInfo",
+                "control_msgs/action/FollowJointTrajectory_SendGoal_Request",
+            ]
+        )
+    )
+    message = data.draw(message_of(name))
+    assert listed(store.decode(name, store.encode(name, message))) == message
+
+
+def test_field_paths_are_checked_and_followed() -> None:
+    message = store.decode(JOINT_STATE, store.encode(JOINT_STATE, {"position": [0.5], "name": ["a"]}))
+    assert store.field(JOINT_STATE, "position[0]").of(message) == 0.5
+    assert type(store.field(JOINT_STATE, "position[0]").of(message)) is float
+    assert store.field(JOINT_STATE, "position[4]").of(message) is None
+    assert store.field(JOINT_STATE, "header.stamp").of(message) == {"sec": 0, "nanosec": 0}
+    assert str(store.field(JOINT_STATE, "name").type) == "string[]"
+
+
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("positions[0]", 'sensor_msgs/msg/JointState has no field "positions"; did you mean "position"?'),
+        ("header.frame_id[0]", "is string, no array; leave the [0] out"),
+        (
+            "header.stamp.sec.x",
+            "header.stamp.sec of sensor_msgs/msg/JointState is int32, which has no fields",
+        ),
+        ("name.x", "name one item, name[0].x"),
+        ("position[-1]", "is not a field path"),
+        ("", "is not a field path"),
+    ],
+)
+def test_a_path_that_leads_nowhere_says_why(path: str, says: str) -> None:
+    with pytest.raises(UnknownField) as error:
+        store.field(JOINT_STATE, path)
+    assert says in str(error.value)
+
+
+def test_an_index_beyond_a_fixed_array_is_refused() -> None:
+    with pytest.raises(UnknownField, match="the last index is 35"):
+        store.field("geometry_msgs/msg/PoseWithCovariance", "covariance[36]")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "says"),
+    [
+        ("sensor_msgs/msg/JointStates", "msg", "did you mean sensor_msgs/msg/JointState?"),
+        ("cell_msgs/msg/Part", "msg", "name its .msg file or folder in type_paths"),
+        ("JointState", "msg", "write PACKAGE/msg/NAME"),
+        ("std_srvs/srv/Trigger", "msg", "is a service type, but a message type is wanted here"),
+        ("std_msgs/msg/String", "action", "is a message type, but an action type is wanted here"),
+    ],
+)
+def test_a_type_that_is_not_there_is_named_with_its_neighbour(name: str, kind: str, says: str) -> None:
+    with pytest.raises(UnknownType) as error:
+        store.resolve(name, kind)
+    assert says in str(error.value)
+
+
+def test_a_short_name_is_understood() -> None:
+    assert store.resolve("sensor_msgs/JointState") == JOINT_STATE
+    assert store.resolve("std_srvs/Trigger", "srv") == "std_srvs/srv/Trigger"
+
+
+def test_a_folder_of_packages_is_read(tmp_path: Path) -> None:
+    written(tmp_path, "Bolt[] bolts\n", "cell_msgs/msg/Part.msg")
+    written(tmp_path, "float32 length_mm\n", "cell_msgs/msg/Bolt.msg")
+    written(tmp_path, "Part part\n---\nbool taken\n", "cell_msgs/srv/Take.srv")
+    written(tmp_path, "Part part\n---\nbool done\n---\nfloat32 progress\n", "cell_msgs/action/Fit.action")
+    own = TypeStore([tmp_path])
+    assert own.default("cell_msgs/srv/Take_Request") == {"part": {"bolts": []}}
+    assert own.default("cell_msgs/action/Fit_FeedbackMessage")["feedback"] == {"progress": 0.0}
+    assert own.resolve("cell_msgs/Fit", "action") == "cell_msgs/action/Fit"
+
+
+def test_an_own_definition_takes_the_place_of_ours(tmp_path: Path) -> None:
+    file = written(tmp_path, "string name\nfloat64 effort\n", "control_msgs/msg/JointTolerance.msg")
+    own = TypeStore([file])
+    name = "control_msgs/msg/JointTolerance"
+    assert own.default(name) == {"name": "", "effort": 0.0}
+    assert own.hash(name) != store.hash(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("float64 length\nflot 64\n", "line 2"),
+        ("float64 length\nfloat64 length\n", 'line 2: the field "length" is there twice'),
+        ("float64[0] sizes\n", "line 1"),
+        ("float64 length\n---\nbool done\n", "a .msg file has 1 parts"),
+    ],
+)
+def test_a_definition_that_cannot_be_read_names_file_and_line(tmp_path: Path, text: str, says: str) -> None:
+    file = written(tmp_path, text)
+    with pytest.raises(BadDefinition) as error:
+        TypeStore([file]).definition("cell_msgs/msg/Part")
+    assert says in str(error.value)
+    assert str(file) in str(error.value)
+
+
+def test_what_cannot_be_carried_is_said(tmp_path: Path) -> None:
+    wide = TypeStore([written(tmp_path / "a", "wstring name\n")])
+    with pytest.raises(UnsupportedType, match="wstring cannot be carried; use string"):
+        wide.sound("cell_msgs/msg/Part")
+    endless = TypeStore([written(tmp_path / "b", "Part[] parts\n")])
+    with pytest.raises(UnsupportedType, match="contains itself"):
+        endless.sound("cell_msgs/msg/Part")
+    lost = TypeStore([written(tmp_path / "c", "other_msgs/Thing thing\n")])
+    with pytest.raises(
+        UnknownType, match=r"cell_msgs/msg/Part\.thing: there is no type other_msgs/msg/Thing"
+    ):
+        lost.sound("cell_msgs/msg/Part")
+
+
+def test_a_path_that_holds_no_types_is_said(tmp_path: Path) -> None:
+    with pytest.raises(BadDefinition, match="is not there"):
+        TypeStore([tmp_path / "nothing"])
+    with pytest.raises(BadDefinition, match="holds no definition"):
+        TypeStore([tmp_path])
+    with pytest.raises(BadDefinition, match="is not where a definition lies"):
+        TypeStore([written(tmp_path, "bool a\n", "Part.msg")])
+
+
+def test_two_paths_that_disagree_are_said(tmp_path: Path) -> None:
+    first = written(tmp_path / "a", "bool a\n")
+    same = written(tmp_path / "b", "# the same\nbool a\n")
+    other = written(tmp_path / "c", "bool b\n")
+    TypeStore([first, same])
+    with pytest.raises(BadDefinition, match="and, differently, by"):
+        TypeStore([first, other])

@@ -1,0 +1,59 @@
+"""What a robot behind ROS is told, and what is read of it."""
+
+import pytest
+
+from services.trajectory_tool.robot import JOINT_NAMES, RobotFault
+from services.trajectory_tool.ros_robot import MOST_POINTS, in_order, points
+from services.trajectory_tool.settings import TrajectorySettings
+from services.trajectory_tool.trajectory import Course
+
+HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
+AWAY = (0.6, -1.2, 1.4, -1.5, -1.5, 0.2)
+
+
+def course(speed: float) -> Course:
+    limits = TrajectorySettings().limits
+    return Course(HOME, AWAY, limits.slowed(speed), limits, began_s=0.0)
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.5, 0.01])
+def test_a_trajectory_ends_at_rest_at_its_target_after_the_time_planned(speed: float) -> None:
+    planned = course(speed)
+    made = points(planned)
+    assert len(made) <= MOST_POINTS
+    assert made[-1]["positions"] == list(AWAY)
+    assert made[-1]["velocities"] == [0.0] * 6
+    times_s = [one["time_from_start"]["sec"] + one["time_from_start"]["nanosec"] / 1e9 for one in made]
+    assert times_s == sorted(set(times_s))
+    assert times_s[-1] == pytest.approx(planned.remaining_s(0.0), abs=1e-6)
+
+
+def test_no_point_of_a_trajectory_is_faster_than_the_joints_may_turn() -> None:
+    limits = TrajectorySettings().limits
+    for one in points(course(0.5)):
+        for turns, may in zip(one["velocities"], limits.velocity, strict=True):
+            assert abs(turns) <= 0.5 * may + 1e-6
+
+
+def test_joints_are_read_by_name_in_whatever_order_and_company_they_come() -> None:
+    names = ["finger_joint", *reversed(JOINT_NAMES)]
+    assert in_order(names, [9.0, *reversed(AWAY)]) == AWAY
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "why"),
+    [
+        (
+            JOINT_NAMES[:5],
+            AWAY[:5],
+            "nothing is told of wrist_3_joint; the joints told are shoulder_pan_joint",
+        ),
+        (JOINT_NAMES, AWAY[:5], "6 joints and 5 values are told"),
+        (JOINT_NAMES, (*AWAY[:5], None), "nothing is told of wrist_3_joint"),
+        (None, AWAY, "0 joints and 6 values"),
+        (None, None, "0 joints and 0 values"),
+    ],
+)
+def test_joints_that_are_not_all_told_are_not_known(names: object, values: object, why: str) -> None:
+    with pytest.raises(RobotFault, match=why):
+        in_order(names, values)

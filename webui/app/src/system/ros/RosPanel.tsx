@@ -1,0 +1,96 @@
+/** ROS: one row a rule of the bridge, how much it passes on, what last, and what kept it from doing so. */
+import { Waypoints } from "lucide-react";
+import { useTranslation } from "react-i18next";
+import { Ago } from "~/design/Ago";
+import { Button } from "~/design/Button";
+import { Empty } from "~/design/Empty";
+import { Problem } from "~/design/Problem";
+import { State, type Tone } from "~/design/State";
+import { rate } from "~/design/times";
+import { Cell, Row, Rows } from "../Rows";
+import { inALine, standing, useRules, type RuleView, type Standing } from "./rules";
+import "./RosPanel.css";
+
+const tones: Record<Standing, Tone> = { off: "neutral", silent: "attention", works: "ok", waits: "accent" };
+
+export function RosPanel() {
+  const { t } = useTranslation("system");
+  const { rules, failure, turn } = useRules();
+  const heads = ["rule", "state", "rates", "value", "error", "act"].map((head) => t(`ros.${head}`));
+  return (
+    <>
+      {failure !== null && <Problem>{failure}</Problem>}
+      {rules?.length === 0 && (
+        <Empty icon={<Waypoints aria-hidden size={32} />} title={t("ros.none.title")}>
+          {t("ros.none.means")}
+        </Empty>
+      )}
+      {rules !== null && rules.length > 0 && (
+        <Rows label={t("tab.ros")} heads={heads} widths={["20%", "15%", "18%", "17%", "17%", "13%"]}>
+          {rules.map((rule) => (
+            <Rule key={rule.name} rule={rule} heads={heads} turn={turn} />
+          ))}
+        </Rows>
+      )}
+    </>
+  );
+}
+
+interface RuleProps {
+  rule: RuleView;
+  heads: readonly string[];
+  turn: (rule: RuleView, on: boolean) => void;
+}
+
+function Rule({ rule, heads, turn }: RuleProps) {
+  const { t, i18n } = useTranslation("system");
+  const [name = "", state = "", rates = "", value = "", error = "", act = ""] = heads;
+  const stands = standing(rule);
+  const trouble = rule.lastError ?? rule.lastUnread ?? null;
+  return (
+    <Row>
+      <Cell head={name}>
+        <span className="rows__name">{rule.name}</span>
+        <p className="rows__why">
+          {rule.from} → {rule.to}
+        </p>
+      </Cell>
+      <Cell head={state}>
+        <State tone={tones[stands]}>{t(`ros.stands.${stands}`)}</State>
+      </Cell>
+      <Cell head={rates}>
+        <ul className="ros__rates">
+          <li>
+            <span className="ros__rate">{rate(rule.heardPerS, i18n.language)}</span>
+            <span>{t("ros.heard")}</span>
+          </li>
+          <li>
+            <span className="ros__rate">{rate(rule.toldPerS, i18n.language)}</span>
+            <span>{t("ros.told")}</span>
+          </li>
+        </ul>
+        {rule.dropped > 0 && <p className="rows__why">{t("ros.dropped", { count: rule.dropped })}</p>}
+      </Cell>
+      <Cell head={value}>
+        <code className="ros__value">{inALine(rule.lastValue)}</code>
+      </Cell>
+      <Cell head={error}>
+        {trouble !== null && (
+          <>
+            <span className="small">{inALine(trouble, 240)}</span>{" "}
+            {rule.lastErrorAt !== null && (
+              <span className="quiet small">
+                <Ago at={rule.lastErrorAt} />
+              </span>
+            )}
+          </>
+        )}
+      </Cell>
+      <Cell head={act}>
+        <Button label={t(rule.enabled ? "ros.turnOff" : "ros.turnOn", { rule: rule.name })} onPress={() => turn(rule, !rule.enabled)}>
+          {t(rule.enabled ? "ros.off" : "ros.on")}
+        </Button>
+      </Cell>
+    </Row>
+  );
+}

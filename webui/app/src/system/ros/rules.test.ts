@@ -1,0 +1,47 @@
+import { describe, expect, it } from "vitest";
+import { inALine, standing, type RuleView } from "./rules";
+
+const rule: RuleView = {
+  name: "battery",
+  section: "ros_to_ngsild",
+  enabled: true,
+  from: "/battery_state",
+  to: "Device:{header.frame_id}",
+  type: "sensor_msgs/msg/BatteryState",
+  heard: 0,
+  heardPerS: 0,
+  told: 0,
+  toldPerS: 0,
+  dropped: 0,
+  lastValue: null,
+  lastError: null,
+  lastErrorAt: null,
+};
+
+describe("standing", () => {
+  it("is off when it is switched off, whatever else there is", () => {
+    expect(standing({ ...rule, enabled: false, heard: 7, publishers: 1 })).toBe("off");
+  });
+
+  it("is silent when nobody speaks on the topic it listens to", () => {
+    expect(standing({ ...rule, publishers: 0, heard: 7 })).toBe("silent");
+  });
+
+  it("waits until something has come, and works from then on", () => {
+    expect(standing(rule)).toBe("waits");
+    expect(standing({ ...rule, publishers: 1, heard: 1 })).toBe("works");
+  });
+});
+
+describe("a value in a line", () => {
+  it("is shown as it is written", () => {
+    expect(inALine({ speed: 0.5, at: [1, 2] })).toBe('{"speed":0.5,"at":[1,2]}');
+    expect(inALine("Grüße")).toBe("Grüße");
+    expect(inALine(null)).toBe("");
+    expect(inALine(false)).toBe("false");
+  });
+
+  it("ends where it grows too long", () => {
+    expect(inALine("x".repeat(500), 10)).toBe(`${"x".repeat(9)}…`);
+  });
+});
