@@ -43,8 +43,8 @@ def told(pair: Pair, hand: str = "right") -> dict[str, Any]:
 async def test_both_hands_answer_and_both_pages_are_told_what_to_do(pair: Pair, begin: Begin) -> None:
     errand = begin("Both thumbs up", both=True)
     pair.show(OPEN, OPEN, 0.3)
-    assert told(pair)["message"]["text"] == "Show with your right hand: Thumbs up."
-    assert told(pair, "left")["message"]["text"] == "Show with your left hand: Thumbs up."
+    invitation = "Show with both hands: Thumbs up with the left, Thumbs up with the right."
+    assert told(pair)["message"]["text"] == told(pair, "left")["message"]["text"] == invitation
     pair.show(OPEN, UP, 0.6)
     view = told(pair)
     assert view["message"]["text"] == "Right. Now your left hand as well: Thumbs up."

@@ -56,6 +56,12 @@ def beyond_the_stated_seconds_spoilt(person: Recording, *, samples: bool) -> Rec
     return Recording(person.name, spoilt, person.hz, person.fingerprint)
 
 
+@pytest.fixture(scope="module")
+def people(recordings: Path) -> list[Recording]:
+    """The three who were recorded."""
+    return [read(path) for path in sorted(recordings.glob("*.csv"))]
+
+
 def probes() -> list[list[float]]:
     chance = random.Random(3)
     return [[chance.uniform(250, 750) for _ in range(5)] for _ in range(200)]
@@ -80,8 +86,9 @@ def test_no_frame_of_a_person_but_the_stated_seconds_tunes_anything_for_them(
     assert answers[0] == answers[1]
 
 
-def test_whose_recordings_the_population_was_learnt_from_is_measured_without_them(recordings: Path) -> None:
-    people = [read(path) for path in sorted(recordings.glob("*.csv"))]
+def test_whose_recordings_the_population_was_learnt_from_is_measured_without_them(
+    people: list[Recording],
+) -> None:
     for person in people:
         without = population_without(person, people)
         assert without != USUAL
@@ -93,10 +100,9 @@ def test_whose_recordings_the_population_was_learnt_from_is_measured_without_the
     assert population_without(stranger, [*people, stranger]) == USUAL
 
 
-def test_the_population_is_what_the_recordings_teach(recordings: Path) -> None:
+def test_the_population_is_what_the_recordings_teach(people: list[Recording]) -> None:
     hands = []
-    for path in sorted(recordings.glob("*.csv")):
-        person = read(path)
+    for person in people:
         levels = calibrated(person).levels
         hands.append(
             {
@@ -110,21 +116,17 @@ def test_the_population_is_what_the_recordings_teach(recordings: Path) -> None:
     assert learn(hands) == USUAL
 
 
-def test_half_way_thresholds_give_what_was_measured_before(recordings: Path) -> None:
+def test_half_way_thresholds_give_what_was_measured_before(people: list[Recording]) -> None:
     """83.9 %, 99.9 % and 97.3 %, over poses 0 to 6 and 8: so the rest is measured alike."""
-    measured = [
-        half_way(read(recordings / f"person_{name}.csv"), whole_poses=True).accuracy(tuple(CODES))
-        for name in "abc"
-    ]
+    measured = [half_way(person, whole_poses=True).accuracy(tuple(CODES)) for person in people]
     assert [round(100 * share, 1) for share in measured] == [83.9, 99.9, 97.3]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "least"), [("a", 0.82), ("b", 0.997), ("c", 0.985)])
 def test_thresholds_are_better_than_half_way_and_confirm_nothing_that_was_not_meant(
-    recordings: Path, name: str, least: float
+    people: list[Recording], name: str, least: float
 ) -> None:
-    people = [read(path) for path in sorted(recordings.glob("*.csv"))]
     person = next(one for one in people if one.name.endswith(name))
     score = measure(person, senses_for(person, people, THRESHOLDS))
     assert score.accuracy(SIX) >= least
@@ -135,9 +137,8 @@ def test_thresholds_are_better_than_half_way_and_confirm_nothing_that_was_not_me
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "least"), [("a", 0.86), ("b", 0.999), ("c", 0.99)])
 def test_a_fist_and_an_open_hand_suffice_for_gestures_in_use(
-    recordings: Path, name: str, least: float
+    people: list[Recording], name: str, least: float
 ) -> None:
-    people = [read(path) for path in sorted(recordings.glob("*.csv"))]
     person = next(one for one in people if one.name.endswith(name))
     senses = senses_for(person, people, PERSONAL, in_use=frozenset(CODES.values()))
     right = frames = 0
@@ -153,8 +154,7 @@ def test_a_fist_and_an_open_hand_suffice_for_gestures_in_use(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a", "b", "c"])
-def test_a_second_of_each_gesture_leaves_hardly_an_error(recordings: Path, name: str) -> None:
-    people = [read(path) for path in sorted(recordings.glob("*.csv"))]
+def test_a_second_of_each_gesture_leaves_hardly_an_error(people: list[Recording], name: str) -> None:
     person = next(one for one in people if one.name.endswith(name))
     senses = senses_for(person, people, PERSONAL, samples=True)
     for pose in SIX:
