@@ -8,14 +8,30 @@ READY := $(VENV)/.ready
 export UV_PYTHON_DOWNLOADS := never
 export UV_NO_PROGRESS := 1
 
-# Two workers suit two cores; what a test starts is on free ports, so that they do not meet.
-# tests/shares.py says which tests stay together.
-PYTEST := $(BIN)/pytest -n 2
+# Else every service would compile itself at each start, and the tests start some hundreds.
+unexport PYTHONDONTWRITEBYTECODE
+
+# Three workers suit two cores, since tests wait a third of their time; what a test starts is on free ports,
+# so that they do not meet. tests/shares.py says which tests stay together.
+WORKERS ?= 3
+PYTEST := $(BIN)/pytest -n $(WORKERS)
 
 # What needs the Node that built the page: lint and tests of its TypeScript.
 PAGE := $(BIN)/python -m webui.build
 
-.PHONY: help setup demo up test crashes thorough check lint lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
+# Tests wait more than they compute, so the page is checked beside them; what that says is said at the end.
+PAGE_SAYS := build/page-check.log
+define tests_beside_page
+	@mkdir -p $(dir $(PAGE_SAYS))
+	@$(MAKE) --no-print-directory page-check >$(PAGE_SAYS) 2>&1 & page=$$!; \
+	trap 'kill $$page' INT TERM; \
+	$(PYTEST) $(1) $(ARGS); tests=$$?; \
+	wait $$page; page=$$?; \
+	cat $(PAGE_SAYS); \
+	exit $$((tests ? tests : page))
+endef
+
+.PHONY: help setup demo up test crashes thorough check lint python-check page-check lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -39,9 +55,8 @@ demo: setup  ## a person and a robot work through the bin-picking process (ONCE=
 up: setup  ## every service, nobody simulated but the robot
 	@$(BIN)/handover up $(ARGS)
 
-test: setup lint  ## every check and every test
-	@$(PAGE) test
-	@$(PYTEST) $(ARGS)
+test: setup python-check  ## every check and every test
+	$(call tests_beside_page)
 
 crashes: setup  ## kill the broker a hundred times in the middle of writing, and look what is left
 	@HANDOVER_TEST_CRASHES=100 $(PYTEST) -q tests/integration/context_broker/test_crashes*.py $(ARGS)
@@ -49,18 +64,24 @@ crashes: setup  ## kill the broker a hundred times in the middle of writing, and
 thorough: crashes  ## the crashes, every test of the broker on PostgreSQL, and many more examples
 	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit tests/integration/context_broker $(ARGS)
 
-check: setup lint  ## what an everyday change needs: lint, types, structure and the quick tests
-	@$(PAGE) test
-	@$(PYTEST) -m "not slow" $(ARGS)
+check: setup python-check  ## what an everyday change needs: lint, types, structure and the quick tests
+	$(call tests_beside_page,-m "not slow")
 
-lint: setup
+lint: python-check  ## lint, types and structure alone
+	@$(PAGE) lint
+	@$(PAGE) size
+
+python-check: setup
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 	@$(BIN)/python -m datamodels.schemas --check
-	@$(PAGE) lint
+
+page-check: setup
 	@$(PAGE) size
+	@$(PAGE) lint
+	@$(PAGE) test
 
 lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds hashes)
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) pyproject.toml -o requirements/run.lock

@@ -2,13 +2,13 @@
 
 import asyncio
 import time
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from functools import partial
 from typing import Final
 
 import orjson
 from prometheus_client import Gauge
-from starlette.types import Receive, Scope
+from starlette.types import Receive
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
@@ -16,9 +16,8 @@ from services.context_broker.api.exchange import (
     Answer,
     Exchange,
     Request,
-    path_parts,
     problem_answer,
-    received,
+    read,
     told_back,
 )
 from services.context_broker.api.operation import Directory, Operation
@@ -86,6 +85,7 @@ class Broker:
         )
         self.contexts.on_renewal = self._renew
         self._renewing: set[asyncio.Task[None]] = set()
+        self._under_way: set[asyncio.Task[Answer]] = set()
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.registrations = RegistrationOperations(self.contexts)
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
@@ -143,6 +143,8 @@ class Broker:
 
     async def stop(self) -> None:
         """Commit what is on its way, and close."""
+        for task in self._under_way:
+            task.cancel("the broker stops")
         self.tenants.ends.stop()
         self.snapshots.stop()
         for tenant in self.tenants:
@@ -157,47 +159,63 @@ class Broker:
         await asyncio.to_thread(self.leadership.stop)
         self.journal.close()
 
-    async def answer(self, scope: Scope, receive: Receive) -> Answer:
-        """Answer one request."""
-        method: str = scope["method"]
-        if method == "OPTIONS":
-            allowed = self.directory.allowed(path_parts(scope), scope["path"])
+    async def answer(self, request: Request, body: bytes | Receive) -> Answer:
+        """Answer one request, whose body is there or still to be received."""
+        if request.method == "OPTIONS":
+            allowed = self.directory.allowed(request)
             return Answer(204, b"", [(b"allow", ", ".join(allowed).encode())])
-        operation, names = self.directory.find(method, path_parts(scope), scope["path"])
-        request = await received(scope, receive, self.settings.broker_max_body_bytes)
+        operation, names = self.directory.find(request)
+        await read(request, body, self.settings.broker_max_body_bytes)
         started_s = time.perf_counter()
         try:
-            answer = await self._performed(operation, request, names)
-        except Problem as problem:
-            answer = problem_answer(problem)
+            answer = await self._carried_out(operation, request, names)
+        except (Overtaken, Problem) as error:
+            answer = await self._after(error, operation, request, names)
         answer = told_back(request, answer)
         REQUESTS.note(operation.title, answer.status, time.perf_counter() - started_s)
         return answer
 
-    async def _performed(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
-        """Carry an operation out, again from its start when another broker was quicker."""
+    async def _after(
+        self, error: Overtaken | Problem, operation: Operation, request: Request, names: tuple[str, ...]
+    ) -> Answer:
+        """Answer with the problem, or carry it all out again from its start if another broker was quicker."""
+        if isinstance(error, Problem) and not was_overtaken(error):
+            return problem_answer(error)
         try:
-            return await self._carried_out(operation, request, names)
-        except (Overtaken, Problem) as error:
-            if not was_overtaken(error):
-                raise
-        return await made_again(lambda: self._carried_out(operation, request, names))
+            return await made_again(lambda: self._carried_out(operation, request, names))
+        except Problem as problem:
+            return problem_answer(problem)
 
     async def _carried_out(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
         named = b"" if operation.of_no_tenant else request.headers.get(b"ngsild-tenant", b"")
         tenant = self.tenants.of(named, makes=operation.makes_tenant)
         try:
             exchange = Exchange(request, names, self.contexts, tenant)
-            exchange.require_known(operation.parameters)
+            if request.parameters:
+                exchange.require_known(operation.parameters)
             if tenant.notifier.passes_headers_on:
                 REQUEST_HEADERS.set(request.headers)
-            if SNAPSHOT in request.headers and operation.name not in OUTSIDE_SNAPSHOTS:
-                return await self._inside_snapshot(operation, exchange)
-            if wants_map(operation, exchange):
-                return await self.entity_maps.answer(operation, exchange, partial(self._answered, operation))
-            return await self._answered(operation, exchange)
+            is_alone = tenant.registry.is_empty and SNAPSHOT not in request.headers
+            if operation.is_brief and is_alone and not wants_map(operation, exchange):
+                return await operation.answer(exchange)
+            return await self._at_length(self._with_others(operation, exchange))
         finally:
             self.tenants.leave(tenant)
+
+    async def _at_length(self, work: Coroutine[None, None, Answer]) -> Answer:
+        """Have something done that may have to wait for others: it has a task of its own."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._under_way.add(task)
+        task.add_done_callback(self._under_way.discard)
+        return await task
+
+    async def _with_others(self, operation: Operation, exchange: Exchange) -> Answer:
+        """Carry out an operation that is about more than what the tenant has now, or may be."""
+        if SNAPSHOT in exchange.headers and operation.name not in OUTSIDE_SNAPSHOTS:
+            return await self._inside_snapshot(operation, exchange)
+        if wants_map(operation, exchange):
+            return await self.entity_maps.answer(operation, exchange, partial(self._answered, operation))
+        return await self._answered(operation, exchange)
 
     async def _inside_snapshot(self, operation: Operation, exchange: Exchange) -> Answer:
         named = exchange.headers[SNAPSHOT]

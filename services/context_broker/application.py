@@ -14,6 +14,7 @@ from services.context_broker.api.exchange import (
     PREFIX,
     Answer,
     Disconnected,
+    Request,
     of_tenant,
     problem_answer,
     send_answer,
@@ -43,7 +44,7 @@ class BrokerApplication:
             await self._live(receive, send)
         elif scope["type"] != "http" or not scope["path"].startswith(PREFIX):
             await (await self._others())(scope, receive, send)
-        elif (answer := await self.answer(scope, receive)) is not None:
+        elif (answer := await self.answer(Request.of_scope(scope), receive)) is not None:
             await send_answer(send, answer)
 
     async def _live(self, receive: Receive, send: Send) -> None:
@@ -70,16 +71,16 @@ class BrokerApplication:
             )
         return self._rest
 
-    async def answer(self, scope: Scope, receive: Receive) -> Answer | None:
+    async def answer(self, request: Request, body: bytes | Receive) -> Answer | None:
         """Return the answer to a request about NGSI-LD; None if the asker has gone."""
         try:
-            return await self._broker.answer(scope, receive)
+            return await self._broker.answer(request, body)
         except Problem as problem:
-            return of_tenant(scope, problem_answer(problem))
+            return of_tenant(request, problem_answer(problem))
         except Disconnected:
             return None
         except Exception as error:  # one broken request must not end the connection without an answer
-            log.exception("request failed", method=scope["method"], path=scope["path"])
+            log.exception("request failed", method=request.method, path=request.path)
             reason = f"{type(error).__name__} while answering; the log of the broker has more"
             failure = Problem(500, "Internal error", reason, ERRORS + "InternalError")
-            return of_tenant(scope, problem_answer(failure))
+            return of_tenant(request, problem_answer(failure))

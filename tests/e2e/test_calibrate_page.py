@@ -1,6 +1,6 @@
 """The Calibrate page with a real controller: thresholds are stepped, dragged, saved, and taken back."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,17 +8,16 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, new_cell, wait_until
+from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+def cell(shared_cell: Cell) -> Cell:
     """One cell for all of this page's tests: each takes a finger of its own."""
-    with new_cell(tmp_path_factory.mktemp("cell")) as made:
-        yield made
+    return shared_cell
 
 
 def thresholds(cell: Cell) -> dict[str, Any]:

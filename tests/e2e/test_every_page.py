@@ -47,15 +47,16 @@ def nothing_is_cut_off(page: Page) -> None:
 def test_every_page_looks_right_in_every_look(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
-    for name, path in PAGES.items():
-        for theme, language, size in LOOKS:
-            page = open_page(path, theme=theme, language=language, viewport=SIZES[size])
+    for theme, language, size in LOOKS:
+        page = open_page(theme=theme, language=language, viewport=SIZES[size])
+        for name, path in PAGES.items():
+            page.goto(path)
             settled(page)
             assert page.locator("html").get_attribute("lang") == language
             nothing_is_cut_off(page)
             accessible(page)
             keep(page, f"{name}-{size}-{theme}-{language}")
-            page.context.close()
+        page.context.close()
 
 
 @pytest.mark.usefixtures("screen")

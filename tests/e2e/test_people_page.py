@@ -1,7 +1,7 @@
 """The page of people and gestures: a person is added, puts on the glove, and gives commands their own way."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,17 +9,16 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, new_cell, wait_until
+from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+def cell(shared_cell: Cell) -> Cell:
     """One cell for all of this page's tests: each has a person of its own."""
-    with new_cell(tmp_path_factory.mktemp("cell")) as made:
-        yield made
+    return shared_cell
 
 
 def person(cell: Cell, name: str) -> dict[str, Any]:
@@ -33,6 +32,7 @@ def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page("/people")
+    page.get_by_role("button", name="Add a person").wait_for()
     page.keyboard.press("n")
     page.get_by_label("Short name").fill("anna")
     page.get_by_label("What people call them").fill("Anna K.")
@@ -55,7 +55,7 @@ def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None]
 ) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}).raise_for_status()
-    page = open_page("/people?person=ben")
+    page = open_page("/people?person=ben", forgives=("a status of 409",))
     page.get_by_label("What it is called").fill("Mine")
     page.get_by_role("radio", name="thumb straight").click()
     page.get_by_role("button", name="Add the gesture").click()

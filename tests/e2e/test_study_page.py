@@ -1,22 +1,21 @@
 """The Study page: a participant is led from consent to thanks, by keyboard too; the answers are shown."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, new_cell
+from tests.conftest import Cell
 from tests.e2e.conftest import OpenPage
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    with new_cell(tmp_path_factory.mktemp("cell")) as made:
-        yield made
+def cell(shared_cell: Cell) -> Cell:
+    return shared_cell
 
 
 def tlx(page: Page, keep: Callable[[Page, str], Path], name: str, steps_up: int) -> None:

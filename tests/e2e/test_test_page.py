@@ -7,18 +7,17 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, new_cell, wait_until
+from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
 from tests.gloves import TcpGlove
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300), pytest.mark.xdist_group("screen")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    with new_cell(tmp_path_factory.mktemp("cell")) as made:
-        made.extra["HANDOVER_SILENCE_S"] = "60"
-        yield made
+def cell(shared_cell: Cell) -> Cell:
+    shared_cell.extra["HANDOVER_SILENCE_S"] = "60"
+    return shared_cell
 
 
 @pytest.fixture

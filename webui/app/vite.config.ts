@@ -12,5 +12,20 @@ export default defineConfig({
   build: { outDir: "../page", emptyOutDir: true, manifest: true, target: "es2022", chunkSizeWarningLimit: 1200 },
   // `npm run dev` shows the page of a running `handover up` while it is being changed.
   server: { host: "127.0.0.1", proxy: { "/api": { target: served, ws: true } } },
-  test: { environment: "jsdom", setupFiles: ["src/testing/setup.ts"], restoreMocks: true },
+  test: {
+    restoreMocks: true,
+    projects: [
+      // A document is slow to make: only what is drawn is tested in one, and what says so itself.
+      {
+        extends: true,
+        test: {
+          name: "drawn",
+          include: ["src/**/*.test.tsx"],
+          environment: "jsdom",
+          setupFiles: ["src/testing/setup.ts"],
+        },
+      },
+      { extends: true, test: { name: "pure", include: ["src/**/*.test.ts"], environment: "node" } },
+    ],
+  },
 });

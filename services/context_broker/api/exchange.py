@@ -4,7 +4,7 @@ Plain ASGI with orjson, no framework: this is the broker's hottest path (clauses
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Final
@@ -49,6 +49,7 @@ LONGEST_REMEMBERED: Final = 1024
 """Characters of the query of a URL that is kept parsed."""
 
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
+_PLAINLY_SAID: Final = {one.encode(): one for one in _READABLE}
 _WITH_BODY = {"POST", "PATCH", "PUT"}
 _WITH_ENTITIES = tuple(
     PREFIX + path
@@ -78,13 +79,52 @@ class Answer:
 
 @dataclass(slots=True)
 class Request:
-    """A request as it came, its body read."""
+    """A request as it came: what its head says, and once it is read what it asks for.
+
+    `headers` are by name in lower case; what was sent twice is joined with a comma.
+    """
 
     method: str
-    path: str
-    parameters: Mapping[str, str]
+    raw_path: bytes
+    query: bytes
     headers: dict[bytes, bytes]
-    body: bytes
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    body: bytes = b""
+
+    @classmethod
+    def of_scope(cls, scope: Scope) -> "Request":
+        """Return the request that ASGI tells of."""
+        path = scope.get("raw_path") or scope["path"].encode()
+        return cls(scope["method"], path.partition(b"?")[0], scope["query_string"], by_name(scope["headers"]))
+
+    @property
+    def path(self) -> str:
+        """Return the path as a person reads it."""
+        path = self.raw_path.decode("latin-1")
+        return unquote(path) if "%" in path else path
+
+    def path_parts(self) -> list[str]:
+        """Return the parts of the path after /ngsi-ld/v1/, decoded one by one: a %2F stays in its part."""
+        try:
+            text = self.raw_path.decode("ascii")[len(PREFIX) :].rstrip("/")
+            parts = text.split("/")
+            if "%" not in text:
+                return parts
+            if _BROKEN_PERCENT.search(text):
+                raise invalid_request("the path has a % without two digits after it; write %25 for a %")
+            return [unquote(part, errors="strict") for part in parts]
+        except UnicodeDecodeError:
+            raise invalid_request("the path is not percent-encoded UTF-8") from None
+
+
+def by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
+    """Return headers by name."""
+    found = dict(headers)
+    if len(found) < len(headers):
+        found.clear()
+        for name, value in headers:
+            found[name] = found[name] + b", " + value if name in found else value
+    return found
 
 
 class Exchange:
@@ -145,18 +185,22 @@ class Exchange:
         """Return the body and the context that its names are in."""
         media_type = self.content_type()
         document = self.document()
+        if document.__class__ is dict and media_type != JSON_LD and "@context" not in document:
+            ready = self.contexts.at_hand(self.link() or self.contexts.default or b"null")
+            if ready is not None:
+                return document, ready
         if isinstance(document, list):
             raise bad_request_data("the body is a list; this operation takes one JSON object")
         return document, await self.context_of(document, media_type)
 
     def content_type(self) -> str:
         """Return the media type of the body; raise a problem (415) if the broker cannot read it."""
-        given = self.headers.get(b"content-type", b"").decode("latin-1")
-        media_type = given.partition(";")[0].strip().lower()
+        given = self.headers.get(b"content-type", b"")
+        media_type = _PLAINLY_SAID.get(given) or given.decode("latin-1").partition(";")[0].strip().lower()
         if media_type not in _READABLE or (media_type == MERGE_PATCH and self.method != "PATCH"):
             raise unsupported_media_type(
-                f"Content-Type {shown(given)} is not read here; send {JSON} (@context in a Link header) or "
-                f"{JSON_LD} (@context in the body)"
+                f"Content-Type {shown(given.decode('latin-1'))} is not read here; send {JSON} (@context in a "
+                f"Link header) or {JSON_LD} (@context in the body)"
             )
         return media_type
 
@@ -229,58 +273,38 @@ def _read_parameters(query: bytes) -> Mapping[str, str]:
     return parameters
 
 
-def path_parts(scope: Scope) -> list[str]:
-    """Return the parts of the path after /ngsi-ld/v1/, decoded one by one so that a %2F stays in its part."""
-    raw: bytes = scope.get("raw_path") or scope["path"].encode()
-    try:
-        text = raw.decode("ascii").partition("?")[0][len(PREFIX) :].rstrip("/")
-        parts = text.split("/")
-        if "%" not in text:
-            return parts
-        if _BROKEN_PERCENT.search(text):
-            raise invalid_request("the path has a % without two digits after it; write %25 for a %")
-        return [unquote(part, errors="strict") for part in parts]
-    except UnicodeDecodeError:
-        raise invalid_request("the path is not percent-encoded UTF-8") from None
-
-
-async def received(scope: Scope, receive: Receive, max_bytes: int) -> Request:
-    """Return the request, its body read.
+async def read(request: Request, body: bytes | Receive, max_bytes: int) -> None:
+    """Read what a request asks for, and its body: the whole of it, or what is still to be received.
 
     Raises a problem: 411 for a body without a Content-Length (clause 6.3.4 has no exception for chunks), 413
     for one larger than `max_bytes`.
     """
-    headers: dict[bytes, bytes] = {}
-    for name, value in scope["headers"]:
-        headers[name] = headers[name] + b", " + value if name in headers else value
-    query: bytes = scope["query_string"]
-    if len(query) > LONGEST_QUERY:
-        raise invalid_request(f"the query of the URL has more than {LONGEST_QUERY} characters; use POST")
-    if scope["method"] in _WITH_BODY and b"content-length" not in headers:
-        raise length_required()
-    body = await _body(receive, headers, max_bytes)
-    return Request(scope["method"], scope["path"], _parameters(query) if query else {}, headers, body)
-
-
-async def _body(receive: Receive, headers: Mapping[bytes, bytes], max_bytes: int) -> bytes:
-    announced = headers.get(b"content-length", b"0")
-    if announced.isdigit() and int(announced) > max_bytes:
+    if request.query:
+        if len(request.query) > LONGEST_QUERY:
+            raise invalid_request(f"the query of the URL has more than {LONGEST_QUERY} characters; use POST")
+        request.parameters = _parameters(request.query)
+    announced = request.headers.get(b"content-length")
+    if announced is None:
+        if request.method in _WITH_BODY:
+            raise length_required()
+    elif announced.isdigit() and int(announced) > max_bytes:
         raise too_large(f"the body has {int(announced)} bytes; {max_bytes} are read, send less at once")
-    message = await receive()
-    if message["type"] == "http.disconnect":
-        raise Disconnected
-    body: bytes = message.get("body", b"")
-    if not message.get("more_body"):
-        return body
-    whole = bytearray(body)
-    while message.get("more_body"):
+    request.body = body if isinstance(body, bytes) else await _whole(body, max_bytes)
+
+
+async def _whole(receive: Receive, max_bytes: int) -> bytes:
+    pieces: list[bytes] = []
+    size, is_more = 0, True
+    while is_more:
         message = await receive()
         if message["type"] == "http.disconnect":
             raise Disconnected
-        whole += message.get("body", b"")
-        if len(whole) > max_bytes:
+        pieces.append(message.get("body", b""))
+        size += len(pieces[-1])
+        is_more = message.get("more_body", False)
+        if size > max_bytes:
             raise too_large(f"the body has more than {max_bytes} bytes; send less at once")
-    return bytes(whole)
+    return b"".join(pieces)
 
 
 async def send_answer(send: Send, answer: Answer) -> None:
@@ -307,10 +331,11 @@ def told_back(request: Request, answer: Answer) -> Answer:
     return _as_preferred(request, prefer, answer)
 
 
-def of_tenant(scope: Scope, answer: Answer) -> Answer:
+def of_tenant(request: Request, answer: Answer) -> Answer:
     """Return the answer to a request that was refused before it was read, with its tenant told back."""
-    told = [(name, value) for name, value in scope["headers"] if name == b"ngsild-tenant"]
-    return Answer(answer.status, answer.body, [*answer.headers, *told[:1]])
+    tenant = request.headers.get(b"ngsild-tenant")
+    told = [] if tenant is None else [(b"ngsild-tenant", tenant)]
+    return Answer(answer.status, answer.body, [*answer.headers, *told])
 
 
 def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:

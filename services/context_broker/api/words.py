@@ -82,6 +82,17 @@ def moment(text: str) -> float | None:
         return None
 
 
+def is_short_uri(value: str) -> bool:
+    """Say whether a text is a URI of a usual length."""
+    return len(value) <= LONGEST_NAME and _is_uri(value)
+
+
+@lru_cache(maxsize=8192)
+def _is_uri(value: str) -> bool:
+    """Say whether a short text is a URI; remembered, for what entities refer to comes again and again."""
+    return _URI.fullmatch(value) is not None
+
+
 def require_uri(value: Any, what: str) -> str:
     """Return `value` if it is a URI; raise a problem that names `what` if not."""
     if not isinstance(value, str):
@@ -96,15 +107,21 @@ def require_uri(value: Any, what: str) -> str:
     return value
 
 
+def is_time(value: Any) -> bool:
+    """Say whether this is a date-time that says to be in UTC."""
+    return value.__class__ is str and value[-1:] == "Z" and "T" in value and moment(value) is not None
+
+
 def require_time(value: Any, what: str) -> str:
     """Return a date-time in UTC (clause 4.6.3); one that says how far it is from UTC is told in UTC.
 
     Raises a problem that names `what` for anything else.
     """
+    if is_time(value):
+        return str(value)
     if isinstance(value, str) and "T" in value and moment(value) is not None:
-        if value[-1] == "Z":
-            return value
-        if (told := datetime.fromisoformat(value)).tzinfo is not None:
+        told = datetime.fromisoformat(value)
+        if told.tzinfo is not None:
             return told.astimezone(UTC).isoformat().removesuffix("+00:00") + "Z"
     raise bad_request_data(
         f"{what} must be a date-time in UTC such as 2024-05-01T12:00:00Z, not {shown(value)}"

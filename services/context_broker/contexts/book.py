@@ -158,12 +158,12 @@ class ContextBook:
         Raises a problem with status 504 when one cannot be loaded, 400 when one is malformed.
         """
         key: str | bytes = given if isinstance(given, str) else orjson.dumps(given)
+        return self.at_hand(key) or self._noted(await self._make(key, given))
+
+    def at_hand(self, key: str | bytes) -> Context | None:
+        """Return the context of a URL, or of a document as JSON, if it can be used without waiting."""
         ready = self._ready.get(key)
-        if ready is None:
-            ready = await self._make(key, given)
-        if ready.uses:
-            self._note(ready.uses)
-        return ready
+        return None if ready is None else self._noted(ready)
 
     async def as_before(self, given: Any) -> Context:
         """Return a context that was in use before a restart, be it deleted since; never fetches.
@@ -308,14 +308,18 @@ class ContextBook:
 
     # How they are used
 
-    def _note(self, uses: tuple[KeptContext, ...]) -> None:
-        now_s = time.time()
-        for one in uses:
-            one.hits += 1
-            one.used_s = now_s
-            if one.expires_s <= now_s:
-                self._refresh(one)
-        self._write_usage_soon()
+    def _noted(self, context: Context) -> Context:
+        """Return a context that is used now."""
+        if context.uses:
+            now_s = time.time()
+            for one in context.uses:
+                one.hits += 1
+                one.used_s = now_s
+                if one.expires_s <= now_s:
+                    self._refresh(one)
+            if self._usage_due is None:
+                self._write_usage_soon()
+        return context
 
     def seen(self, one: KeptContext) -> None:
         """Count that a client looked at a context: one in the cache was found there (clause 5.13.3.5)."""

@@ -10,7 +10,7 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker.api.exchange import Answer, Exchange
-from services.context_broker.api.operation import Operation
+from services.context_broker.api.operation import Operation, brief
 from services.context_broker.api.problems import bad_request_data
 from services.context_broker.api.words import require_uri, shown, timestamp_now
 from services.context_broker.contexts.book import Context
@@ -122,7 +122,7 @@ class BatchOperations:
         """Return the operations of this room."""
         at = "entityOperations"
         asking = VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS
-        return (
+        return brief(
             Operation(
                 "POST", f"{at}/create", "createBatch", "6.14.3.1", self.create, _WRITE, makes_tenant=True
             ),

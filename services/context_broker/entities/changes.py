@@ -191,7 +191,7 @@ def _outcome(
     first = expires_at
     if before.ends_at is not None:
         first = _first_end(expires_at, attributes)
-    elif any("expiresAt" in one for instances in change.attributes.values() for one in instances):
+    elif _first_end(None, change.attributes) is not None:
         first = _first_end(expires_at, {name: attributes.get(name, []) for name in named})
     after = Entity(before.id, types, attributes, before.created_at, at, before.seq, scopes, expires_at, first)
     return Outcome(after, touched, refused)

@@ -13,7 +13,7 @@ import orjson
 
 from services.context_broker.api.conformance import OURS
 from services.context_broker.api.exchange import JSON_LD, Answer, Exchange
-from services.context_broker.api.operation import Operation
+from services.context_broker.api.operation import Operation, brief
 from services.context_broker.api.problems import not_found
 from services.context_broker.api.words import require_name, shown, timestamp_now
 from services.context_broker.contexts.book import Context
@@ -33,7 +33,7 @@ class DiscoveryOperations:
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
         identity, attribute = "info/sourceIdentity", "attributes/{attrId}"
-        return (
+        return brief(
             Operation("GET", "types", "retrieveEntityTypes", "6.25.3.1", self.types, _LIST),
             Operation("GET", "types/{type}", "retrieveEntityTypeInfo", "6.26.3.1", self.type_details, _ONE),
             Operation("GET", "attributes", "retrieveAttrTypes", "6.27.3.1", self.attributes, _LIST),

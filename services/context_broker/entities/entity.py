@@ -24,7 +24,10 @@ NULL: Final = forms.NULL
 
 
 class Terms(Protocol):
-    """An @context as the broker uses it."""
+    """An @context as the broker uses it: one that is another object has other names."""
+
+    def __hash__(self) -> int:
+        """Tell it from others."""
 
     def expand(self, term: str) -> str:
         """Return the IRI of a short name."""

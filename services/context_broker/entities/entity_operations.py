@@ -7,7 +7,7 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker.api.exchange import JSON, PREFIX, Answer, Exchange
-from services.context_broker.api.operation import Operation
+from services.context_broker.api.operation import Operation, brief
 from services.context_broker.api.problems import already_exists, bad_request_data, invalid_request, not_found
 from services.context_broker.api.words import require_name, require_time, require_uri, shown, timestamp_now
 from services.context_broker.contexts.book import Context
@@ -43,6 +43,9 @@ from services.context_broker.snapshots.entity_maps import MAP_PARAMETERS
 from services.context_broker.storage.store import Store
 
 DONE: Final = Answer(204)
+_AT: Final = f"{PREFIX}entities/".encode()
+_AS_IT_IS: Final = b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.-~:"
+"""What stands in a path as it is."""
 _FORM: Final = frozenset({"options", "format"})
 _CREATE: Final = _FORM | {"local"}
 _RETRIEVE: Final = VIEW_PARAMETERS | LINK_PARAMETERS | {"local", "type"}
@@ -60,7 +63,7 @@ class EntityOperations:
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
         one, attributes, attribute = "entities/{id}", "entities/{id}/attrs", "entities/{id}/attrs/{name}"
-        return (
+        return brief(
             Operation("POST", "entities", "createEntity", "6.4.3.1", self.create, _CREATE, True),
             Operation(
                 "GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS | MAP_PARAMETERS
@@ -85,8 +88,7 @@ class EntityOperations:
         change = read_entity(bare(document, context) if simplified else document, context.terms, nulls)
         store = exchange.tenant.store
         await store.stage(creation(store, change))
-        location = f"{PREFIX}entities/{quote(change.id or '', safe=':')}".encode()
-        return Answer(201, b"", [(b"location", location)])
+        return Answer(201, b"", [(b"location", _location(change.id or ""))])
 
     async def query(self, exchange: Exchange) -> Answer:
         """GET entities."""
@@ -105,10 +107,10 @@ class EntityOperations:
         context = await exchange.reader_context()
         view = view_of(exchange, context)
         join = join_of(exchange.parameters, view)
-        entity_id = require_uri(exchange.names[0], "the entity id in the path")
+        entity_id = exchange.names[0]
         entity = exchange.tenant.store.get(entity_id)
         if entity is None:
-            raise absent(entity_id)
+            raise absent(require_uri(entity_id, "the entity id in the path"))
         _require_type(exchange, entity, context)
         if view.attributes is not None and view.attributes.isdisjoint(entity.attributes):
             raise not_found(f"entity {entity_id} has none of the attributes {exchange.parameter('attrs')}")
@@ -243,10 +245,9 @@ class EntityOperations:
 
         Raises a problem (404) if there is none, or none of the types that the parameter `type` selects.
         """
-        entity_id = require_uri(exchange.names[0], "the entity id in the path")
-        entity = exchange.tenant.store.latest(entity_id)
+        entity = exchange.tenant.store.latest(exchange.names[0])
         if entity is None:
-            raise absent(entity_id)
+            raise absent(require_uri(exchange.names[0], "the entity id in the path"))
         if context is not None:
             _require_type(exchange, entity, context)
         return entity
@@ -277,6 +278,12 @@ def creation(store: Store, change: Change) -> Event:
         raise already_exists(f"there is an entity {change.id} already; update it, or choose another id")
     entity = changes.created(change, timestamp_now(), store.next_seq())
     return Event(None, entity, frozenset(entity.attributes))
+
+
+def _location(entity_id: str) -> bytes:
+    """Return the path of an entity. Most ids need no percent-encoding."""
+    raw = entity_id.encode()
+    return _AT + (quote(raw, safe=":").encode() if raw.strip(_AS_IT_IS) else raw)
 
 
 def absent(entity_id: str) -> Problem:

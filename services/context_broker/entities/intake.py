@@ -5,11 +5,13 @@ Every fault is a problem that names the attribute, the rule and the way out (cla
 
 from collections.abc import Mapping
 from enum import Enum
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 from handover.errors import Problem
 from services.context_broker.api.problems import bad_request_data
 from services.context_broker.api.words import (
+    is_time,
     require_future,
     require_name,
     require_scope,
@@ -45,6 +47,7 @@ _ONLY_SHOWN: Final = frozenset(
      "previousValueList", "previousObjectList", "entity", "entityList"}
 )  # fmt: skip
 """Members that tell of other times or other entities (clauses 4.5.2.2 and 4.5.3.2)."""
+_MISPLACED: Final = SAYING | _ONLY_SHOWN | {"@context"}
 _SEALED: Final = frozenset({"entityIdSealed", "entityTypeSealed"})
 _PROOF: Final = "ngsildproof"
 _NO_NAMES: Final = (METADATA | SAYING | _FROM_THE_BROKER | _ONLY_SHOWN | _SEALED) - {
@@ -54,6 +57,10 @@ _NO_NAMES: Final = (METADATA | SAYING | _FROM_THE_BROKER | _ONLY_SHOWN | _SEALED
 }
 """Words of the core context that cannot name an attribute of an entity (clause 4.5.1). `value` can all the
 same: the published Device has an attribute of that name."""
+_NO_ATTRIBUTES_OF_ENTITIES: Final = (
+    _NO_NAMES | _TIMES | {"id", "@id", "type", "@type", "scope", "expiresAt", "@context"}
+)
+"""Members of an entity that are no attributes, or cannot be."""
 _CORE: Final = "https://uri.etsi.org/ngsi-ld/"
 _PLACES: Final = frozenset(
     base + name for base in ("", _CORE) for name in ("location", "observationSpace", "operationSpace")
@@ -121,7 +128,9 @@ def read_change(document: Any, terms: Terms, nulls: Nulls = Nulls.VALUES) -> Cha
     scopes: tuple[str, ...] | None = None
     expires_at: str | None = None
     for name, given in document.items():
-        if name in {"id", "@id"}:
+        if name not in _NO_ATTRIBUTES_OF_ENTITIES:
+            _take_attribute(attributes, name, given, terms, 0)
+        elif name in {"id", "@id"}:
             entity_id = _entity_id(given)
         elif name in {"type", "@type"}:
             types = read_types(given, terms)
@@ -129,12 +138,10 @@ def read_change(document: Any, terms: Terms, nulls: Nulls = Nulls.VALUES) -> Cha
             scopes = _scopes(given, nulls)
         elif name == "expiresAt":
             expires_at = _end(given, "expiresAt of the entity", nulls)
-        elif name != "@context" and name not in _TIMES:
-            if name in _NO_NAMES:
-                raise bad_request_data(
-                    f"{shown(name)} is a word of NGSI-LD and cannot name an attribute; choose another name"
-                )
-            _take_attribute(attributes, name, given, terms, 0)
+        elif name in _NO_NAMES and name not in _TIMES:
+            raise bad_request_data(
+                f"{shown(name)} is a word of NGSI-LD and cannot name an attribute; choose another name"
+            )
     if nulls is not Nulls.VALUES:
         refuse_nulls(attributes, terms, nulls)
     return Change(entity_id, types, attributes, scopes, expires_at)
@@ -183,6 +190,8 @@ def too_deep() -> Problem:
 
 def read_types(given: Any, terms: Terms) -> tuple[str, ...]:
     """Return the IRIs of one type or a list of them."""
+    if given.__class__ is str and given != NULL:
+        return (_iri_of(given, "the entity type", terms),)
     names = given if isinstance(given, list) else [given]
     if not names or NULL in names:
         raise bad_request_data("an entity has at least one type; none is given, and none can be deleted")
@@ -195,6 +204,12 @@ def expand(name: str, terms: Terms) -> str:
     if ":" not in iri:
         raise bad_request_data(f"the @context makes no IRI of {shown(name)}; map it to one or add a @vocab")
     return iri
+
+
+@lru_cache(maxsize=8192)
+def _iri_of(name: str, what: str, terms: Terms) -> str:
+    """Return the IRI of what is called `name`; remembered, for the same names come again and again."""
+    return expand(require_name(name, what), terms)
 
 
 def read_attribute(name: str, given: Any, terms: Terms, depth: int = 0) -> list[Instance]:
@@ -235,7 +250,7 @@ def _end(given: Any, what: str, nulls: Nulls = Nulls.VALUES) -> str:
 
 
 def _take_attribute(into: Attributes, name: str, given: Any, terms: Terms, depth: int) -> None:
-    iri = expand(require_name(name, "the attribute name"), terms)
+    iri = _iri_of(name, "the attribute name", terms)
     if iri in into:
         raise bad_request_data(f"attribute {shown(name)} is given twice, once by another name of {iri}")
     into[iri] = read_attribute(name, given, terms, depth)
@@ -265,16 +280,16 @@ def _read_instance(name: str, given: Any, terms: Terms, depth: int) -> Instance:
     for member, value in given.items():
         if member == says:
             instance[member] = SAID[kind](name, value, terms)
+        elif member in _NO_ATTRIBUTES:
+            continue
         elif member in _SAID_BESIDE:
             if member != "datasetId" or value != DEFAULT_INSTANCE:
                 instance[member] = _metadata(name, kind, member, value, terms)
-        elif member in SAYING:
-            raise bad_request_data(f'attribute {shown(name)} is a {kind}: it has "{says}", not "{member}"')
+        elif member in _MISPLACED:
+            raise _misplaced(name, kind, member)
         elif member in _SEALED:
             instance[member] = _sealed(name, member, value, terms)
-        elif member in _ONLY_SHOWN or member == "@context":
-            raise bad_request_data(f"attribute {shown(name)} cannot be given {shown(member)}; leave it out")
-        elif member not in _NO_ATTRIBUTES:
+        else:
             _take_attribute(below, member, value, terms, depth + 1)
     if says not in instance:
         raise bad_request_data(f'attribute {shown(name)} is a {kind} without "{says}"; add it')
@@ -283,12 +298,21 @@ def _read_instance(name: str, given: Any, terms: Terms, depth: int) -> Instance:
     return {**instance, **below} if below else instance
 
 
+def _misplaced(name: str, kind: str, member: str) -> Problem:
+    if member in SAYING:
+        return bad_request_data(f'attribute {shown(name)} is a {kind}: it has "{SAYS[kind]}", not "{member}"')
+    return bad_request_data(f"attribute {shown(name)} cannot be given {shown(member)}; leave it out")
+
+
 def _plain(name: str, value: Any, terms: Terms, kind: str = "Property") -> Instance:
     return {"type": kind, "value": SAID[kind](name, value, terms)}
 
 
 def _kind(name: str, given: Mapping[str, Any]) -> str | None:
     """Return the kind of an attribute; None when it is a bare value in concise form."""
+    kind: str | None = given.get("type")
+    if kind.__class__ is str and kind in KINDS:
+        return kind
     kind = kind_said(given)
     if kind in KINDS:
         return kind
@@ -314,6 +338,8 @@ def _kind(name: str, given: Mapping[str, Any]) -> str | None:
 
 
 def _metadata(name: str, kind: str, member: str, value: Any, terms: Terms) -> Any:
+    if member == "observedAt" and is_time(value):
+        return value
     what = f"{member} of attribute {shown(name)}"
     if member in _KINDS_WITH and kind not in _KINDS_WITH[member]:
         raise bad_request_data(f"attribute {shown(name)} is a {kind}, which has no {member}; leave it out")

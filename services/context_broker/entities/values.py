@@ -9,7 +9,7 @@ from typing import Any, Final
 import orjson
 
 from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import require_uri, shown
+from services.context_broker.api.words import is_short_uri, require_uri, shown
 from services.context_broker.entities.entity import NULL, Terms
 from services.context_broker.queries.geometry import fault_of
 
@@ -28,6 +28,8 @@ def _value(name: str, value: Any, _: Terms) -> Any:
 
 
 def _object(name: str, value: Any, _: Terms) -> Any:
+    if value.__class__ is str and is_short_uri(value):
+        return value
     what = f"the object of relationship {shown(name)}"
     if isinstance(value, list) and value:
         return [_linked(one, what) for one in value]

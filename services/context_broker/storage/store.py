@@ -32,15 +32,31 @@ MOST_INDEXES: Final = 64
 
 @dataclass(slots=True, eq=False)
 class Staged:
-    """A change on its way to disk: the entity before and after (None where there is none)."""
+    """A change on its way to disk: the entity before and after (None where there is none).
 
+    `fate` is done when it is safe, or fails with a problem (507).
+    """
+
+    store: "Store"
     event: Event
     notices: list[Notice]
+    fate: asyncio.Future[None]
 
     @property
     def after(self) -> Entity | None:
         """Return how the entity will be."""
         return self.event.after
+
+    def done(self) -> None:
+        """Show the change to readers: it is safe."""
+        self.store.show(self)
+        if not self.fate.done():
+            self.fate.set_result(None)
+
+    def failed(self, error: NotStored) -> None:
+        """Say that the change was not stored."""
+        if not self.fate.done():
+            self.fate.set_exception(error if isinstance(error, Overtaken) else not_stored(str(error)))
 
 
 Announce = Callable[[Event], list[Notice]]
@@ -183,25 +199,19 @@ class Store:
                 self._recorder.record(self.tenant, event, entries)
         except orjson.JSONEncodeError:
             raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
-        staged = Staged(event, self._announce(event))
-        entries.owed = staged.notices
-        self._staged[one.id] = staged
-        fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-
-        def done() -> None:
-            self._take(one.id, staged)
-            if not fate.done():
-                fate.set_result(None)
-
-        def failed(error: NotStored) -> None:
-            if not fate.done():
-                fate.set_exception(error if isinstance(error, Overtaken) else not_stored(str(error)))
-
-        self._commits.submit(entries, done, failed)
+        entries.owed = self._announce(event)
+        fate = asyncio.get_running_loop().create_future()
+        staged = self._staged[one.id] = Staged(self, event, entries.owed, fate)
+        self._commits.submit(entries, staged.done, staged.failed)
         return fate
 
-    def _take(self, entity_id: str, staged: Staged) -> None:
-        event, before = staged.event, self._every.by_id.get(entity_id)
+    def show(self, staged: Staged) -> None:
+        """Make a change visible that is safe, and have those told to whom it is owed."""
+        event = staged.event
+        one = event.after or event.before
+        assert one is not None  # noqa: S101 - a change has at least one end
+        entity_id = one.id
+        before = self._every.by_id.get(entity_id)
         self._put(before, event.after, event.written if before is event.before else None)
         if self._staged.get(entity_id) is staged:
             del self._staged[entity_id]

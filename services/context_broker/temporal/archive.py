@@ -6,25 +6,25 @@ the order of time and are found by an index: rows in the order of entities would
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from services.context_broker.storage.database import Database, NotStored, Writer
 
 
-@dataclass(slots=True, eq=False)
-class HistoryRow:
-    """A change of the entity at `place`; without `body` it is forgotten.
+class HistoryRow(NamedTuple):
+    """A change of the entity at `place`, as the table has it; without `body` it is forgotten.
 
     `seq` is the time of the change in microseconds since 1970, made different from every other one of the
     entity; `observed` are the first and the last observedAt in it, in seconds since 1970, if it has any.
+    `rewritten` is 1 where it was changed later, so that modifiedAt in it may be younger than the row.
     """
 
     place: int
     seq: int
-    observed: tuple[float | None, float | None]
+    observed_from: float | None
+    observed_to: float | None
+    rewritten: int
     body: bytes | None
-    rewritten: bool = False
-    """Whether it was changed later, so that modifiedAt in it may be younger than the row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,11 +122,7 @@ def write_archive(
     departed: Mapping[int, DepartedRow],
 ) -> None:
     """Write changes and departed entities as part of a commit, and forget those that are to be forgotten."""
-    kept = [
-        (row.place, row.seq, *row.observed, int(row.rewritten), row.body)
-        for row in history
-        if row.body is not None
-    ]
+    kept = [row for row in history if row.body is not None]
     if kept:
         writer.run_many(
             "INSERT INTO history (entity, seq, observed_from, observed_to, rewritten, body) "

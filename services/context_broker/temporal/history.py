@@ -177,7 +177,7 @@ class Recorder:
         if seq <= self._last < seq + 1_000_000:
             seq = self._last + 1  # several changes in one instant, or a clock that is coarse
         self._last = seq
-        return HistoryRow(place, seq, change.observed(seq / 1_000_000), change.stored())
+        return HistoryRow(place, seq, *change.observed(seq / 1_000_000), 0, change.stored())
 
 
 def change_of(event: Event) -> Change | None:

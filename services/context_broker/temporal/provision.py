@@ -331,7 +331,7 @@ async def _commit(tenant: Tenant, entries: Entries) -> None:
 
 def _row(place: int, seq: int, change: Change) -> HistoryRow:
     body = None if change.is_empty() else change.stored()
-    return HistoryRow(place, seq, change.observed(seq / 1_000_000), body, rewritten=True)
+    return HistoryRow(place, seq, *change.observed(seq / 1_000_000), 1, body)
 
 
 def _pieces(attributes: Attributes) -> Iterator[Attributes]:

@@ -1,3 +1,4 @@
+// @vitest-environment jsdom
 import { readFileSync } from "node:fs";
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { describe, expect, test } from "vitest";
