@@ -134,9 +134,7 @@ class Bridge:
     def view(self, name: str) -> Mapping[str, Any]:
         """Return what there is to say of a rule. Raises `Problem`."""
         if name not in self.tallies:
-            raise Problem(
-                404, "No such rule", f'there is no rule "{name}"; there are {", ".join(self.tallies)}'
-            )
+            raise self._no_such_rule(name)
         seen = dict(self.tallies[name].view(asyncio.get_running_loop().time()))
         seen |= self._particulars(name)
         return seen

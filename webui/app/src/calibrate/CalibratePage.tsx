@@ -1,19 +1,15 @@
 /** The Calibrate page: how a glove fits the hand that wears it, finger by finger, over the live signal. */
-import { Hand } from "lucide-react";
 import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { useLocation } from "wouter";
 import { callService, describe } from "~/api/http";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
 import { Choice } from "~/design/Choice";
-import { Empty } from "~/design/Empty";
-import { Pick } from "~/design/Pick";
 import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
+import { GlovePick, NoGlove, useChosenGlove } from "~/glove/ChosenGlove";
 import { fingers } from "~/hand/geometry";
 import { usePick } from "~/live/hooks";
-import { useGloveNames } from "~/live/names";
 import { shortName } from "~/live/urn";
 import { useQuery } from "~/route/query";
 import { useKeys } from "~/shell/keys";
@@ -26,33 +22,20 @@ const LivePlot = lazy(() => import("./LivePlot"));
 
 export default function CalibratePage() {
   const { t } = useTranslation("calibrate");
-  const [, go] = useLocation();
-  const gloves = useGloveNames();
-  const [asked, setGlove] = useQuery("glove");
-  const glove = gloves.find((one) => one === asked) ?? gloves[0];
+  const glove = useChosenGlove();
   return (
     <div className="calibrate">
       <header className="calibrate__head">
         <h1>{t("title")}</h1>
         {glove !== undefined && (
           <>
-            <Pick label={t("glove")} value={glove} options={gloves.map((one) => ({ value: one, name: one }))} onChange={setGlove} />
+            <GlovePick glove={glove} />
             <Wearer glove={glove} />
           </>
         )}
       </header>
       {glove === undefined ? (
-        <Empty
-          icon={<Hand aria-hidden size={32} />}
-          title={t("none.title")}
-          act={
-            <Button kind="main" onPress={() => go("/")}>
-              {t("none.act")}
-            </Button>
-          }
-        >
-          {t("none.means")}
-        </Empty>
+        <NoGlove means={t("none")} />
       ) : (
         <div className="calibrate__ways" key={glove}>
           <GuidedCard glove={glove} />
