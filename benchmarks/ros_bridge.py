@@ -1,11 +1,12 @@
 """The ROS bridge: a robot on a graph, the bridge and the broker as processes, JointStates of 4 KB.
 
-    python -m benchmarks.ros_bridge [--seconds 10] [--rate 100]
+    python -m benchmarks.ros_bridge [--seconds 10] [--rate 100] [--memory MINUTES]
 
 Prints one way from a message of the robot until a subscriber of the broker is told (ROS to NGSI-LD), from a
 write in the broker until the robot hears it (NGSI-LD to ROS), both as p50 and p99 with how many were lost;
 and what the bridge costs of a core when 1,000 messages a second come to a rule with a dead band, with how
-much its resident memory grows.
+much its resident memory grows. With `--memory` both ways are busy for so many minutes instead, and the
+resident memory of the bridge is told minute by minute.
 """
 
 import argparse
@@ -119,7 +120,7 @@ class Bench:
         await send({"type": "http.response.body", "body": b""})
 
 
-async def measure(seconds: float, rate_hz: float) -> None:
+async def measure(seconds: float, rate_hz: float, memory_minutes: int) -> None:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder))
@@ -128,14 +129,16 @@ async def measure(seconds: float, rate_hz: float) -> None:
             await bench.ready(bench.broker_port)
             processes.append(bench.start("ros_fiware_bridge"))
             await bench.ready(bench.bridge_port)
-            await _all(bench, psutil.Process(processes[1].pid), seconds, rate_hz)
+            await _all(bench, psutil.Process(processes[1].pid), seconds, rate_hz, memory_minutes)
         finally:
             for process in reversed(processes):
                 process.terminate()
                 process.wait(timeout=10)
 
 
-async def _all(bench: Bench, bridge: psutil.Process, seconds: float, rate_hz: float) -> None:
+async def _all(
+    bench: Bench, bridge: psutil.Process, seconds: float, rate_hz: float, memory_minutes: int
+) -> None:
     config = uvicorn.Config(
         bench.told, port=bench.own_port, log_level="error", lifespan="off", interface="asgi3"
     )
@@ -161,10 +164,13 @@ async def _all(bench: Bench, bridge: psutil.Process, seconds: float, rate_hz: fl
                 },
             }
         )
-        count = int(seconds * rate_hz)
-        await _ros_to_ngsild(bench, robot, count, rate_hz)
-        await _ngsild_to_ros(robot, broker, count, rate_hz)
-        await _banded(robot, bridge, seconds)
+        if memory_minutes:
+            await _memory(robot, broker, bridge, memory_minutes, rate_hz)
+        else:
+            count = int(seconds * rate_hz)
+            await _ros_to_ngsild(bench, robot, count, rate_hz)
+            await _ngsild_to_ros(robot, broker, count, rate_hz)
+            await _banded(robot, bridge, seconds)
     await robot.close()
     server.should_exit = True
     await serving
@@ -226,6 +232,30 @@ async def _banded(robot: Any, bridge: psutil.Process, seconds: float) -> None:
     )
 
 
+async def _memory(
+    robot: Any, broker: BrokerClient, bridge: psutil.Process, minutes: int, rate_hz: float
+) -> None:
+    publisher = await robot.publisher("/joint_states", "sensor_msgs/msg/JointState", Qos(depth=100))
+    heard = 0
+
+    def hear(_: Any) -> None:
+        nonlocal heard
+        heard += 1
+
+    subscription = await robot.subscribe("/goal", "std_msgs/msg/Float64", hear, Qos(depth=100))
+    assert await publisher.matched(20)
+    assert await subscription.matched(20)
+
+    async def say(number: int) -> None:
+        publisher.publish(joint_state(number))
+        await broker.upsert([{"id": GOAL, "type": "Device", "goal": {"type": "Property", "value": number}}])
+
+    for minute in range(minutes):
+        await _at_rate(say, int(60 * rate_hz), rate_hz)
+        rss_mb = bridge.memory_info().rss / 2**20
+        print(f"minute {minute + 1}: {rss_mb:.1f} MB, {heard} heard by the robot", flush=True)
+
+
 async def _at_rate(say: Callable[[int], Awaitable[None]], count: int, rate_hz: float) -> None:
     start_s = time.perf_counter()
     for number in range(count):
@@ -266,8 +296,9 @@ def main() -> None:
     )
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--rate", type=float, default=100.0, help="messages a second, each way")
+    parser.add_argument("--memory", type=int, default=0, metavar="MINUTES", help="watch its memory instead")
     asked = parser.parse_args()
-    asyncio.run(measure(asked.seconds, asked.rate))
+    asyncio.run(measure(asked.seconds, asked.rate, asked.memory))
 
 
 if __name__ == "__main__":
