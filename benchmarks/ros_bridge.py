@@ -44,6 +44,7 @@ ros_to_ngsild:
     topic: /joint_states
     type: sensor_msgs/JointState
     entity: Device:arm-1
+    qos: {depth: 1000}
     buffer: {keep: 1000}
     attributes: {number: "velocity[0]", jointPositions: position}
   banded:
@@ -177,7 +178,7 @@ async def _all(
 
 
 async def _ros_to_ngsild(bench: Bench, robot: Any, count: int, rate_hz: float) -> None:
-    publisher = await robot.publisher("/joint_states", "sensor_msgs/msg/JointState", Qos(depth=100))
+    publisher = await robot.publisher("/joint_states", "sensor_msgs/msg/JointState", Qos(depth=1000))
     assert await publisher.matched(20)
     sent_s: dict[int, float] = {}
 
@@ -235,7 +236,7 @@ async def _banded(robot: Any, bridge: psutil.Process, seconds: float) -> None:
 async def _memory(
     robot: Any, broker: BrokerClient, bridge: psutil.Process, minutes: int, rate_hz: float
 ) -> None:
-    publisher = await robot.publisher("/joint_states", "sensor_msgs/msg/JointState", Qos(depth=100))
+    publisher = await robot.publisher("/joint_states", "sensor_msgs/msg/JointState", Qos(depth=1000))
     heard = 0
 
     def hear(_: Any) -> None:
