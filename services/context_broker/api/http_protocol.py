@@ -196,7 +196,7 @@ class Turn:
 
     __slots__ = (
         "_asked", "_context", "_expects", "_news", "_protocol", "_work", "body", "disconnected",
-        "keep_alive", "message_event", "more_body", "response_complete",
+        "keep_alive", "more_body", "response_complete",
     )  # fmt: skip
 
     def __init__(self, protocol: BrokerProtocol, asked: Request) -> None:
@@ -212,7 +212,11 @@ class Turn:
         self._asked = asked
         self._expects = b"expect" in headers and headers[b"expect"].lower() == b"100-continue"
         self._news: asyncio.Future[None] | None = None
-        self.message_event = self
+
+    @property
+    def message_event(self) -> "Turn":
+        """Return what is set when more has come; not kept, or no request would go before it is looked for."""
+        return self
 
     def take(self, piece: bytes) -> None:
         """Take a piece of the body; nobody sends on while nobody reads."""

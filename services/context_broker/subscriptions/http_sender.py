@@ -130,6 +130,10 @@ class _Connection(asyncio.Protocol):
         if self.transport is not None:
             self.transport.abort()
 
+    def forget(self) -> None:
+        """Let go of an answer that was taken: of an error it would lead round in a circle to its request."""
+        self._answer = None
+
     @property
     def is_open(self) -> bool:
         """Whether the other side has not closed it."""
@@ -298,6 +302,7 @@ class HttpSender:
                 idle.append(connection)
             else:
                 connection.close()
+            connection.forget()
 
 
 class HttpAsker(HttpSender):

@@ -173,7 +173,7 @@ def test_however_much_a_dead_endpoint_is_owed_the_memory_stays_as_it_is(
 def test_what_a_dead_endpoint_is_owed_fills_neither_memory_nor_disk(
     own_broker: Any, closing: Closing, eventually: Eventually
 ) -> None:
-    """Fifteen megabytes of notifications are owed, of which one may wait."""
+    """Sixty megabytes of notifications are owed, of which one may wait."""
     own_broker.extra = {"HANDOVER_BROKER_NOTIFICATION_KEEP_MB": "1"}
     own_broker.start()
     with own_broker.client() as http:
@@ -182,15 +182,15 @@ def test_what_a_dead_endpoint_is_owed_fills_neither_memory_nor_disk(
         memory = psutil.Process(own_broker.process.pid).memory_info
         before = memory().rss
         change = {"id": entity, "type": "Flood", "filling": "x" * 5000}
-        for start in range(0, 3000, 100):
+        for start in range(0, 12_000, 100):
             batch = [{**change, "n": start + number} for number in range(100)]
             answer = http.post("/entityOperations/upsert", params={"options": "update"}, json=batch)
             assert answer.status_code in {201, 204}, answer.text
-        eventually(lambda: http.get(path).json()["notification"]["timesFailed"] > 2500)
+        eventually(lambda: http.get(path).json()["notification"]["timesFailed"] > 11_500)
         given_up = own_broker.metric(r'handover_broker_notifications_given_up_total\{reason="too many"\}')
-        assert given_up > 2500
+        assert given_up > 11_500
         eventually(lambda: waiting(own_broker, "disk") + waiting(own_broker, "memory") < 400)
         assert waiting(own_broker, "memory") <= 256
-        assert memory().rss - before < 40 * 1024 * 1024
-        assert http.get(f"/entities/{entity}").json()["n"]["value"] == 2999
+        assert memory().rss - before < 70 * 1024 * 1024
+        assert http.get(f"/entities/{entity}").json()["n"]["value"] == 11_999
         assert re.search(r"given up", own_broker.log())
