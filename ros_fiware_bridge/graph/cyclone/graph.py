@@ -2,9 +2,8 @@
 
 import asyncio
 from collections.abc import Callable, Sequence
-from typing import Any
 
-from ros_fiware_bridge.errors import GraphClosed, GraphError
+from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.cyclone import view
 from ros_fiware_bridge.graph.cyclone.action_client import CycloneActionClient
@@ -14,6 +13,7 @@ from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.services import CycloneClient, CycloneServer
 from ros_fiware_bridge.graph.cyclone.topics import CyclonePublisher, CycloneSubscription
 from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.member import Member
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,
@@ -28,17 +28,13 @@ from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-class CycloneGraph:
+class CycloneGraph(Member):
     """A node on the graph; see `port.RosGraph`. Made by `joining.join`."""
 
     def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnNode) -> None:
-        self.store = store
-        self._settings = settings
+        super().__init__(store, settings)
         self._node = node
-        self._opened: dict[int, Any] = {}
         self._clients: dict[tuple[str, str], CycloneClient] = {}
-        self._closed = False
-        self.node_name = names.full_name(settings.node, settings.namespace, settings.node)
 
     @classmethod
     async def join(cls, store: TypeStore, settings: JoinSettings) -> "CycloneGraph":
@@ -54,24 +50,6 @@ class CycloneGraph:
         )
         node = await asyncio.to_thread(OwnNode, network, store, name, namespace, settings.enclave)
         return cls(store, settings, node)
-
-    def _full(self, name: str) -> str:
-        if self._closed:
-            raise GraphClosed(f"{name}: the graph was closed")
-        return names.full_name(name, self._settings.namespace, self._settings.node)
-
-    def _type(self, type_name: str, kind: str, *parts: str) -> str:
-        full = self.store.resolve(type_name, kind)
-        for part in parts:
-            self.store.sound(f"{full}{part}")
-        return full
-
-    def _keep(self, opened: Any) -> Callable[[Any], None]:
-        self._opened[id(opened)] = opened
-        return self._gone
-
-    def _gone(self, opened: Any) -> None:
-        self._opened.pop(id(opened), None)
 
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
@@ -173,9 +151,7 @@ class CycloneGraph:
         if self._closed:
             return
         self._closed = True
-        # What was opened last stands on what was opened first.
-        for opened in reversed(list(self._opened.values())):
-            await opened.close()
+        await self._close_all()
         for client in self._clients.values():
             client.close()
         self._clients.clear()

@@ -4,9 +4,10 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ros_fiware_bridge.errors import GraphClosed, GraphError
+from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.member import Member
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,
@@ -26,17 +27,13 @@ from ros_fiware_bridge.graph.ros_installed.topics import RosPublisher, RosSubscr
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-class RosInstalledGraph:
+class RosInstalledGraph(Member):
     """A node on the graph; see `port.RosGraph`. Made by `joining.join`."""
 
     def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnRosNode) -> None:
-        self.store = store
-        self._settings = settings
+        super().__init__(store, settings)
         self._node = node
-        self._opened: dict[int, Any] = {}
         self._clients: dict[tuple[str, str], RosClient] = {}
-        self._closed = False
-        self.node_name = names.full_name(settings.node, settings.namespace, settings.node)
 
     @classmethod
     async def join(cls, store: TypeStore, settings: JoinSettings) -> "RosInstalledGraph":
@@ -49,23 +46,6 @@ class RosInstalledGraph:
         names.node_name(settings.node)
         names.namespace(settings.namespace)
         return cls(store, settings, await asyncio.to_thread(OwnRosNode, settings, store))
-
-    def _full(self, name: str) -> str:
-        if self._closed:
-            raise GraphClosed(f"{name}: the graph was closed")
-        return names.full_name(name, self._settings.namespace, self._settings.node)
-
-    def _type(self, type_name: str, kind: str, *parts: str) -> str:
-        full = self.store.resolve(type_name, kind)
-        for part in parts:
-            self.store.sound(f"{full}{part}")
-        return full
-
-    def _keep(self, opened: Any) -> None:
-        self._opened[id(opened)] = opened
-
-    def _gone(self, opened: Any) -> None:
-        self._opened.pop(id(opened), None)
 
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
@@ -165,8 +145,7 @@ class RosInstalledGraph:
         if self._closed:
             return
         self._closed = True
-        for opened in reversed(list(self._opened.values())):
-            await opened.close()
+        await self._close_all()
         for client in self._clients.values():
             client.close()
         self._clients.clear()

@@ -3,11 +3,11 @@
 import asyncio
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any
 
-from ros_fiware_bridge.errors import GraphClosed, GraphError
+from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.member import Member
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,
@@ -29,20 +29,16 @@ from ros_fiware_bridge.graph.rosbridge.view import RosapiView
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-class RosbridgeGraph:
+class RosbridgeGraph(Member):
     """A client of a rosbridge server; see `port.RosGraph`. Made by `joining.join`."""
 
     def __init__(self, store: TypeStore, settings: JoinSettings, link: Link) -> None:
-        self.store = store
-        self._settings = settings
+        super().__init__(store, settings)
         self._link = link
         self._forms = Forms(store)
         self._view = RosapiView(link, store)
         self._desk = Desk(link, self._forms, self._view, settings.most_bytes)
         self._looking: asyncio.Task[None] | None = None
-        self._opened: dict[int, Any] = {}
-        self._closed = False
-        self.node_name = names.full_name(settings.node, settings.namespace, settings.node)
 
     @classmethod
     async def join(cls, store: TypeStore, settings: JoinSettings) -> "RosbridgeGraph":
@@ -66,23 +62,6 @@ class RosbridgeGraph:
             await self._view.look()
         self._forms.ros1 = self._view.is_ros1
         self._looking = asyncio.create_task(self._view.keep())
-
-    def _full(self, name: str) -> str:
-        if self._closed:
-            raise GraphClosed(f"{name}: the graph was closed")
-        return names.full_name(name, self._settings.namespace, self._settings.node)
-
-    def _type(self, type_name: str, kind: str, *parts: str) -> str:
-        full = self.store.resolve(type_name, kind)
-        for part in parts:
-            self.store.sound(f"{full}{part}")
-        return full
-
-    def _keep(self, opened: Any) -> None:
-        self._opened[id(opened)] = opened
-
-    def _gone(self, opened: Any) -> None:
-        self._opened.pop(id(opened), None)
 
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
@@ -177,6 +156,5 @@ class RosbridgeGraph:
             self._looking.cancel()
             with suppress(asyncio.CancelledError):
                 await self._looking
-        for opened in reversed(list(self._opened.values())):
-            await opened.close()
+        await self._close_all()
         await self._link.close()
