@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ros_fiware_bridge.errors import GraphClosed
+from ros_fiware_bridge.errors import GraphClosed, MessageTooBig
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.joining import JoinSettings
 from ros_fiware_bridge.types.type_store import TypeStore
@@ -39,3 +39,12 @@ class Member:
         """Close what is open, the last first: it stands on what was opened before it."""
         for opened in reversed(list(self._opened.values())):
             await opened.close()
+
+
+def require_fit(where: str, size: int, most_bytes: int) -> None:
+    """Raise `MessageTooBig` for a message of `size` bytes that is to go to `where`."""
+    if size > most_bytes:
+        raise MessageTooBig(
+            f"{where}: a message of {size} bytes is too big, {most_bytes} are allowed; "
+            "raise the limit if it is meant"
+        )

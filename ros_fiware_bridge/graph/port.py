@@ -134,6 +134,11 @@ class GoalStatus(IntEnum):
     CANCELED = 5
     ABORTED = 6
 
+    @property
+    def is_over(self) -> bool:
+        """Whether a goal stays so."""
+        return self >= GoalStatus.SUCCEEDED
+
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:

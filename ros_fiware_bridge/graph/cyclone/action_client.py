@@ -13,7 +13,6 @@ from ros_fiware_bridge.graph.qos import DEFAULT, LATCHED, Qos
 from ros_fiware_bridge.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
 
 OnFeedback = Callable[[Message], None]
-_ENDED = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
 
 
 class Means(Protocol):
@@ -44,7 +43,7 @@ class CycloneGoal:
 
     def told(self, status: GoalStatus) -> None:
         """Take what the server tells; what has ended does not begin again."""
-        if self._status not in _ENDED:
+        if not self._status.is_over:
             self._status = status
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:

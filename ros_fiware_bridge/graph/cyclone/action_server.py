@@ -25,7 +25,6 @@ log = structlog.get_logger(__name__)
 
 _KEPT_S = 900.0
 _MOST_KEPT = 1000
-_ENDED = frozenset({GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED})
 _ANY = bytes(16)
 _AGREED, _REFUSED, _UNKNOWN, _OVER = 0, 1, 2, 3  # the constants of action_msgs/srv/CancelGoal
 
@@ -150,7 +149,7 @@ class CycloneActionServer:
             status = GoalStatus.SUCCEEDED
         except GoalEnded as ended:
             status, result = ended.status, ended.result
-            if status not in _ENDED or (status is GoalStatus.CANCELED and not goal.cancel_requested):
+            if not status.is_over or (status is GoalStatus.CANCELED and not goal.cancel_requested):
                 status = GoalStatus.ABORTED
         except asyncio.CancelledError:
             status = GoalStatus.ABORTED
@@ -181,7 +180,7 @@ class CycloneActionServer:
             or (until_ns and one.accepted_ns <= until_ns)
             or (goal_id == _ANY and not until_ns)
         ]
-        going = [one for one in meant if one.status not in _ENDED]
+        going = [one for one in meant if not one.status.is_over]
         for one in going:
             one.cancel()
         if going:

@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-from ros_fiware_bridge.errors import GraphClosed, GraphError, MessageTooBig, PublishBlocked
+from ros_fiware_bridge.errors import GraphClosed, GraphError, PublishBlocked
 from ros_fiware_bridge.graph.cyclone import dds_names
 from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.samples import TIMEOUT, Sample
 from ros_fiware_bridge.graph.inbox import Inbox, hash_differs
+from ros_fiware_bridge.graph.member import require_fit
 from ros_fiware_bridge.graph.port import Message, OnMessage
 from ros_fiware_bridge.graph.qos import Qos
 from ros_fiware_bridge.graph.waiting import until
@@ -134,11 +135,7 @@ def send(node: OwnNode, writer: Any, data: bytes, most_bytes: int, where: str) -
     Raises:
         MessageTooBig, PublishBlocked, GraphError.
     """
-    if len(data) > most_bytes:
-        raise MessageTooBig(
-            f"{where}: a message of {len(data)} bytes is too big, {most_bytes} are allowed; raise the limit "
-            "if it is meant"
-        )
+    require_fit(where, len(data), most_bytes)
     fault = node.sender.write(writer, data)
     if fault == TIMEOUT:
         raise PublishBlocked(f"{where}: its reliable subscribers take too slowly; the message was not sent")

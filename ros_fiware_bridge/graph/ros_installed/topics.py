@@ -4,8 +4,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from ros_fiware_bridge.errors import GraphClosed, MessageTooBig
+from ros_fiware_bridge.errors import GraphClosed
 from ros_fiware_bridge.graph.inbox import Inbox, hash_differs
+from ros_fiware_bridge.graph.member import require_fit
 from ros_fiware_bridge.graph.port import Message, OnMessage
 from ros_fiware_bridge.graph.qos import Qos
 from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, hash_of, profile
@@ -104,11 +105,7 @@ class RosPublisher:
         if not self._open:
             raise GraphClosed(f"{self.topic} was closed; nothing can be published on it")
         data = self._node.store.encode(self.type_name, message)
-        if len(data) > self._most_bytes:
-            raise MessageTooBig(
-                f"{self.topic}: a message of {len(data)} bytes is too big, {self._most_bytes} are allowed; "
-                "raise the limit if it is meant"
-            )
+        require_fit(self.topic, len(data), self._most_bytes)
         self._publisher.publish(data)
         self.published += 1
 

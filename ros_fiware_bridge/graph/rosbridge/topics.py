@@ -4,8 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ros_fiware_bridge.errors import BadMessage, GraphClosed, MessageTooBig, PublishBlocked
+from ros_fiware_bridge.errors import BadMessage, GraphClosed, PublishBlocked
 from ros_fiware_bridge.graph.inbox import Inbox
+from ros_fiware_bridge.graph.member import require_fit
 from ros_fiware_bridge.graph.port import Message, OnMessage
 from ros_fiware_bridge.graph.qos import Durability, Qos
 from ros_fiware_bridge.graph.rosbridge.forms import Forms
@@ -130,11 +131,7 @@ class RosbridgePublisher:
         if not self._open:
             raise GraphClosed(f"{self.topic} was closed; nothing can be published on it")
         written, size = self._forms.to_json(self.type_name, message)
-        if size > self._most_bytes:
-            raise MessageTooBig(
-                f"{self.topic}: a message of {size} bytes is too big, {self._most_bytes} are allowed; "
-                "raise the limit if it is meant"
-            )
+        require_fit(self.topic, size, self._most_bytes)
         try:
             self._link.send(op="publish", topic=self.topic, msg=written)
         except PublishBlocked as error:
