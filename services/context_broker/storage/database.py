@@ -7,7 +7,7 @@ names are written `{bytes}` and `{number}`. Nothing here knows of entities.
 import re
 import shutil
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -74,6 +74,8 @@ class SqliteDatabase:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.name = path.name
+        self.before_reading: Callable[[], None] = lambda: None
+        """Is called before anything is read: what is not in the tables yet is put there."""
         self._writer: sqlite3.Connection | None = None
         self._guard: sqlite3.Connection | None = None
 
@@ -110,6 +112,7 @@ class SqliteDatabase:
 
     def scan(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
         """Yield the rows of a query, over a connection of its own."""
+        self.before_reading()
         try:
             with closing(sqlite3.connect(self.path, isolation_level=None, timeout=5)) as reader:
                 yield from reader.execute(statement, tuple(parameters))
@@ -143,11 +146,8 @@ class SqliteDatabase:
             writer = sqlite3.connect(
                 self.path, isolation_level=None, check_same_thread=False, timeout=5, cached_statements=256
             )
-            # Small pages (a new file has them): a change writes whole pages to the log, mostly for one row.
-            # FULL flushes the log at every commit: that is what makes an acknowledgement true.
-            for pragma in (
-                "page_size=1024", "journal_mode=WAL", "synchronous=FULL", "wal_autocheckpoint=16000"
-            ):  # fmt: skip
+            # FULL flushes at every transaction: once it is committed, the broker's own log is written over.
+            for pragma in ("journal_mode=WAL", "synchronous=FULL", "wal_autocheckpoint=4000"):
                 writer.execute(f"PRAGMA {pragma}")
             self._writer = writer
         return self._writer

@@ -7,14 +7,21 @@ has been is the history: a row for each change of an entity, and a row for each 
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Final
 
-from services.context_broker.storage.database import Database, NotStored, Writer
-from services.context_broker.temporal.archive import Archive, DepartedRow, HistoryRow, write_archive
+from services.context_broker.storage.database import Database, NotStored, SqliteDatabase, Writer
+from services.context_broker.storage.entries import (
+    OVERHEAD_BYTES,
+    DocumentKey,
+    EntityRow,
+    Entries,
+    Kind,
+    Notice,
+)
+from services.context_broker.storage.filing import Filing
+from services.context_broker.temporal.archive import Archive, write_archive
 
-__all__ = ["Entries", "Journal", "Kind", "NotStored", "Notice"]
+__all__ = ["DocumentKey", "EntityRow", "Entries", "Journal", "Kind", "NotStored", "Notice"]
 
 _MIGRATIONS: Final = (
     """
@@ -53,111 +60,14 @@ _MIGRATIONS: Final = (
     );
     CREATE INDEX departed_by_id ON departed (tenant, id);
     """,
+    """
+    CREATE TABLE log_state (opening TEXT NOT NULL, filed BIGINT NOT NULL);
+    INSERT INTO log_state VALUES ('', 0);
+    """,
 )
 SCHEMA_VERSION: Final = len(_MIGRATIONS)
 
-OVERHEAD_BYTES: Final = 200
-"""What a notice takes besides its body."""
-
-
-class Kind(StrEnum):
-    """What a document is. Documents of a tenant go with it; those of no tenant have the tenant ""."""
-
-    TENANT = "tenant"
-    CONTEXT = "context"
-    """An @context: by its URL if it was fetched, else by its local identifier, of the tenant that gave it."""
-    CONTEXT_USAGE = "contextUsage"
-    """How the @context of the same id was used."""
-    SUBSCRIPTION = "subscription"
-    RELAY = "relay"
-    """A subscription that was passed on to a context source."""
-    COUNTS = "counts"
-    """What became of the notifications of the subscription of the same id."""
-    ENTITY_MAP = "entity map"
-    IDENTITY = "identity"
-    """What tells this broker from all others, made at its first start."""
-    SOURCE_SUBSCRIPTION = "source subscription"
-    """To registrations of context sources; its counts are kept as those of other subscriptions."""
-    SNAPSHOT = "snapshot"
-    SNAPSHOT_TELLING = "snapshot telling"
-    """A notification of how a snapshot is that is owed to somebody."""
-    REGISTRATION = "registration"
-    ATTEMPTS = "attempts"
-    """What became of the operations passed on to the source of the registration of the same id."""
-
-
 _SUBSCRIPTION_KINDS: Final = f"'{Kind.SUBSCRIPTION}', '{Kind.SOURCE_SUBSCRIPTION}'"
-
-DocumentKey = tuple[Kind, str, str]
-"""Kind, tenant and id."""
-
-
-class EntityRow(NamedTuple):
-    """An entity as it is kept; without `body` it is gone."""
-
-    tenant: str
-    id: str
-    body: bytes | None
-
-
-@dataclass(slots=True, eq=False)
-class Notice:
-    """A notification that is owed.
-
-    Without `body`, or with one that is a list of entities instead of a notification, it waits for its
-    throttling to end, to be told then: how the entity is by then, or that list. `headers` (JSON) are those of
-    the request that the subscriber wants passed on. `seq` is its place in the outbox, which the journal gives
-    it in the commit.
-    """
-
-    tenant: str
-    subscription: str
-    entity: str
-    at: float
-    body: bytes | None
-    seq: int = 0
-    headers: bytes | None = None
-
-    @property
-    def waits_for_throttling(self) -> bool:
-        """Say whether it is told together with others once the throttling ends."""
-        return self.body is None or self.body.startswith(b"[")
-
-    @property
-    def size(self) -> int:
-        """How many bytes it takes, about."""
-        return OVERHEAD_BYTES + (0 if self.body is None else len(self.body))
-
-
-@dataclass(slots=True)
-class Entries:
-    """What is to be written in one commit; None as a body deletes."""
-
-    entities: dict[int, EntityRow] = field(default_factory=dict)
-    """By place in the order of creation."""
-    documents: dict[DocumentKey, bytes | None] = field(default_factory=dict)
-    owed: list[Notice] = field(default_factory=list)
-    settled: list[int] = field(default_factory=list)
-    history: list[HistoryRow] = field(default_factory=list)
-    cleared: list[tuple[int, int]] = field(default_factory=list)
-    """Places, each with the seq below which its history is cleared away."""
-    departed: dict[int, DepartedRow] = field(default_factory=dict)
-    """By place in the order of creation."""
-
-    def add(self, later: "Entries") -> None:
-        """Put what comes later into the same commit."""
-        self.entities.update(later.entities)
-        self.history.extend(later.history)
-        if later.owed:
-            self.owed.extend(later.owed)
-        if later.settled:
-            self.settled.extend(later.settled)
-        if later.documents:
-            self.documents.update(later.documents)
-        if later.departed:
-            self.departed.update(later.departed)
-        if later.cleared:
-            self.cleared.extend(later.cleared)
 
 
 class Journal:
@@ -167,11 +77,14 @@ class Journal:
         self.name = database.name
         self.archive = Archive(database)
         self._database = database
+        self._filing = Filing(database, _write_tables) if isinstance(database, SqliteDatabase) else None
         self._last_notice = 0
 
     def open(self) -> None:
         """Make ready; bring older content up to date. Raises `UsageError` if that cannot be."""
         self._database.open(SCHEMA_VERSION, _MIGRATIONS)
+        if self._filing is not None:
+            self._filing.open()
         ((self._last_notice,),) = self._database.read("SELECT coalesce(max(seq), 0) FROM outbox")
         with self._database.transaction() as writer:
             # A change on its way while its subscription was deleted may have left something owed to it.
@@ -186,9 +99,18 @@ class Journal:
 
     def commit(self, entries: Entries) -> None:
         """Write all of `entries` or nothing, and return when it is safe. Raises `NotStored`."""
-        with self._database.transaction() as writer:
-            self.write(writer, entries, self._last_notice)
+        if self._filing is None:
+            with self._database.transaction() as writer:
+                self.write(writer, entries, self._last_notice)
+        else:
+            _number(entries, self._last_notice)
+            self._filing.commit(entries)
         self._last_notice += len(entries.owed)
+
+    def settle(self) -> None:
+        """Return when the tables hold everything committed so far. Raises `NotStored`."""
+        if self._filing is not None:
+            self._filing.settle()
 
     def transaction(self) -> AbstractContextManager[Writer]:
         """Begin a transaction, as a commit is one. Raises `NotStored`."""
@@ -197,14 +119,14 @@ class Journal:
     @staticmethod
     def write(writer: Writer, entries: Entries, last_notice: int) -> None:
         """Write all of `entries`; what is owed is numbered from `last_notice` on."""
-        _write_entities(writer, entries)
-        _write_documents(writer, entries)
-        _write_outbox(writer, entries, last_notice)
-        write_archive(writer, entries.history, entries.cleared, entries.departed)
+        _number(entries, last_notice)
+        _write_tables(writer, entries)
 
     def close(self) -> None:
         """Let go."""
         self.archive.close()
+        if self._filing is not None:
+            self._filing.close()
         self._database.close()
 
     def entities(self) -> Iterator[tuple[str, bytes]]:
@@ -259,6 +181,19 @@ class Journal:
         return max(int(last), int(gone))
 
 
+def _number(entries: Entries, last_notice: int) -> None:
+    """Give what is owed its places in the outbox."""
+    for number, one in enumerate(entries.owed, last_notice + 1):
+        one.seq = number
+
+
+def _write_tables(writer: Writer, entries: Entries) -> None:
+    _write_entities(writer, entries)
+    _write_documents(writer, entries)
+    _write_outbox(writer, entries)
+    write_archive(writer, entries.history, entries.cleared, entries.departed)
+
+
 def _write_entities(writer: Writer, entries: Entries) -> None:
     gone = [(seq,) for seq, row in entries.entities.items() if row.body is None]
     kept = [(seq, row.tenant, row.body) for seq, row in entries.entities.items() if row.body is not None]
@@ -288,9 +223,7 @@ def _write_documents(writer: Writer, entries: Entries) -> None:
             writer.run("DELETE FROM outbox WHERE tenant = ? AND subscription = ?", (tenant, name))
 
 
-def _write_outbox(writer: Writer, entries: Entries, last_notice: int) -> None:
-    for number, one in enumerate(entries.owed, last_notice + 1):
-        one.seq = number
+def _write_outbox(writer: Writer, entries: Entries) -> None:
     if entries.owed:
         writer.run_many(
             "INSERT INTO outbox (seq, tenant, subscription, entity, at, body, headers) "

@@ -1,8 +1,9 @@
 """What was acknowledged is there: after a power cut, after a full disk, for those not told yet."""
 
 import resource
+import sqlite3
 from collections.abc import Callable
-from pathlib import Path
+from contextlib import closing
 from typing import Any
 
 import httpx
@@ -124,8 +125,7 @@ def full_disk(own_broker: Any) -> Callable[[bool], None]:
     unlimited = resource.RLIM_INFINITY
 
     def fill(full: bool) -> None:
-        largest = max(path.stat().st_size for path in Path(own_broker.data_dir).glob("broker.db*"))
-        soft = largest if full else unlimited
+        soft = 64 * 1024 if full else unlimited
         resource.prlimit(own_broker.process.pid, resource.RLIMIT_FSIZE, (soft, unlimited))
 
     return fill
@@ -173,6 +173,55 @@ def test_a_full_disk_refuses_writes_and_nothing_else(
     with own_broker.client() as http:
         assert http.get(path, params={"options": "keyValues"}).json()["n"] == 2
         assert http.get(f"/entities/{lost['id']}").status_code == 200
+
+
+@in_a_file
+def test_writes_go_on_and_stay_while_somebody_else_holds_the_tables(own_broker: Any, subscriber: Any) -> None:
+    """A copy being made, or a tool left open: the log takes what is written meanwhile."""
+    own_broker.start()
+    with own_broker.client() as http:
+        subscribe(http, "held", subscriber.url)
+        with closing(sqlite3.connect(own_broker.data_dir / "broker.db", isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            for number in range(50):
+                entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "n": number}
+                assert http.post("/entities", json=entity).status_code == 201
+            own_broker.kill()
+            other.execute("ROLLBACK")
+    own_broker.start()
+    with own_broker.client() as http:
+        found = http.get("/entities", params={"type": "Owed", "limit": 100, "options": "keyValues"}).json()
+        assert [one["n"] for one in found] == list(range(50))
+        ever = {"type": "Owed", "limit": 100, "timerel": "after", "timeAt": "1970-01-01T00:00:00Z"}
+        assert len(http.get("/temporal/entities", params=ever).json()) == 50
+    assert sorted(set(numbers(subscriber))) == list(range(50))
+
+
+@in_a_file
+def test_a_damaged_log_is_refused_in_one_line(own_broker: Any) -> None:
+    own_broker.start()
+    with (
+        own_broker.client() as http,
+        closing(sqlite3.connect(own_broker.data_dir / "broker.db", isolation_level=None)) as other,
+    ):
+        other.execute("BEGIN IMMEDIATE")
+        for number in range(3):
+            entity = {"id": f"urn:ngsi-ld:Owed:demo:{number}", "type": "Owed", "pad": "x" * 5000}
+            assert http.post("/entities", json=entity).status_code == 201
+        own_broker.kill()
+        other.execute("ROLLBACK")
+    file = own_broker.data_dir / "broker.log-1"
+    content = file.read_bytes()
+    at = content.rindex(b"Owed:demo:1")
+    file.write_bytes(content[:at] + b"?" + content[at + 1 :])
+    process = own_broker.spawn()
+    try:
+        assert process.wait(20) == 2
+    finally:
+        process.kill()
+    last = own_broker.log().strip().splitlines()[-1]
+    assert "is damaged" in last
+    assert "broker.log-1" in last
 
 
 @in_a_file

@@ -265,7 +265,7 @@ def test_what_a_power_cut_has_left_of_a_snapshot_is_cleared_away(
     with own_broker.client() as http:
         create(http, "urn:ngsi-ld:Left:1", "Left", 80)
         snapshot(http, query("Left"))
-    own_broker.kill()
+    own_broker.stop()
     with closing(sqlite3.connect(own_broker.data_dir / "broker.db")) as database:  # as if cut while deleting
         database.execute("DELETE FROM documents WHERE kind = 'snapshot'")
         database.commit()

@@ -5,9 +5,10 @@ from itertools import islice
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.context_broker.storage.journal import DepartedRow, EntityRow, Entries, Kind
+from services.context_broker.storage.entries import EntityRow, Entries, Kind
 from services.context_broker.storage.places import SLOTS, Places
 from services.context_broker.storage.replica import News, Unknown
+from services.context_broker.temporal.archive import DepartedRow
 
 ENTITY = Entries(entities={7: EntityRow("", "urn:e:1", b"[]")})
 

@@ -1,0 +1,85 @@
+"""Records of the log: what one commit writes, as bytes and back.
+
+A record is a line of JSON that names what is written, with the length of each body in its place, and then the
+bodies one after the other. They are JSON as a rule, and only copied.
+"""
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind, Notice
+from services.context_broker.temporal.archive import DepartedRow, HistoryRow
+
+_NOTHING: Final[tuple[()]] = ()
+
+
+def encoded(entries: Entries) -> bytes:
+    """Return what a commit writes as a record."""
+    bodies: list[bytes] = []
+
+    def size(body: bytes | None) -> int | None:
+        if body is None:
+            return None
+        bodies.append(body)
+        return len(body)
+
+    said: dict[str, list[tuple[Any, ...]] | list[int]] = {
+        "entities": [(place, *row[:2], size(row[2])) for place, row in entries.entities.items()],
+        "history": [(*row[:5], size(row[5])) for row in entries.history],
+    }
+    if entries.documents:
+        said["documents"] = [
+            (kind.value, tenant, name, size(body)) for (kind, tenant, name), body in entries.documents.items()
+        ]
+    if entries.owed:
+        said["owed"] = [
+            (one.tenant, one.subscription, one.entity, one.at, one.seq, size(one.body), size(one.headers))
+            for one in entries.owed
+        ]
+    if entries.settled:
+        said["settled"] = entries.settled
+    if entries.cleared:
+        said["cleared"] = entries.cleared
+    if entries.departed:
+        said["departed"] = [
+            (place, row.tenant, row.id, size(row.body)) for place, row in entries.departed.items()
+        ]
+    return b"".join((orjson.dumps(said), b"\n", *bodies))
+
+
+def decoded(record: bytes) -> Entries:
+    """Return what a record says is written."""
+    line, _, _ = record.partition(b"\n")
+    said: dict[str, list[Any]] = orjson.loads(line)
+    at = len(line) + 1
+
+    def body(size: int | None) -> bytes | None:
+        nonlocal at
+        if size is None:
+            return None
+        at += size
+        return record[at - size : at]
+
+    def rows(of: str) -> Iterable[Any]:
+        return said.get(of, _NOTHING)
+
+    # The order is that of `encoded`, in which the bodies lie.
+    entities = {place: EntityRow(tenant, name, body(size)) for place, tenant, name, size in rows("entities")}
+    history = [
+        HistoryRow(place, seq, observed_from, observed_to, rewritten, body(size))
+        for place, seq, observed_from, observed_to, rewritten, size in rows("history")
+    ]
+    documents: dict[DocumentKey, bytes | None] = {
+        (Kind(kind), tenant, name): body(size) for kind, tenant, name, size in rows("documents")
+    }
+    owed = [
+        Notice(tenant, subscription, entity, at_s, body(size), seq, body(headers))
+        for tenant, subscription, entity, at_s, seq, size, headers in rows("owed")
+    ]
+    cleared = [(place, bound) for place, bound in rows("cleared")]
+    departed = {
+        place: DepartedRow(tenant, name, body(size)) for place, tenant, name, size in rows("departed")
+    }
+    return Entries(entities, documents, owed, list(rows("settled")), history, cleared, departed)

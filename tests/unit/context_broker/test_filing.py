@@ -1,0 +1,210 @@
+"""Filing: in the end the tables say what they would say if each commit had been written alone."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handover.errors import UsageError
+from services.context_broker.storage.database import NotStored, SqliteDatabase
+from services.context_broker.storage.entries import EntityRow, Entries, Kind, Notice
+from services.context_broker.storage.filing import lots
+from services.context_broker.storage.journal import Journal
+from services.context_broker.storage.log import SIZE
+from services.context_broker.storage.records import decoded, encoded
+from services.context_broker.temporal.archive import DepartedRow, HistoryRow
+
+TABLES = {
+    "entities": "SELECT seq, tenant, body FROM entities",
+    "documents": "SELECT kind, tenant, id, body FROM documents",
+    "outbox": "SELECT seq, tenant, subscription, entity, at, body, headers FROM outbox",
+    "history": "SELECT entity, seq, observed_from, observed_to, rewritten, body FROM history",
+    "departed": "SELECT place, tenant, id, body FROM departed",
+}
+
+bodies = st.binary(max_size=40)
+bodies_or_none = st.none() | bodies
+places = st.integers(1, 4)
+tenants = st.sampled_from(["", "clinic"])
+names = st.sampled_from(["urn:a", "urn:ä\n"])
+times = st.none() | st.floats(0, 2e9)
+
+entity_rows = st.builds(EntityRow, tenants, names, bodies_or_none)
+history_rows = st.builds(
+    HistoryRow, places, st.integers(1, 5), times, times, st.integers(0, 1), bodies_or_none
+)
+departed_rows = st.builds(DepartedRow, tenants, names, bodies_or_none)
+notices = st.builds(
+    Notice, tenants, names, names, st.floats(0, 2e9), bodies_or_none, st.just(0), bodies_or_none
+)
+document_keys = st.tuples(
+    st.sampled_from([Kind.SUBSCRIPTION, Kind.SOURCE_SUBSCRIPTION, Kind.COUNTS, Kind.CONTEXT]), tenants, names
+)
+commits = st.builds(
+    Entries,
+    entities=st.dictionaries(places, entity_rows, max_size=3),
+    documents=st.dictionaries(document_keys, bodies_or_none, max_size=3),
+    owed=st.lists(notices, max_size=3),
+    settled=st.lists(st.integers(1, 9), max_size=3, unique=True),
+    # One commit names a row of history once, and clears nothing that it writes: so does the broker.
+    history=st.lists(history_rows, max_size=3, unique_by=lambda row: row[:2]),
+    departed=st.dictionaries(places, departed_rows, max_size=2),
+) | st.builds(Entries, cleared=st.lists(st.tuples(places, st.integers(1, 6)), max_size=2))
+
+
+def tables(file: Path) -> dict[str, Any]:
+    with closing(sqlite3.connect(file)) as database:
+        return {name: sorted(database.execute(asked), key=repr) for name, asked in TABLES.items()}
+
+
+def opened(file: Path) -> Journal:
+    journal = Journal(SqliteDatabase(file))
+    journal.open()
+    return journal
+
+
+def in_turn(made: list[Entries]) -> list[Entries]:
+    """Return commits of which none settles what is not owed yet."""
+    owed = 0
+    for entries in made:
+        entries.settled = [seq for seq in entries.settled if seq <= owed]
+        owed += len(entries.owed)
+    return made
+
+
+@given(commits)
+def test_a_record_says_what_was_to_be_written(entries: Entries) -> None:
+    for number, notice in enumerate(entries.owed, 7):
+        notice.seq = number
+    again = decoded(encoded(entries))
+    assert (again.entities, again.documents, again.settled) == (
+        entries.entities,
+        entries.documents,
+        entries.settled,
+    )
+    assert (again.history, again.cleared, again.departed) == (
+        entries.history,
+        entries.cleared,
+        entries.departed,
+    )
+    assert [told(notice) for notice in again.owed] == [told(notice) for notice in entries.owed]
+
+
+def told(one: Notice) -> tuple[Any, ...]:
+    return one.tenant, one.subscription, one.entity, one.at, one.body, one.seq, one.headers
+
+
+@settings(deadline=None, max_examples=20)
+@given(made=st.lists(commits, max_size=8))
+def test_many_commits_in_one_transaction_leave_what_each_alone_would(
+    tmp_path_factory: pytest.TempPathFactory, made: list[Entries]
+) -> None:
+    folder = tmp_path_factory.mktemp("filing")
+    alone, together = opened(folder / "alone.db"), opened(folder / "together.db")
+    for entries in in_turn(made):
+        alone.commit(entries)
+        alone.settle()
+    for entries in made:
+        together.commit(entries)
+    together.settle()
+    alone.close()
+    together.close()
+    assert tables(folder / "together.db") == tables(folder / "alone.db")
+
+
+@settings(deadline=None, max_examples=15)
+@given(made=st.lists(commits, min_size=1, max_size=8))
+def test_what_a_killed_broker_has_left_in_the_log_is_filed_at_the_next_start(
+    tmp_path_factory: pytest.TempPathFactory, made: list[Entries]
+) -> None:
+    folder = tmp_path_factory.mktemp("killed")
+    (folder / "copy").mkdir()
+    journal = opened(folder / "broker.db")
+    with journal.transaction() as writer:  # so that nothing is filed meanwhile
+        for entries in in_turn(made):
+            journal.commit(entries)
+        for file in folder.glob("broker.*"):  # what is on the disk if it is killed now
+            if file.suffix != ".lock":
+                (folder / "copy" / file.name).write_bytes(file.read_bytes())
+        del writer
+    journal.close()
+    opened(folder / "copy" / "broker.db").close()
+    opened(folder / "broker.db").close()  # which also clears away what is owed to no subscription
+    assert tables(folder / "copy" / "broker.db") == tables(folder / "broker.db")
+
+
+def test_what_was_owed_and_told_is_written_nowhere() -> None:
+    first, second = Entries(), Entries()
+    first.owed = [Notice("", "urn:s", "urn:e", 1.0, b"{}", seq) for seq in (1, 2)]
+    second.settled = [1, 8]
+    (lot,) = lots([first, second])
+    assert [notice.seq for notice in lot.owed] == [2]
+    assert lot.settled == [8]
+
+
+def test_a_commit_too_long_for_the_log_is_written_at_once_and_in_its_turn(tmp_path: Path) -> None:
+    journal = opened(tmp_path / "broker.db")
+    for body in (b"small", bytes(2 * SIZE), b"smaller"):
+        journal.commit(Entries(entities={1: EntityRow("", "urn:e", body)}))
+    assert list(journal.entities()) == [("", b"smaller")]
+    journal.close()
+
+
+def test_a_reader_sees_what_was_committed(tmp_path: Path) -> None:
+    journal = opened(tmp_path / "broker.db")
+    for place in range(1, 3000):
+        journal.commit(Entries(entities={place: EntityRow("", f"urn:{place}", b"x" * 1500)}))
+        if place % 700 == 0:
+            assert journal.last_place() == place
+    assert len(list(journal.entities())) == 2999
+    journal.close()
+
+
+def test_while_the_tables_cannot_be_written_commits_go_on_until_the_log_is_full(tmp_path: Path) -> None:
+    journal = opened(tmp_path / "broker.db")
+    committed = 0
+
+    def commit() -> None:
+        nonlocal committed
+        journal.commit(Entries(entities={committed + 1: EntityRow("", "urn:e", bytes(100_000))}))
+        committed += 1
+
+    def commit_on_and_on() -> None:
+        for _ in range(100):
+            commit()
+
+    with closing(sqlite3.connect(tmp_path / "broker.db", isolation_level=None)) as other:
+        other.execute("ALTER TABLE entities RENAME TO out_of_reach")
+        with pytest.raises(NotStored, match="no such table"):
+            commit_on_and_on()
+        assert committed * 100_000 > SIZE
+        with pytest.raises(NotStored):
+            journal.last_place()
+        other.execute("ALTER TABLE out_of_reach RENAME TO entities")
+    assert journal.last_place() == committed
+    commit()
+    assert journal.last_place() == committed
+    journal.close()
+
+
+def test_a_damaged_log_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    journal = opened(tmp_path / "broker.db")
+    with closing(sqlite3.connect(tmp_path / "broker.db", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        for place in (1, 2, 3):
+            journal.commit(Entries(entities={place: EntityRow("", "urn:e", b"body")}))
+        copy = tmp_path / "copy"
+        copy.mkdir()
+        for name in ("broker.db", "broker.log-1", "broker.db-wal"):
+            (copy / name).write_bytes((tmp_path / name).read_bytes())
+        other.execute("ROLLBACK")
+    journal.close()
+    content = bytearray((copy / "broker.log-1").read_bytes())
+    content[4096 + 50] ^= 1
+    (copy / "broker.log-1").write_bytes(content)
+    with pytest.raises(UsageError, match=r"is damaged: change 2 cannot be read, and 3 is there; to go on"):
+        opened(copy / "broker.db")
