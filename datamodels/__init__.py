@@ -4,26 +4,30 @@ Frozen models of the SHOP4CF data models in NGSI-LD, with their @contexts, JSON 
 package stands on its own; everything else of Handover stands on it.
 """
 
-from datamodels.attributes import GeoProperty, Links, Property, Relationship, TaskLocation
-from datamodels.entities import (
-    TYPES,
-    Alert,
-    Asset,
-    Device,
-    Entity,
-    Location,
-    Material,
-    Person,
-    Process,
-    ProcessDefinition,
-    ResourceSpecification,
-    Task,
-    TaskDefinition,
-    read,
-)
+from typing import TYPE_CHECKING, Any
+
 from datamodels.errors import DataModelError
 from datamodels.forms import Form
 from datamodels.states import DeviceState, RequestedStatus, Severity, TaskStatus
+
+if TYPE_CHECKING:
+    from datamodels.attributes import GeoProperty, Links, Property, Relationship, TaskLocation
+    from datamodels.entities import (
+        TYPES,
+        Alert,
+        Asset,
+        Device,
+        Entity,
+        Location,
+        Material,
+        Person,
+        Process,
+        ProcessDefinition,
+        ResourceSpecification,
+        Task,
+        TaskDefinition,
+        read,
+    )
 
 __all__ = [
     "TYPES",
@@ -52,3 +56,17 @@ __all__ = [
     "TaskStatus",
     "read",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a model or what it is made of, which are loaded when they are first asked for.
+
+    The broker needs the @contexts alone, and a start should not wait for what it does not use.
+    """
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from datamodels import attributes, entities  # noqa: PLC0415 - not before they are asked for
+
+    found = getattr(entities, name) if hasattr(entities, name) else getattr(attributes, name)
+    globals()[name] = found
+    return found

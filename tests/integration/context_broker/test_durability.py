@@ -193,6 +193,7 @@ def test_writes_go_on_and_stay_while_somebody_else_holds_the_tables(own_broker: 
         found = http.get("/entities", params={"type": "Owed", "limit": 100, "options": "keyValues"}).json()
         assert [one["n"] for one in found] == list(range(50))
         ever = {"type": "Owed", "limit": 100, "timerel": "after", "timeAt": "1970-01-01T00:00:00Z"}
+        ever["timeproperty"] = "modifiedAt"
         assert len(http.get("/temporal/entities", params=ever).json()) == 50
     assert sorted(set(numbers(subscriber))) == list(range(50))
 
