@@ -187,7 +187,7 @@ class _File:
 
 
 def _open_synced(path: str, flags: int) -> int:
-    return os.open(path, flags | _SYNCED, 0o600)
+    return os.open(path, flags | _SYNCED, 0o644)
 
 
 def _write(file: BinaryIO, content: bytes) -> None:

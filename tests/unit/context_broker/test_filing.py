@@ -67,10 +67,18 @@ def opened(file: Path) -> Journal:
     return journal
 
 
+def tenant_of(place: int) -> str:
+    return "clinic" if place % 2 else ""
+
+
 def in_turn(made: list[Entries]) -> list[Entries]:
-    """Return commits of which none settles what is not owed yet."""
+    """Return commits of which none settles what is not owed yet; a place is that of one tenant for ever."""
     owed = 0
     for entries in made:
+        for place, row in entries.entities.items():
+            entries.entities[place] = EntityRow(tenant_of(place), f"urn:{place}", row.body)
+        for place, gone in entries.departed.items():
+            entries.departed[place] = DepartedRow(tenant_of(place), f"urn:{place}", gone.body)
         entries.settled = [seq for seq in entries.settled if seq <= owed]
         owed += len(entries.owed)
     return made
