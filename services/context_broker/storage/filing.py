@@ -7,7 +7,6 @@ everything filed first, so they never say less than the log.
 
 import secrets
 import threading
-import time
 from collections.abc import Callable
 from typing import Final
 
@@ -115,7 +114,7 @@ class Filing:
                 waiting, number = self._waiting.copy(), self._log.number
             if not waiting and besides is None:
                 return
-            commits = list(map(_decoded_between, waiting))
+            commits = [decoded(record) for record in waiting]
             with self._database.transaction() as writer:
                 for lot in lots(commits if besides is None else [*commits, besides]):
                     self._write(writer, lot)
@@ -139,12 +138,6 @@ class Filing:
                 log.warning("changes wait in the log: the tables cannot be written", error=str(error))
                 self._wanted.wait(RETRY_S)
                 self._wanted.set()
-
-
-def _decoded_between(record: bytes) -> Entries:
-    """Decode a record and let the event loop go on, which would wait milliseconds for its turn otherwise."""
-    time.sleep(0)
-    return decoded(record)
 
 
 def lots(commits: list[Entries]) -> list[Entries]:
