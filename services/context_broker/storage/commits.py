@@ -1,8 +1,10 @@
-"""Commits in groups: one thread writes whatever has queued up since its last flush in one go.
+"""Commits in groups: what one turn of the event loop brings, or comes during a flush, is written together.
 
-So an acknowledgement costs its share of a disk flush, not a flush of its own. When the disk refuses, the
-whole group is refused, and with it everything that was queued behind it and may build on it. Where several
-brokers share a database, only those writes of a group are refused that another broker has overtaken.
+So an acknowledgement costs its share of a disk flush, not a flush of its own. Where the disk is quick the
+event loop writes by itself, since to hand a group to a thread and back takes longer than the flush; else a
+thread writes. When the disk refuses, the whole group is refused, and with it everything that was queued
+behind it and may build on it. Where several brokers share a database, only those writes of a group are
+refused that another broker has overtaken.
 """
 
 import asyncio
@@ -79,7 +81,7 @@ class Commits(Protocol):
 
 
 class CommitQueue:
-    """Takes writes on the event loop, commits them in a thread, and tells their makers on the loop, in order.
+    """Takes writes on the event loop, commits them, and tells their makers on the loop, in order.
 
     `on_refusal` is called on the loop, before any maker is told, when the disk has refused; `on_news` with
     what other brokers did, in the one order of all changes.
@@ -101,6 +103,8 @@ class CommitQueue:
         self._after_news: deque[Callable[[], None]] = deque()
         self._queue: queue.SimpleQueue[list[Write] | Known | None] = queue.SimpleQueue()
         self._gathered: list[Write] = []
+        self._under_way = 0
+        """Writes on their way: handed over, and their makers not told yet."""
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = threading.Thread(target=self._work, name="journal", daemon=True)
         self._era = 0
@@ -158,7 +162,27 @@ class CommitQueue:
         """
         if self._gathered:
             writes, self._gathered = self._gathered, []
-            self._queue.put(writes)
+            thread_is_idle = not self._under_way and self._replica is None
+            self._under_way += len(writes)
+            if not (thread_is_idle and self._commit_at_once(writes)):
+                self._queue.put(writes)
+
+    def _commit_at_once(self, writes: list[Write]) -> bool:
+        """Commit what has come and return true, if that is quick; the thread does nothing meanwhile."""
+        if writes[0].era <= self._refused_era:
+            return False
+        entries = together(writes)
+        try:
+            if not self._journal.commit_at_once(entries):
+                return False
+        except NotStored as error:
+            self._refused_era = writes[-1].era
+            REFUSED.inc()
+            self._on_failure(writes, error)
+            return True
+        GROUPS.tally.note(len(writes))
+        self._tell_success(writes)
+        return True
 
     async def store(self, entries: Entries) -> None:
         """Write `entries` and return when they are safe; raise `NotStored` if the disk refuses."""
@@ -238,10 +262,7 @@ class CommitQueue:
         self.look()
 
     def _commit_alone(self, writes: list[Write]) -> None:
-        entries = Entries()
-        for write in writes:
-            entries.add(write.entries)
-        self._journal.commit(entries)
+        self._journal.commit(together(writes))
         GROUPS.tally.note(len(writes))
         self._call(self._tell_success, writes)
 
@@ -265,8 +286,8 @@ class CommitQueue:
 
     # On the loop
 
-    @staticmethod
-    def _tell_success(writes: list[Write]) -> None:
+    def _tell_success(self, writes: list[Write]) -> None:
+        self._under_way -= len(writes)
         for write in writes:
             write.done()
 
@@ -289,18 +310,27 @@ class CommitQueue:
         while self._after_news and self._taking is None:
             self._after_news.popleft()()
 
-    @staticmethod
-    def _tell_overtaken(writes: list[Write]) -> None:
+    def _tell_overtaken(self, writes: list[Write]) -> None:
+        self._under_way -= len(writes)
         for write in writes:
             write.failed(Overtaken("another broker was quicker to change what it builds on"))
 
     def _on_failure(self, writes: list[Write], error: NotStored) -> None:
         log.error("the disk does not take changes", error=str(error), writes=len(writes))
+        self._under_way -= len(writes)
         if writes[-1].era == self._era:
             self._era += 1
             self._on_refusal()
         for write in writes:
             write.failed(error)
+
+
+def together(writes: list[Write]) -> Entries:
+    """Return what several writes write."""
+    entries = Entries()
+    for write in writes:
+        entries.add(write.entries)
+    return entries
 
 
 async def stored(commits: Commits, entries: Entries) -> None:

@@ -24,6 +24,9 @@ log = get_logger(__name__)
 QUIET_S: Final = 1.0
 """How long changes wait when there are few, so that whoever opens the file finds it up to date."""
 RETRY_S: Final = 1.0
+QUICK_S: Final = 0.0005
+"""A flush that takes less holds nobody up: a request takes a third of it, a thread that is woken as much."""
+QUICK_BYTES: Final = 64 * 1024
 
 UNFILED = Gauge("handover_broker_log_unfiled", "Commits in the log that are not in the tables yet")
 NOT_FILED = Counter("handover_broker_log_filing_failed_total", "Times the tables could not be written")
@@ -72,14 +75,30 @@ class Filing:
         UNFILED.set_function(lambda: len(self._waiting))
         self._thread.start()
 
+    @property
+    def is_quick(self) -> bool:
+        """Say whether the disk has been so of late that nobody notices who waits for it."""
+        return self._log.flush_s < QUICK_S
+
+    def commit_at_once(self, entries: Entries) -> bool:
+        """Do as `commit` and return true if there is room and not much to write; else do nothing."""
+        record = encoded(entries)
+        if len(record) > QUICK_BYTES or not self._log.has_room(record):
+            return False
+        self._append(record)
+        return True
+
     def commit(self, entries: Entries) -> None:
-        """Write entries and return when they are safe; from one thread. Raises `NotStored`."""
+        """Write entries and return when they are safe; one thread at a time. Raises `NotStored`."""
         record = encoded(entries)
         if self._log.never_fits(record):
             self._file(entries)
             return
         if not self._log.has_room(record):
             self._file()
+        self._append(record)
+
+    def _append(self, record: bytes) -> None:
         was_tight = self._log.is_tight
         try:
             with self._guard:

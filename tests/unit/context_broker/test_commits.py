@@ -1,0 +1,126 @@
+"""Commits, on the event loop and in a thread: each maker is told once, in order, of what is on disk."""
+
+import asyncio
+import sqlite3
+import threading
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.context_broker.storage.commits import CommitQueue
+from services.context_broker.storage.database import NotStored, SqliteDatabase
+from services.context_broker.storage.entries import EntityRow, Entries
+from services.context_broker.storage.filing import QUICK_BYTES
+from services.context_broker.storage.journal import Journal
+
+
+class OnDisks(Journal):
+    """A journal on a disk that is quick or slow as the test says, and that notes who commits."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(SqliteDatabase(folder / "broker.db"))
+        self.is_quick = True
+        self.committed_by: list[str] = []
+
+    def commit(self, entries: Entries) -> None:
+        self.committed_by.append(threading.current_thread().name)
+        super().commit(entries)
+
+    def commit_at_once(self, entries: Entries) -> bool:
+        done = self.is_quick and super().commit_at_once(entries)
+        if done:
+            self.committed_by.append(threading.current_thread().name)
+        return done
+
+
+def entity(place: int, size: int = 20) -> Entries:
+    return Entries(entities={place: EntityRow("", f"urn:{place}", b"x" * size)})
+
+
+def run(folder: Path, steps: Callable[[OnDisks, CommitQueue], object]) -> OnDisks:
+    journal = OnDisks(folder)
+    journal.open()
+
+    async def whole() -> None:
+        queue = CommitQueue(journal, lambda: None)
+        queue.start()
+        await steps(journal, queue)  # type: ignore[misc]  # a coroutine function
+        await queue.stop()
+
+    asyncio.run(whole())
+    return journal
+
+
+@pytest.mark.parametrize(("is_quick", "who"), [(True, "MainThread"), (False, "journal")])
+def test_the_event_loop_writes_to_a_quick_disk_and_a_thread_to_a_slow_one(
+    tmp_path: Path, is_quick: bool, who: str
+) -> None:
+    async def steps(journal: OnDisks, queue: CommitQueue) -> None:
+        journal.is_quick = is_quick
+        await asyncio.gather(*(queue.store(entity(place)) for place in range(1, 9)))
+        assert journal.last_place() == 8
+
+    assert run(tmp_path, steps).committed_by == [who]  # and all of one turn are one commit
+
+
+def test_what_is_long_is_left_to_the_thread(tmp_path: Path) -> None:
+    async def steps(journal: OnDisks, queue: CommitQueue) -> None:
+        await queue.store(entity(1, QUICK_BYTES))
+        await queue.store(entity(2))
+
+    assert run(tmp_path, steps).committed_by[0] == "journal"
+
+
+@settings(max_examples=10, deadline=None)
+@given(turns=st.lists(st.tuples(st.booleans(), st.integers(1, 5), st.booleans()), max_size=12))
+def test_however_quick_the_disk_is_makers_are_told_once_and_in_order(
+    tmp_path_factory: pytest.TempPathFactory, turns: list[tuple[bool, int, bool]]
+) -> None:
+    told: list[int] = []
+    made = 0
+
+    async def steps(journal: OnDisks, queue: CommitQueue) -> None:
+        nonlocal made
+        for is_quick, writes, waits in turns:
+            journal.is_quick = is_quick
+            for _ in range(writes):
+                made += 1
+                queue.submit(entity(made), lambda place=made: told.append(place), lambda _: None)  # type: ignore[misc]
+            if waits:
+                await queue.store(Entries())
+            else:
+                await asyncio.sleep(0)
+
+    journal = run(tmp_path_factory.mktemp("turns"), steps)
+    assert told == list(range(1, made + 1))
+    assert journal.last_place() == made
+    journal.close()
+
+
+@pytest.mark.parametrize("is_quick", [True, False])
+def test_what_the_disk_refuses_is_refused_and_then_it_goes_on(tmp_path: Path, is_quick: bool) -> None:
+    failures: list[str] = []
+
+    async def steps(journal: OnDisks, queue: CommitQueue) -> None:
+        journal.is_quick = is_quick
+        with closing(sqlite3.connect(tmp_path / "broker.db", isolation_level=None)) as other:
+            other.execute("ALTER TABLE entities RENAME TO out_of_reach")
+            place = 0
+            while not failures and place < 1000:  # until the log is full
+                place += 1
+                try:
+                    await queue.store(entity(place, 50_000))
+                except NotStored as error:
+                    failures.append(str(error))
+            other.execute("ALTER TABLE out_of_reach RENAME TO entities")
+        await queue.store(entity(1000))
+        assert journal.last_place() == 1000
+        assert len(list(journal.entities())) == place
+
+    run(tmp_path, steps).close()
+    assert len(failures) == 1
+    assert "no such table" in failures[0]
