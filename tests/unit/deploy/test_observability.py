@@ -12,10 +12,12 @@ import yaml
 from prometheus_client import REGISTRY
 
 from handover.cli.services import SERVICES
+from ros_fiware_bridge.settings import BridgeSettings
 
 HERE = Path(__file__).parents[3] / "deploy" / "observability"
 DASHBOARD: dict[str, Any] = json.loads((HERE / "dashboards" / "handover.json").read_text())
 COUNTING = (
+    "ros_fiware_bridge.metrics",
     "services.context_broker.app",
     "services.gesture_controller.metrics",
     "services.task_orchestrator.app",
@@ -69,11 +71,20 @@ def test_what_matters_on_a_shop_floor_is_on_the_dashboard(name: str) -> None:
 
 def test_prometheus_asks_every_service_where_it_listens() -> None:
     jobs = yaml.safe_load((HERE / "prometheus.yml").read_text())["scrape_configs"]
-    asked = {job["job_name"]: job["static_configs"][0]["targets"] for job in jobs}
+    asked = {job["job_name"]: job["static_configs"][0]["targets"] for job in jobs if "static_configs" in job}
     assert asked == {
         service.name: [f"{service.name}:{service.settings.model_fields[service.port_field].default}"]
         for service in SERVICES
     }
+
+
+def test_prometheus_asks_the_bridge_where_there_is_one() -> None:
+    jobs = yaml.safe_load((HERE / "prometheus.yml").read_text())["scrape_configs"]
+    (bridge,) = [job for job in jobs if job["job_name"] == "ros-bridge"]
+    (found,) = bridge["dns_sd_configs"]
+    compose = yaml.safe_load((HERE.parents[1] / "docker-compose.yml").read_text())
+    assert compose["services"][found["names"][0]]["profiles"] == ["ros"]
+    assert found["port"] == BridgeSettings.model_fields["bridge_port"].default
 
 
 def test_the_dashboard_asks_the_source_that_is_provisioned() -> None:
