@@ -99,7 +99,7 @@ function drawLine(plot: uPlot, bound: Bound, at: number, name: string, line: str
   ctx.font = `600 ${13 * scale}px ${getComputedStyle(plot.root.parentElement ?? plot.root).fontFamily}`;
   const words = `${name} ${at}`;
   const [width, room] = [ctx.measureText(words).width, 6 * scale];
-  const below = bound === "lower";
+  const below = bound === "lower" || y - 22 * scale < bbox.top;
   const top = below ? y + room / 2 : y - 22 * scale;
   ctx.fillStyle = ground;
   ctx.fillRect(bbox.left + room, top, width + 2 * room, 20 * scale);

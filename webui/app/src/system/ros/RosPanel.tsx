@@ -1,6 +1,7 @@
 /** ROS: one row a rule of the bridge, how much it passes on, what last, and what kept it from doing so. */
 import { Waypoints } from "lucide-react";
 import { useTranslation } from "react-i18next";
+import { Address } from "~/design/Address";
 import { Ago } from "~/design/Ago";
 import { Button } from "~/design/Button";
 import { Empty } from "~/design/Empty";
@@ -52,7 +53,7 @@ function Rule({ rule, heads, turn }: RuleProps) {
       <Cell head={name}>
         <span className="rows__name">{rule.name}</span>
         <p className="rows__why">
-          {rule.from} → {rule.to}
+          <Address of={rule.from} /> → <Address of={rule.to} />
         </p>
       </Cell>
       <Cell head={state}>
