@@ -251,7 +251,7 @@ class Broker:
 
     def _turn(self, leads: bool) -> None:
         self.tenants.turn(leads)
-        self.snapshots.tellings.turn(leads=leads)
+        self.snapshots.turn(leads=leads)
 
     def _follow_others(self) -> None:
         following = self.tenants.following

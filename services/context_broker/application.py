@@ -20,7 +20,7 @@ from services.context_broker.api.exchange import (
     send_answer,
 )
 from services.context_broker.api.http_protocol import BrokerProtocol
-from services.context_broker.api.problems import ERRORS
+from services.context_broker.api.problems import went_wrong
 
 if TYPE_CHECKING:
     from handover.service import Check
@@ -81,6 +81,4 @@ class BrokerApplication:
             return None
         except Exception as error:  # one broken request must not end the connection without an answer
             log.exception("request failed", method=request.method, path=request.path)
-            reason = f"{type(error).__name__} while answering; the log of the broker has more"
-            failure = Problem(500, "Internal error", reason, ERRORS + "InternalError")
-            return of_tenant(request, problem_answer(failure))
+            return of_tenant(request, problem_answer(went_wrong(error, "answering")))

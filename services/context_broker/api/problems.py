@@ -108,3 +108,9 @@ def not_read(reason: str) -> Problem:
     """The database did not tell what was asked for."""
     detail = f"what was asked for cannot be read just now: {reason}; try again in a moment"
     return Problem(503, "Service unavailable", detail, ERRORS + "InternalError")
+
+
+def went_wrong(error: Exception, doing: str) -> Problem:
+    """Something failed that should not have; what it was stands in the log."""
+    reason = f"{type(error).__name__} while {doing}; the log of the broker has more"
+    return Problem(500, "Internal error", reason, ERRORS + "InternalError")

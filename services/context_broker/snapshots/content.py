@@ -30,6 +30,11 @@ class Content:
                 kept = one if attributes is None else limited(one, attributes)
                 self.entities.append(replace(kept, expires_at=None, rendered={}))
 
+    def keep_only(self, count: int) -> None:
+        """Take out again all but the first `count` entities."""
+        self._known.difference_update(one.id for one in self.entities[count:])
+        del self.entities[count:]
+
 
 async def written(inner: Tenant, content: Content) -> None:
     """Write the content of a snapshot; it becomes visible all at once. Raises `NotStored`."""

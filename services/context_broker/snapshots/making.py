@@ -1,4 +1,8 @@
-"""Making a snapshot: its queries are carried out as any query is, what they find is gathered (5.16.1.4)."""
+"""Making a snapshot: its queries are carried out as any query is, what they find is gathered (5.16.1.4).
+
+A snapshot is made after its creation has been answered, and who made it looks at its status until it is no
+longer `preparing`. So whatever goes wrong ends in `failure`, with the reason at each query that it concerns.
+"""
 
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Final
@@ -6,20 +10,152 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
+from handover.telemetry import get_logger
 from services.context_broker.api.exchange import JSON, Answer, Exchange
 from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import too_many_results
+from services.context_broker.api.problems import ERRORS, not_stored, too_many_results, went_wrong
 from services.context_broker.distribution.distribution import in_place_of
 from services.context_broker.queries.query_document import query_parameters, selectors_of
 from services.context_broker.queries.reading import selection_of
 from services.context_broker.queries.selection import hits_of
-from services.context_broker.snapshots.content import Content
-from services.context_broker.snapshots.snapshot import MOST_ENTITIES, Status, details
+from services.context_broker.snapshots.content import Content, written
+from services.context_broker.snapshots.keeping import Keeping
+from services.context_broker.snapshots.past import EVERYTHING, Perform, copied
+from services.context_broker.snapshots.snapshot import (
+    MOST_ENTITIES,
+    PAST,
+    PRESENT,
+    QUERIES,
+    Snapshot,
+    Status,
+    details,
+    status_of,
+)
+from services.context_broker.storage.journal import NotStored
+from services.context_broker.storage.tenants import Tenant, Tenants
+
+log = get_logger(__name__)
 
 HEADER: Final = b"ngsild-snapshot"
+_CUT_SHORT: Final = Problem(
+    500,
+    "Internal error",
+    "the broker ended while it was making this snapshot; delete it, and make it again with POST snapshots",
+    ERRORS + "InternalError",
+)
 
 Answering = Callable[[Operation, Exchange], Awaitable[Answer]]
 """Carries an operation out, sources included."""
+
+
+class Making:
+    """Makes snapshots, in their own time."""
+
+    def __init__(self, tenants: Tenants, keeping: Keeping, carry_out: Answering, by_name: Perform) -> None:
+        self._tenants = tenants
+        self._keeping = keeping
+        self._carry_out = carry_out
+        self._by_name = by_name
+        self._under_way: set[tuple[str, str]] = set()
+
+    def begin(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
+        """Begin to carry the queries of a snapshot out; `context` is the @context they were sent with."""
+        self._begin(exchange.tenant, made, self._fill(exchange, made, context))
+
+    def begin_copy(self, exchange: Exchange, original: Snapshot, made: Snapshot) -> None:
+        """Begin to copy what is in another snapshot."""
+        self._begin(exchange.tenant, made, self._copy(exchange, original, made))
+
+    def give_up_what_was_cut_short(self) -> None:
+        """Note that what nobody makes any more has failed: the broker that made it has ended.
+
+        Another one that shares the database and is still at it says the last word when it is done.
+        """
+        for tenant in self._tenants:
+            for one in list(tenant.snapshots.values()):
+                if one.status is Status.PREPARING and (tenant.name, one.id) not in self._under_way:
+                    failed = one.failed(_CUT_SHORT)
+                    self._keeping.take(tenant, failed)
+                    self._keeping.later(self._note(tenant, failed))
+
+    def _begin(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
+        self._under_way.add((tenant.name, made.id))
+        self._keeping.later(self._to_its_end(tenant, made, work))
+
+    async def _to_its_end(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
+        try:
+            await work
+        except Exception as error:  # whatever it is: who waits for the snapshot must not wait for ever
+            log.exception("a snapshot could not be made", snapshot=made.id)
+            problem = error if isinstance(error, Problem) else went_wrong(error, "making the snapshot")
+            await self._give_up(tenant, made, problem)
+        finally:
+            self._under_way.discard((tenant.name, made.id))
+
+    async def _give_up(self, tenant: Tenant, made: Snapshot, problem: Problem) -> None:
+        now = tenant.snapshots.get(made.id)
+        if now is None:  # it was deleted while it was being made
+            await self._keeping.clear(self._tenants.inside(tenant, made.id))
+            return
+        failed = now.failed(problem)
+        self._keeping.take(tenant, failed)  # readers are told even where the disk takes no word of it
+        await self._note(tenant, failed)
+
+    async def _note(self, tenant: Tenant, failed: Snapshot) -> None:
+        """Keep it that a snapshot has failed; nothing stays of what was made of it."""
+        async with self._keeping.one_at_a_time:
+            if tenant.snapshots.get(failed.id) is failed:
+                await self._keeping.keep(tenant, failed, tells=True)
+                await self._keeping.clear(self._tenants.inside(tenant, failed.id))
+
+    async def _fill(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
+        """Carry the queries out and keep what they find (clause 5.16.1.4)."""
+        tenant, content = exchange.tenant, Content()
+        results: dict[str, list[dict[str, Any]]] = {}
+        for query in made.document.get(PRESENT, ()):
+            result = await told_of(gathered(self._carry_out, asked(exchange, query, context), content))
+            results.setdefault(f"{PRESENT}Details", []).append(result)
+        await self._write(tenant, made, content)
+        inner = self._tenants.inside(tenant, made.id)
+        for query in made.document.get(PAST, ()):
+            result = await told_of(copied(self._by_name, asked(exchange, query, context), inner))
+            results.setdefault(f"{PAST}Details", []).append(result)
+        await self._finish(tenant, made, results)
+
+    async def _copy(self, exchange: Exchange, original: Snapshot, made: Snapshot) -> None:
+        tenant, content = exchange.tenant, Content()
+        content.add(self._tenants.inside(tenant, original.id).store.candidates(), None)
+        await self._write(tenant, made, content)
+        names = [f"{name}Details" for name in QUERIES]
+        results = {name: original.document[name] for name in names if name in original.document}
+        if PAST in original.document:
+            everything = in_place_of(
+                asked(exchange, EVERYTHING, None),
+                tenant=self._tenants.inside(tenant, original.id),
+                parameters={"local": "true"},
+            )
+            await copied(self._by_name, everything, self._tenants.inside(tenant, made.id))
+        await self._finish(tenant, made, results)
+
+    async def _write(self, tenant: Tenant, made: Snapshot, content: Content) -> None:
+        """Write the entities of a snapshot, and make room for them. Raises a problem (507) if it cannot."""
+        async with self._keeping.one_at_a_time:
+            await self._keeping.make_room_for(tenant, made, len(content.entities))
+        try:
+            await written(self._tenants.inside(tenant, made.id), content)
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+
+    async def _finish(
+        self, tenant: Tenant, made: Snapshot, results: Mapping[str, list[dict[str, Any]]]
+    ) -> None:
+        status = status_of([one for several in results.values() for one in several])
+        async with self._keeping.one_at_a_time:
+            now = tenant.snapshots.get(made.id)
+            if now is None:  # it was deleted while it was being made
+                await self._keeping.clear(self._tenants.inside(tenant, made.id))
+                return
+            await self._keeping.keep(tenant, now.changed(snapshotStatus=status.value, **results), tells=True)
 
 
 def asked(exchange: Exchange, query: Mapping[str, Any], context: Any) -> Exchange:
@@ -32,8 +168,22 @@ def asked(exchange: Exchange, query: Mapping[str, Any], context: Any) -> Exchang
     return in_place_of(exchange, raw=orjson.dumps(document), parameters={}, headers=headers)
 
 
+async def told_of(query: Awaitable[dict[str, Any]]) -> dict[str, Any]:
+    """Return what became of a query (clause 5.2.42), whatever that is: the others are carried out still."""
+    try:
+        return await query
+    except Problem as problem:
+        return details(Status.FAILURE, problem)
+    except Exception as error:  # as said
+        log.exception("a query of a snapshot failed")
+        return details(Status.FAILURE, went_wrong(error, "carrying out the query"))
+
+
 async def gathered(carry_out: Answering, exchange: Exchange, content: Content) -> dict[str, Any]:
-    """Add what a query finds to the content; return what became of the query."""
+    """Add what a query finds to the content; return what became of the query.
+
+    Of one that fails nothing stays.
+    """
     before = len(content.entities)
     count = 0
 
@@ -49,15 +199,17 @@ async def gathered(carry_out: Answering, exchange: Exchange, content: Content) -
 
     try:
         told = await carry_out(Operation("POST", "", "queryBatch", "", collect), exchange)
-    except Problem as problem:
-        return details(Status.FAILURE, problem)
+    except Exception:
+        content.keep_only(before)
+        raise
     if len(content.entities) > MOST_ENTITIES:
-        del content.entities[before:]
+        content.keep_only(before)
         return details(
             Status.FAILURE,
             too_many_results(f"a snapshot has {MOST_ENTITIES} entities at most; ask for fewer"),
         )
     if told.status >= 300:
+        content.keep_only(before)
         return {"resultStatus": Status.FAILURE.value, "problemDetails": orjson.loads(told.body)}
     if any(name == b"ngsild-warning" for name, _ in told.headers):
         return details(Status.PARTIAL)

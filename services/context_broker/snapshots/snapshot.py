@@ -57,15 +57,11 @@ class Status(StrEnum):
 
 @dataclass(slots=True, eq=False)
 class Snapshot:
-    """A snapshot. `document` is what a reader gets and what is kept; `written_s` when it was last written.
-
-    `was_cut_short` is one that was being made when the broker ended.
-    """
+    """A snapshot. `document` is what a reader gets and what is kept; `written_s` when it was last written."""
 
     id: str
     document: dict[str, Any]
     written_s: float = 0.0
-    was_cut_short: bool = False
 
     @property
     def status(self) -> Status:
@@ -86,18 +82,24 @@ class Snapshot:
         document = {**self.document, **members, "modifiedAt": timestamp_now()}
         return Snapshot(self.id, {name: value for name, value in document.items() if value is not None})
 
+    def failed(self, problem: Problem) -> "Snapshot":
+        """Return it as one that could not be made; the reason stands with each of its queries."""
+        reasons = {
+            f"{name}Details": [details(Status.FAILURE, problem) for _ in self.document[name]]
+            for name in QUERIES
+            if name in self.document
+        }
+        return self.changed(snapshotStatus=Status.FAILURE.value, **reasons)
+
     def used(self) -> None:
         """Note that it is used now."""
         self.document["lastUsedAt"] = timestamp_now()
 
 
 def restored(body: bytes) -> dict[str, Snapshot]:
-    """Return a snapshot that was kept, by its id; one that was being made when the broker ended failed."""
+    """Return a snapshot that was kept, by its id."""
     document = orjson.loads(body)
-    was_cut_short = document["snapshotStatus"] == Status.PREPARING
-    if was_cut_short:
-        document["snapshotStatus"] = Status.FAILURE.value
-    return {document["id"]: Snapshot(document["id"], document, was_cut_short=was_cut_short)}
+    return {document["id"]: Snapshot(document["id"], document)}
 
 
 def new_snapshot(snapshot_id: str, given: Mapping[str, Any]) -> Snapshot:

@@ -8,6 +8,8 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.context_sources import ScriptedSource, register
+
 from .conftest import BrokerProcess, Subscriber, wait_for
 
 PATH = "/snapshots"
@@ -274,3 +276,29 @@ def test_what_a_power_cut_has_left_of_a_snapshot_is_cleared_away(
     own_broker.kill()
     own_broker.start()
     assert own_broker.metric("handover_broker_entities") == 1
+
+
+def test_a_snapshot_that_a_power_cut_leaves_in_the_making_has_failed_and_says_why(
+    own_broker: BrokerProcess,
+    subscriber: Subscriber,
+    source: ScriptedSource,
+    eventually: Callable[..., Any],
+) -> None:
+    own_broker.start()
+    source.go_on.clear()  # so that the snapshot is not made before the power is cut
+    with own_broker.client() as http:
+        register(http, source.url, {"type": "Cut"}, operations=["queryBatch"])
+        answer = http.post(PATH, json={"snapshotQueries": [query("Cut")], "endpoint": subscriber.url})
+        at = answer.headers["location"].removeprefix("/ngsi-ld/v1")
+        eventually(lambda: source.asked)
+        assert http.get(at).json()["snapshotStatus"] == "preparing"
+    own_broker.kill()
+    own_broker.start()
+    with own_broker.client() as http:
+        one = made(http, answer)
+    assert one["snapshotStatus"] == "failure"
+    (reason,) = one["snapshotQueriesDetails"]
+    assert "ended while it was making" in reason["problemDetails"]["detail"]
+    eventually(lambda: subscriber.received)
+    assert subscriber.received[0]["snapshotStatus"] == "failure"
+    assert subscriber.received[0]["snapshotQueriesDetails"] == [reason]

@@ -7,6 +7,8 @@ import pytest
 
 from handover.errors import Problem
 from services.context_broker.api.words import inside, moment, outside, tenant_headers
+from services.context_broker.entities.entity import Entity
+from services.context_broker.snapshots.content import Content
 from services.context_broker.snapshots.snapshot import (
     LONGEST_LIFETIME_S,
     Status,
@@ -45,10 +47,26 @@ def test_a_snapshot_lasts_as_wished_within_bounds(wanted: str | None, lasts_s: f
     assert (moment(ending(start, wanted)) or 0.0) - start.timestamp() == lasts_s
 
 
-def test_a_snapshot_that_was_being_made_when_the_broker_ended_has_failed() -> None:
-    made = new_snapshot("urn:x:1", checked({"snapshotQueries": [QUERY]}, has_queries=True))
+def test_a_snapshot_that_could_not_be_made_has_the_reason_at_each_query() -> None:
+    made = new_snapshot("urn:x:1", checked({"snapshotQueries": [QUERY, QUERY]}, has_queries=True))
     assert made.status is Status.PREPARING
-    assert restored(made.stored())["urn:x:1"].status is Status.FAILURE
+    failed = restored(made.failed(Problem(500, "Internal error", "no luck")).stored())["urn:x:1"]
+    assert failed.status is Status.FAILURE
+    reasons = failed.document["snapshotQueriesDetails"]
+    assert [one["resultStatus"] for one in reasons] == ["failure", "failure"]
+    assert [one["problemDetails"]["detail"] for one in reasons] == ["no luck", "no luck"]
+    assert "snapshotTemporalQueriesDetails" not in failed.document
+
+
+def test_nothing_stays_of_a_query_that_failed_halfway() -> None:
+    content, at = Content(), "2026-01-01T00:00:00Z"
+    one, other = (Entity(f"urn:x:{each}", ("urn:t",), {}, at, at) for each in (1, 2))
+    content.add([one], None)
+    content.add([one, other], None)
+    content.keep_only(1)
+    assert [each.id for each in content.entities] == [one.id]
+    content.add([one, other], None)
+    assert [each.id for each in content.entities] == [one.id, other.id]
 
 
 @pytest.mark.parametrize("tenant", ["", "cell4"])
