@@ -24,8 +24,9 @@ from services.context_broker.api.operation import Directory, Operation
 from services.context_broker.api.problems import not_stored
 from services.context_broker.api.request_metrics import RequestMetrics
 from services.context_broker.application import BrokerApplication
-from services.context_broker.contexts.book import ContextBook, Documents
+from services.context_broker.contexts.book import ContextBook
 from services.context_broker.contexts.fetching import Fetcher
+from services.context_broker.contexts.kept import Documents
 from services.context_broker.contexts.operations import ContextOperations
 from services.context_broker.contexts.own_address import OwnAddress
 from services.context_broker.distribution.distribution import Distribution, Handling
@@ -123,7 +124,7 @@ class Broker:
         for tenant, key, stored in self.journal.documents(Kind.CONTEXT):
             self.contexts.remember(tenant, key, stored)
         for _, key, stored in self.journal.documents(Kind.CONTEXT_USAGE):
-            self.contexts.remember_usage(key, stored)
+            self.contexts.usage.remember(key, stored)
         self.tenants.load()
         self._follow_others()
         self.tenants.commits.start()
@@ -151,7 +152,7 @@ class Broker:
             tenant.notifier.stop()
             tenant.source_notifier.stop()
         await self.tenants.outbound.close()
-        self.contexts.write_usage()
+        self.contexts.usage.write()
         self.relays.stop()
         self.distribution.forwarder.asker.close()
         await self.retention.stop()
@@ -285,7 +286,7 @@ class Broker:
 
     async def _follow_context_usage(self, _: str, key: str, body: bytes | None) -> None:
         if body is not None:
-            self.contexts.remember_usage(key, body)
+            self.contexts.usage.remember(key, body)
 
     async def _follow_subscription(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
         await self.subscriptions.follow(self.tenants.kept(tenant), subscription_id, body)

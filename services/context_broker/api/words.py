@@ -11,6 +11,7 @@ from services.context_broker.api.problems import bad_request_data
 LONGEST_ID = 2048
 LONGEST_NAME = 512
 LONGEST_TENANT = 128
+LONGEST_TIME = 64
 
 TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{LONGEST_TENANT}}}")
 
@@ -70,11 +71,14 @@ def _second(second: int) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%S.", time.gmtime(second))
 
 
-@lru_cache(maxsize=8192)
 def moment(text: str) -> float | None:
     """Return an ISO 8601 date or date-time in seconds since 1970 (UTC unless it says); None for others."""
-    if len(text) < 8 or len(text) > 64:
-        return None
+    return _moment(text) if 8 <= len(text) <= LONGEST_TIME else None
+
+
+@lru_cache(maxsize=8192)
+def _moment(text: str) -> float | None:
+    """Return the time; remembered, for the same ones are compared again and again."""
     try:
         parsed = datetime.fromisoformat(text)
         return (parsed if parsed.tzinfo else parsed.replace(tzinfo=UTC)).timestamp()

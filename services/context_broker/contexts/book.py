@@ -21,8 +21,8 @@ from services.context_broker.api.problems import bad_request_data, too_large
 from services.context_broker.api.words import moment
 from services.context_broker.contexts.fetching import LARGEST_CONTEXT, Fetcher, unavailable
 from services.context_broker.contexts.kept import (
-    ContextKind,
     ContextShelf,
+    Documents,
     KeptContext,
     cached,
     hosted,
@@ -31,6 +31,7 @@ from services.context_broker.contexts.kept import (
     shown_to,
 )
 from services.context_broker.contexts.own_address import OwnAddress
+from services.context_broker.contexts.usage import Usage
 from services.context_broker.entities.entity import Terms
 from services.context_broker.storage.journal import DocumentKey, Kind
 
@@ -45,10 +46,7 @@ MOST_FETCHED: Final = 5000
 """Contexts that were fetched and are kept; beyond it the one not used for longest makes room."""
 PUT_OFF_S: Final = 600.0
 """When a context whose time is over is asked for again if it could not be fetched anew."""
-USAGE_KEPT_S: Final = 5.0
-"""How often it is written how contexts were used; what a crash may take back of the counts."""
 
-Documents = Mapping[DocumentKey, bytes | None]
 Keep = Callable[[Documents], Awaitable[None]]
 """Writes documents and returns once they are safe; raises a problem (507) if the disk refuses."""
 
@@ -91,16 +89,15 @@ class ContextBook:
         self.on_renewal: Callable[[str], Awaitable[None]] = _nobody
         """Is told the local identifier of a context that was fetched anew and is another now."""
         self._keep = keep
-        self._keep_later = keep_later
         self._fetcher = fetcher
         self._own = own
         self._shelf = ContextShelf()
+        self.usage = Usage(self._shelf, keep_later, self._refresh)
         self._shipped: dict[str, KeptContext] = {}
         self._ready: dict[str | bytes, Context] = {}
         self._made = 0
         self._needed: set[str] = set()
         self._refreshing: set[asyncio.Task[None]] = set()
-        self._usage_due: asyncio.TimerHandle | None = None
 
     def base(self, headers: Mapping[bytes, bytes]) -> str:
         """Return where the asker of a request with these headers reaches the broker."""
@@ -123,13 +120,6 @@ class ContextBook:
             self._unready(before)
         self._shelf.put(one)
         return one.id
-
-    def remember_usage(self, key: str, stored: bytes) -> None:
-        """Take how a context was used before."""
-        one = self._shelf.named(key)
-        if one is not None:
-            one.hits, one.used_s = orjson.loads(stored)
-            one.hits_kept = one.hits
 
     def forget(self, key: str) -> None:
         """Forget a context that the journal no longer has."""
@@ -164,6 +154,12 @@ class ContextBook:
         """Return the context of a URL, or of a document as JSON, if it can be used without waiting."""
         ready = self._ready.get(key)
         return None if ready is None else self._noted(ready)
+
+    def _noted(self, context: Context) -> Context:
+        """Return a context that is used now."""
+        if context.uses:
+            self.usage.note(context.uses)
+        return context
 
     async def as_before(self, given: Any) -> Context:
         """Return a context that was in use before a restart, be it deleted since; never fetches.
@@ -305,42 +301,6 @@ class ContextBook:
             for key, ready in self._ready.items()
             if ours.isdisjoint(each.id for each in ready.uses)
         }
-
-    # How they are used
-
-    def _noted(self, context: Context) -> Context:
-        """Return a context that is used now."""
-        if context.uses:
-            now_s = time.time()
-            for one in context.uses:
-                one.hits += 1
-                one.used_s = now_s
-                if one.expires_s <= now_s:
-                    self._refresh(one)
-            if self._usage_due is None:
-                self._write_usage_soon()
-        return context
-
-    def seen(self, one: KeptContext) -> None:
-        """Count that a client looked at a context: one in the cache was found there (clause 5.13.3.5)."""
-        if one.kind is ContextKind.CACHED and not self.is_shipped(one):
-            one.hits += 1
-            self._write_usage_soon()
-
-    def _write_usage_soon(self) -> None:
-        if self._usage_due is None:
-            self._usage_due = asyncio.get_running_loop().call_later(USAGE_KEPT_S, self.write_usage)
-
-    def write_usage(self) -> None:
-        """Have it written how contexts were used since it was written last."""
-        if self._usage_due is not None:
-            self._usage_due.cancel()
-            self._usage_due = None
-        used = [one for one in self._shelf if one.hits != one.hits_kept and not one.gone]
-        for one in used:
-            one.hits_kept = one.hits
-        if used:
-            self._keep_later({(Kind.CONTEXT_USAGE, one.tenant, one.key): one.stored_usage() for one in used})
 
     # What clients do with them (clause 5.13)
 

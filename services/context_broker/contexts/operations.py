@@ -63,7 +63,8 @@ class ContextOperations:
         if exchange.flag("details"):
             found = self._existing(exchange)
             told = found.details(self._contexts.base(exchange.headers))
-            self._contexts.seen(found)
+            if found.kind is ContextKind.CACHED and not self._contexts.is_shipped(found):
+                self._contexts.usage.seen(found)
             return _answer(told, media_type)
         one = self._contexts.named(exchange.names[0], exchange.tenant.name)
         if one is None and not exchange.tenant.name:

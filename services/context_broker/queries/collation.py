@@ -50,7 +50,7 @@ def collation(tag: str | None) -> Key:
     return _collation("und" if tag is None else tag.lower())
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=16)
 def _collation(tag: str) -> Key:
     language, _, extension = tag.partition("-u-")
     options = _options(extension) if len(tag) <= _LONGEST_TAG else None

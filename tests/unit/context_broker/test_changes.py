@@ -1,5 +1,6 @@
 """Changes: what each operation makes of an entity, and what of it is news."""
 
+import sys
 from typing import Any
 
 import pytest
@@ -162,3 +163,10 @@ def test_scopes_are_overwritten_added_or_left_alone() -> None:
     without = entity()
     assert changes.updated(without, change(scope="/B"), AFTER).entity is without
     assert changes.replaced(before, change(a=1), AFTER).entity.scopes == ()
+
+
+def test_a_text_too_long_for_a_time_is_not_remembered() -> None:
+    text = "2026-01-01T00:00:00." + "0" * 100_000 + "Z"
+    held = sys.getrefcount(text)
+    assert moment(text) is None
+    assert sys.getrefcount(text) == held

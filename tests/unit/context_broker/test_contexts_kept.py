@@ -64,7 +64,7 @@ class Shelf:
                 book.remember(tenant, key, body)
         for (kind, _, key), body in list(self.kept.items()):
             if kind is Kind.CONTEXT_USAGE:
-                book.remember_usage(key, body)
+                book.usage.remember(key, body)
         return book
 
 
@@ -160,7 +160,7 @@ async def test_what_was_deleted_serves_those_who_had_it_and_then_is_erased() -> 
     one = await shelf.book.add("", {"speed": "https://a.example/speed"})
     url = one.address("http://127.0.0.1:1026")
     await shelf.book.of(url)
-    shelf.book.write_usage()
+    shelf.book.usage.write()
     assert {kind for kind, _, _ in shelf.kept} == {Kind.CONTEXT, Kind.CONTEXT_USAGE}
     await shelf.book.delete(one)
     with pytest.raises(Problem):

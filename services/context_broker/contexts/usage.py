@@ -1,0 +1,70 @@
+"""How @contexts are used: counted as requests come, and written now and then.
+
+One write for each use would cost more than the use.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import orjson
+
+from services.context_broker.contexts.kept import ContextShelf, Documents, KeptContext
+from services.context_broker.storage.journal import Kind
+
+KEPT_S: Final = 5.0
+"""How often it is written; what a crash may take back of the counts."""
+
+
+class Usage:
+    """Counts the uses of contexts. `keep_later` writes them, `outdated` hears of one whose time is over."""
+
+    def __init__(
+        self,
+        shelf: ContextShelf,
+        keep_later: Callable[[Documents], None],
+        outdated: Callable[[KeptContext], None],
+    ) -> None:
+        self._shelf = shelf
+        self._keep_later = keep_later
+        self._outdated = outdated
+        self._due: asyncio.TimerHandle | None = None
+
+    def remember(self, key: str, stored: bytes) -> None:
+        """Take how a context was used before."""
+        one = self._shelf.named(key)
+        if one is not None:
+            one.hits, one.used_s = orjson.loads(stored)
+            one.hits_kept = one.hits
+
+    def note(self, used: Sequence[KeptContext]) -> None:
+        """Count contexts that are used now."""
+        now_s = time.time()
+        for one in used:
+            one.hits += 1
+            one.used_s = now_s
+            if one.expires_s <= now_s:
+                self._outdated(one)
+        if self._due is None:
+            self._write_soon()
+
+    def seen(self, one: KeptContext) -> None:
+        """Count that a client looked at a cached context: it was found there (clause 5.13.3.5)."""
+        one.hits += 1
+        if self._due is None:
+            self._write_soon()
+
+    def write(self) -> None:
+        """Have it written how contexts were used since it was written last."""
+        if self._due is not None:
+            self._due.cancel()
+            self._due = None
+        used = [one for one in self._shelf if one.hits != one.hits_kept and not one.gone]
+        for one in used:
+            one.hits_kept = one.hits
+        if used:
+            self._keep_later({(Kind.CONTEXT_USAGE, one.tenant, one.key): one.stored_usage() for one in used})
+
+    def _write_soon(self) -> None:
+        self._due = asyncio.get_running_loop().call_later(KEPT_S, self.write)
