@@ -83,7 +83,7 @@ async def fetch_one(
         parameters = [("attrs", joined_names(names, tongue))] if names is not None else []
         parameters.append(("options", "sysAttrs"))
         question = Question("GET", f"entities/{quoted(entity_id)}", tongue, tuple(parameters))
-        reply = await heard(sources, registration, question)
+        reply = await _heard_by_map(sources, registration, question)
         if reply is not None:
             into.add(registration, await read_entities(sources, registration, reply, tongue, single=True))
     except Unheard as unheard:

@@ -48,6 +48,7 @@ from services.context_broker.distribution.split_evolutions import narrowed_to, s
 from services.context_broker.entities.intake import expand
 from services.context_broker.queries.pages import Window
 from services.context_broker.queries.reading import DEFAULT_LIMIT, LARGEST_LIMIT, json_headers, page_links
+from services.context_broker.snapshots.entity_maps import OWN
 from services.context_broker.sources.registration import Asked, Match, Registration
 from services.context_broker.temporal.operations import temporal_parameters
 from services.context_broker.temporal.query import (
@@ -98,6 +99,9 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Performing) ->
         return own
     if own is not None:
         tellers.insert(0, (None, of_own))
+    if exchange.elsewhere is not None:
+        who = [OWN if registration is None else registration.id for registration, _ in tellers]
+        exchange.elsewhere.entities = {entity_id: who}
     if wish.is_for_totals and len(tellers) > 1:
         values = await values_of(tellers, wish)
         document = evolutions.aggregated(evolutions.together(values, context, wish.query.last), wish.query)

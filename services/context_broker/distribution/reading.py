@@ -59,6 +59,8 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Performing) ->
         return await perform(exchange)
     gathering = Gathering()
     await all_of(*(fetch_one(sources, one, entity_id, context, gathering) for one in matches))
+    if exchange.elsewhere is not None:
+        exchange.elsewhere.entities = gathering.origins(exchange.tenant.store)
     proxied = [one.registration for one in matches if one.registration.mode.is_proxied]
     others = {entity_id: gathering.entity(own, entity_id, proxied)}
     await _add_linked(sources, exchange, context, others)

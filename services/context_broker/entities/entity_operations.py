@@ -69,7 +69,7 @@ class EntityOperations:
                 "GET", "entities", "queryEntity", "6.4.3.2", self.query, QUERY_PARAMETERS | MAP_PARAMETERS
             ),
             Operation("DELETE", "entities", "purgeEntity", "6.4.3.3", self.purge, PURGE_PARAMETERS),
-            Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, _RETRIEVE),
+            Operation("GET", one, "retrieveEntity", "6.5.3.1", self.retrieve, _RETRIEVE | MAP_PARAMETERS),
             Operation("DELETE", one, "deleteEntity", "6.5.3.2", self.delete, _ONE),
             Operation("PUT", one, "replaceEntity", "6.5.3.3", self.replace, _WRITE),
             Operation("PATCH", one, "mergeEntity", "6.5.3.4", self.merge, _MERGE),

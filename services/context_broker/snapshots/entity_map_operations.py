@@ -32,7 +32,9 @@ Performing = Callable[[Exchange], Awaitable[Answer]]
 """Carries a query out, sources included."""
 
 HEADER: Final = b"ngsild-entitymap"
-THROUGH_A_MAP: Final = frozenset({"queryEntity", "queryBatch", "queryTemporal"})
+OF_ONE: Final = frozenset({"retrieveEntity", "retrieveTemporal"})
+"""Operations on one entity: a map tells them whom to ask for it (clauses 5.7.1.4 and 5.7.3.4)."""
+THROUGH_A_MAP: Final = OF_ONE | {"queryEntity", "queryBatch", "queryTemporal"}
 """Operations that can be answered by a map."""
 _OPTION: Final = "entityMap"
 _LOCAL: Final = frozenset({"local"})
@@ -125,12 +127,11 @@ class EntityMapOperations:
 
         Where the map that is named is not there, or not any more, one is made (clause 5.7.2.4).
         """
-        named = exchange.headers.get(HEADER)
+        named = _named(exchange)
+        if operation.name in OF_ONE:
+            return await self._entity(exchange, named, perform)
         if named is not None:
-            map_id = unquote(named.decode("latin-1").strip().rstrip("/").rpartition("/")[2])
-            one = exchange.tenant.entity_maps.find(map_id)
-            if one is not None:
-                return await self._page(exchange, one, perform)
+            return await self._page(exchange, named, perform)
         past = operation.name == "queryTemporal"
         making = "createEntityMapQueryTemporal" if past else "createEntityMapQueryEntity"
         parameters = _for_the_query(exchange.parameters)
@@ -143,6 +144,19 @@ class EntityMapOperations:
         result = await self._page(exchange, exchange.tenant.entity_maps.get(map_id), perform)
         result.headers += [one for one in made.headers if one[0] == b"ngsild-warning"]
         return Answer(201 if result.status == 200 else result.status, result.body, result.headers)
+
+    async def _entity(self, exchange: Exchange, one: EntityMap | None, perform: Performing) -> Answer:
+        """Answer with one entity, asking those who have it by the map; without one, note who they are."""
+        who_has = Listed()
+        parameters = _for_the_query(exchange.parameters)
+        asking = in_place_of(exchange, entity_map=one, elsewhere=who_has, parameters=parameters)
+        result = await perform(asking)
+        if result.status >= 300:
+            return result
+        if one is None:
+            entities = who_has.entities or {exchange.names[0]: [OWN]}
+            one = await self._made(exchange, entities, who_has)
+        return Answer(result.status, result.body, [*result.headers, _location(one)])
 
     async def _page(self, exchange: Exchange, one: EntityMap, perform: Performing) -> Answer:
         """Answer with the piece of a map that is asked for; what no longer fits the query is left out."""
@@ -173,24 +187,35 @@ class EntityMapOperations:
         return Answer(result.status, result.body, [*headers, _location(one)])
 
     @staticmethod
-    async def _kept(exchange: Exchange, entities: dict[str, list[str]]) -> Answer:
+    async def _made(exchange: Exchange, entities: dict[str, list[str]], elsewhere: Listed) -> EntityMap:
+        lifetime = exchange.parameter("entityMapLifetime")
+        try:
+            return await exchange.tenant.entity_maps.make(entities, lifetime, elsewhere.linked)
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+
+    async def _kept(self, exchange: Exchange, entities: dict[str, list[str]]) -> Answer:
         """Keep a map of the entities that were found here and of those that the maps of sources list."""
         elsewhere = exchange.elsewhere or Listed()
         for one, registrations in elsewhere.entities.items():
             known = entities.setdefault(one, [])
             known += [registration for registration in registrations if registration not in known]
-        lifetime = exchange.parameter("entityMapLifetime")
-        try:
-            made = await exchange.tenant.entity_maps.make(entities, lifetime, elsewhere.linked)
-        except NotStored as error:
-            raise not_stored(str(error)) from error
-        return await _told(exchange, made, 201)
+        return await _told(exchange, await self._made(exchange, entities, elsewhere), 201)
 
 
 async def _told(exchange: Exchange, one: EntityMap, status: int) -> Answer:
     media_type, context = exchange.accept(), await exchange.reader_context()
     result = answer(with_context(one.document(), media_type, context), media_type, context)
     return Answer(status, result.body, [*result.headers, _location(one)])
+
+
+def _named(exchange: Exchange) -> EntityMap | None:
+    """Return the map that a request names; None if it names none, or one that is not there any more."""
+    named = exchange.headers.get(HEADER)
+    if named is None:
+        return None
+    map_id = unquote(named.decode("latin-1").strip().rstrip("/").rpartition("/")[2])
+    return exchange.tenant.entity_maps.find(map_id)
 
 
 def _location(one: EntityMap) -> tuple[bytes, bytes]:

@@ -75,11 +75,17 @@ class TemporalOperations:
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
-        at = "temporal/entities"
-        query = "temporal/entityOperations/query"
+        at, query = "temporal/entities", "temporal/entityOperations/query"
         return (
             Operation("GET", at, "queryTemporal", "6.18.3.2", self.query, QUERYING | MAP_PARAMETERS),
-            Operation("GET", f"{at}/{{id}}", "retrieveTemporal", "6.19.3.1", self.retrieve, _TELLING),
+            Operation(
+                "GET",
+                f"{at}/{{id}}",
+                "retrieveTemporal",
+                "6.19.3.1",
+                self.retrieve,
+                _TELLING | MAP_PARAMETERS,
+            ),
             Operation("POST", query, "queryTemporalBatch", "6.24.3.1", self.query_by_document, QUERYING),
         )
 

@@ -78,6 +78,14 @@ def test_a_snapshot_holds_what_sources_have_too(
 
 
 @pytest.fixture
+def other() -> Iterator[ScriptedSource]:
+    """A second source."""
+    made = ScriptedSource()
+    yield made
+    made.stop()
+
+
+@pytest.fixture
 def chain(brokers: list[Any], kind: str) -> Iterator[list[httpx.Client]]:
     """Three brokers of which the first asks the second and the second the third, each with two entities."""
     operations = ["federationOps", "createEntityMapQueryTemporal", "queryTemporal", "retrieveTemporal"]
@@ -195,3 +203,28 @@ def test_a_source_that_makes_no_maps_is_asked_for_its_entities(
     assert made.status_code == 201
     assert made.json()["entityMap"] == {one: [path.rpartition("/")[2]]}
     assert made.json()["linkedMaps"] == {}
+
+
+@pytest.mark.parametrize("past", [False, True])
+def test_one_entity_is_asked_of_those_alone_that_its_map_lists(
+    near: httpx.Client, source: ScriptedSource, other: ScriptedSource, kind: str, past: bool
+) -> None:
+    one = f"urn:ngsi-ld:{kind}:1"
+    since = {"observationInterval": {"startAt": "2020-01-01T00:00:00Z"}} if past else {}
+    operations = ["retrieveTemporal" if past else "retrieveEntity"]
+    path = f"/{'temporal/' if past else ''}entities/{one}"
+    put(near, one, kind, here=1)
+    registration = register(near, source.url, {"type": kind}, operations=operations, **since)
+    register(near, other.url, {"type": kind}, operations=operations, **since)
+    there: Any = {"type": "Property", "value": 2, "observedAt": "2026-01-01T00:00:00Z"}
+    told = {"id": one, "type": kind, "there": [there] if past else there}
+    source.answers["GET", f"/ngsi-ld/v1{path}"] = 200, told
+    made = near.get(path, params={"entityMap": "true"})
+    assert {"here", "there"} <= made.json().keys(), made.text
+    assert (len(source.asked), len(other.asked)) == (1, 1)
+    at = made.headers[MAP]
+    document = near.get(at.removeprefix("/ngsi-ld/v1")).json()
+    assert document["entityMap"] == {one: ["@none", registration.rpartition("/")[2]]}
+    again = near.get(path, headers={MAP: at})
+    assert (again.json(), again.headers[MAP]) == (made.json(), at)
+    assert (len(source.asked), len(other.asked)) == (2, 1)

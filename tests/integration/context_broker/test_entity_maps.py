@@ -158,3 +158,25 @@ def test_maps_are_there_after_a_power_cut(own_broker: BrokerProcess) -> None:
     own_broker.start()
     with own_broker.client() as http:
         assert http.get(f"/entityMaps/{one['id']}").json() == one
+
+
+@pytest.mark.parametrize("path", ["/entities", "/temporal/entities"])
+def test_one_entity_is_retrieved_by_a_map_too(http: httpx.Client, path: str) -> None:
+    (one,) = make(http, "Single" + path.count("temporal") * "Past", 30)
+    plain = http.get(f"{path}/{one}")
+    assert MAP not in plain.headers
+    asked = {"entityMap": "true", "entityMapLifetime": "PT20M"}
+    answer = http.get(f"{path}/{one}", params=asked)
+    assert (answer.status_code, answer.json()) == (200, plain.json())
+    at = answer.headers[MAP]
+    document = http.get(at.removeprefix("/ngsi-ld/v1")).json()
+    assert document["entityMap"] == {one: ["@none"]}
+    again = http.get(f"{path}/{one}", headers={MAP: at})
+    assert (again.status_code, again.headers[MAP], again.json()) == (200, at, plain.json())
+    gone = http.get(f"{path}/{one}", headers={MAP: "/ngsi-ld/v1/entityMaps/urn:ngsi-ld:EntityMap:gone"})
+    assert gone.status_code == 200
+    assert gone.headers[MAP] not in {at, "/ngsi-ld/v1/entityMaps/urn:ngsi-ld:EntityMap:gone"}
+    absent = http.get(f"{path}/urn:ngsi-ld:Single:absent", params=asked)
+    assert absent.status_code == 404
+    assert MAP not in absent.headers
+    assert http.get(f"{path}/{one}", params={**asked, "entityMapLifetime": "soon"}).status_code == 400
