@@ -31,9 +31,15 @@ from services.context_broker.distribution.forwarding import (
     in_tongue,
     quoted,
 )
+from services.context_broker.distribution.instances import (
+    Instances,
+    attributes_in,
+    instances_in,
+    part_of,
+    types_in,
+)
 from services.context_broker.distribution.outcomes import Outcome
 from services.context_broker.distribution.shares import Share, Shares, shared
-from services.context_broker.distribution.writing import NO_ATTRIBUTES, attributes_in, types_in
 from services.context_broker.sources.reach import taking_in
 from services.context_broker.sources.registration import Asked, Registration
 
@@ -65,15 +71,9 @@ class _Item:
     outcomes: list[Outcome] = field(default_factory=list)
     is_new: bool = False
 
-    def part(self, names: frozenset[str]) -> Any:
-        """Return the entity with no attributes but these."""
-        if not isinstance(self.given, Mapping):
-            return self.given
-        return {
-            member: said
-            for member, said in self.given.items()
-            if member in NO_ATTRIBUTES or self.names.get(member) in names
-        }
+    def part(self, instances: Instances) -> Any:
+        """Return the entity with no instances of attributes but these."""
+        return part_of(self.given, self.names, instances) if isinstance(self.given, Mapping) else self.given
 
     @property
     def own_part(self) -> Any:
@@ -136,7 +136,7 @@ class _Batch:
             asked = Asked((entity_id,), None, types)
             operations = (self._operation, singly)
             where = taking_in(given) if self._operation in _WHOLE else None
-            shares = shared(self._sources, operations, asked, frozenset(names.values()), where)
+            shares = shared(self._sources, operations, asked, instances_in(given, names), where)
             return _Item(given, entity_id, context, names, shares)
         except (Problem, AttributeError):  # which the broker's own share will tell of
             core = await self._sources.forwarder.contexts.of(None)
@@ -152,7 +152,7 @@ class _Batch:
         errors = _errors_in(told)
         created = set(told) if answer.status == 201 and isinstance(told, list) else set()
         for item in items:
-            names = item.shares.own or frozenset()
+            names = item.shares.own_names
             problem = errors.get(_key(item.entity_id))
             status = answer.status if problem is None else _status_of(problem)
             item.outcomes.append(Outcome(None, names, status, problem))
@@ -280,7 +280,7 @@ def _is_refused(item: _Item) -> bool:
 def _document(item: _Item, share: Share, tongue: Tongue) -> Any:
     if not isinstance(item.given, Mapping):
         return item.given
-    return in_tongue(item.part(share.names), item.context, tongue)
+    return in_tongue(item.part(share.instances), item.context, tongue)
 
 
 def _told_in(body: bytes) -> tuple[dict[Any, dict[str, Any]], set[Any]]:

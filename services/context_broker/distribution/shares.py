@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from services.context_broker.distribution.distribution import Sources
+from services.context_broker.distribution.instances import ANY, Instances, had_by
 from services.context_broker.sources.operation_names import TEMPORAL
 from services.context_broker.sources.registration import Asked, Mode, Registration, Where
 
@@ -16,57 +17,66 @@ Names = frozenset[str]
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """What one source is to do: with the attributes `names` (IRIs), `whole` if with the entity as such.
+    """What one source is to do, with which instances of attributes.
 
     `operation` is what it takes, None if it takes nothing that would do: then its part cannot be done.
     """
 
     registration: Registration
-    names: Names
-    whole: bool
+    instances: Instances
     operation: str | None
+
+    @property
+    def names(self) -> Names:
+        """Return the attributes (IRIs) that it is about."""
+        return frozenset(iri for iri, _ in self.instances)
 
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """How a change is shared; `own` are the attributes that stay, None if nothing is to be done here."""
+    """How a change is shared; `own` are the instances that stay, None if nothing is to be done here."""
 
     others: tuple[Share, ...]
-    own: Names | None
+    own: Instances | None
+
+    @property
+    def own_names(self) -> Names:
+        """Return the attributes (IRIs) of which instances stay."""
+        return frozenset(iri for iri, _ in self.own or ())
 
 
 def shared(
     sources: Sources,
     operations: tuple[str, ...],
     asked: Asked,
-    names: Names | None,
+    instances: Instances | None,
     where: Where | None = None,
 ) -> Shares:
     """Return who does what of a change of one entity.
 
-    `operations` are the names under which a source may take it, the best first. `names` are the attributes
-    that the change is about, None if it is about the entity as such (its end). `where` says which sources may
-    have it at all.
+    `operations` are the names under which a source may take it, the best first. `instances` are those of
+    attributes that the change is about, None if it is about the entity as such (its end). `where` says which
+    sources may have it at all.
     """
     found = _concerned(sources, operations, asked, where)
-    remaining, is_elsewhere, others = names or frozenset(), False, list[Share]()
+    remaining, is_elsewhere, others = instances or frozenset(), False, list[Share]()
     for mode in (Mode.EXCLUSIVE, Mode.REDIRECT, Mode.INCLUSIVE):
-        taken: set[str] = set()
+        taken: set[tuple[str, str | None]] = set()
         for one, theirs, operation in found:
             if one.mode is not mode or (operation is None and not mode.is_proxied):
                 continue
-            part = remaining if theirs is None else remaining & theirs
-            if names is not None and not part and (names or theirs is not None):
+            part = had_by(one, remaining, theirs)
+            if instances is not None and not part and (instances or theirs is not None):
                 continue
-            others.append(Share(one, part, theirs is None, operation))
+            others.append(Share(one, part, operation))
             if mode.is_proxied:
-                taken |= part
-                is_elsewhere = is_elsewhere or theirs is None
+                taken |= {each for each in part if each[1] != ANY or one.datasets is None}
+                is_elsewhere = is_elsewhere or (theirs is None and one.datasets is None)
         remaining -= taken
-    if names is None:
+    if instances is None:
         return Shares(tuple(others), frozenset())
     proxied = any(one.registration.mode.is_proxied for one in others)
-    stays = bool(remaining) or (not is_elsewhere and not (names and proxied))
+    stays = bool(remaining) or (not is_elsewhere and not (instances and proxied))
     return Shares(tuple(others), remaining if stays else None)
 
 

@@ -4,7 +4,7 @@ Clauses 5.6.1 to 5.6.6 and 5.6.11 to 5.6.19, each where it speaks of registratio
 share comes first: a change that it refuses goes nowhere. Then all others are asked at once.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 from urllib.parse import quote
 
@@ -18,18 +18,21 @@ from services.context_broker.contexts.book import Context
 from services.context_broker.distribution import outcomes
 from services.context_broker.distribution.distribution import Performing, Sources, all_of, in_place_of
 from services.context_broker.distribution.forwarding import SILENT, Question, Unheard, in_tongue, quoted
+from services.context_broker.distribution.instances import (
+    ANY,
+    attributes_in,
+    datasets_in,
+    instances_in,
+    part_of,
+    types_in,
+)
 from services.context_broker.distribution.outcomes import Outcome
-from services.context_broker.distribution.questions import where_of
-from services.context_broker.distribution.shares import Names, Share, Shares, shared
+from services.context_broker.distribution.shares import Share, Shares, shared
 from services.context_broker.entities.intake import expand
 from services.context_broker.queries.reading import datasets_of
-from services.context_broker.sources.reach import Reach, taking_in
+from services.context_broker.sources.reach import taking_in
 from services.context_broker.sources.registration import Asked
 
-NO_ATTRIBUTES: Final = frozenset(
-    {"id", "@id", "type", "@type", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}
-)
-"""Members of an entity that go along with any part of it."""
 _PASSED_ON: Final = ("options", "format", "observedAt", "lang", "datasetId", "deleteAll")
 _DONE: Final = Answer(204)
 
@@ -44,7 +47,7 @@ async def create(sources: Sources, exchange: Exchange, perform: Performing) -> A
     names = attributes_in(document, context)
     types = types_in(document, context)
     asked = Asked((entity_id,), None, types)
-    shares = shared(sources, (operation,), asked, frozenset(names.values()), taking_in(document))
+    shares = shared(sources, (operation,), asked, instances_in(document, names), taking_in(document))
     if not shares.others:
         return await perform(exchange)
     location = f"{PREFIX}{root}entities/{quote(entity_id, safe=':')}".encode()
@@ -90,8 +93,8 @@ async def change_attribute(sources: Sources, exchange: Exchange, perform: Perfor
     name = exchange.names[1]
     iri = expand(require_name(name, "the attribute name in the path"), context.terms)
     asked = Asked((entity_id,), None, _types_of(sources, exchange, entity_id, context), frozenset({iri}))
-    where = where_of(None, context, Reach(datasets=datasets_of(exchange.parameter("datasetId"))))
-    shares = shared(sources, (operation,), asked, frozenset({iri}), where)
+    instances = frozenset((iri, dataset) for dataset in _datasets_of(exchange, document))
+    shares = shared(sources, (operation,), asked, instances)
     if not shares.others:
         return await perform(exchange)
     change = SharedChange(sources, exchange, perform, context, document, {name: iri}, operation, None)
@@ -183,11 +186,11 @@ class SharedChange:
             try:
                 own = await self._perform(self._own_share(shares))
                 if own.status != 207:
-                    found.append(Outcome(None, shares.own, own.status))
+                    found.append(Outcome(None, shares.own_names, own.status))
             except Problem as problem:
                 if problem.status != 404 or problem.__cause__ is not None:
                     raise
-                found.append(Outcome(None, shares.own, 404, problem.body()))
+                found.append(Outcome(None, shares.own_names, 404, problem.body()))
         told = await all_of(*(self.forwarded(share) for share in shares.others))
         found += [one for one in told if one is not None]
         return own, found
@@ -195,20 +198,10 @@ class SharedChange:
     def _own_share(self, shares: Shares) -> Exchange:
         if self._document is None or not any(one.registration.mode.is_proxied for one in shares.others):
             return self._exchange
-        names = shares.own or frozenset()
-        if self._path is None and names:  # one attribute, in the path
+        own = shares.own or frozenset()
+        if self._path is None and own:  # one attribute, in the path
             return self._exchange
-        return in_place_of(self._exchange, raw=orjson.dumps(self._part(names, keeps_context=True)))
-
-    def _part(self, names: Names, *, keeps_context: bool = False) -> dict[str, Any]:
-        """Return the document with no attributes but these."""
-        assert self._document is not None  # noqa: S101 - there is one to take a part of
-        return {
-            member: said
-            for member, said in self._document.items()
-            if (member in NO_ATTRIBUTES and (keeps_context or member != "@context"))
-            or self._names.get(member) in names
-        }
+        return in_place_of(self._exchange, raw=orjson.dumps(part_of(self._document, self._names, own)))
 
     def _attribute_path(self, name: str) -> str:
         """Return the path of the one attribute, or of an instance of it, under the name that it has there."""
@@ -233,7 +226,9 @@ class SharedChange:
                     None if self._document is None else in_tongue(self._document, self._context, tongue)
                 )
             elif self._document is not None:
-                document = in_tongue(self._part(names), self._context, tongue)
+                part = part_of(self._document, self._names, share.instances)
+                part.pop("@context", None)
+                document = in_tongue(part, self._context, tongue)
             question = Question(self._exchange.method, path, tongue, self._parameters, document)
             reply, _ = await self._sources.forwarder.ask(registration, question, self._sources.asking)
         except Unheard as unheard:
@@ -256,27 +251,21 @@ async def _of_document(
     types = types_in(document, context) or _types_of(sources, exchange, entity_id, context)
     asked = Asked((entity_id,), None, types)
     where = taking_in(document) if operation == "replaceEntity" else None
-    shares = shared(sources, (operation,), asked, frozenset(names.values()), where)
+    shares = shared(sources, (operation,), asked, instances_in(document, names), where)
     root = "temporal/" if _is_temporal(exchange) else ""
     path = f"{root}entities/{quoted(entity_id)}{below}"
     change = SharedChange(sources, exchange, perform, context, document, names, operation, path)
     return change, entity_id, shares
 
 
-def attributes_in(document: Mapping[str, Any], context: Context) -> dict[str, str]:
-    """Return the attributes of a document as they are named there, with their IRIs."""
-    return {
-        name: expand(require_name(name, "the attribute name"), context.terms)
-        for name in document
-        if name not in NO_ATTRIBUTES
-    }
-
-
-def types_in(document: Mapping[str, Any], context: Context) -> frozenset[str] | None:
-    """Return the types (IRIs) that a document names, None if it names none."""
-    given = document.get("type", document.get("@type"))
-    names: Iterable[Any] = given if isinstance(given, list) else [given]
-    return frozenset(context.terms.expand(one) for one in names if isinstance(one, str) and one) or None
+def _datasets_of(exchange: Exchange, document: Any) -> set[str | None]:
+    """Return the datasetIds of the instances that a change of one attribute is about."""
+    if len(exchange.names) > 2 or exchange.parameter("deleteAll") == "true":
+        return {ANY}
+    if document is not None:
+        return datasets_in(document)
+    given = exchange.parameter("datasetId")
+    return {None} if given is None else set(datasets_of(given) or {None})
 
 
 def _types_of(

@@ -11,7 +11,7 @@ from typing import Final
 import orjson
 
 from services.context_broker.api.words import timestamp_now
-from services.context_broker.entities.entity import Entity
+from services.context_broker.entities.entity import Entity, dataset_of
 from services.context_broker.sources.reach import may_hold
 from services.context_broker.sources.registration import (
     Asked,
@@ -227,12 +227,23 @@ def claims(registration: Registration, entity: Entity) -> bool:
     """Say whether an exclusive or redirect registration is about an entity as it is (clause 5.9.2.4).
 
     An exclusive one is if the entity has one of its attributes, a redirect one if the entity is one of those
-    that it is about and has, where it names attributes, one of them.
+    that it is about and has, where it names attributes, one of them. Where it names datasets, only instances
+    of these count.
     """
     return may_hold(registration, entity) and any(
-        piece.is_about(entity)
-        and (piece.attributes is None or not piece.attributes.isdisjoint(entity.attributes))
+        piece.is_about(entity) and _has_some(entity, piece.attributes, registration.datasets)
         for piece in registration.information
+    )
+
+
+def _has_some(entity: Entity, names: frozenset[str] | None, datasets: frozenset[str | None] | None) -> bool:
+    if datasets is None:
+        return names is None or not names.isdisjoint(entity.attributes)
+    return any(
+        dataset_of(one) in datasets
+        for name, instances in entity.attributes.items()
+        if names is None or name in names
+        for one in instances
     )
 
 
