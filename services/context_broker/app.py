@@ -115,7 +115,11 @@ class Broker:
             for operation in room.operations()
         )
         self.retention = Retention(
-            journal.archive, self.tenants.commits, settings.broker_history_keep_days, lambda: leadership.leads
+            journal.archive,
+            self.tenants.commits,
+            settings.broker_history_keep_days,
+            lambda: leadership.leads,
+            lambda: [tenant.name for tenant in self.tenants],
         )
 
     async def start(self) -> None:

@@ -4,17 +4,20 @@ Everything here runs in a thread of its own, over the database's own connections
 holds nobody up. What is kept in memory at a time is bounded, however long the history is.
 """
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import Any, Final
 
 from services.context_broker.api.problems import too_many_results
+from services.context_broker.api.words import moment
 from services.context_broker.entities.entity import SAYS, Entity, Instance
 from services.context_broker.temporal.aggregation import Aggregation, Total, periods, totals
 from services.context_broker.temporal.archive import Archive
-from services.context_broker.temporal.history import SCOPE, Change, Departed, instance_id
+from services.context_broker.temporal.history import SCOPE, Change, instance_id
 from services.context_broker.temporal.query import TemporalQuery
+from services.context_broker.temporal.subjects import Subject
 
 MOST_OF_ATTRIBUTE: Final = 1000
 """Instances of one attribute (with one datasetId) in an answer; more are asked for with the next request."""
@@ -30,19 +33,6 @@ CHUNK: Final = 100
 Predicate = Callable[[Entity], bool]
 Point = tuple[int, int, Any]
 """A time in microseconds since 1970, the seq of the change, and an instance or what it says."""
-
-
-@dataclass(frozen=True, slots=True)
-class Subject:
-    """An entity of which there is history; each time that it was created gave it one of its `places`."""
-
-    id: str
-    types: tuple[str, ...]
-    scopes: tuple[str, ...]
-    created_at: str
-    modified_at: str
-    deleted_at: str | None
-    places: tuple[int, ...]
 
 
 class Series:
@@ -110,8 +100,7 @@ class Evolution:
             for name, named in self.series.items()
             if name != SCOPE
         }
-        it = self.subject
-        return Entity(it.id, it.types, attributes, it.created_at, it.modified_at, it.places[-1], it.scopes)
+        return replace(self.subject.as_entity(), attributes=attributes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,32 +126,6 @@ class Found:
     more: bool = False
     total: int = 0
     edge: int | None = None
-
-
-def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, bytes]]) -> list[Subject]:
-    """Return the subjects that live and departed entities make, in the order of their first creation."""
-    found: dict[str, Subject] = {}
-    for place, entity_id, body in departed:
-        known = found.get(entity_id)
-        it = Departed.restored(body)
-        places = (place,) if known is None else (*known.places, place)
-        created_at = it.created_at if known is None else known.created_at
-        found[entity_id] = Subject(
-            entity_id, it.types, it.scopes, created_at, it.modified_at, it.deleted_at, places
-        )
-    for entity in entities:
-        known = found.get(entity.id)
-        earlier = () if known is None else tuple(place for place in known.places if place != entity.seq)
-        found[entity.id] = Subject(
-            entity.id,
-            entity.types,
-            entity.scopes,
-            entity.created_at,
-            entity.modified_at,
-            None,
-            (*earlier, entity.seq),
-        )
-    return sorted(found.values(), key=lambda subject: subject.places[0])
 
 
 def tell_one(archive: Archive, subject: Subject, question: Question) -> Found:
@@ -220,6 +183,7 @@ def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Itera
     places = [place for subject in run for place in subject.places]
     condition, values = query.condition()
     bare = query.aggregation is not None and question.wants is None
+    now_s = time.time()
     # The latest first where they are wanted: the others are then known by their time alone. Rows of several
     # places would have to be sorted for that.
     rows = archive.history(
@@ -235,6 +199,8 @@ def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Itera
             continue  # an answer ends at the same time for all attributes
         for name, position, instance in Change.restored(body).instances(seq):
             at = query.time_of(instance)
+            if evolution.subject.is_hearsay and _is_over(instance, now_s):
+                continue
             if at is None or (series := _series_for(evolution, name, instance, question)) is None:
                 continue
             if series.takes(at):
@@ -245,6 +211,14 @@ def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Itera
     yield _sorted(evolution)
     for subject in rest:
         yield Evolution(subject)
+
+
+def _is_over(instance: Instance, now_s: float) -> bool:
+    """Say whether an instance that was told of the past is to be forgotten (clause 4.22).
+
+    Of an attribute of a current entity it is the end that is told: its past stays.
+    """
+    return "expiresAt" in instance and (moment(instance["expiresAt"]) or 0.0) <= now_s
 
 
 def _series_for(evolution: Evolution, name: str, instance: Instance, question: Question) -> Series | None:

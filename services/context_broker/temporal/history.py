@@ -6,7 +6,7 @@ it deleted. What an instance is called (its instanceId) is made from where it st
 
 import re
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -110,6 +110,24 @@ class Change:
             return True
         return False
 
+    def cut(self, attribute: str, concerns: Callable[[str | None], bool]) -> bool:
+        """Take all instances of an attribute with certain datasetIds out; return whether there were any."""
+        found = False
+        instances = self.attributes.get(attribute, [])
+        for position, one in enumerate(instances):
+            if one is not None and concerns(dataset_of(one)):
+                instances[position] = None
+                found = True
+        deletions = self.deleted.get(attribute, [])
+        for position, gone in enumerate(deletions):
+            if gone is not None and concerns(gone[1]):
+                deletions[position] = None
+                found = True
+        if attribute == SCOPE and self.scopes is not None and concerns(None):
+            self.scopes = None
+            found = True
+        return found
+
     def put(self, position: int, instance: Instance) -> None:
         """Put another instance in the place of the one at `position`."""
         for instances in self.attributes.values():
@@ -129,17 +147,26 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Departed:
-    """An entity that is only history: `deleted_at` is None for one that never was a current one."""
+    """An entity that is only history: `deleted_at` is None for one that never was a current one.
+
+    `expires_at` is when its past is to be forgotten, None if it ends like that of others (clause 4.22).
+    """
 
     types: tuple[str, ...]
     scopes: tuple[str, ...]
     created_at: str
     modified_at: str
     deleted_at: str | None
+    expires_at: str | None = None
+
+    def is_over(self, now_s: float) -> bool:
+        """Say whether its past is to be forgotten."""
+        return self.expires_at is not None and (moment(self.expires_at) or 0.0) <= now_s
 
     def stored(self) -> bytes:
         """Return it as the journal keeps it."""
-        return orjson.dumps([self.types, self.scopes, self.created_at, self.modified_at, self.deleted_at])
+        kept = [self.types, self.scopes, self.created_at, self.modified_at, self.deleted_at]
+        return orjson.dumps(kept if self.expires_at is None else [*kept, self.expires_at])
 
     @classmethod
     def restored(cls, stored: bytes) -> "Departed":

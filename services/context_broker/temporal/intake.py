@@ -27,11 +27,15 @@ _MEMBERS: Final = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """What a writer said of how an entity has been; scopes are instances of the attribute `SCOPE`."""
+    """What a writer said of how an entity has been; scopes are instances of the attribute `SCOPE`.
+
+    `expires_at` is when it is to be forgotten, None where nothing is said of that.
+    """
 
     id: str | None
     types: tuple[str, ...]
     attributes: Attributes
+    expires_at: str | None = None
 
     @property
     def scopes(self) -> tuple[str, ...]:
@@ -74,7 +78,7 @@ def read_past(document: Any, terms: Terms) -> Past:
         total += len(attributes[iri])
     if total > MOST_INSTANCES:
         raise bad_request_data(f"the body has {total} instances; {MOST_INSTANCES} are taken at once")
-    return Past(head.id, head.types, attributes)
+    return Past(head.id, head.types, attributes, head.expires_at)
 
 
 def _instances(name: str, given: Any, terms: Terms) -> list[Instance]:

@@ -14,7 +14,6 @@ from services.context_broker.api.operation import Operation
 from services.context_broker.api.problems import bad_request_data, not_read
 from services.context_broker.api.words import require_uri, shown
 from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import Entity
 from services.context_broker.entities.entity_operations import absent, nothing_left
 from services.context_broker.entities.rendering import with_context
 from services.context_broker.queries.ordering import Ordering, ordering
@@ -32,7 +31,7 @@ from services.context_broker.queries.selection import Selection
 from services.context_broker.snapshots.entity_maps import MAP_PARAMETERS
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.temporal.archive import Archive
-from services.context_broker.temporal.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
+from services.context_broker.temporal.chronicle import Found, Question, tell, tell_one
 from services.context_broker.temporal.query import (
     AGGREGATION_PARAMETERS,
     TIME_PARAMETERS,
@@ -44,6 +43,7 @@ from services.context_broker.temporal.query import (
     temporal_window,
 )
 from services.context_broker.temporal.rendering import content_range, told
+from services.context_broker.temporal.subjects import subjects_of
 
 READERS: Final = 2
 """Threads that look into the past: long looks wait for one another, and keep nothing else waiting."""
@@ -160,9 +160,9 @@ class TemporalOperations:
                 (None,) if selection.ids is None else tuple(dict.fromkeys(selection.ids))
             )
             known = subjects_of(live, chain.from_iterable(self._archive.departed(name, one) for one in ids))
-            wanted = [one for one in known if narrowing.wants(_as_entity(one))]
+            wanted = [one for one in known if narrowing.wants(one.as_entity())]
             if order is not None:
-                wanted.sort(key=lambda one: order.place_of(_as_entity(one)))
+                wanted.sort(key=lambda one: order.place_of(one.as_entity()))
             found = tell(self._archive, wanted, question, window.offset, window.limit, count=window.count)
             return found, _texts(found, wish)
 
@@ -202,12 +202,6 @@ def _order_of(exchange: Exchange, context: Context) -> Ordering | None:
     if order is not None and exchange.parameters["orderBy"].partition(";")[0] != "id":
         raise bad_request_data("orderBy is id here: what an entity says changes in the time that is told of")
     return order
-
-
-def _as_entity(subject: Subject) -> Entity:
-    return Entity(
-        subject.id, subject.types, {}, subject.created_at, subject.modified_at, scopes=subject.scopes
-    )
 
 
 def temporal_parameters(document: Any) -> dict[str, str]:

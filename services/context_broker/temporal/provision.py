@@ -24,9 +24,9 @@ from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand, re
 from services.context_broker.storage.journal import Entries, NotStored
 from services.context_broker.storage.tenants import Tenant
 from services.context_broker.temporal.archive import Archive, DepartedRow, HistoryRow
-from services.context_broker.temporal.chronicle import Subject, subjects_of
 from services.context_broker.temporal.history import SCOPE, Change, Departed, Recorder, place_of
 from services.context_broker.temporal.intake import Past, read_past
+from services.context_broker.temporal.subjects import Subject, subjects_of
 
 INSTANCES_A_ROW: Final = 100
 """Instances of one request that are kept in one row: so many are read where one of them is wanted."""
@@ -135,7 +135,7 @@ class TemporalProvision:
         every = exchange.flag("deleteAll")
 
         def cut(change: Change) -> bool:
-            return _cut(change, name, lambda one: every or one == dataset)
+            return change.cut(name, lambda one: every or one == dataset)
 
         async with self._turn(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
@@ -207,16 +207,19 @@ class TemporalProvision:
         added = past.stamped(at).attributes
         live = tenant.store.latest(entity_id)
         if live is not None:
+            if past.expires_at is not None:
+                raise bad_request_data(
+                    f"{entity_id} is current: set its expiresAt with PATCH entities/{{id}}"
+                )
             place = live.seq
         else:
             place = subject.places[-1] if subject is not None else tenant.store.next_seq()
-            known = Departed((), (), at, at, None)
-            if subject is not None:
-                known = Departed(subject.types, subject.scopes, subject.created_at, at, subject.deleted_at)
+            known = Departed((), (), at, at, None) if subject is None else subject.departed(at)
             known = replace(
                 known,
                 types=tuple(dict.fromkeys((*known.types, *past.types))),
                 scopes=past.scopes or known.scopes,
+                expires_at=past.expires_at or known.expires_at,
             )
             entries.departed[place] = DepartedRow(tenant.name, entity_id, known.stored())
         try:
@@ -344,25 +347,6 @@ def _pieces(attributes: Attributes) -> Iterator[Attributes]:
         for name, one in instances[start : start + INSTANCES_A_ROW]:
             piece.setdefault(name, []).append(one)
         yield piece
-
-
-def _cut(change: Change, name: str, concerns: Callable[[str | None], bool]) -> bool:
-    """Take all instances of an attribute with certain datasetIds out; return whether there were any."""
-    found = False
-    instances = change.attributes.get(name, [])
-    for position, one in enumerate(instances):
-        if one is not None and concerns(dataset_of(one)):
-            instances[position] = None
-            found = True
-    deletions = change.deleted.get(name, [])
-    for position, gone in enumerate(deletions):
-        if gone is not None and concerns(gone[1]):
-            deletions[position] = None
-            found = True
-    if name == SCOPE and change.scopes is not None and concerns(None):
-        change.scopes = None
-        found = True
-    return found
 
 
 def _patched(instance: Instance, part: Instance) -> Instance:

@@ -34,6 +34,8 @@ def told(evolution: Evolution, query: TemporalQuery, view: TemporalView, terms: 
     result: dict[str, Any] = {"id": subject.id, "type": types[0] if len(types) == 1 else types}
     if view.view.sys_attrs:
         result |= {"createdAt": subject.created_at, "modifiedAt": subject.modified_at}
+        if subject.expires_at is not None:
+            result["expiresAt"] = subject.expires_at
     if subject.deleted_at is not None and (view.view.sys_attrs or query.time_property == "deletedAt"):
         result["deletedAt"] = subject.deleted_at
     if projection is not None:

@@ -1,29 +1,24 @@
 """History: what was written change by change is what is told of the past, whatever is asked."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
-from itertools import count
-from pathlib import Path
+from dataclasses import replace
+from datetime import timedelta
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
 from services.context_broker.api.words import timestamp
-from services.context_broker.contexts.book import Context
 from services.context_broker.entities import changes
-from services.context_broker.entities.changes import Outcome
-from services.context_broker.entities.entity import Entity, Event, Instance
+from services.context_broker.entities.entity import Instance
 from services.context_broker.entities.intake import read_change, read_entity
 from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.journal import Entries, Journal, NotStored
+from services.context_broker.storage.journal import Journal
 from services.context_broker.temporal import chronicle
 from services.context_broker.temporal.aggregation import Aggregation
-from services.context_broker.temporal.chronicle import Found, Question, Subject, subjects_of, tell, tell_one
+from services.context_broker.temporal.chronicle import Found, Question, tell, tell_one
 from services.context_broker.temporal.durations import MICROS, read_duration
 from services.context_broker.temporal.history import (
     Change,
@@ -36,13 +31,11 @@ from services.context_broker.temporal.history import (
 )
 from services.context_broker.temporal.query import TemporalQuery
 from services.context_broker.temporal.rendering import content_range
-from services.context_broker.temporal.retention import Retention
+from services.context_broker.temporal.subjects import subjects_of
 
-CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
-TERMS = CONTEXT.terms
+from .lives import PLACES, START, TERMS, Life, event
+
 NAMES = ("speed", "heading", "place")
-PLACES = count(1)
-START = datetime(2026, 1, 1, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
@@ -51,68 +44,6 @@ def journal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Journal]:
     made.open()
     yield made
     made.close()
-
-
-def event(before: Entity | None, after: Entity | None) -> Event:
-    """Return a change that may have written every attribute there is."""
-    return Event(before, after, frozenset(after.attributes if after else ()))
-
-
-@dataclass
-class Life:
-    """An entity that is changed step by step, with a note of every instance that was written."""
-
-    journal: Journal
-    recorder: Recorder = field(default_factory=Recorder)
-    pending: Entries = field(default_factory=Entries)
-    place: int = field(default_factory=lambda: next(PLACES))
-    now: datetime = START
-    entity: Entity | None = None
-    written: list[tuple[str, Instance]] = field(default_factory=list)
-    deleted: list[tuple[str, str | None, str]] = field(default_factory=list)
-
-    def step(self) -> str:
-        self.now += timedelta(seconds=1)
-        return timestamp(self.now)
-
-    def take(self, after: Entity | None, at: str) -> None:
-        before = self.entity
-        self.recorder.record("", event(before, after), self.pending)
-        old = {} if before is None else before.attributes
-        new = {} if after is None else after.attributes
-        for name, instances in new.items():
-            self.written += [(name, one) for one in instances if one["modifiedAt"] == at]
-        if after is not None:
-            for name, instances in old.items():
-                left = {one.get("datasetId") for one in new.get(name, [])}
-                gone = [one.get("datasetId") for one in instances if one.get("datasetId") not in left]
-                self.deleted += [(name, dataset, at) for dataset in gone]
-        self.entity = after
-
-    def create(self, document: dict[str, Any]) -> None:
-        at = self.step()
-        given = {"id": f"urn:x:{self.place}", "type": "Car", **document}
-        self.take(changes.created(read_entity(given, TERMS), at, self.place), at)
-
-    def change(self, document: dict[str, Any], how: str = "appended") -> None:
-        assert self.entity is not None
-        at = self.step()
-        outcome: Outcome = getattr(changes, how)(self.entity, read_change(document, TERMS), at)
-        if outcome.entity is not self.entity:
-            self.take(outcome.entity, at)
-
-    def commit(self) -> None:
-        self.journal.commit(self.pending)
-        self.pending = Entries()
-
-    def subject(self) -> Subject:
-        self.commit()
-        departed = self.journal.archive.departed("", f"urn:x:{self.place}")
-        (found,) = subjects_of(() if self.entity is None else (self.entity,), departed)
-        return found
-
-    def told(self, query: TemporalQuery) -> Found:
-        return tell_one(self.journal.archive, self.subject(), Question(query, lambda _: True))
 
 
 def without_id(instance: Instance) -> Instance:
@@ -396,46 +327,3 @@ def test_an_instance_id_leads_back_to_its_place(place: int, seq: int, position: 
 )
 def test_another_id_leads_nowhere(text: str) -> None:
     assert place_of(text) is None
-
-
-class Straight:
-    """Commits at once, in the test's own thread."""
-
-    def __init__(self, journal: Journal) -> None:
-        self.journal = journal
-
-    async def store(self, entries: Entries) -> None:
-        self.journal.commit(entries)
-
-
-async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("services.context_broker.temporal.retention.PIECE", 3)
-    monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
-    monkeypatch.setattr("services.context_broker.temporal.retention.PLACES_A_LOOK", 1)
-    own = Journal(SqliteDatabase(tmp_path / "broker.db"))
-    own.open()
-    living, gone, young = Life(own), Life(own), Life(own, now=START + timedelta(days=2))
-    for life in (living, gone, young):
-        life.create({"speed": 0})
-        for number in range(8):
-            life.change({"speed": number + 1})
-    gone.take(None, gone.step())
-    young.take(None, young.step())
-    for life in (living, gone, young):
-        life.commit()
-    # A deletion is stamped by the clock on the wall; everything else here is of January 2026.
-    before = micros_of(timestamp(START + timedelta(days=1)))
-    retention = Retention(own.archive, Straight(own), 1)  # type: ignore[arg-type]  # all that it needs of them
-    assert await retention.clear(before) == 6
-    assert list(own.archive.history([living.place])) == []
-    assert [one for one, _, _ in own.archive.departed("")] == [gone.place, young.place]
-    assert len(list(own.archive.history([gone.place]))) == 1
-    assert len(list(own.archive.history([young.place]))) == 10
-    assert await retention.clear(micros_of(timestamp(datetime.now(UTC) + timedelta(days=1)))) > 0
-    assert list(own.archive.departed("")) == []
-    assert await retention.clear(2**62) == 0
-    own.close()
-    with pytest.raises(NotStored):
-        Journal(SqliteDatabase(tmp_path / "none" / "broker.db")).archive.first_change(0)

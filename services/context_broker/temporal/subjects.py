@@ -1,0 +1,88 @@
+"""Subjects: the entities of which there is a past, be they current ones, gone, or only ever told of.
+
+One that was deleted and created anew is one subject, that has been at several places.
+"""
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from services.context_broker.entities.entity import Entity
+from services.context_broker.temporal.history import Departed
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """An entity of which there is history; each time that it was created gave it one of its `places`.
+
+    `is_hearsay` is one that never was a current one: only who writes of the past has told of it.
+    """
+
+    id: str
+    types: tuple[str, ...]
+    scopes: tuple[str, ...]
+    created_at: str
+    modified_at: str
+    deleted_at: str | None
+    places: tuple[int, ...]
+    expires_at: str | None = None
+    is_hearsay: bool = False
+
+    def as_entity(self) -> Entity:
+        """Return the entity that it is or was, without its attributes."""
+        return Entity(
+            self.id,
+            self.types,
+            {},
+            self.created_at,
+            self.modified_at,
+            self.places[-1],
+            self.scopes,
+            self.expires_at,
+        )
+
+    def departed(self, at: str) -> Departed:
+        """Return it as it is kept where it is only history, changed at `at`."""
+        return Departed(self.types, self.scopes, self.created_at, at, self.deleted_at, self.expires_at)
+
+
+def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, bytes]]) -> list[Subject]:
+    """Return the subjects that live and departed entities make, in the order of their first creation.
+
+    What one was before its past ended is not told any more, be it on disk still.
+    """
+    found: dict[str, Subject] = {}
+    now_s = time.time()
+    for place, entity_id, body in departed:
+        it = Departed.restored(body)
+        if it.is_over(now_s):
+            found.pop(entity_id, None)
+            continue
+        known = found.get(entity_id)
+        places = (place,) if known is None else (*known.places, place)
+        created_at = it.created_at if known is None else known.created_at
+        found[entity_id] = Subject(
+            entity_id,
+            it.types,
+            it.scopes,
+            created_at,
+            it.modified_at,
+            it.deleted_at,
+            places,
+            it.expires_at,
+            is_hearsay=it.deleted_at is None,
+        )
+    for entity in entities:
+        known = found.get(entity.id)
+        earlier = () if known is None else tuple(place for place in known.places if place != entity.seq)
+        found[entity.id] = Subject(
+            entity.id,
+            entity.types,
+            entity.scopes,
+            entity.created_at,
+            entity.modified_at,
+            None,
+            (*earlier, entity.seq),
+            entity.expires_at,
+        )
+    return sorted(found.values(), key=lambda subject: subject.places[0])

@@ -1,0 +1,95 @@
+"""Retention: history that is too old is forgotten, and the past of entities whose own end has come."""
+
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from services.context_broker.api.words import moment, timestamp
+from services.context_broker.storage.database import SqliteDatabase
+from services.context_broker.storage.journal import Entries, Journal, NotStored
+from services.context_broker.temporal.archive import DepartedRow
+from services.context_broker.temporal.history import Change, Departed, Recorder, micros_of
+from services.context_broker.temporal.retention import Retention
+
+from .lives import START, Life
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Iterator[Journal]:
+    made = Journal(SqliteDatabase(tmp_path / "broker.db"))
+    made.open()
+    yield made
+    made.close()
+
+
+class Straight:
+    """Commits at once, in the test's own thread."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+
+    async def store(self, entries: Entries) -> None:
+        self.journal.commit(entries)
+
+
+async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.context_broker.temporal.retention.PIECE", 3)
+    monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
+    monkeypatch.setattr("services.context_broker.temporal.retention.PLACES_A_LOOK", 1)
+    own = Journal(SqliteDatabase(tmp_path / "broker.db"))
+    own.open()
+    living, gone, young = Life(own), Life(own), Life(own, now=START + timedelta(days=2))
+    for life in (living, gone, young):
+        life.create({"speed": 0})
+        for number in range(8):
+            life.change({"speed": number + 1})
+    gone.take(None, gone.step())
+    young.take(None, young.step())
+    for life in (living, gone, young):
+        life.commit()
+    # A deletion is stamped by the clock on the wall; everything else here is of January 2026.
+    before = micros_of(timestamp(START + timedelta(days=1)))
+    retention = Retention(own.archive, Straight(own), 1)  # type: ignore[arg-type]  # all that it needs of them
+    assert await retention.clear(before) == 6
+    assert list(own.archive.history([living.place])) == []
+    assert [one for one, _, _ in own.archive.departed("")] == [gone.place, young.place]
+    assert len(list(own.archive.history([gone.place]))) == 1
+    assert len(list(own.archive.history([young.place]))) == 10
+    assert await retention.clear(micros_of(timestamp(datetime.now(UTC) + timedelta(days=1)))) > 0
+    assert list(own.archive.departed("")) == []
+    assert await retention.clear(2**62) == 0
+    own.close()
+    with pytest.raises(NotStored):
+        Journal(SqliteDatabase(tmp_path / "none" / "broker.db")).archive.first_change(0)
+
+
+async def test_the_past_of_what_has_ended_is_forgotten_with_all_that_was_before(
+    own: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.context_broker.temporal.retention.PIECE", 2)
+    monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
+    at, end = "2026-01-01T00:00:00Z", "2026-01-02T00:00:00Z"
+    recorder, entries = Recorder(), Entries()
+    kept = {
+        1: ("urn:x:gone", Departed(("urn:t",), (), at, at, at)),
+        2: ("urn:x:stays", Departed(("urn:t",), (), at, at, None)),
+        3: ("urn:x:gone", Departed(("urn:t",), (), at, at, None, end)),
+        4: ("urn:x:gone", Departed(("urn:t",), (), at, at, None)),
+    }
+    for place, (entity_id, departed) in kept.items():
+        assert Departed.restored(departed.stored()) == departed
+        entries.departed[place] = DepartedRow("", entity_id, departed.stored())
+        for number in range(5):
+            instance = {"type": "Property", "value": number, "observedAt": at}
+            entries.history.append(recorder.row(place, Change({"urn:a": [instance]}), at))
+    own.commit(entries)
+    retention = Retention(own.archive, Straight(own), 0, tenants=lambda: [""])  # type: ignore[arg-type]
+    end_s = moment(end) or 0.0
+    assert await retention.end(end_s - 1) == 0
+    assert await retention.end(end_s) == 2
+    assert [place for place, _, _ in own.archive.departed("")] == [2, 4]
+    assert [len(list(own.archive.history([place]))) for place in kept] == [0, 5, 0, 5]
