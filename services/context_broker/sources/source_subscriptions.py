@@ -83,11 +83,13 @@ class SourceOffice(CourierOffice):
 def search_of(subscription: Subscription) -> Search:
     """Return which registrations a subscription is about.
 
-    `q` is about entities, which a registry does not know; `csf` is what asks for a source's properties.
+    `q` is about entities, which a registry does not know; `csf` is what asks for a source's properties. Which
+    attributes a source has matters where both those that are watched and those that are told are named: who
+    names none of either may be told of any (clauses 5.11.2.4 and 5.12).
     """
     document, context = subscription.document, subscription.context
-    watched = document.get("watchedAttributes")
-    names = None if watched is None else frozenset(watched)
+    watched, shown = document.get("watchedAttributes"), document["notification"].get("attributes")
+    names = frozenset((*watched, *shown)) if watched and shown else None
     selectors: list[dict[str, Any]] = document.get("entities") or [{}]
     questions = [
         asked_of(

@@ -212,7 +212,6 @@ class Courier:
             self._queue.popleft()
             self._line.release(notice.size)
             self._strike([notice])
-            self._was_tried = False
 
     async def _go_round(self, body: bytes) -> None:
         """Try to send what a period has brought."""
@@ -239,6 +238,7 @@ class Courier:
         if line.failures or self._failures:
             if is_too_old:
                 self.subscription.counts.failed += not self._was_tried
+                self._was_tried = False
                 self._give_up("too old", "it could not be delivered in time")
                 return True
             rest_left_s = self._rests_until_s - time.monotonic()
@@ -247,9 +247,10 @@ class Courier:
                 await self._pause(wait_s)
                 return False
             RETRIES.inc()
-        self._was_tried = True
+        is_first, self._was_tried = not self._was_tried, True
         started_s = time.monotonic()
-        fate = await attempt(self._office, before, body, taken)
+        fate = await attempt(self._office, before, body, taken, is_first=is_first)
+        self._was_tried = fate.why is not None and fate.again
         if fate.why is None:
             self._last_sent_s = time.monotonic()
             self._failures = 0
@@ -362,6 +363,8 @@ class Courier:
     def _drop(self, gone: Mapping[int, int]) -> None:
         """Forget notices by number, with their sizes in bytes."""
         dropped = [notice for notice in self._queue if notice.seq in gone]
+        if dropped and dropped[0] is self._queue[0]:
+            self._was_tried = False
         for notice in dropped:
             self._line.release(notice.size)
         if dropped:

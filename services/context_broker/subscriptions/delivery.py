@@ -66,8 +66,13 @@ class Fate:
     is_there: bool
 
 
-async def attempt(office: Office, subscription: Subscription, body: bytes, taken: bytes | None) -> Fate:
-    """Send a notification once; `taken` are headers of the request that made the change, as JSON."""
+async def attempt(
+    office: Office, subscription: Subscription, body: bytes, taken: bytes | None, *, is_first: bool
+) -> Fate:
+    """Send a notification once; `taken` are headers of the request that made the change, as JSON.
+
+    The first attempt counts as sent, whatever comes of it (clause 5.8.6); each that fails counts as failed.
+    """
     counts, is_there = subscription.counts, True
     try:
         status = await office.post(subscription, body, taken)
@@ -76,9 +81,9 @@ async def attempt(office: Office, subscription: Subscription, body: bytes, taken
     except SendError as error:
         why, again, is_there = f"{subscription.endpoint.shown}: {error}", True, False
     at = timestamp_now()
+    counts.sent += is_first
     counts.last_notification = at
     if why is None:
-        counts.sent += 1
         counts.last_success = at
         SENT.inc()
     else:

@@ -40,7 +40,11 @@ _FORMS: Final = {
 
 @dataclass(slots=True)
 class Counts:
-    """What became of the notifications of one subscription; times as text."""
+    """What became of the notifications of one subscription; times as text.
+
+    `sent` are notifications that were sent, once or more often; `failed` are attempts, and what was given up
+    before any.
+    """
 
     sent: int = 0
     failed: int = 0

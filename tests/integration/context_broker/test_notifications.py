@@ -196,6 +196,14 @@ def test_what_could_not_be_delivered_comes_when_the_subscriber_is_back(
     subscriber.status = 204
     eventually(lambda: len(subscriber.received) == 2)
     assert [one["n"]["value"] for one in subscriber.entities()] == [0, 1]
+    sent_again = eventually(
+        lambda: (
+            (found := http.get(f"/subscriptions/{subscription}").json()["notification"])["status"] == "ok"
+            and found["timesSent"] == 2
+            and found
+        )
+    )
+    assert sent_again["timesFailed"] >= 2  # each attempt; sent is what was told, however often it took
 
 
 def test_a_notification_that_is_refused_for_good_makes_way_for_the_next(
@@ -205,6 +213,7 @@ def test_a_notification_that_is_refused_for_good_makes_way_for_the_next(
     subscription = subscribe(http, "Refuse", subscriber.url)
     entity = create(http, "Refuse", n=0)
     eventually(lambda: http.get(f"/subscriptions/{subscription}").json()["notification"]["timesFailed"] == 1)
+    assert http.get(f"/subscriptions/{subscription}").json()["notification"]["timesSent"] == 1
     subscriber.status = 200
     patch(http, entity, n=1)
     eventually(lambda: subscriber.received)

@@ -142,3 +142,21 @@ def test_a_subscription_with_an_interval_is_told_again_and_again(
     subscribe(http, subscriber.url, "Round", timeInterval=1)
     eventually(lambda: len(told(subscriber)) >= 3)
     assert set(map(str, told(subscriber))) == {str(("newlyMatching", [one]))}
+
+
+def test_attributes_matter_where_watched_and_told_ones_are_named(
+    http: httpx.Client, new_subscriber: Callable[..., Subscriber], eventually: Callable[..., Any]
+) -> None:
+    wide, narrow = new_subscriber(), new_subscriber()
+    subscribe(http, wide.url, "Named", watchedAttributes=["speed"])
+    told_too = {"endpoint": {"uri": narrow.url}, "attributes": ["heading"]}
+    subscribe(http, narrow.url, "Named", watchedAttributes=["speed"], notification=told_too)
+    entities = [{"type": "Named"}]
+    ids = [
+        register(
+            http, f"named-{name}", "Named", information=[{"entities": entities, "propertyNames": [name]}]
+        )
+        for name in ("colour", "heading", "speed")
+    ]
+    eventually(lambda: told(wide) == [("newlyMatching", [one]) for one in ids], why=str(told(wide)))
+    eventually(lambda: told(narrow) == [("newlyMatching", [one]) for one in ids[1:]], why=str(told(narrow)))
