@@ -351,9 +351,9 @@ def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
     headers = [*answer.headers, (b"preference-applied", applied)]
     if not request.path.startswith(_WITH_ENTITIES):
         return Answer(200, answer.body, headers)
-    said = {*request.parameters.get("options", "").split(","), request.parameters.get("format", "")}
+    said = request.parameters.get("format") or request.parameters.get("options", "")
     document = orjson.loads(answer.body)
-    simplified = not said.isdisjoint({"keyValues", "simplified"})
+    simplified = not {"keyValues", "simplified"}.isdisjoint(said.split(","))
     conformed = conformance.conformed(document, version, simplified=simplified)
     if conformed is document:
         return Answer(200, answer.body, headers)

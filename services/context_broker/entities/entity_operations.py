@@ -336,7 +336,7 @@ def is_simplified(exchange: Exchange, others: frozenset[str] = frozenset()) -> b
     if wanted is not None:
         if wanted not in FORMS:
             raise invalid_request(f"format is one of {', '.join(sorted(FORMS))}, not {shown(wanted)}")
-        forms.add(wanted)
+        forms = {wanted}  # it comes before what options say (table 6.5.3.4-1)
     return not forms.isdisjoint(_SIMPLIFIED)
 
 

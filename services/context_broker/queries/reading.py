@@ -82,7 +82,7 @@ def view_of(exchange: Exchange, context: Context) -> View:
     if wanted is not None:
         if wanted not in _FORMS:
             raise invalid_request(f"format is one of {', '.join(_FORMS)}, not {shown(wanted)}")
-        forms.add(_FORMS[wanted])
+        forms = {_FORMS[wanted]}  # it comes before what options say (clause 6.3.7)
     if len(forms) > 1:
         raise invalid_request(f"more than one form is asked for ({', '.join(sorted(forms))}); choose one")
     form = forms.pop() if forms else Form.NORMALIZED

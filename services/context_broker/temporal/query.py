@@ -168,7 +168,7 @@ def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
     if wanted is not None:
         if wanted not in _TELLINGS:
             raise invalid_request(f"format is one of {', '.join(_TELLINGS)}, not {shown(wanted)}")
-        tellings.add(_TELLINGS[wanted])
+        tellings = {_TELLINGS[wanted]}  # it comes before what options say (clause 6.3.12)
     if len(tellings) > 1:
         raise invalid_request(f"more than one form is asked for ({', '.join(sorted(tellings))}); choose one")
     telling = tellings.pop() if tellings else Telling.NORMALIZED

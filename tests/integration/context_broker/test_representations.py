@@ -183,3 +183,19 @@ def test_ends_are_told_with_the_system_attributes(http: httpx.Client) -> None:
     assert "expiresAt" not in http.get(f"/entities/{shop}").text
     shown = read(http, shop, options="sysAttrs")
     assert shown["expiresAt"] == shown["size"]["expiresAt"] == end
+
+
+def test_the_format_comes_before_what_options_say(http: httpx.Client) -> None:
+    one = "urn:ngsi-ld:Formed:demo:1"
+    made = http.post("/entities", json={"id": one, "type": "Formed", "n": {"type": "Property", "value": 1}})
+    assert made.status_code == 201
+    concise = http.get(f"/entities/{one}", params={"format": "normalized", "options": "keyValues,sysAttrs"})
+    assert (concise.json()["n"]["value"], "createdAt" in concise.json()) == (1, True)
+    past = {"format": "temporalValues", "options": "aggregatedValues", "timeproperty": "modifiedAt"}
+    assert http.get(f"/temporal/entities/{one}", params=past).json()["n"]["values"][0][0] == 1
+    both = {"format": "normalized", "options": "keyValues"}
+    change = {"n": {"type": "Property", "value": 2}}
+    assert http.patch(f"/entities/{one}", json=change, params=both).status_code == 204
+    assert http.get(f"/entities/{one}").json()["n"] == change["n"]
+    refused = http.get(f"/entities/{one}", params={"options": "keyValues,concise"})
+    assert refused.status_code == 400
