@@ -21,7 +21,9 @@ from services.context_broker.temporal.chronicle import MOST_OF_ATTRIBUTE
 from services.context_broker.temporal.durations import MICROS, written_time
 from services.context_broker.temporal.query import TemporalQuery, TemporalView
 
-MEMBERS: Final = frozenset({"id", "type", "@context", "scope", "createdAt", "modifiedAt", "deletedAt"})
+MEMBERS: Final = frozenset(
+    {"id", "type", "@context", "scope", "createdAt", "modifiedAt", "deletedAt", "expiresAt"}
+)
 """Members of an evolution that are no attributes."""
 _TIMES: Final = ("observedAt", "modifiedAt", "createdAt")
 _SERIES: Final = frozenset(
@@ -47,6 +49,11 @@ def together(told: Iterable[Told], context: Context, last: int | None) -> Evolut
                 result.setdefault(name, said)
             elif gone is not None and name not in gone:
                 result[name] = _joined(result[name], said) if name in result else said
+    ends = [document.get("expiresAt") for _, document in ranked]
+    if "expiresAt" in result:  # it ends when all of it has, if it does (clause 4.5.5.3)
+        result["expiresAt"] = max(ends, key=_seconds)
+        if None in ends:
+            del result["expiresAt"]
     if last is not None:
         for name in result.keys() - MEMBERS:
             result[name] = _newest(result[name], last)
@@ -65,7 +72,7 @@ def shown(document: Evolution, view: TemporalView, context: Context) -> Evolutio
 def with_members(document: Evolution, query: TemporalQuery, view: TemporalView) -> Evolution:
     """Return an evolution with no members but those that the reader wants."""
     projection, sys_attrs = view.view.projection, view.view.sys_attrs
-    gone = set() if sys_attrs else {"createdAt", "modifiedAt"}
+    gone = set() if sys_attrs else {"createdAt", "modifiedAt", "expiresAt"}
     if not sys_attrs and query.time_property != "deletedAt":
         gone.add("deletedAt")
     if projection is not None:
@@ -155,6 +162,10 @@ def told_range(documents: Iterable[Evolution], edge: int, query: TemporalQuery) 
         times = [at for document in documents for at in _times_of(document)] or [edge / MICROS]
         start = round((min(times) if query.last is None else max(times)) * MICROS)
     return f"date-time {written_time(start)}-{written_time(edge)}/{size}".encode()
+
+
+def _seconds(told: Any) -> float:
+    return (moment(told) if isinstance(told, str) else None) or 0.0
 
 
 def _claimed(

@@ -52,6 +52,31 @@ def test_evolutions_are_put_together(
     assert told(near.get(f"/temporal/entities/{entity_id}?local=true").json(), "a") == [1, 3]
 
 
+@pytest.mark.parametrize("single", [True, False])
+def test_the_past_ends_when_all_of_it_has(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, single: bool
+) -> None:
+    register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
+    one = f"urn:ngsi-ld:{kind}:1"
+    path = f"/temporal/entities/{one}" if single else "/temporal/entities"
+    asked = {} if single else {"type": kind, "timerel": "after", "timeAt": "2025-01-01T00:00:00Z"}
+    for client, values in ((near, {1: 1}), (far, {2: 2})):
+        tell(client, one, kind, a=values)
+
+    def end(client: httpx.Client, expires_at: str) -> Any:
+        at = f"/temporal/entities/{one}/attrs?local=true"
+        assert client.post(at, json={"expiresAt": expires_at}).status_code == 204
+        assert "expiresAt" not in near.get(path, params=asked).text
+        document = near.get(path, params={**asked, "options": "sysAttrs"}).json()
+        (told_of,) = document if isinstance(document, list) else [document]
+        assert told(told_of, "a") == [1, 2]
+        return told_of.get("expiresAt")
+
+    sooner, later = "2095-01-01T00:00:00Z", "2096-01-01T00:00:00Z"
+    assert end(near, later) is None
+    assert end(far, sooner) == later
+
+
 def test_pages_of_the_past_are_over_all(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
