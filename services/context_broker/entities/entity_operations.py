@@ -267,7 +267,8 @@ class EntityOperations:
         instances = entity.attributes.get(name)
         if instances is None:
             raise not_found(
-                f"entity {entity.id} has no attribute {shown(exchange.names[1])}; append it first"
+                f"entity {entity.id} has no attribute {shown(exchange.names[1])}; "
+                "append it, or read the entity to see what it has"
             )
         return instances
 
@@ -288,7 +289,7 @@ def _location(entity_id: str) -> bytes:
 
 def absent(entity_id: str) -> Problem:
     """There is no such entity."""
-    return not_found(f"there is no entity {entity_id}; create it first")
+    return not_found(f"there is no entity {entity_id}; create it, or ask GET entities for those there are")
 
 
 def nothing_left(entity_id: str) -> Problem:

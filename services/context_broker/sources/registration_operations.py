@@ -273,4 +273,6 @@ async def _write(tenant: Tenant, entries: Entries) -> None:
 
 
 def _absent(registration_id: str) -> Problem:
-    return not_found(f"there is no registration {registration_id}; create it first")
+    return not_found(
+        f"there is no registration {registration_id}; GET csourceRegistrations finds those there are"
+    )

@@ -258,4 +258,4 @@ def _answer(body: Any, media_type: str, context: Context) -> Answer:
 
 
 def _absent(subscription_id: str) -> Problem:
-    return not_found(f"there is no subscription {subscription_id}; create it first")
+    return not_found(f"there is no subscription {subscription_id}; GET subscriptions lists those there are")
