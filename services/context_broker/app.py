@@ -44,7 +44,8 @@ from services.context_broker.sources.registration_operations import Registration
 from services.context_broker.sources.source_subscription_operations import SourceSubscriptionOperations
 from services.context_broker.storage.attempts import made_again, was_overtaken
 from services.context_broker.storage.database import Database, SqliteDatabase
-from services.context_broker.storage.journal import Entries, Journal, Kind, NotStored
+from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.journal import Journal, NotStored
 from services.context_broker.storage.leadership import ElectedBroker, Leadership, SoleBroker
 from services.context_broker.storage.postgres import PostgresDatabase
 from services.context_broker.storage.replica import TRIMMING, Overtaken, Replica

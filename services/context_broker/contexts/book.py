@@ -33,7 +33,7 @@ from services.context_broker.contexts.kept import (
 from services.context_broker.contexts.own_address import OwnAddress
 from services.context_broker.contexts.usage import Usage
 from services.context_broker.entities.entity import Terms
-from services.context_broker.storage.journal import DocumentKey, Kind
+from services.context_broker.storage.entries import DocumentKey, Kind
 
 log = get_logger(__name__)
 

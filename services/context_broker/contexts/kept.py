@@ -16,7 +16,7 @@ from uuid import NAMESPACE_URL, uuid4, uuid5
 import orjson
 
 from services.context_broker.api.words import timestamp, timestamp_now
-from services.context_broker.storage.journal import DocumentKey
+from services.context_broker.storage.entries import DocumentKey
 
 Documents = Mapping[DocumentKey, bytes | None]
 """What is to be written about contexts; None is erased."""

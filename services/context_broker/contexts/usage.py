@@ -11,7 +11,7 @@ from typing import Final
 import orjson
 
 from services.context_broker.contexts.kept import ContextShelf, Documents, KeptContext
-from services.context_broker.storage.journal import Kind
+from services.context_broker.storage.entries import Kind
 
 KEPT_S: Final = 5.0
 """How often it is written; what a crash may take back of the counts."""

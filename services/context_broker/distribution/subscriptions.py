@@ -41,7 +41,8 @@ from services.context_broker.distribution.told_changes import told_change
 from services.context_broker.distribution.via import chain
 from services.context_broker.sources.reach import Reach
 from services.context_broker.sources.registration import Registration
-from services.context_broker.storage.journal import Entries, Journal, Kind, Notice, NotStored
+from services.context_broker.storage.entries import Entries, Kind, Notice
+from services.context_broker.storage.journal import Journal, NotStored
 from services.context_broker.storage.tenants import Tenant, Tenants
 from services.context_broker.subscriptions.documents import CAME_BY
 from services.context_broker.subscriptions.http_sender import Reply

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from services.context_broker.distribution.fragments import limited
 from services.context_broker.entities.entity import Entity
-from services.context_broker.storage.journal import DocumentKey, EntityRow, Entries, Kind
+from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind
 from services.context_broker.storage.tenants import Tenant
 from services.context_broker.temporal.archive import DepartedRow
 

@@ -25,7 +25,7 @@ from services.context_broker.api.words import (
     timestamp,
 )
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.journal import Entries, Kind
+from services.context_broker.storage.entries import Entries, Kind
 
 MAP_PARAMETERS: Final = frozenset({"entityMap", "entityMapLifetime"})
 """What a query has that wants a map."""

@@ -14,7 +14,8 @@ from services.context_broker.api.words import timestamp_now
 from services.context_broker.snapshots.content import end_of
 from services.context_broker.snapshots.snapshot import MOST_HELD, MOST_SNAPSHOTS, Snapshot
 from services.context_broker.snapshots.telling import Tellings, telling_of
-from services.context_broker.storage.journal import Entries, Kind, NotStored
+from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.tenants import DEFAULT, Tenant, Tenants
 
 log = get_logger(__name__)

@@ -31,7 +31,8 @@ from services.context_broker.snapshots.snapshot import (
 )
 from services.context_broker.snapshots.telling import Tellings, restored
 from services.context_broker.sources.registration_operations import answer, with_context
-from services.context_broker.storage.journal import Journal, Kind
+from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.tenants import Tenant, Tenants
 
 USE_NOTED_S: Final = 10.0

@@ -16,7 +16,7 @@ import orjson
 from handover.telemetry import get_logger
 from services.context_broker.api.words import tenant_headers, timestamp_now
 from services.context_broker.snapshots.snapshot import Snapshot
-from services.context_broker.storage.journal import DocumentKey, Entries, Kind
+from services.context_broker.storage.entries import DocumentKey, Entries, Kind
 from services.context_broker.subscriptions.couriers import GIVEN_UP
 from services.context_broker.subscriptions.http_sender import SendError
 

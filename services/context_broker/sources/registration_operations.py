@@ -37,7 +37,8 @@ from services.context_broker.sources.registration_intake import (
 from services.context_broker.sources.registration_search import SEARCH_PARAMETERS, search_of
 from services.context_broker.sources.registry import claims
 from services.context_broker.sources.source_subscriptions import notices_of_change
-from services.context_broker.storage.journal import Entries, Kind, NotStored
+from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.tenants import Tenant
 
 DONE: Final = Answer(204)

@@ -23,7 +23,7 @@ from services.context_broker.sources.registration import (
     Where,
 )
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.journal import Entries, Kind
+from services.context_broker.storage.entries import Entries, Kind
 
 Watcher = Callable[[Registration | None, Registration | None], None]
 """Is told how a registration was before and is after a change that is safe; None where there is none."""

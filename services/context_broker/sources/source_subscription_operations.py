@@ -5,7 +5,7 @@ from typing import Final
 from services.context_broker.api.operation import Operation
 from services.context_broker.queries.reading import PAGE_PARAMETERS
 from services.context_broker.sources.source_subscriptions import notices_of_all
-from services.context_broker.storage.journal import Kind
+from services.context_broker.storage.entries import Kind
 from services.context_broker.storage.tenants import Tenant
 from services.context_broker.subscriptions.courier_office import CourierOffice
 from services.context_broker.subscriptions.operations import SubscriptionOperations

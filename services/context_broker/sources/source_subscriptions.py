@@ -23,7 +23,7 @@ from services.context_broker.sources.registration import Asked, Registration, sh
 from services.context_broker.sources.registration_search import Search, asked_of
 from services.context_broker.sources.registry import Registry
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.journal import Notice
+from services.context_broker.storage.entries import Notice
 from services.context_broker.subscriptions.courier_office import MOST_TOLD_AT_ONCE, CourierOffice
 from services.context_broker.subscriptions.outbound import Outbound
 from services.context_broker.subscriptions.periodic import Rounds

@@ -21,7 +21,8 @@ from prometheus_client import Counter
 
 from handover.telemetry import get_logger
 from services.context_broker.api.tally import TalliedMetric
-from services.context_broker.storage.journal import Entries, Journal, NotStored
+from services.context_broker.storage.entries import Entries
+from services.context_broker.storage.journal import Journal, NotStored
 from services.context_broker.storage.replica import News, Overtaken, Replica
 
 log = get_logger(__name__)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from handover.telemetry import get_logger
 from services.context_broker.entities.entity import Entity
-from services.context_broker.storage.journal import DocumentKey, Kind
+from services.context_broker.storage.entries import DocumentKey, Kind
 from services.context_broker.storage.replica import News
 
 if TYPE_CHECKING:

@@ -10,18 +10,11 @@ from contextlib import AbstractContextManager
 from typing import Final
 
 from services.context_broker.storage.database import Database, NotStored, SqliteDatabase, Writer
-from services.context_broker.storage.entries import (
-    OVERHEAD_BYTES,
-    DocumentKey,
-    EntityRow,
-    Entries,
-    Kind,
-    Notice,
-)
+from services.context_broker.storage.entries import OVERHEAD_BYTES, Entries, Kind, Notice
 from services.context_broker.storage.filing import Filing
 from services.context_broker.temporal.archive import Archive, write_archive
 
-__all__ = ["DocumentKey", "EntityRow", "Entries", "Journal", "Kind", "NotStored", "Notice"]
+__all__ = ["Journal", "NotStored"]
 
 _MIGRATIONS: Final = (
     """

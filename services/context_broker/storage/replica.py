@@ -15,7 +15,8 @@ import orjson
 
 from handover.telemetry import get_logger
 from services.context_broker.storage.database import FateUnknown, NotStored, Writer
-from services.context_broker.storage.journal import DocumentKey, Entries, Journal, Kind
+from services.context_broker.storage.entries import DocumentKey, Entries, Kind
+from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.postgres import CHANNEL
 
 log = get_logger(__name__)

@@ -21,7 +21,8 @@ from services.context_broker.queries.place_index import PlaceIndex
 from services.context_broker.queries.q_index import Condition
 from services.context_broker.queries.type_selection import TypeSelection, of_types
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.journal import EntityRow, Entries, Notice, NotStored
+from services.context_broker.storage.entries import EntityRow, Entries, Notice
+from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.ranks import Ranks, in_order
 from services.context_broker.storage.replica import Overtaken
 from services.context_broker.temporal.history import Recorder

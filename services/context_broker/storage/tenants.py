@@ -20,8 +20,9 @@ from services.context_broker.snapshots.snapshot import Snapshot, restored
 from services.context_broker.sources.registry import Registry
 from services.context_broker.sources.source_subscriptions import SourceOffice
 from services.context_broker.storage.commits import CommitQueue, Commits, Failed, stored
+from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.following import Following
-from services.context_broker.storage.journal import Entries, Journal, Kind
+from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.leadership import Leadership
 from services.context_broker.storage.places import SLOTS, Places
 from services.context_broker.storage.replica import Overtaken, Replica

@@ -5,7 +5,8 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Final
 
-from services.context_broker.storage.journal import Journal, Notice
+from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.journal import Journal
 
 PAGE_BYTES: Final = 1024 * 1024
 """About what is read in one go: large notifications come one by one."""

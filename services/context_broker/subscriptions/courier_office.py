@@ -7,7 +7,8 @@ from typing import Final
 import orjson
 
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.journal import DocumentKey, Entries, Journal, Kind, Notice
+from services.context_broker.storage.entries import DocumentKey, Entries, Kind, Notice
+from services.context_broker.storage.journal import Journal
 from services.context_broker.subscriptions.couriers import Courier
 from services.context_broker.subscriptions.lines import Line
 from services.context_broker.subscriptions.outbound import Outbound

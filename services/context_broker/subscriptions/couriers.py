@@ -15,7 +15,8 @@ from prometheus_client import Counter
 
 from handover.telemetry import get_logger
 from services.context_broker.api.words import timestamp_now
-from services.context_broker.storage.journal import Notice, NotStored
+from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.journal import NotStored
 from services.context_broker.subscriptions.backlog import Backlog
 from services.context_broker.subscriptions.delivery import Office, attempt
 from services.context_broker.subscriptions.lines import FIRST_REST_S, SHED, WINDOW, Line, rest_s

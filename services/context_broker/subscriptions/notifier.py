@@ -17,7 +17,7 @@ from handover.telemetry import get_logger
 from services.context_broker.entities.entity import Entity, Event
 from services.context_broker.queries.type_selection import of_types
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.journal import Notice
+from services.context_broker.storage.entries import Notice
 from services.context_broker.storage.store import Store
 from services.context_broker.subscriptions.courier_office import MOST_TOLD_AT_ONCE, CourierOffice
 from services.context_broker.subscriptions.notification import as_it_is, link, notification, told_of

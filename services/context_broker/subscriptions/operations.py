@@ -24,7 +24,8 @@ from services.context_broker.queries.reading import (
     page_links,
     window_of,
 )
-from services.context_broker.storage.journal import Entries, Kind, NotStored
+from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.tenants import Tenant
 from services.context_broker.subscriptions.courier_office import CourierOffice
 from services.context_broker.subscriptions.documents import (

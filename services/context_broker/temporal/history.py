@@ -22,7 +22,7 @@ from services.context_broker.entities.entity import (
     Instance,
     dataset_of,
 )
-from services.context_broker.storage.journal import Entries
+from services.context_broker.storage.entries import Entries
 from services.context_broker.temporal.archive import DepartedRow, HistoryRow
 
 SCOPE: Final = "scope"

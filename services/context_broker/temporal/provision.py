@@ -21,7 +21,8 @@ from services.context_broker.entities.completion import completed_part
 from services.context_broker.entities.entity import NULL, Attributes, Instance, Terms, dataset_of, is_deletion
 from services.context_broker.entities.entity_operations import DONE, absent
 from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand, read_attribute
-from services.context_broker.storage.journal import Entries, NotStored
+from services.context_broker.storage.entries import Entries
+from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.tenants import Tenant
 from services.context_broker.temporal.archive import Archive, DepartedRow, HistoryRow
 from services.context_broker.temporal.history import SCOPE, Change, Departed, Recorder, place_of

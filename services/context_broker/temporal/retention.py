@@ -12,7 +12,8 @@ from typing import Final
 
 from handover.telemetry import get_logger
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.journal import Entries, NotStored
+from services.context_broker.storage.entries import Entries
+from services.context_broker.storage.journal import NotStored
 from services.context_broker.temporal.archive import Archive, DepartedRow
 from services.context_broker.temporal.history import Departed, seq_before
 

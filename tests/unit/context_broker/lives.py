@@ -12,7 +12,8 @@ from services.context_broker.entities import changes
 from services.context_broker.entities.changes import Outcome
 from services.context_broker.entities.entity import Entity, Event, Instance
 from services.context_broker.entities.intake import read_change, read_entity
-from services.context_broker.storage.journal import Entries, Journal
+from services.context_broker.storage.entries import Entries
+from services.context_broker.storage.journal import Journal
 from services.context_broker.temporal.chronicle import Found, Question, tell_one
 from services.context_broker.temporal.history import Recorder
 from services.context_broker.temporal.query import TemporalQuery

@@ -19,7 +19,7 @@ from services.context_broker.contexts.fetching import (
     kept_for_s,
 )
 from services.context_broker.contexts.own_address import OwnAddress
-from services.context_broker.storage.journal import DocumentKey, Kind
+from services.context_broker.storage.entries import DocumentKey, Kind
 from services.context_broker.subscriptions.destinations import Destinations
 
 URL = "https://a.example/context.jsonld"

@@ -8,7 +8,8 @@ import pytest
 
 from handover.errors import UsageError
 from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.journal import SCHEMA_VERSION, EntityRow, Entries, Journal, Kind
+from services.context_broker.storage.entries import EntityRow, Entries, Kind
+from services.context_broker.storage.journal import SCHEMA_VERSION, Journal
 
 
 def version_of(file: Path) -> int:

@@ -15,7 +15,8 @@ from services.context_broker.snapshots.keeping import Keeping
 from services.context_broker.snapshots.making import Making
 from services.context_broker.snapshots.snapshot import Snapshot, Status, new_snapshot
 from services.context_broker.storage.database import SqliteDatabase
-from services.context_broker.storage.journal import Journal, Kind
+from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.leadership import SoleBroker
 
 QUERY = {"type": "Query", "entities": [{"type": "Task"}]}
