@@ -94,6 +94,8 @@ class Outward:
         if rule.alert is not None:
             with Telling(say, ("alert",)):
                 self._alert = self._compiled_alert(rule.alert)
+        self.fields = self._anatomy.fields
+        """What it looks at of a message."""
 
     @property
     def constant_entity(self) -> bool:
@@ -112,7 +114,7 @@ class Outward:
         return self._attributes
 
     def harvest(self, message: dict[str, Any], received_at_s: float) -> Harvest:
-        """Return what `message` comes to; whatever it is, nothing is raised."""
+        """Return what `message` (its `fields` are enough) comes to; whatever it is, nothing is raised."""
         harvest = Harvest()
         try:
             message = self._with_json_read(message)
