@@ -96,17 +96,8 @@ class Outward:
                 self._alert = self._compiled_alert(rule.alert)
         self.fields = self._anatomy.fields
         """What it looks at of a message."""
-
-    @property
-    def constant_entity(self) -> bool:
-        """Say whether every message is about the same entity, so that one need not be read to know which."""
-        entity = self.rule.entity
-        return (
-            self.rule.each is None
-            and self._when is None
-            and entity is not None
-            and entity.id.with_settings(self._settings).constant is not None
-        )
+        self.constant_entity = self._is_about_one()
+        """Whether every message is about the same entity, so that one need not be read to know which."""
 
     @property
     def attributes(self) -> tuple[MadeAttribute, ...]:
@@ -130,6 +121,15 @@ class Outward:
             except SURVIVED as error:
                 harvest.faults.append(_told(error))
         return harvest
+
+    def _is_about_one(self) -> bool:
+        entity = self.rule.entity
+        return (
+            self.rule.each is None
+            and self._when is None
+            and entity is not None
+            and entity.id.with_settings(self._settings).constant is not None
+        )
 
     def _reap(self, scope: Any, observed_at: str | None, harvest: Harvest) -> None:
         if self._alert is not None:
