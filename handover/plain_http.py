@@ -114,7 +114,8 @@ class _Connection(asyncio.Protocol):
     async def ask(self, request: bytes, timeout_s: float | None) -> httpx.Response:
         """Send a request and return the answer; nothing may come for `timeout_s` at most."""
         assert self._transport is not None  # noqa: S101 - connected before use
-        self._answer = answer = self._loop.create_future()
+        answer: asyncio.Future[httpx.Response] = self._loop.create_future()
+        self._answer = answer
         self._parser = httptools.HttpResponseParser(self)
         self._keeps_alive = self._ends_with_connection = False
         self._heard_s = self._loop.time()
