@@ -183,8 +183,10 @@ def _holds_null(value: Any, depth: int = 0) -> bool:
         raise too_deep()
     if isinstance(value, dict):
         return any(part == NULL or _holds_null(part, depth + 1) for part in value.values())
-    if not isinstance(value, list) or _PLAIN.issuperset(map(type, value)):
-        return False  # most lists are numbers, a hundred joints of them
+    if not isinstance(value, list):
+        return False
+    if depth < DEEPEST_VALUE and _PLAIN.issuperset(map(type, value)):
+        return False  # most lists are of numbers, as a robot's hundred joints
     return any(_holds_null(part, depth + 1) for part in value)
 
 
