@@ -31,6 +31,7 @@ import orjson
 import psutil
 
 from handover.broker import BrokerClient
+from handover.plain_http import PlainHttp
 from handover.settings import Settings
 from ros_fiware_bridge.graph.joining import JoinSettings, join
 from ros_fiware_bridge.graph.qos import Qos
@@ -170,7 +171,7 @@ async def _all(
     store = TypeStore()
     robot = await join(store, JoinSettings(node="robot", domain_id=bench.domain, interfaces=("127.0.0.1",)))
     url = f"http://127.0.0.1:{bench.broker_port}"
-    async with BrokerClient(Settings.load(broker_url=url)) as broker:
+    async with BrokerClient(Settings.load(broker_url=url), transport=PlainHttp()) as broker:
         await broker.ensure_subscription(
             {
                 "id": "urn:ngsi-ld:Subscription:demo:bench",
