@@ -5,7 +5,7 @@ that types and attributes mean the same whoever asks.
 """
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from typing import Any, Self, TypeVar
 from urllib.parse import quote
 
@@ -65,13 +65,19 @@ class BrokerClient:
         if settings.broker_tenant:
             headers["NGSILD-Tenant"] = settings.broker_tenant
         self.url = settings.broker_url
+        self._transport = transport or httpx.AsyncHTTPTransport(trust_env=False)
         self._http = httpx.AsyncClient(
             base_url=f"{settings.broker_url}/ngsi-ld/v1",
             headers=headers,
             timeout=timeout_s,
-            transport=transport,
+            transport=self._transport,
             trust_env=False,
         )
+        # A robot's updates go hundreds of times a second: all of such a request but its body is made once.
+        self._upsert = self._http.build_request(
+            "POST", "/entityOperations/upsert", params={"options": "update"}, headers={"Content-Type": JSON}
+        )
+        del self._upsert.headers["Content-Length"]
 
     async def __aenter__(self) -> Self:
         return self
@@ -131,12 +137,15 @@ class BrokerClient:
 
     async def upsert(self, entities: Sequence[Entity | NgsiLd]) -> None:
         """Create the entities, or update the attributes given of those that are there (one batch)."""
-        response = await self._call(
-            "POST",
-            "/entityOperations/upsert",
-            params={"options": "update"},
-            body=[_as_ngsild(entity) for entity in entities],
+        made = self._upsert
+        request = httpx.Request(
+            made.method,
+            made.url,
+            headers=made.headers,
+            content=orjson.dumps([_as_ngsild(entity) for entity in entities]),
+            extensions=made.extensions,
         )
+        response = await self._answer(self._straight(request), "POST /entityOperations/upsert")
         _require_all_done(response, "errors", _batch_error)
 
     async def delete(self, entity_id: str) -> None:
@@ -183,8 +192,22 @@ class BrokerClient:
     ) -> httpx.Response:
         content = None if body is None else orjson.dumps(body)
         headers = {} if body is None else {"Content-Type": JSON}
+        asking = self._http.request(method, path, params=params, content=content, headers=headers)
+        return await self._answer(asking, f"{method} {path}")
+
+    async def _straight(self, request: httpx.Request) -> httpx.Response:
+        """Ask past what the client has for redirects, cookies and credentials, of which brokers use none."""
+        response = await self._transport.handle_async_request(request)
+        response.request = request
         try:
-            response = await self._http.request(method, path, params=params, content=content, headers=headers)
+            await response.aread()
+        finally:
+            await response.aclose()
+        return response
+
+    async def _answer(self, asking: Awaitable[httpx.Response], act: str) -> httpx.Response:
+        try:
+            response = await asking
         except (httpx.TransportError, asyncio.IncompleteReadError) as error:
             reason = str(error) or type(error).__name__
             raise BrokerUnavailable(
@@ -192,7 +215,7 @@ class BrokerClient:
             ) from error
         if response.is_success:
             return response
-        raise _refusal(response, f"{method} {path}")
+        raise _refusal(response, act)
 
 
 def _refusal(response: httpx.Response, act: str) -> BrokerError:

@@ -10,6 +10,7 @@ from fastapi import FastAPI, Request, Response
 from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.notifications import notified_entities
+from handover.plain_http import PlainHttp
 from handover.service import create_app
 from ros_fiware_bridge import graph_view, mapping
 from ros_fiware_bridge.joining import join
@@ -37,7 +38,7 @@ def make_app(settings: BridgeSettings) -> FastAPI:
     document = read_mapping(settings)
     store = planning.type_store(document)
     planning.make(document, store, settings.factory)  # what is wrong with it is told before anything starts
-    broker = BrokerClient(settings)
+    broker = BrokerClient(settings, transport=PlainHttp())
     at = _At()
 
     @asynccontextmanager

@@ -10,6 +10,7 @@ import structlog
 from ros_fiware_bridge.errors import BadMessage
 from ros_fiware_bridge.graph.port import Message, OnMessage
 from ros_fiware_bridge.graph.qos import History, Qos
+from ros_fiware_bridge.types.excerpt import FieldNames
 from ros_fiware_bridge.types.type_store import TypeStore
 
 log = structlog.get_logger(__name__)
@@ -45,6 +46,12 @@ class RawReceived:
         if self._message is None:
             self._message = self._store.decode(self.type_name, self._data)
         return self._message
+
+    def excerpt(self, fields: frozenset[FieldNames]) -> Message:
+        """Return the message with those fields alone."""
+        if self._message is not None or () in fields:
+            return self.message
+        return self._store.excerpt(self.type_name, self._data, fields)
 
     def value(self, path: str) -> Any:
         """Return one field."""

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
+from ros_fiware_bridge.types.excerpt import FieldNames
 
 Message = dict[str, Any]
 ServiceHandler = Callable[[Message], Awaitable[Message]]
@@ -40,6 +41,13 @@ class Received(Protocol):
     @property
     def message(self) -> Message:
         """The whole message.
+
+        Raises:
+            BadMessage: what came is not a message of this type.
+        """
+
+    def excerpt(self, fields: frozenset[FieldNames]) -> Message:
+        """Return the message with those fields, `("header", "stamp")`, and perhaps others; `()` is all of it.
 
         Raises:
             BadMessage: what came is not a message of this type.

@@ -290,7 +290,7 @@ class Mapping(Part):
 
     type_paths: tuple[str, ...] = ()
     """Files and folders with .msg, .srv and .action definitions, seen from the mapping file."""
-    batch_ms: int = Field(5, ge=0, le=60_000)
+    batch_ms: int = Field(2, ge=0, le=60_000)
     """Batches go to the broker at most so often, in milliseconds."""
     ros_to_ngsild: dict[RuleName, RosToNgsild] = Field(default_factory=dict)
     ngsild_to_ros: dict[RuleName, NgsildToRos] = Field(default_factory=dict)

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Protocol
 
-from ros_fiware_bridge.mapping.paths import Each, Field, Getter, Index, Path, Where, getter
+from ros_fiware_bridge.mapping.paths import Each, Field, Getter, Index, Path, Step, Where, getter
 from ros_fiware_bridge.types.definition import Definition, FieldType, Many
+from ros_fiware_bridge.types.excerpt import FieldNames
 
 TIME = "builtin_interfaces/msg/Time"
 HEADER = "std_msgs/msg/Header"
@@ -70,6 +71,7 @@ class Anatomy:
         self._top = FieldType(type_name)
         self.each = each
         self._json_text: frozenset[Path] = frozenset()
+        self._looked_at: set[FieldNames] = set()
         for path in json_text:
             if not (found := self._plainly(path)).is_text:
                 raise WrongRule(f"{path} is {found}, and only text (string) can hold JSON")
@@ -88,6 +90,11 @@ class Anatomy:
             raise WrongRule(f"{path} goes over each element of {split[0]}, but {meant}")
         found = self._plainly(split[0]).type
         return Leads(None) if found is None else self._walk(split[1], found.item, path)
+
+    @property
+    def fields(self) -> frozenset[FieldNames]:
+        """Return what of a message is looked at; `()` is the whole message."""
+        return frozenset(self._looked_at)
 
     def require_time(self, path: Path) -> None:
         """Raise `WrongRule` unless `path` leads to a time."""
@@ -123,6 +130,8 @@ class Anatomy:
 
     def _walk(self, path: Path, start: FieldType, whole: Path) -> Leads:
         here, holder = start, None
+        if start == self._top:
+            self._looked_at.add(_names(path.steps))
         for place, step in enumerate(path.steps):
             if Path(path.steps[:place]) in self._json_text:
                 return Leads(None)
@@ -133,6 +142,8 @@ class Anatomy:
             elif isinstance(step, Each):
                 raise WrongRule(f"{whole} goes over [] where the rule has no `each`")
             else:
+                if isinstance(step, Where) and start == self._top and not here.is_message:
+                    self._looked_at.add((*_names(path.steps[: place - 1]), step.key))
                 here, holder = self._element(here, holder, step, so_far), None
         return Leads(None if path in self._json_text else here)
 
@@ -164,6 +175,16 @@ class Anatomy:
                     "and there is no such array"
                 )
         return here.item
+
+
+def _names(steps: Sequence[Step]) -> FieldNames:
+    """Return the fields that the way leads through before it comes to an array."""
+    names: list[str] = []
+    for step in steps:
+        if not isinstance(step, Field):
+            break
+        names.append(step.name)
+    return tuple(names)
 
 
 def _field_of(definition: Definition, name: str, so_far: str) -> FieldType:

@@ -94,17 +94,10 @@ class Outward:
         if rule.alert is not None:
             with Telling(say, ("alert",)):
                 self._alert = self._compiled_alert(rule.alert)
-
-    @property
-    def constant_entity(self) -> bool:
-        """Say whether every message is about the same entity, so that one need not be read to know which."""
-        entity = self.rule.entity
-        return (
-            self.rule.each is None
-            and self._when is None
-            and entity is not None
-            and entity.id.with_settings(self._settings).constant is not None
-        )
+        self.fields = self._anatomy.fields
+        """What it looks at of a message."""
+        self.constant_entity = self._is_about_one()
+        """Whether every message is about the same entity, so that one need not be read to know which."""
 
     @property
     def attributes(self) -> tuple[MadeAttribute, ...]:
@@ -112,7 +105,7 @@ class Outward:
         return self._attributes
 
     def harvest(self, message: dict[str, Any], received_at_s: float) -> Harvest:
-        """Return what `message` comes to; whatever it is, nothing is raised."""
+        """Return what `message` (its `fields` are enough) comes to; whatever it is, nothing is raised."""
         harvest = Harvest()
         try:
             message = self._with_json_read(message)
@@ -128,6 +121,15 @@ class Outward:
             except SURVIVED as error:
                 harvest.faults.append(_told(error))
         return harvest
+
+    def _is_about_one(self) -> bool:
+        entity = self.rule.entity
+        return (
+            self.rule.each is None
+            and self._when is None
+            and entity is not None
+            and entity.id.with_settings(self._settings).constant is not None
+        )
 
     def _reap(self, scope: Any, observed_at: str | None, harvest: Harvest) -> None:
         if self._alert is not None:

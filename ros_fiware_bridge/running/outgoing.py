@@ -103,7 +103,7 @@ class Outgoing:
     def _take(self, received: Received, now_s: float) -> None:
         assert self.outward is not None  # noqa: S101 - nothing is heard before its type is known
         try:
-            message = received.message
+            message = received.excerpt(self.outward.fields)
         except GraphError as error:
             self.tally.fault(str(error), now_s)
             return

@@ -13,6 +13,7 @@ from typing import Any
 from ros_fiware_bridge.errors import BadDefinition, UnknownType, UnsupportedType
 from ros_fiware_bridge.types import definition_files, wrappers
 from ros_fiware_bridge.types.definition import Definition, Field, FieldType, Many
+from ros_fiware_bridge.types.excerpt import FieldNames
 from ros_fiware_bridge.types.field_path import FieldPath, field_path
 from ros_fiware_bridge.types.fitting import Fitting
 from ros_fiware_bridge.types.type_hash import rihs01
@@ -203,6 +204,16 @@ class TypeStore:
             BadMessage: it is not a message of this type.
         """
         return self._wire.decode(type_name, data)
+
+    def excerpt(self, type_name: str, data: bytes, fields: frozenset[FieldNames]) -> dict[str, Any]:
+        """Return the message that `data` holds with those `fields` alone, `("header", "stamp")`; `()` is all.
+
+        What is not asked for is hardly looked at, so this takes a fraction of the time of `decode`.
+
+        Raises:
+            BadMessage: it is not a message of this type.
+        """
+        return self._wire.excerpt(type_name, data, fields)
 
     def check(self, type_name: str, message: Mapping[str, Any]) -> None:
         """Check that `message` could be sent.

@@ -10,8 +10,10 @@ from typing import Any
 
 from ros_fiware_bridge.errors import BadMessage
 from ros_fiware_bridge.types.definition import Definition, FieldType, Many
+from ros_fiware_bridge.types.excerpt import BIG, LITTLE, Excerpts, FieldNames, Read, wanted
 
 _HEADER_BYTES = 4
+_MOST_READERS = 1000  # more than a bridge has rules
 _MEMBER = "structure_needs_at_least_one_member"
 
 
@@ -29,6 +31,8 @@ class Wire:
         self._definition_of = definition_of
         self._store: Any = None
         self._met: set[str] = set()
+        self._excerpts = (Excerpts(definition_of, BIG), Excerpts(definition_of, LITTLE))
+        self._readers: dict[tuple[int, str, frozenset[FieldNames]], Read] = {}
 
     def encode(self, type_name: str, message: Any) -> bytes:
         """Return what `Fitting.message` gave as CDR."""
@@ -42,17 +46,31 @@ class Wire:
             BadMessage: it is not a message of this type.
         """
         self._meet(type_name)
-        if data[:2] not in (b"\x00\x00", b"\x00\x01") or len(data) < _HEADER_BYTES:
-            raise BadMessage(
-                f"what came is not a message of {type_name}: it is not CDR (XCDR1) but begins with "
-                f"{data[:_HEADER_BYTES].hex() or 'nothing'}"
-            )
+        _require_cdr(type_name, data)
         described = self._store.get_msgdef(type_name)
         read = described.deserialize_cdr_le if data[1] else described.deserialize_cdr_be
         try:
             # What follows the message is let be: the serializer of Fast DDS hands out all that it reserved.
             message: dict[str, Any] = read(memoryview(data)[_HEADER_BYTES:], 0, described.cls, self._store)[0]
         except (self._fault, IndexError, struct.error, ValueError, OverflowError) as error:
+            raise BadMessage(f"what came is not a message of {type_name}: {error}") from error
+        return message
+
+    def excerpt(self, type_name: str, data: bytes, fields: frozenset[FieldNames]) -> dict[str, Any]:
+        """Return those `fields` of the message that `data` holds.
+
+        Raises:
+            BadMessage: it is not a message of this type.
+        """
+        _require_cdr(type_name, data)
+        key = (data[1], type_name, fields)
+        if (read := self._readers.get(key)) is None:
+            read = self._excerpts[data[1]].reader(type_name, wanted(fields))
+            if len(self._readers) < _MOST_READERS:
+                self._readers[key] = read
+        try:
+            message: dict[str, Any] = read(memoryview(data)[_HEADER_BYTES:], 0)[0]
+        except (struct.error, ValueError) as error:
             raise BadMessage(f"what came is not a message of {type_name}: {error}") from error
         return message
 
@@ -72,6 +90,14 @@ class Wire:
         self._store.fielddefs[type_name] = ([], described or [(_MEMBER, _described(FieldType("uint8")))])
         self._store.types[type_name] = _maker(definition)
         self._met.add(type_name)
+
+
+def _require_cdr(type_name: str, data: bytes) -> None:
+    if data[:2] not in (b"\x00\x00", b"\x00\x01") or len(data) < _HEADER_BYTES:
+        raise BadMessage(
+            f"what came is not a message of {type_name}: it is not CDR (XCDR1) but begins with "
+            f"{data[:_HEADER_BYTES].hex() or 'nothing'}"
+        )
 
 
 def _maker(definition: Definition) -> Callable[..., dict[str, Any]]:

@@ -107,9 +107,12 @@ class CyclonePublisher:
 
     def publish(self, message: Message) -> None:
         """Send `message`."""
+        self.publish_encoded(self._node.store.encode(self.type_name, message))
+
+    def publish_encoded(self, data: bytes) -> None:
+        """Send what `TypeStore.encode` made of a message."""
         if not self._open:
             raise GraphClosed(f"{self.topic} was closed; nothing can be published on it")
-        data = self._node.store.encode(self.type_name, message)
         send(self._node, self._writer, data, self._most_bytes, self.topic)
         self.published += 1
 

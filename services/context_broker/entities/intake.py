@@ -174,13 +174,20 @@ def _tells_null(instance: Instance, nulls: Nulls) -> bool:
     return False
 
 
+_PLAIN: Final = frozenset({float, int, str, bool, type(None)})
+
+
 def _holds_null(value: Any, depth: int = 0) -> bool:
     """Say whether NULL stands for a member of an object somewhere in `value`."""
     if depth > DEEPEST_VALUE:
         raise too_deep()
     if isinstance(value, dict):
         return any(part == NULL or _holds_null(part, depth + 1) for part in value.values())
-    return isinstance(value, list) and any(_holds_null(part, depth + 1) for part in value)
+    if not isinstance(value, list):
+        return False
+    if depth < DEEPEST_VALUE and _PLAIN.issuperset(map(type, value)):
+        return False  # most lists are of numbers, as a robot's hundred joints
+    return any(_holds_null(part, depth + 1) for part in value)
 
 
 def too_deep() -> Problem:

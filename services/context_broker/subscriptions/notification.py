@@ -14,7 +14,7 @@ import orjson
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.context_broker.api.negotiation import Version
-from services.context_broker.api.words import tenant_headers, timestamp
+from services.context_broker.api.words import tenant_headers, timestamp, timestamp_now
 from services.context_broker.entities.entity import NULL, SAYS, Attributes, Entity, Instance, dataset_of
 from services.context_broker.entities.rendering import Form, View, render, rendered, with_context
 from services.context_broker.queries.linked import Shown, joined
@@ -39,7 +39,7 @@ def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes
         "id": f"urn:ngsi-ld:Notification:{uuid4()}",
         "type": "Notification",
         "subscriptionId": subscription.id,
-        "notifiedAt": timestamp(datetime.now(UTC)),
+        "notifiedAt": timestamp_now(),
     }
     accept = subscription.endpoint.accept
     data = b"[" + b",".join(entities) + b"]"

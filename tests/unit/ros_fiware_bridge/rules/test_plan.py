@@ -174,4 +174,6 @@ def test_any_path_into_any_message_works_or_is_refused_with_a_line(
         assert made is not None
         harvest = made.harvest(TYPES.default(type_name), 1_770_000_000.0)
         assert harvest.updates or harvest.faults
+        excerpt = TYPES.excerpt(type_name, TYPES.encode(type_name, {}), made.fields)
+        assert made.harvest(excerpt, 1_770_000_000.0) == harvest
     assert all(line == 7 for line in lines)

@@ -1,14 +1,13 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ros_fiware_bridge.errors import BadDefinition, BadMessage, UnknownField, UnknownType, UnsupportedType
-from ros_fiware_bridge.types.definition import FLOATS, INTEGER_RANGES, FieldType, Many
 from ros_fiware_bridge.types.type_store import TypeStore
+from tests.unit.ros_fiware_bridge.types.random_messages import listed, message_of
 
 pytest.importorskip("rosbags")
 
@@ -161,41 +160,6 @@ def test_no_bytes_from_the_network_do_more_than_be_refused(body: bytes) -> None:
             continue
 
 
-def one(kind: FieldType) -> st.SearchStrategy[Any]:
-    if kind.is_message:
-        return message_of(kind.base)
-    if kind.base == "string":
-        return st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8)
-    if kind.base == "bool":
-        return st.booleans()
-    if kind.base in FLOATS:
-        return st.floats(width=32 if kind.base == "float32" else 64, allow_nan=False)
-    return st.integers(*INTEGER_RANGES[kind.base])
-
-
-def message_of(type_name: str) -> st.SearchStrategy[dict[str, Any]]:
-    parts = {}
-    for field in store.definition(type_name).fields:
-        kind = field.type
-        if kind.many is Many.ONE:
-            parts[field.name] = one(kind)
-        else:
-            most = kind.size or 3
-            items = st.lists(
-                one(kind.item), min_size=kind.size if kind.many is Many.FIXED else 0, max_size=most
-            )
-            parts[field.name] = items.map(bytes) if kind.is_octets else items
-    return st.fixed_dictionaries(parts)
-
-
-def listed(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, list):
-        return [listed(item) for item in value]
-    return {key: listed(item) for key, item in value.items()} if isinstance(value, dict) else value
-
-
 @given(st.data())
 @settings(max_examples=120, deadline=None)
 def test_a_message_comes_out_as_it_went_in(data: st.DataObject) -> None:
@@ -212,7 +176,7 @@ def test_a_message_comes_out_as_it_went_in(data: st.DataObject) -> None:
             ]
         )
     )
-    message = data.draw(message_of(name))
+    message = data.draw(message_of(store, name))
     assert listed(store.decode(name, store.encode(name, message))) == message
 
 
