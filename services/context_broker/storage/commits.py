@@ -32,6 +32,12 @@ Failed = Callable[[NotStored], None]
 LARGEST_GROUP = 2000
 LOOK_AGAIN_S = 0.2
 """How long the thread waits when what others did could not be read."""
+LONGEST_FLUSH_S = 0.0005
+"""What the event loop waits for a disk at most: as long as two or three requests take."""
+HANDING_OVER_S = 0.0001
+"""What it costs a write to go to a thread and back, most of it waiting for the interpreter."""
+IDLE_S = 0.005
+"""Where writes come less often than this, nothing else waits for the event loop."""
 RETRY_S = 1.0
 """How long bookkeeping that the disk refused waits for its next chance."""
 REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the disk did not take")
@@ -104,6 +110,7 @@ class CommitQueue:
         self._after_news: deque[Callable[[], None]] = deque()
         self._queue: queue.SimpleQueue[list[Write] | Known | None] = queue.SimpleQueue()
         self._gathered: list[Write] = []
+        self._sent_s = 0.0
         self._under_way = 0
         """Writes on their way: handed over, and their makers not told yet."""
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -165,8 +172,16 @@ class CommitQueue:
             writes, self._gathered = self._gathered, []
             thread_is_idle = not self._under_way and self._replica is None
             self._under_way += len(writes)
-            if not (thread_is_idle and self._commit_at_once(writes)):
+            is_quick = self._is_quick(len(writes))
+            if not (thread_is_idle and is_quick and self._commit_at_once(writes)):
                 self._queue.put(writes)
+
+    def _is_quick(self, count: int) -> bool:
+        """Say whether the event loop loses less by the flush of so many writes than by handing them over."""
+        flush_s, before_s, self._sent_s = self._journal.flush_s, self._sent_s, time.monotonic()
+        if flush_s > LONGEST_FLUSH_S:
+            return False
+        return flush_s < count * HANDING_OVER_S or self._sent_s - before_s > IDLE_S
 
     def _commit_at_once(self, writes: list[Write]) -> bool:
         """Commit what has come and return true, if that is quick; the thread does nothing meanwhile."""

@@ -24,9 +24,8 @@ log = get_logger(__name__)
 QUIET_S: Final = 1.0
 """How long changes wait when there are few, so that whoever opens the file finds it up to date."""
 RETRY_S: Final = 1.0
-QUICK_S: Final = 0.0005
-"""A flush that takes less holds nobody up: a request takes a third of it, a thread that is woken as much."""
 QUICK_BYTES: Final = 64 * 1024
+"""What is written at once at most."""
 
 UNFILED = Gauge("handover_broker_log_unfiled", "Commits in the log that are not in the tables yet")
 NOT_FILED = Counter("handover_broker_log_filing_failed_total", "Times the tables could not be written")
@@ -76,9 +75,9 @@ class Filing:
         self._thread.start()
 
     @property
-    def is_quick(self) -> bool:
-        """Say whether the disk has been so of late that nobody notices who waits for it."""
-        return self._log.flush_s < QUICK_S
+    def flush_s(self) -> float:
+        """Return how long it has taken of late to write to the log."""
+        return self._log.flush_s
 
     def commit_at_once(self, entries: Entries) -> bool:
         """Do as `commit` and return true if there is room and not much to write; else do nothing."""

@@ -5,6 +5,7 @@ like are documents by kind; what subscribers are owed is the outbox. All looking
 has been is the history: a row for each change of an entity, and a row for each entity that has departed.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from typing import Final
@@ -100,12 +101,17 @@ class Journal:
             self._filing.commit(entries)
         self._last_notice += len(entries.owed)
 
+    @property
+    def flush_s(self) -> float:
+        """Return how long a commit has waited for the disk of late."""
+        return math.inf if self._filing is None else self._filing.flush_s
+
     def commit_at_once(self, entries: Entries) -> bool:
-        """Do as `commit` and return true if that is as quick as an answer is; else do nothing.
+        """Do as `commit` and return true if nothing but a flush is to be waited for; else do nothing.
 
         From any thread, while no other commits.
         """
-        if self._filing is None or not self._filing.is_quick:
+        if self._filing is None:
             return False
         _number(entries, self._last_notice)
         done = self._filing.commit_at_once(entries)

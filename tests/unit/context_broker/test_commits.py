@@ -1,6 +1,7 @@
 """Commits, on the event loop and in a thread: each maker is told once, in order, of what is on disk."""
 
 import asyncio
+import math
 import sqlite3
 import threading
 from collections.abc import Callable
@@ -11,11 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.context_broker.storage import commits
 from services.context_broker.storage.commits import CommitQueue
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries
 from services.context_broker.storage.filing import QUICK_BYTES
 from services.context_broker.storage.journal import Journal
+
+QUICK, SLOW = 0.00001, 1.0
 
 
 class OnDisks(Journal):
@@ -23,15 +27,19 @@ class OnDisks(Journal):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(SqliteDatabase(folder / "broker.db"))
-        self.is_quick = True
+        self.took_s = QUICK
         self.committed_by: list[str] = []
 
     def commit(self, entries: Entries) -> None:
         self.committed_by.append(threading.current_thread().name)
         super().commit(entries)
 
+    @property
+    def flush_s(self) -> float:
+        return self.took_s
+
     def commit_at_once(self, entries: Entries) -> bool:
-        done = self.is_quick and super().commit_at_once(entries)
+        done = super().commit_at_once(entries)
         if done:
             self.committed_by.append(threading.current_thread().name)
         return done
@@ -60,11 +68,27 @@ def test_the_event_loop_writes_to_a_quick_disk_and_a_thread_to_a_slow_one(
     tmp_path: Path, is_quick: bool, who: str
 ) -> None:
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
-        journal.is_quick = is_quick
+        journal.took_s = QUICK if is_quick else SLOW
         await asyncio.gather(*(queue.store(entity(place)) for place in range(1, 9)))
         assert journal.last_place() == 8
 
     assert run(tmp_path, steps).committed_by == [who]  # and all of one turn are one commit
+
+
+@pytest.mark.parametrize(
+    ("idle_s", "who"), [(math.inf, ["journal", "MainThread"]), (-1.0, ["MainThread"] * 2)]
+)
+def test_few_writes_are_worth_a_flush_on_the_loop_only_where_it_has_nothing_else_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, idle_s: float, who: list[str]
+) -> None:
+    monkeypatch.setattr(commits, "IDLE_S", idle_s)
+
+    async def steps(journal: OnDisks, queue: CommitQueue) -> None:
+        journal.took_s = 2 * commits.HANDING_OVER_S
+        await queue.store(entity(1))
+        await asyncio.gather(*(queue.store(entity(place)) for place in range(2, 6)))
+
+    assert run(tmp_path, steps).committed_by == who
 
 
 def test_what_is_long_is_left_to_the_thread(tmp_path: Path) -> None:
@@ -86,7 +110,7 @@ def test_however_quick_the_disk_is_makers_are_told_once_and_in_order(
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
         nonlocal made
         for is_quick, writes, waits in turns:
-            journal.is_quick = is_quick
+            journal.took_s = QUICK if is_quick else SLOW
             for _ in range(writes):
                 made += 1
                 queue.submit(entity(made), lambda place=made: told.append(place), lambda _: None)  # type: ignore[misc]
@@ -106,7 +130,7 @@ def test_what_the_disk_refuses_is_refused_and_then_it_goes_on(tmp_path: Path, is
     failures: list[str] = []
 
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
-        journal.is_quick = is_quick
+        journal.took_s = QUICK if is_quick else SLOW
         with closing(sqlite3.connect(tmp_path / "broker.db", isolation_level=None)) as other:
             other.execute("ALTER TABLE entities RENAME TO out_of_reach")
             place = 0
