@@ -28,6 +28,8 @@ from urllib.parse import quote, urlsplit
 import orjson
 import psutil
 
+from benchmarks.company import company_told
+
 CONNECTIONS = 16
 FLOORS = {"create": 6000, "patch": 6000, "retrieve": 15000, "query, 20 hits": 1500, "query, 1000 hits": 200}
 CONTEXT = "https://w3id.org/handover/context.jsonld"
@@ -374,7 +376,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         broker = Broker(Path(folder), settings, port)
         try:
-            asyncio.run(measure(broker, options.requests, options.rounds, options.stored, options.memory))
+            with company_told():
+                asyncio.run(measure(broker, options.requests, options.rounds, options.stored, options.memory))
         finally:
             broker.stop()
 

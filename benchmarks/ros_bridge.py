@@ -29,9 +29,10 @@ from typing import Any, cast
 import httpx
 import orjson
 import psutil
+from httpx_aiohttp import AiohttpTransport
 
+from benchmarks.company import company_told
 from handover.broker import BrokerClient
-from handover.plain_http import PlainHttp
 from handover.settings import Settings
 from ros_fiware_bridge.graph.joining import JoinSettings, join
 from ros_fiware_bridge.graph.qos import Qos
@@ -171,7 +172,9 @@ async def _all(
     store = TypeStore()
     robot = await join(store, JoinSettings(node="robot", domain_id=bench.domain, interfaces=("127.0.0.1",)))
     url = f"http://127.0.0.1:{bench.broker_port}"
-    async with BrokerClient(Settings.load(broker_url=url), transport=PlainHttp()) as broker:
+    async with BrokerClient(
+        Settings.load(broker_url=url), transport=AiohttpTransport(trust_env=False)
+    ) as broker:
         await broker.ensure_subscription(
             {
                 "id": "urn:ngsi-ld:Subscription:demo:bench",
@@ -335,12 +338,13 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=100.0, help="messages a second, each way")
     parser.add_argument("--memory", type=int, default=0, metavar="MINUTES", help="watch its memory instead")
     asked = parser.parse_args()
-    if sys.platform == "win32":
-        asyncio.run(measure(asked.seconds, asked.rate, asked.memory))
-    else:
-        import uvloop  # noqa: PLC0415 - there is none for Windows
+    with company_told():
+        if sys.platform == "win32":
+            asyncio.run(measure(asked.seconds, asked.rate, asked.memory))
+        else:
+            import uvloop  # noqa: PLC0415 - there is none for Windows
 
-        uvloop.run(measure(asked.seconds, asked.rate, asked.memory))
+            uvloop.run(measure(asked.seconds, asked.rate, asked.memory))
 
 
 if __name__ == "__main__":

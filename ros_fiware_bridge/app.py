@@ -6,11 +6,11 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
+from httpx_aiohttp import AiohttpTransport
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
 from handover.notifications import notified_entities
-from handover.plain_http import PlainHttp
 from handover.service import create_app
 from ros_fiware_bridge import graph_view, mapping
 from ros_fiware_bridge.joining import join
@@ -38,7 +38,7 @@ def make_app(settings: BridgeSettings) -> FastAPI:
     document = read_mapping(settings)
     store = planning.type_store(document)
     planning.make(document, store, settings.factory)  # what is wrong with it is told before anything starts
-    broker = BrokerClient(settings, transport=PlainHttp())
+    broker = BrokerClient(settings, transport=AiohttpTransport(trust_env=False))
     at = _At()
 
     @asynccontextmanager
