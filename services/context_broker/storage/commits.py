@@ -36,6 +36,8 @@ LONGEST_FLUSH_S = 0.0005
 """What the event loop waits for a disk at most: as long as two or three requests take."""
 HANDING_OVER_S = 0.0001
 """What it costs a write to go to a thread and back, most of it waiting for the interpreter."""
+REMEMBERED = 16
+"""Turns of the event loop."""
 IDLE_S = 0.005
 """Where writes come less often than this, nothing else waits for the event loop."""
 RETRY_S = 1.0
@@ -111,6 +113,8 @@ class CommitQueue:
         self._queue: queue.SimpleQueue[list[Write] | Known | None] = queue.SimpleQueue()
         self._gathered: list[Write] = []
         self._sent_s = 0.0
+        self._usual = 1.0
+        """How many writes a turn of the event loop has brought of late."""
         self._under_way = 0
         """Writes on their way: handed over, and their makers not told yet."""
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -177,11 +181,13 @@ class CommitQueue:
                 self._queue.put(writes)
 
     def _is_quick(self, count: int) -> bool:
-        """Say whether the event loop loses less by the flush of so many writes than by handing them over."""
+        """Say whether the event loop loses less by a flush than by handing so many writes over, as a rule."""
         flush_s, before_s, self._sent_s = self._journal.flush_s, self._sent_s, time.monotonic()
+        self._usual += (count - self._usual) / REMEMBERED
         if flush_s > LONGEST_FLUSH_S:
             return False
-        return flush_s < count * HANDING_OVER_S or self._sent_s - before_s > IDLE_S
+        # Each write is handed over, and each then waits for all of them.
+        return flush_s < self._usual**2 * HANDING_OVER_S or self._sent_s - before_s > IDLE_S
 
     def _commit_at_once(self, writes: list[Write]) -> bool:
         """Commit what has come and return true, if that is quick; the thread does nothing meanwhile."""

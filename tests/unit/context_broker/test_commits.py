@@ -86,7 +86,7 @@ def test_few_writes_are_worth_a_flush_on_the_loop_only_where_it_has_nothing_else
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
         journal.took_s = 2 * commits.HANDING_OVER_S
         await queue.store(entity(1))
-        await asyncio.gather(*(queue.store(entity(place)) for place in range(2, 6)))
+        await asyncio.gather(*(queue.store(entity(place)) for place in range(2, 40)))
 
     assert run(tmp_path, steps).committed_by == who
 
