@@ -7,6 +7,7 @@ everything filed first, so they never say less than the log.
 
 import secrets
 import threading
+import time
 from collections.abc import Callable
 from typing import Final
 
@@ -24,6 +25,9 @@ log = get_logger(__name__)
 QUIET_S: Final = 1.0
 """How long changes wait when there are few, so that whoever opens the file finds it up to date."""
 RETRY_S: Final = 1.0
+HICCUP_S: Final = 0.002
+REMEMBERED: Final = 16
+SUPPOSED: Final = 0.995
 QUICK_BYTES: Final = 64 * 1024
 """What is written at once at most."""
 
@@ -48,6 +52,8 @@ class Filing:
         """Held by whoever writes the tables: one at a time."""
         self._wanted = threading.Event()
         self._ends = threading.Event()
+        self.flush_s = 0.0
+        """How long the event loop has waited for the disk of late."""
         self._thread = threading.Thread(target=self._work, name="filing", daemon=True)
 
     def open(self) -> None:
@@ -61,6 +67,7 @@ class Filing:
                     self._write(writer, lot)
                 writer.run("UPDATE log_state SET opening = ?, filed = 0", (new.hex(),))
             self._log.begin(new)
+            self.flush_s = self._log.tried_s()
         except Damaged as error:
             raise UsageError(f"the log before {self._database.path} is damaged: {error}") from None
         except (NotStored, OSError) as error:
@@ -74,17 +81,15 @@ class Filing:
         UNFILED.set_function(lambda: len(self._waiting))
         self._thread.start()
 
-    @property
-    def flush_s(self) -> float:
-        """Return how long it has taken of late to write to the log."""
-        return self._log.flush_s
-
     def commit_at_once(self, entries: Entries) -> bool:
         """Do as `commit` and return true if there is room and not much to write; else do nothing."""
         record = encoded(entries)
         if len(record) > QUICK_BYTES or not self._log.has_room(record):
             return False
+        began_s = time.perf_counter()
         self._append(record)
+        # One hiccup is no rule, so that it counts for little however long it was.
+        self.flush_s += (min(time.perf_counter() - began_s, HICCUP_S) - self.flush_s) / REMEMBERED
         return True
 
     def commit(self, entries: Entries) -> None:
@@ -96,6 +101,9 @@ class Filing:
         if not self._log.has_room(record):
             self._file()
         self._append(record)
+        # A thread waits for the interpreter too, so that it cannot tell how long the disk took: that it has
+        # become quicker is supposed, a little more each time, until the event loop tries it.
+        self.flush_s *= SUPPOSED
 
     def _append(self, record: bytes) -> None:
         was_tight = self._log.is_tight

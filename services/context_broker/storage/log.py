@@ -24,8 +24,6 @@ SIZE: Final = 512 * PAGE
 """Bytes of a file: a thousand changes or two, which wait in memory too until they are filed."""
 
 TRIES: Final = 3
-HICCUP_S: Final = 0.002
-REMEMBERED: Final = 16
 
 _HEAD: Final = struct.Struct("<8s8sQII")
 """Mark, opening, number, length of the record, and the checksum of all of these and the record."""
@@ -49,8 +47,6 @@ class Log:
         self._filed = 0
         self.number = 0
         """Of the last frame."""
-        self.flush_s = 0.0
-        """How long it takes to write a frame, of late."""
 
     def read(self, opening: bytes, filed: int) -> list[bytes]:
         """Return the records after number `filed` that an opening wrote.
@@ -75,7 +71,10 @@ class Log:
         self._opening = opening
         self._active = self._filed = self.number = 0
         self._files[0].prepare()
-        self.flush_s = min(self._files[0].tried_s() for _ in range(TRIES))
+
+    def tried_s(self) -> float:
+        """Return how long it takes to write a frame; before the first one."""
+        return min(self._files[0].tried_s() for _ in range(TRIES))
 
     @property
     def is_tight(self) -> bool:
@@ -101,15 +100,12 @@ class Log:
         head[_SUM_AT:] = crc32(record, crc32(head)).to_bytes(4, "little")
         start = 0 if file.last <= self._filed else file.end
         frame = b"".join((head, record, bytes(_pages(len(record)) - _HEAD.size - len(record))))
-        began_s = time.perf_counter()
         try:
             file.write(start, frame)
         except OSError:
             with suppress(OSError):  # else it might be there after a crash, though it was refused
                 file.write(start, bytes(PAGE))
             raise
-        # One hiccup is no rule, so that it counts for little however long it was.
-        self.flush_s += (min(time.perf_counter() - began_s, HICCUP_S) - self.flush_s) / REMEMBERED
         file.end = start + len(frame)
         file.last = self.number = number
         self._active = room
