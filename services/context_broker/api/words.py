@@ -144,10 +144,15 @@ def duration_s(value: Any, what: str) -> float:
     return sum(part * unit_s for part, unit_s in zip(parts, _UNITS_S, strict=True))
 
 
+def has_expired(expires_at: str | None, now_s: float) -> bool:
+    """Say whether a time of expiry, if there is one, has come."""
+    return expires_at is not None and (moment(expires_at) or 0.0) <= now_s
+
+
 def require_future(value: Any, what: str) -> str:
     """Return `value` if it is a date-time to come; raise a problem that names `what` if not."""
     text = require_time(value, what)
-    if (moment(text) or 0.0) <= time.time():
+    if has_expired(text, time.time()):
         raise bad_request_data(f"{what} is {text}, which is past; give a time to come, or leave it out")
     return text
 

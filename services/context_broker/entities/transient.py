@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from services.context_broker.api.words import moment, timestamp_now
+from services.context_broker.api.words import has_expired, moment, timestamp_now
 from services.context_broker.entities import changes
 from services.context_broker.entities.entity import Entity, Event
 from services.context_broker.storage.journal import NotStored
@@ -122,7 +122,7 @@ class Ends:
             self._end(store, entity, now_s)
 
     def _end(self, store: Store, entity: Entity, now_s: float) -> None:
-        if entity.expires_at is not None and (moment(entity.expires_at) or 0.0) <= now_s:
+        if has_expired(entity.expires_at, now_s):
             event = Event.end_of(entity)
         else:
             outcome = changes.outlived(entity, now_s, timestamp_now())

@@ -7,12 +7,10 @@ from services.context_broker.distribution.fragments import limited
 from services.context_broker.entities.entity import Entity
 from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind
 from services.context_broker.storage.tenants import Tenant
-from services.context_broker.temporal.archive import DepartedRow
+from services.context_broker.temporal.archive import END_OF_TIME, DepartedRow
 
 AT_ONCE = 2000
 """Entities in one commit, so that others get their turn."""
-_EVERYTHING = 2**62
-"""Above the seq of every row of history."""
 
 
 @dataclass(slots=True)
@@ -55,14 +53,14 @@ def end_of(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iterator[Entri
         gone_by = departed[start : start + AT_ONCE]
         yield Entries(
             departed={place: DepartedRow(inner.name, one, None) for place, one in gone_by},
-            cleared=[(place, _EVERYTHING) for place, _ in gone_by],
+            cleared=[(place, END_OF_TIME) for place, _ in gone_by],
         )
     entities = inner.store.candidates()
     for start in range(0, len(entities), AT_ONCE):
         some = entities[start : start + AT_ONCE]
         yield Entries(
             entities={one.seq: EntityRow(inner.name, one.id, None) for one in some},
-            cleared=[(one.seq, _EVERYTHING) for one in some],
+            cleared=[(one.seq, END_OF_TIME) for one in some],
         )
     books = ((Kind.SUBSCRIPTION, inner.notifier), (Kind.SOURCE_SUBSCRIPTION, inner.source_notifier))
     gone: dict[DocumentKey, bytes | None] = {}

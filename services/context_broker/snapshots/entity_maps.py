@@ -18,6 +18,7 @@ import orjson
 from services.context_broker.api.problems import bad_request_data, not_found, too_many_results
 from services.context_broker.api.words import (
     duration_s,
+    has_expired,
     moment,
     require_future,
     require_uri,
@@ -63,7 +64,7 @@ class EntityMap:
 
     def is_over(self, now_s: float) -> bool:
         """Say whether it has expired."""
-        return (moment(self.expires_at) or 0.0) <= now_s
+        return has_expired(self.expires_at, now_s)
 
     def document(self) -> dict[str, Any]:
         """Return the map as a reader gets it, and as it is kept."""

@@ -6,9 +6,12 @@ the order of time and are found by an index: rows in the order of entities would
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from services.context_broker.storage.database import Database, NotStored, Writer
+
+END_OF_TIME: Final = 2**62
+"""Above the seq of every row of history."""
 
 
 class HistoryRow(NamedTuple):

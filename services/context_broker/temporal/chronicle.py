@@ -11,7 +11,7 @@ from operator import itemgetter
 from typing import Any, Final
 
 from services.context_broker.api.problems import too_many_results
-from services.context_broker.api.words import moment
+from services.context_broker.api.words import has_expired
 from services.context_broker.entities.entity import SAYS, Entity, Instance
 from services.context_broker.temporal.aggregation import Aggregation, Total, periods, totals
 from services.context_broker.temporal.archive import Archive
@@ -199,7 +199,8 @@ def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Itera
             continue  # an answer ends at the same time for all attributes
         for name, position, instance in Change.restored(body).instances(seq):
             at = query.time_of(instance)
-            if evolution.subject.is_hearsay and _is_over(instance, now_s):
+            # Of an attribute of a current entity it is the end that is told: its past stays (clause 4.22).
+            if evolution.subject.is_hearsay and has_expired(instance.get("expiresAt"), now_s):
                 continue
             if at is None or (series := _series_for(evolution, name, instance, question)) is None:
                 continue
@@ -211,14 +212,6 @@ def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Itera
     yield _sorted(evolution)
     for subject in rest:
         yield Evolution(subject)
-
-
-def _is_over(instance: Instance, now_s: float) -> bool:
-    """Say whether an instance that was told of the past is to be forgotten (clause 4.22).
-
-    Of an attribute of a current entity it is the end that is told: its past stays.
-    """
-    return "expiresAt" in instance and (moment(instance["expiresAt"]) or 0.0) <= now_s
 
 
 def _series_for(evolution: Evolution, name: str, instance: Instance, question: Question) -> Series | None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.api.words import moment, timestamp, timestamp_now
+from services.context_broker.api.words import has_expired, moment, timestamp, timestamp_now
 from services.context_broker.entities.entity import (
     NULL,
     SAYS,
@@ -161,7 +161,7 @@ class Departed:
 
     def is_over(self, now_s: float) -> bool:
         """Say whether its past is to be forgotten."""
-        return self.expires_at is not None and (moment(self.expires_at) or 0.0) <= now_s
+        return has_expired(self.expires_at, now_s)
 
     def stored(self) -> bytes:
         """Return it as the journal keeps it."""

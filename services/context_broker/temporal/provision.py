@@ -24,7 +24,7 @@ from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand, re
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.tenants import Tenant
-from services.context_broker.temporal.archive import Archive, DepartedRow, HistoryRow
+from services.context_broker.temporal.archive import END_OF_TIME, Archive, DepartedRow, HistoryRow
 from services.context_broker.temporal.history import SCOPE, Change, Departed, Recorder, place_of
 from services.context_broker.temporal.intake import Past, read_past
 from services.context_broker.temporal.subjects import Subject, subjects_of
@@ -37,7 +37,6 @@ ROWS_A_COMMIT: Final = 500
 """Rows that are rewritten or deleted in one commit, so that others get their turn between."""
 
 _LOCAL: Final = frozenset({"local"})
-_END_OF_TIME: Final = 2**62
 _SEEN: Final = "observed_to >= ? AND observed_from <= ?"
 
 
@@ -118,9 +117,7 @@ class TemporalProvision:
             for place in subject.places:
                 while True:
                     bound = await asyncio.to_thread(self._archive.bound_of, place, ROWS_A_COMMIT)
-                    await _commit(
-                        tenant, Entries(cleared=[(place, _END_OF_TIME if bound is None else bound)])
-                    )
+                    await _commit(tenant, Entries(cleared=[(place, END_OF_TIME if bound is None else bound)]))
                     if bound is None:
                         break
             gone = {place: DepartedRow(tenant.name, entity_id, None) for place in subject.places}

@@ -14,7 +14,7 @@ from handover.telemetry import get_logger
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.journal import NotStored
-from services.context_broker.temporal.archive import Archive, DepartedRow
+from services.context_broker.temporal.archive import END_OF_TIME, Archive, DepartedRow
 from services.context_broker.temporal.history import Departed, seq_before
 
 log = get_logger(__name__)
@@ -26,7 +26,6 @@ PIECE: Final = 500
 """Changes that are forgotten in one commit: a few milliseconds, for which other commits wait."""
 PAUSE_S: Final = 0.05
 """Between pieces, so that clearing takes a small part of the disk's time."""
-_END_OF_TIME: Final = 2**62
 PLACES_A_LOOK: Final = 500
 """Entities that are looked at before others get their turn."""
 
@@ -98,7 +97,7 @@ class Retention:
         """
         over = await asyncio.to_thread(self._over, tuple(self._tenants()), now_s)
         for tenant, entity_id, place in over:
-            await self._forget(place, _END_OF_TIME)
+            await self._forget(place, END_OF_TIME)
             await self._commits.store(Entries(departed={place: DepartedRow(tenant, entity_id, None)}))
         return len(over)
 
