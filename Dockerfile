@@ -44,7 +44,7 @@ FROM ${BASE}
 LABEL org.opencontainers.image.title="Handover" \
       org.opencontainers.image.description="People and robots hand work to each other"
 RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data --shell /usr/sbin/nologin handover \
-    && install -d -o handover -g handover -m 0700 /data
+    && install -d -o handover -g handover -m 0700 /data /secrets
 COPY --from=house /opt/handover /opt/handover
 ENV PATH=/opt/handover/bin:$PATH \
     PYTHONUNBUFFERED=1 \

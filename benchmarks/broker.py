@@ -120,7 +120,7 @@ class Line:
 
 def request(method: str, path: str, body: bytes = b"") -> bytes:
     """Return an HTTP request."""
-    lines = [f"{method} {path} HTTP/1.1", "Host: x", f"Link: {LINK}"]
+    lines = [f"{method} {path} HTTP/1.1", "Host: 127.0.0.1", f"Link: {LINK}"]
     if body:
         lines += ["Content-Type: application/json", f"Content-Length: {len(body)}"]
     return ("\r\n".join(lines) + "\r\n\r\n").encode() + body

@@ -125,6 +125,8 @@ async def measure_gloves(crowd: Crowd) -> tuple[float, float]:
             "HANDOVER_CONTROLLER_PORT": str(port),
             "HANDOVER_GLOVE_PORT": str(glove_port),
             "HANDOVER_LOG_LEVEL": "error",
+            "HANDOVER_MAX_GLOVES": str(crowd.gloves + 1),
+            "HANDOVER_MAX_UNDECLARED_GLOVES": str(crowd.gloves),
         }
         processes = [
             subprocess.Popen([sys.executable, "-m", f"services.{name}"], env=environment)

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from datamodels.errors import DataModelError
 from datamodels.forms import Form
-from datamodels.states import DeviceState, RequestedStatus, Severity, TaskStatus
+from datamodels.states import (
+    AlertPriority,
+    AlertState,
+    DeviceState,
+    Outcome,
+    RequestedStatus,
+    Severity,
+    TaskStatus,
+)
 
 if TYPE_CHECKING:
     from datamodels.attributes import GeoProperty, Links, Property, Relationship, TaskLocation
@@ -32,6 +40,8 @@ if TYPE_CHECKING:
 __all__ = [
     "TYPES",
     "Alert",
+    "AlertPriority",
+    "AlertState",
     "Asset",
     "DataModelError",
     "Device",
@@ -42,6 +52,7 @@ __all__ = [
     "Links",
     "Location",
     "Material",
+    "Outcome",
     "Person",
     "Process",
     "ProcessDefinition",

@@ -8,7 +8,15 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    StrictBool,
+    ValidationError,
+    model_validator,
+)
 from pydantic.alias_generators import to_camel
 from pydantic.json_schema import SkipJsonSchema
 from pydantic_core import CoreSchema
@@ -32,12 +40,22 @@ from datamodels.attributes import (
 )
 from datamodels.errors import DataModelError, explained
 from datamodels.forms import Bare, Form
-from datamodels.states import DeviceState, RequestedStatus, Severity, TaskStatus
+from datamodels.states import (
+    AlertPriority,
+    AlertState,
+    DeviceState,
+    Outcome,
+    RequestedStatus,
+    Severity,
+    TaskStatus,
+)
 from datamodels.times import as_written
 
 __all__ = [
     "TYPES",
     "Alert",
+    "AlertPriority",
+    "AlertState",
     "Asset",
     "DataModelError",
     "Device",
@@ -46,6 +64,7 @@ __all__ = [
     "Form",
     "Location",
     "Material",
+    "Outcome",
     "Person",
     "Process",
     "ProcessDefinition",
@@ -188,12 +207,17 @@ class ProcessDefinition(Entity):
 
 
 class TaskDefinition(Entity):
-    """A kind of Task: what it asks for, and of whom."""
+    """A kind of Task: what it asks for, and of whom.
+
+    With `handles_outcomes`, a Task of it that a person answers with another outcome than `ok` is completed,
+    since its process decides what follows; without it, such a Task fails.
+    """
 
     name: Property[str]
     description: Property[str] | None = None
     gesture: Property[str] | None = None
     command_id: Property[Whole] | None = None
+    handles_outcomes: Property[StrictBool] | None = None
     required_skills: Property[Words] | None = None
     work_parameters_schema: Property[dict[str, Any]] | None = None
     is_part_of: Relationship | None = None
@@ -230,6 +254,7 @@ class Task(Entity):
     """A piece of work that is asked of somebody: the resources it involves, the first being the doer.
 
     `requested_status` is what somebody wishes of it while it goes on; `deadline` is when it must be taken up.
+    Where a person answers, `output_parameters` hold `outcome` (see `Outcome`) and, if there is one, a `note`.
     """
 
     is_defined_by: Relationship
@@ -286,7 +311,13 @@ class Person(Entity):
 
 
 class Alert(Entity):
-    """Something happened that a person should know of; it stands until `valid_to`."""
+    """Something happened that a person should know of; it stands until `valid_to`.
+
+    `alert_state`, `priority`, `acknowledged_by` and `shelved_until` are ours and follow ISA-18.2. An Alert
+    of another component may lack them; `human_verified` then says whether a person has acknowledged it.
+    `description_code` and `description_parameters` are ours as well: by them a screen says the description in
+    the language of its reader.
+    """
 
     category: Property[str]
     date_issued: Property[DateTime]
@@ -299,6 +330,12 @@ class Alert(Entity):
     location: GeoProperty | None = None
     source: PropertyOrRelationship | None = None
     human_verified: Property[Annotated[bool, Field(strict=True)]] | None = None
+    alert_state: Property[AlertState] | None = None
+    priority: Property[AlertPriority] | None = None
+    acknowledged_by: PropertyOrRelationship | None = None
+    shelved_until: Property[DateTime] | None = None
+    description_code: Property[str] | None = None
+    description_parameters: Property[dict[str, Any]] | None = None
 
 
 TYPES: dict[str, type[Entity]] = {

@@ -22,6 +22,17 @@ class RequestedStatus(StrEnum):
     CANCELLED = "cancelled"
 
 
+class Outcome(StrEnum):
+    """What a person answers to a Task that asks something of them: `outcome` in its outputParameters.
+
+    A Task without an outcome was answered `ok`.
+    """
+
+    OK = "ok"
+    NOT_GOOD = "notGood"
+    PROBLEM = "problem"
+
+
 class DeviceState(StrEnum):
     """How a device is."""
 
@@ -39,6 +50,24 @@ class Severity(StrEnum):
     """How grave an Alert is."""
 
     INFORMATIONAL = "informational"
+    LOW = "low"
+    MEDIUM = "medium"
+    HIGH = "high"
+    CRITICAL = "critical"
+
+
+class AlertState(StrEnum):
+    """The state of an Alert, after ISA-18.2."""
+
+    NEW = "new"
+    ACKNOWLEDGED = "acknowledged"
+    SHELVED = "shelved"
+    RETURNED_TO_NORMAL = "returnedToNormal"
+
+
+class AlertPriority(StrEnum):
+    """How soon a person must respond to an Alert."""
+
     LOW = "low"
     MEDIUM = "medium"
     HIGH = "high"

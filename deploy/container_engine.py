@@ -124,9 +124,9 @@ def make_base(engine: Engine, place: Path) -> None:
     )
     call(
         [
-            *("debootstrap", "--variant=minbase", "trixie"),
+            *("debootstrap", "--variant=minbase"),  # all options come before the suite
             "--include=python3,python3-venv,python3-pip,ca-certificates",
-            *(str(root), sources.split()[0]),
+            *("trixie", str(root), sources.split()[0]),
         ],
         dict(os.environ),
     )

@@ -6,6 +6,7 @@ that types and attributes mean the same whoever asks.
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Self, TypeVar
 from urllib.parse import quote
 
@@ -152,6 +153,12 @@ class BrokerClient:
         """Delete an entity; raise `NotFound` if there is none."""
         await self._call("DELETE", f"/entities/{_in_path(entity_id)}")
 
+    async def delete_batch(self, entity_ids: Sequence[str]) -> None:
+        """Delete entities in one request; those that are not there do not matter."""
+        with suppress(NotFound):  # some brokers say so when none of them is there
+            answer = await self._call("POST", "/entityOperations/delete", body=list(entity_ids))
+            _require_all_done(answer, "errors", _batch_error, but_for=_is_not_found)
+
     async def ensure_subscription(self, subscription: NgsiLd) -> None:
         """Make sure that exactly this subscription (with its `id`) is there, however often it is called."""
         try:
@@ -239,10 +246,19 @@ def _refusal(response: httpx.Response, act: str) -> BrokerError:
     return error_class(status, title, f"{detail} ({act})", kind)
 
 
-def _require_all_done(answer: httpx.Response, undone: str, in_words: Callable[[NgsiLd], str]) -> None:
-    """Raise `BrokerError` if a broker that did a part says, in the list `undone`, what it did not do."""
+def _require_all_done(
+    answer: httpx.Response,
+    undone: str,
+    in_words: Callable[[NgsiLd], str],
+    *,
+    but_for: Callable[[NgsiLd], bool] = lambda _: False,
+) -> None:
+    """Raise `BrokerError` if a broker that did a part says, in the list `undone`, what it did not do.
+
+    What `but_for` holds of does not count.
+    """
     if answer.status_code == httpx.codes.MULTI_STATUS:
-        left = orjson.loads(answer.content).get(undone, [])
+        left = [one for one in orjson.loads(answer.content).get(undone, []) if not but_for(one)]
         if left:
             raise BrokerError(400, "Refused in part", "; ".join(in_words(one) for one in left))
 
@@ -261,6 +277,14 @@ def _parameter(name: str) -> str:
 
 def _joined(value: Any) -> Any:
     return ",".join(value) if isinstance(value, list | tuple | set | frozenset) else value
+
+
+def _is_not_found(error: Mapping[str, Any]) -> bool:
+    problem = error.get("error")
+    if not isinstance(problem, Mapping):
+        return False
+    named = str(problem.get("type", "")).endswith("/ResourceNotFound")
+    return named or problem.get("status") in {404, "404"}
 
 
 def _batch_error(error: Mapping[str, Any]) -> str:

@@ -68,4 +68,5 @@ def serve(
         service=name,
         port=port,
         port_setting=f"the port of {name}",
+        urls=[reached_at],
     )

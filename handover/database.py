@@ -3,6 +3,7 @@
 Either way a committed transaction survives `kill -9` and a power cut.
 """
 
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,21 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 
 from handover.errors import UsageError
+from handover.sqlite_files import prepare_own
 
 
 def connect(
-    url: str, *, setting: str = "HANDOVER_DATABASE_URL", answers_within_s: float | None = None
+    url: str,
+    *,
+    setting: str = "HANDOVER_DATABASE_URL",
+    answers_within_s: float | None = None,
+    is_own: bool = True,
 ) -> Engine:
     """Return an engine for `url` (`sqlite:///…` or `postgresql://…`), which stands in `setting`.
 
-    Raises `UsageError` for any other, and when the database cannot be reached or opened. With
-    `answers_within_s` neither connecting nor any one statement of PostgreSQL takes longer.
+    Raises `UsageError` for any other, and when the database cannot be reached or opened, or a file is damaged
+    or, if it is our own, was deleted or emptied. With `answers_within_s` neither connecting nor any one
+    statement of PostgreSQL takes longer.
     """
     try:
         parsed = make_url(url)
@@ -27,8 +34,11 @@ def connect(
             parsed = parsed.set(drivername="postgresql+psycopg")
         if parsed.get_backend_name() not in {"sqlite", "postgresql"}:
             raise UsageError(_unusable(url, setting))
-        if parsed.get_backend_name() == "sqlite" and parsed.database:
-            Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
+        if parsed.get_backend_name() == "sqlite" and parsed.database and parsed.database != ":memory:":
+            file = Path(parsed.database)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            if is_own:
+                _prepare(file, setting)
         is_server = parsed.get_backend_name() == "postgresql"
         limits = _limits(answers_within_s) if is_server and answers_within_s is not None else {}
         engine = create_engine(parsed, pool_pre_ping=is_server, connect_args=limits)
@@ -45,6 +55,18 @@ def connect(
             f"the database {shown} cannot be used: {reason}; mend that or correct {setting}"
         ) from None
     return engine
+
+
+def _prepare(file: Path, setting: str) -> None:
+    """Raise `UsageError` if a file of ours is damaged, or cannot be used; nothing is written to it then."""
+    try:
+        prepare_own(file)
+    except UsageError as error:
+        raise UsageError(f"{error}; or name another database with {setting}") from None
+    except (sqlite3.Error, OSError) as error:
+        raise UsageError(
+            f"the database {file} cannot be used: {error}; mend that or correct {setting}"
+        ) from None
 
 
 def _limits(seconds: float) -> dict[str, Any]:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
+from handover.messages import with_code
+
 
 class HandoverError(Exception):
     """The root of all errors of ours."""
@@ -16,7 +18,8 @@ class UsageError(HandoverError):
 class Problem(HandoverError):
     """An error as it travels over HTTP (RFC 7807 problem details).
 
-    `type` is a URI (or `about:blank`), `title` the kind of problem, `detail` what to change.
+    `type` is a URI (or `about:blank`), `title` the kind of problem, `detail` what to change. A `detail` that
+    is a `handover.messages.Message` travels with its `detailCode` and `detailParameters`.
     """
 
     status: int
@@ -34,6 +37,6 @@ class Problem(HandoverError):
             "type": self.type,
             "title": self.title,
             "status": self.status,
-            "detail": self.detail,
+            **with_code("detail", self.detail),
             **(self.extra or {}),
         }

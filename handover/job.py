@@ -124,6 +124,15 @@ class Job:
             self._progress_at = time.monotonic()
             self._progress_writer = asyncio.create_task(self._write_progress(dict(self._outputs)))
 
+    def knows(self, seen: Task) -> bool:
+        """Say whether a Task says nothing that this job does not know: our own write comes back so."""
+        request = seen.requested_status
+        same_request = request is None or (request.value, request.observed_at) == (
+            self._requested,
+            self._requested_at,
+        )
+        return seen.status.value is self.task.status.value and same_request
+
     def observe(self, seen: Task) -> None:
         """Take notice of the Task as the broker has it; older news is ignored."""
         if seen.status.value in FINISHED and is_news(self.task, seen):

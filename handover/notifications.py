@@ -1,32 +1,157 @@
-"""Notifications: what a broker sends to a subscriber, read with care.
+"""Notifications: how a service of ours receives what the broker sends to its subscriptions.
 
-They are hints only: late, doubled, lost or made up. What cannot be read is refused with the reason and
-counted; what can be read is still checked against the broker by whoever acts on it.
+A notification is a hint: it may be late, doubled, lost or forged. Two rules follow.
+
+1. It is accepted only with the key that we put into the subscription (`endpoint.receiverInfo`, which brokers
+   send as an HTTP header), never from a web page (`Origin`), and only as JSON. The key is random, one per
+   service, and kept in the data directory, so that a subscription of an earlier run stays valid.
+2. What moves a Task, a process, a robot or a gripper reads the entity from the broker before it acts
+   (`read`). A notification says only which entities are worth reading.
 """
 
-from typing import Any
+import asyncio
+import hmac
+import os
+import re
+import secrets
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
 
 import orjson
 from fastapi import Request
 from prometheus_client import Counter
 
-from handover.errors import Problem
+from handover.broker import BrokerClient, BrokerError
+from handover.errors import Problem, UsageError
+from handover.settings import Settings
+from handover.telemetry import get_logger
 
-MAX_BYTES = 10 * 1024 * 1024
+log = get_logger(__name__)
 
-REFUSED = Counter("handover_notifications_refused_total", "Notifications that could not be read", ["reason"])
+KEY_HEADER: Final = "Handover-Notification-Key"
+MEDIA_TYPES: Final = ("application/json", "application/ld+json")
+MAX_BYTES: Final = 10 * 1024 * 1024
+MAX_IDS_PER_QUERY: Final = 40
+"""Entities that one query asks for; their ids stand in its URL."""
+
+REFUSED = Counter("handover_notifications_refused_total", "Notifications that were refused", ["reason"])
+
+_KEY: Final = re.compile(r"^[\x21-\x7e]{16,200}$")
 
 
-async def notified_entities(request: Request) -> list[dict[str, Any]]:
-    """Return the entities that the notification `request` carries.
+class NotificationReceiver:
+    """Receives the notifications of the service `name`, and reads from `broker` what they are about."""
 
-    Raises `Problem` 400 when it cannot be read, 413 when it is too large.
-    """
+    def __init__(self, name: str, settings: Settings, broker: BrokerClient) -> None:
+        self._name = name
+        self._settings = settings
+        self._broker = broker
+        self._reads: dict[tuple[str, str | None], _Read] = {}
+        self._reading = asyncio.Lock()
+
+    @cached_property
+    def key(self) -> str:
+        """Return the key of this service. Raises `UsageError` if it cannot be kept."""
+        if self._settings.notification_key is not None:
+            return self._settings.notification_key.get_secret_value()
+        file_name = re.sub(r"[^A-Za-z0-9_.-]", "_", self._name) + ".notification-key"
+        return _kept_key(self._settings.data_dir / file_name)
+
+    def require_key(self) -> None:
+        """Return if this service has a key; raise `UsageError` if none can be kept."""
+        _ = self.key
+
+    def endpoint(self, uri: str) -> dict[str, Any]:
+        """Return the `endpoint` of a subscription whose notifications go to `uri`."""
+        return {
+            "uri": uri,
+            "accept": MEDIA_TYPES[0],
+            "receiverInfo": [{"key": KEY_HEADER, "value": self.key}],
+        }
+
+    async def receive(self, request: Request) -> list[dict[str, Any]]:
+        """Return the entities that the notification `request` carries.
+
+        Raises `Problem`: 403 without our key or from a web page, 415 for another media type, 413 when it is
+        too large, 400 when it cannot be read.
+        """
+        headers = request.headers
+        if "origin" in headers:
+            raise _refuse("origin", 403, "notifications come from the broker, never from a web page")
+        if not hmac.compare_digest(headers.get(KEY_HEADER, "").encode(), self.key.encode()):
+            raise _refuse(
+                "key",
+                403,
+                f"the header {KEY_HEADER} does not hold the key of {self._name}; the broker sends what "
+                "stands in the receiverInfo of the subscription",
+            )
+        if headers.get("content-type", "").partition(";")[0].strip().lower() not in MEDIA_TYPES:
+            raise _refuse("media type", 415, f"a notification is {' or '.join(MEDIA_TYPES)}")
+        return _entities_of(await _body(request))
+
+    async def read(
+        self, entity_type: str, ids: Iterable[str], *, q: str | None = None
+    ) -> list[dict[str, Any]]:
+        """Return the entities `ids` of one type as the broker has them now, those of them that match `q`.
+
+        What is asked for while a query is under way is read together with the next one, so that many
+        notifications cost few queries. Raises `BrokerError`.
+        """
+        wanted = frozenset(ids)
+        if not wanted:
+            return []
+        selected = entity_type, q
+        read = self._reads.setdefault(selected, _Read())
+        read.ids |= wanted
+        async with self._reading:
+            if not read.is_done:
+                if self._reads.get(selected) is read:
+                    del self._reads[selected]
+                await read.carry_out(self._broker, entity_type, q)
+        if read.error is not None:
+            raise read.error
+        return [read.found[one] for one in wanted if one in read.found]
+
+
+class _Read:
+    """One read of several entities, on behalf of several callers."""
+
+    def __init__(self) -> None:
+        self.ids: frozenset[str] = frozenset()
+        self.found: dict[str, dict[str, Any]] = {}
+        self.error: BrokerError | None = None
+        self.is_done = False
+
+    async def carry_out(self, broker: BrokerClient, entity_type: str, q: str | None) -> None:
+        ids = sorted(self.ids)
+        try:
+            for start in range(0, len(ids), MAX_IDS_PER_QUERY):
+                chunk = ids[start : start + MAX_IDS_PER_QUERY]
+                for entity in await broker.query(type=entity_type, id=chunk, q=q):
+                    self.found[str(entity.get("id"))] = entity
+        except BrokerError as error:
+            self.error = error
+        self.is_done = True
+
+
+def ids_of(entities: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the ids of entities that have one that is a string."""
+    return [entity["id"] for entity in entities if isinstance(entity.get("id"), str)]
+
+
+async def _body(request: Request) -> bytes:
     body = bytearray()
     async for chunk in request.stream():
         body += chunk
         if len(body) > MAX_BYTES:
             raise _refuse("too large", 413, f"a notification holds at most {MAX_BYTES} bytes")
+    return bytes(body)
+
+
+def _entities_of(body: bytes) -> list[dict[str, Any]]:
     try:
         notification = orjson.loads(body)
     except orjson.JSONDecodeError as error:
@@ -35,6 +160,30 @@ async def notified_entities(request: Request) -> list[dict[str, Any]]:
     if not isinstance(data, list) or not all(isinstance(entity, dict) for entity in data):
         raise _refuse("no data", 400, 'an NGSI-LD notification is an object with the entities in "data"')
     return data
+
+
+def _kept_key(file: Path) -> str:
+    """Return the key that `file` holds, after writing a new one if it holds none."""
+    try:
+        with suppress(FileNotFoundError, UnicodeDecodeError):
+            kept = file.read_text("ascii").strip()
+            if _KEY.match(kept):
+                return kept
+        key = secrets.token_urlsafe(32)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = file.with_name(f"{file.name}.{os.getpid()}")
+        unfinished.unlink(missing_ok=True)
+        with open(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as out:  # noqa: PTH123 - the mode is set at creation
+            out.write(key)
+            out.flush()
+            os.fsync(out.fileno())
+        unfinished.replace(file)
+    except OSError as error:
+        raise UsageError(
+            f"the key for notifications cannot be kept in {file}: {error.strerror}; make it writable, "
+            "or give the key by HANDOVER_NOTIFICATION_KEY"
+        ) from None
+    return key
 
 
 def _refuse(reason: str, status: int, detail: str) -> Problem:

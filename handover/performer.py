@@ -7,7 +7,7 @@
 
 It learns of Tasks by subscription and by asking: at start, after a broken link, and every few seconds. One
 job at a time is done for each resource, in the order in which they came. After a crash a Task that was
-begun is performed again.
+begun is performed again; one whose end was recorded (`finished_tasks`) never is: that end is reported again.
 """
 
 import asyncio
@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any, Self
 from urllib.parse import urlsplit
 
@@ -22,9 +23,12 @@ from fastapi import FastAPI, Request, Response
 from prometheus_client import Counter, Histogram
 
 from datamodels.entities import Task, TaskStatus
+from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.finished_tasks import End, FinishedTasks
 from handover.job import Job, TaskCancelled, TaskFailed, TaskGone, Wants
-from handover.notifications import notified_entities
+from handover.messages import with_code
+from handover.notifications import NotificationReceiver
 from handover.rounds import FIRST_RETRY_S, LAST_RETRY_S, Rounds
 from handover.settings import Settings
 from handover.task_life import FINISHED
@@ -68,9 +72,11 @@ class Performer(ABC):
         self.settings = settings
         self.broker = broker
         self.notify_url = notify_url
+        self._receiver = NotificationReceiver(name, settings, broker)
         self._desks: dict[str, _Desk] = {}
         self._jobs: dict[str, Job] = {}
         self._ended: OrderedDict[str, None] = OrderedDict()
+        self._finished = FinishedTasks(settings, name)
         self._announced: set[str] = set()
         self._subscribed = False
         self._rounds = Rounds(self._ask, settings.reconcile_s)
@@ -92,6 +98,19 @@ class Performer(ABC):
                 self._seat_clerk(resource)
         self._rounds.wish()
 
+    def stop_acting_for(self, resource: str) -> bool:
+        """Take no more Tasks for `resource`; return False, and nothing changes, while a Task is in hand."""
+        desk = self._desks.get(resource)
+        if desk is None:
+            return True
+        if desk.waiting or any(job.resource == resource for job in self._jobs.values()):
+            return False
+        if desk.clerk is not None:
+            desk.clerk.cancel()
+        del self._desks[resource]
+        self._announced.discard(resource)
+        return True
+
     def resources(self) -> Iterable[str]:
         """Return the resources this performer acts for."""
         return tuple(self._desks)
@@ -105,12 +124,13 @@ class Performer(ABC):
 
         @app.post(urlsplit(self.notify_url).path, status_code=204, tags=["notifications"])
         async def notify(request: Request) -> Response:
-            """Take notice of Tasks that changed."""
-            for entity in await notified_entities(request):
-                self._take_notice(entity, fresh=False)
+            """Read the Tasks that a notification says have changed from the broker."""
+            await self._read(await self._receiver.receive(request))
             return Response(status_code=204)
 
     async def __aenter__(self) -> Self:
+        self._receiver.require_key()
+        await self._finished.open()
         self._on_duty = True
         for resource in self._desks:
             self._seat_clerk(resource)
@@ -122,6 +142,7 @@ class Performer(ABC):
         for chore in list(self._chores):
             chore.cancel()
         await asyncio.gather(*self._chores, return_exceptions=True)
+        await self._finished.close()
 
     async def probe(self) -> None:
         """Return when Tasks would reach this performer; raise if its subscription is not in place."""
@@ -149,7 +170,7 @@ class Performer(ABC):
         at_hand = set(self._jobs)
         unfinished = await self.broker.query(type=Task.ngsi_type(), q=f"status=={UNFINISHED}")
         for entity in unfinished:
-            self._take_notice(entity, fresh=True)
+            self._take_notice(entity)
         for missing in at_hand.difference(entity["id"] for entity in unfinished):
             await self._look_at(missing)
 
@@ -168,35 +189,82 @@ class Performer(ABC):
         except NotFound:
             job.abandon()
 
-    def _take_notice(self, entity: Mapping[str, Any], *, fresh: bool) -> None:
+    async def _read(self, notified: Iterable[Mapping[str, Any]]) -> None:
+        """Read from the broker those of our Tasks that a notification names."""
+        concerned = [
+            task.id for task in map(_readable, notified) if task is not None and self._concerns(task)
+        ]
         try:
-            task = Task.from_ngsild(entity)
-        except ValueError as error:
-            UNREADABLE.inc()
-            log.warning("task does not fit its data model", task=entity.get("id"), error=str(error))
+            entities = await self._receiver.read(Task.ngsi_type(), concerned)
+        except BrokerError as error:
+            log.warning("cannot read tasks that have changed", performer=self.name, error=str(error))
+            self._rounds.wish()
+            return
+        for entity in entities:
+            self._take_notice(entity)
+
+    def _concerns(self, task: Task) -> bool:
+        """Say whether a Task is worth reading: it is for us, and says what we do not know yet."""
+        job = self._jobs.get(task.id)
+        if job is not None:
+            return not job.knows(task)
+        return self._is_for_us(task)
+
+    def _is_for_us(self, task: Task) -> bool:
+        """Say whether a Task that we do not have may be ours to perform."""
+        open_to_us = task.id not in self._ended and task.status.value not in FINISHED
+        return open_to_us and any(link.object in self._desks for link in task.involves or ())
+
+    def _take_notice(self, entity: Mapping[str, Any]) -> None:
+        """Take notice of a Task as the broker has it."""
+        task = _readable(entity)
+        if task is None:
             return
         job = self._jobs.get(task.id)
         if job is not None:
             job.observe(task)
             self._drop_if_unwanted(job)
-        elif task.id not in self._ended and task.status.value not in FINISHED:
-            mine = [link.object for link in task.involves or () if link.object in self._desks]
-            if mine:
-                self._do(self._take_up(task, fresh=fresh))
+        elif self._is_for_us(task):
+            self._do(self._take_up(task))
 
-    async def _take_up(self, task: Task, *, fresh: bool) -> None:
+    async def _take_up(self, task: Task) -> None:
         resource = await self._resource_for(task)
-        if resource is None or task.id in self._jobs or task.id in self._ended:
+        end = await self._finished.find(task.id) if resource is not None else None
+        if resource is None or resource not in self._desks or task.id in self._jobs or task.id in self._ended:
+            return
+        if end is not None:
+            await self._report_again(task, end)
             return
         job = Job(task, resource, self.broker)
         self._jobs[task.id] = job
-        log.debug("task taken up", task=task.id, resource=resource, fresh=fresh)
+        log.debug("task taken up", task=task.id, resource=resource)
         desk = self._desks[resource]
         if job.resumed:
             desk.waiting.appendleft(job)
         else:
             desk.waiting.append(job)
         desk.something_waits.set()
+
+    async def _report_again(self, task: Task, end: End) -> None:
+        """Report the recorded end of a Task that the broker shows as unfinished."""
+        now = iso(datetime.now(UTC))
+        try:
+            if (await self.broker.get(task.id, Task)).status.value in FINISHED:
+                return  # an old notification
+            await self.broker.append(
+                task.id,
+                {
+                    "status": {"type": "Property", "value": end.status.value, "observedAt": now},
+                    "outputParameters": {"type": "Property", "value": dict(end.outputs), "observedAt": now},
+                },
+            )
+        except NotFound:
+            return
+        except BrokerError as error:
+            log.warning("a finished task could not be reported again", task=task.id, error=str(error))
+            return  # the next round finds it unfinished
+        log.warning("a finished task was reported again", task=task.id, status=end.status.value)
+        OUTCOMES.labels(self.name, "reported again").inc()
 
     async def _resource_for(self, task: Task) -> str | None:
         """Return the resource this performer does the Task for: the first involved that has a performer."""
@@ -254,22 +322,33 @@ class Performer(ABC):
         except TaskGone:
             raise
         except TaskCancelled:
-            await job.finish(TaskStatus.FAILED, {"reason": "cancelled"})
+            await self._finish(job, TaskStatus.FAILED, {"reason": "cancelled"})
             return "cancelled"
         except TaskFailed as failure:
-            await job.finish(TaskStatus.FAILED, {**failure.outputs, "reason": failure.reason})
+            outputs = {**failure.outputs, **with_code("reason", failure.reason)}
+            await self._finish(job, TaskStatus.FAILED, outputs)
             return "failed"
         except Exception as error:
             log.exception("performing failed")
             reason = f"{self.name} failed: {type(error).__name__}: {error}"
-            await job.finish(TaskStatus.FAILED, {"reason": reason})
+            await self._finish(job, TaskStatus.FAILED, {"reason": reason})
             return "failed"
         try:
-            await job.finish(TaskStatus.COMPLETED, outputs)
+            await self._finish(job, TaskStatus.COMPLETED, outputs)
         except (BrokerError, TypeError) as error:  # the outputs themselves cannot be written
-            await job.finish(TaskStatus.FAILED, {"reason": f"the result could not be reported: {error}"})
+            await self._finish(
+                job, TaskStatus.FAILED, {"reason": f"the result could not be reported: {error}"}
+            )
             return "failed"
         return "completed"
+
+    async def _finish(self, job: Job, status: TaskStatus, outputs: Mapping[str, Any]) -> None:
+        """Record the end of the job, then report it: after a crash in between it is not performed again."""
+        try:
+            await self._finished.record(job.task.id, End(status, outputs))
+        except (OSError, TypeError) as error:
+            log.warning("the end of a task could not be recorded", task=job.task.id, error=str(error))
+        await job.finish(status, outputs)
 
     async def _make_sure(self, job: Job) -> None:
         """Look at the Task as it is now: what brought it here may have been an old notification."""
@@ -319,6 +398,16 @@ class Performer(ABC):
             "watchedAttributes": ["status", "requestedStatus"],
             "notification": {
                 "format": "normalized",
-                "endpoint": {"uri": self.notify_url, "accept": "application/json"},
+                "endpoint": self._receiver.endpoint(self.notify_url),
             },
         }
+
+
+def _readable(entity: Mapping[str, Any]) -> Task | None:
+    """Return `entity` as a Task; None, counted and logged, if it does not fit the data model."""
+    try:
+        return Task.from_ngsild(entity)
+    except ValueError as error:
+        UNREADABLE.inc()
+        log.warning("task does not fit its data model", task=entity.get("id"), error=str(error))
+        return None

@@ -1,28 +1,50 @@
-"""Ports: whether a server may listen where it is set to, told in one line before anything starts.
+"""Ports: whether a server may listen where it is set to, said in one line before anything starts.
 
-Our ports lie where systems also number outgoing connections (Linux: 32768 to 60999), so on a busy machine
-one may be held for a minute by a connection that has just ended. That is waited for; another program that
-listens is not.
+Our ports lie where Linux numbers outgoing connections (32768 to 60999), so any outgoing connection of this
+machine may have one: for a minute after it has ended, or for as long as it lasts. A server waits for it and
+says so; it does not wait for another program that listens. Reserving the ports keeps connections away from
+them: `unreserved` says which are not reserved, and `handover doctor` how to do it.
 """
 
 import asyncio
 import errno
+import ipaddress
 import os
 import socket
+import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
 
 from handover.errors import UsageError
 
-LEAVING_S = 75.0
-"""Longer than the systems we run on remember an ended TCP connection (TIME_WAIT: 60 s on Linux)."""
-LOOK_EVERY_S = 0.25
+UNSEEN_TIMEOUT_S = 75.0
+"""How long to wait where the system does not show what holds the port (TIME_WAIT: 60 s on Linux)."""
+FIRST_LOOK_S, LAST_LOOK_S = 0.25, 2.0
+SAY_AGAIN_S = 60.0
+
+_TABLES = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
+_LISTENS = "0A"
+_SYSCTL = Path("/proc/sys/net/ipv4")
 
 Say = Callable[[str], None]
 
 
 class PortLeaving(UsageError):
-    """Nobody listens on the port, but a connection, most likely one that has just ended, still has it."""
+    """Nobody listens on the port, but a connection has it; `peer` is its other end, where that is known."""
+
+    def __init__(self, words: str, peer: str | None) -> None:
+        super().__init__(words)
+        self.peer = peer
+
+
+@dataclass(frozen=True, slots=True)
+class _Socket:
+    """A TCP socket of this machine: where it listens, or the other end of its connection."""
+
+    address: str
+    peer: str | None
 
 
 def hold(host: str, port: int, setting: str) -> socket.socket:
@@ -34,6 +56,8 @@ def hold(host: str, port: int, setting: str) -> socket.socket:
     probe = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
     if os.name == "posix":  # elsewhere the option would let a second server take the port unnoticed
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    if probe.family == socket.AF_INET6:  # as our servers do: `::` leaves IPv4 to others
+        probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
     try:
         probe.bind((host, port))
     except OSError as error:
@@ -42,52 +66,128 @@ def hold(host: str, port: int, setting: str) -> socket.socket:
         way_out = f"set {setting} to another port"
         if error.errno != errno.EADDRINUSE:
             raise UsageError(f"{where} cannot be used ({error.strerror}); {way_out}") from None
-        if _somebody_listens(host, port):
+        holders = _holders(host, port)
+        listens = any(each.peer is None for each in holders) if holders else _somebody_listens(host, port)
+        if listens:
             raise UsageError(f"{where} is taken by another program; stop that program or {way_out}") from None
-        raise PortLeaving(f"{where} is held by a connection of another program; {way_out}") from None
+        peer = holders[0].peer if holders else None
+        to = f" to {peer}" if peer else ""
+        raise PortLeaving(
+            f"{where} is held by a connection of another program{to}; {way_out}", peer
+        ) from None
     if os.name != "posix":  # a socket that is only bound would keep the server away
         probe.close()
     return probe
 
 
-def require_free(host: str, port: int, setting: str, *, say: Say) -> None:
-    """Return when `port` can be listened on; raise `UsageError` in one line when it cannot.
+def hold_when_free(host: str, port: int, setting: str, *, say: Say) -> socket.socket:
+    """Return the port held, as `hold` does, once no connection has it any more; `say` gets lines meanwhile.
 
-    A port that only a leaving connection holds is waited for, up to `LEAVING_S`, and `say` gets a line.
+    Raises `UsageError` in one line when the port cannot be had by waiting.
     """
     for attempt in _attempts(host, port, setting, say):
-        if attempt is not None:
-            attempt.close()
-            return
-        time.sleep(LOOK_EVERY_S)
-
-
-async def held(host: str, port: int, setting: str, *, say: Say) -> socket.socket:
-    """Return the port held, as `hold` does, once no leaving connection has it any more."""
-    for attempt in _attempts(host, port, setting, say):
-        if attempt is not None:
+        if isinstance(attempt, socket.socket):
             return attempt
-        await asyncio.sleep(LOOK_EVERY_S)
+        time.sleep(attempt)
     raise AssertionError  # the attempts end with a socket or an error
 
 
-def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.socket | None]:
-    """Try to hold the port again and again: yield None where waiting may help, then the port held."""
-    deadline_s = time.monotonic() + LEAVING_S
-    told = False
+def require_free(host: str, port: int, setting: str, *, say: Say) -> None:
+    """Return when `port` can be listened on, as `hold_when_free` does, without holding it."""
+    hold_when_free(host, port, setting, say=say).close()
+
+
+async def held(host: str, port: int, setting: str, *, say: Say) -> socket.socket:
+    """Return the port held, as `hold_when_free` does."""
+    for attempt in _attempts(host, port, setting, say):
+        if isinstance(attempt, socket.socket):
+            return attempt
+        await asyncio.sleep(attempt)
+    raise AssertionError  # the attempts end with a socket or an error
+
+
+def unreserved(ports: Iterable[int]) -> list[int]:
+    """Return those of `ports` that Linux may give to outgoing connections; none on other systems."""
+    try:
+        first, last = map(int, (_SYSCTL / "ip_local_port_range").read_text().split())
+        reserved = reserved_ports()
+    except (OSError, ValueError):
+        return []
+    return sorted({port for port in ports if first <= port <= last and port not in reserved})
+
+
+def reserved_ports() -> set[int]:
+    """Return the ports that Linux never gives to outgoing connections. Raises `OSError` on other systems."""
+    found: set[int] = set()
+    for part in (_SYSCTL / "ip_local_reserved_ports").read_text().strip().split(","):
+        first, _, last = part.partition("-")
+        if first:
+            found.update(range(int(first), int(last or first) + 1))
+    return found
+
+
+def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.socket | float]:
+    """Try to hold the port: yield how long to wait before the next attempt, in the end the port held."""
+    began_s = time.monotonic()
+    say_at_s, wait_s = began_s, FIRST_LOOK_S
     while True:
         try:
-            attempt = hold(host, port, setting)
-        except PortLeaving:
-            if time.monotonic() > deadline_s:
+            yield hold(host, port, setting)
+        except PortLeaving as leaving:
+            now_s = time.monotonic()
+            if leaving.peer is None and now_s > began_s + UNSEEN_TIMEOUT_S:
                 raise
+            if now_s >= say_at_s:
+                by = f"a connection to {leaving.peer}" if leaving.peer else "a connection that has just ended"
+                say(
+                    f"port {port} is held by {by}; waiting until it is free. `handover doctor` says how to "
+                    f"reserve it; {setting} sets another"
+                )
+                say_at_s = now_s + SAY_AGAIN_S
+            yield wait_s
+            wait_s = min(1.5 * wait_s, LAST_LOOK_S)
         else:
-            yield attempt
             return
-        if not told:
-            say(f"port {port} is held by a connection that has just ended; waiting for it, a minute at most")
-            told = True
-        yield None
+
+
+def _holders(host: str, port: int) -> list[_Socket]:
+    """Return the sockets on `port` that keep a server from `host`, as far as the system shows them."""
+    ours = _addresses(host)
+    found = [each for table in _TABLES for each in _sockets(table, port)]
+    anywhere = {"0.0.0.0", "::"}  # noqa: S104 - compared, not bound
+    return [each for each in found if each.address in ours | anywhere or ours & anywhere]
+
+
+def _sockets(table: Path, port: int) -> Iterator[_Socket]:
+    """Yield the sockets on `port` in a table of Linux: address, peer and state are its columns 2 to 4."""
+    try:
+        lines = table.read_text().splitlines()[1:]
+    except OSError:
+        return
+    for line in lines:
+        _, local, remote, state, *_ = line.split()
+        address, _, number = local.partition(":")
+        if int(number, 16) == port:
+            peer, _, peer_port = remote.partition(":")
+            end = None if state == _LISTENS else f"{_readable(peer)}:{int(peer_port, 16)}"
+            yield _Socket(_readable(address), end)
+
+
+def _readable(address: str) -> str:
+    """Return an address as people write it; Linux writes words of 32 bits in the machine's byte order."""
+    words = struct.pack(
+        f"={len(address) // 8}I", *(int(address[i : i + 8], 16) for i in range(0, len(address), 8))
+    )
+    read = ipaddress.ip_address(words)
+    mapped = read.ipv4_mapped if isinstance(read, ipaddress.IPv6Address) else None
+    return str(mapped or read)
+
+
+def _addresses(host: str) -> set[str]:
+    try:
+        return {str(found[4][0]) for found in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)}
+    except OSError:
+        return {host}
 
 
 def _somebody_listens(host: str, port: int) -> bool:

@@ -3,25 +3,97 @@
 `create_app` adds `/healthz` (the process lives), `/readyz` (what it depends on answers), `/metrics`
 (Prometheus), `/context.jsonld` (our @context, so that any broker can fetch it) and problem details for
 every error.
+
+A route takes JSON only, unless `accepts` names other media types: a form or a page of another site can send a
+body only as plain text or as a form, and nothing acts on those.
 """
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from http import HTTPStatus
+from typing import Any, Final, TypeVar
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
+from fastapi.routing import APIRoute
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 from starlette.types import Lifespan
 
+from handover.body_limit import limit_of, limited
 from handover.errors import Problem
+from handover.origin_guard import REFUSED
 from handover.telemetry import get_logger
 
 log = get_logger(__name__)
 
 Check = Callable[[], Awaitable[None]]
 """A readiness probe: returns when the thing answers, raises (with a sentence) when it does not."""
+
+
+JSON_TYPES: Final = ("application/json", "application/*+json")
+XML_TYPES: Final = ("application/xml", "text/xml", "application/*+xml")
+YAML_TYPES: Final = ("application/yaml", "application/x-yaml", "text/yaml")
+ANY_TYPE: Final = ("*/*",)
+_CHANGES: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+MAX_FAULTS_LISTED: Final = 20
+MAX_FAULT_CHARACTERS: Final = 1_000
+CLIENT_CLOSED_REQUEST: Final = 499
+"""What nginx logs for a client that goes before it has its answer; nobody receives it."""
+
+Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
+
+
+def accepts(*media_types: str) -> Callable[[Endpoint], Endpoint]:
+    """Say which media types the body of a route has, in place of JSON; it stands below the route."""
+
+    def marked(endpoint: Endpoint) -> Endpoint:
+        endpoint.accepted_media_types = media_types  # type: ignore[attr-defined]
+        return endpoint
+
+    return marked
+
+
+class TypedRoute(APIRoute):
+    """A route that answers 415 to a media type that it does not take and 413 to a body that is too large.
+
+    Both are answered before anything is parsed.
+    """
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return what answers a request."""
+        answer = super().get_route_handler()
+        accepted = getattr(self.endpoint, "accepted_media_types", JSON_TYPES)
+        max_bytes = limit_of(self.endpoint, self.path)
+
+        async def checked(request: Request) -> Response:
+            if request.method in _CHANGES:
+                require_media_type(request, accepted)
+            return await answer(limited(request, max_bytes))
+
+        return checked
+
+
+def require_media_type(request: Request, accepted: tuple[str, ...]) -> None:
+    """Return if the body of `request` is of an `accepted` type; raise `Problem` 415 if not."""
+    given = request.headers.get("content-type")
+    if given is None:
+        has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
+        if not has_body or accepted == ANY_TYPE:
+            return
+    elif any(_matches(given.partition(";")[0].strip().lower(), one) for one in accepted):
+        return
+    REFUSED.labels("media type").inc()
+    said = "no Content-Type" if given is None else f'Content-Type "{given[:100]}"'
+    raise Problem(415, "Unsupported media type", f"{said} is not accepted here; send {' or '.join(accepted)}")
+
+
+def _matches(given: str, accepted: str) -> bool:
+    start, star, end = accepted.partition("*")
+    if not star:
+        return given == accepted
+    return accepted == "*/*" or (given.startswith(start) and given.endswith(end))
 
 
 def create_app(
@@ -36,10 +108,12 @@ def create_app(
     `checks` names what the service cannot work without; each is awaited by `/readyz`.
     """
     app = FastAPI(title=title, description=description, lifespan=lifespan)
+    app.router.route_class = TypedRoute
     add_operations(app, checks or {})
     app.add_exception_handler(Problem, _on_problem)
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_validation_error)
+    app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_unexpected)
     return app
 
@@ -96,8 +170,18 @@ async def _on_http_exception(_: Request, error: Exception) -> Response:
 
 async def _on_validation_error(_: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)  # noqa: S101
-    faults = [f"{'.'.join(str(part) for part in fault['loc'])}: {fault['msg']}" for fault in error.errors()]
+    found = error.errors()
+    faults = [
+        f"{'.'.join(str(part) for part in fault['loc'])}: {fault['msg']}"[:MAX_FAULT_CHARACTERS]
+        for fault in found[:MAX_FAULTS_LISTED]
+    ]
+    if len(found) > len(faults):
+        faults.append(f"and {len(found) - len(faults)} more")
     return problem_response(Problem(422, "Unprocessable Content", "; ".join(faults)))
+
+
+async def _on_disconnect(_: Request, __: Exception) -> Response:
+    return Response(status_code=CLIENT_CLOSED_REQUEST)  # nobody receives it, and nothing is wrong with us
 
 
 async def _on_unexpected(request: Request, error: Exception) -> Response:

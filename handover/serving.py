@@ -3,26 +3,31 @@
 Nothing here needs a web framework: a service that starts quickly need not load one first.
 """
 
+import errno
 import os
 import signal
 import sys
+import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TypeVar
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
 
 import uvicorn
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from handover.errors import UsageError
-from handover.ports import require_free
+from handover.http_protocol import KEEP_ALIVE_S, Connections, HttpProtocol
+from handover.origin_guard import OriginGuard, OriginPolicy
+from handover.ports import hold_when_free
 from handover.settings import LIFELINE, PREFIX, Settings
 from handover.telemetry import get_logger, set_up_logging
 
 log = get_logger(__name__)
 
-KEEP_ALIVE_S = 75
-"""Longer than clients keep idle connections (httpx: 5 s), so that they never write to one that is closing."""
+_DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 SomeSettings = TypeVar("SomeSettings", bound=Settings)
 
@@ -52,15 +57,26 @@ def run(
 
 
 def serve(
-    make_app: Callable[[], ASGIApp], settings: Settings, *, service: str, port: int, port_setting: str
+    make_app: Callable[[], ASGIApp],
+    settings: Settings,
+    *,
+    service: str,
+    port: int,
+    port_setting: str,
+    urls: Sequence[str] = (),
 ) -> None:
-    """Serve what `make_app` makes on `port` until told to stop; exits as `run` does."""
+    """Serve what `make_app` makes on `port` until told to stop; exits as `run` does.
+
+    `urls` are where it is reached, besides what the settings say.
+    """
     try:
         set_up_logging(settings, service)
-        require_free(settings.host, port, port_setting, say=log.warning)
-        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        require_writable(settings.data_dir)
+        # Held from here on: until the server listens, connections that the service opens could get the port.
+        held_port = hold_when_free(settings.host, port, port_setting, say=log.warning)
         made = make_app()
-        application = _SaysWhy(made)
+        policy = OriginPolicy.of(settings, urls)
+        application = _SaysWhy(OriginGuard(made, policy))
     except (UsageError, OSError) as error:
         raise SystemExit(_in_one_line(service, error)) from None
     if os.environ.get(LIFELINE):
@@ -73,13 +89,13 @@ def serve(
             log_config=None,
             access_log=False,
             timeout_graceful_shutdown=1,
-            timeout_keep_alive=KEEP_ALIVE_S,
+            timeout_keep_alive=int(KEEP_ALIVE_S),
             server_header=False,
-            http=getattr(made, "protocol", "auto"),  # an application may bring a shorter way in
+            http=_protocol(made, policy, Connections(settings)),
         )
     )
     try:
-        with suppress(KeyboardInterrupt):  # Ctrl-C has stopped it in good order by now
+        with held_port, suppress(KeyboardInterrupt):  # Ctrl-C has stopped it in good order by now
             server.run()
     except SystemExit:  # so it ends when the start has failed, and would take the reason along
         if application.why is None:
@@ -88,6 +104,33 @@ def serve(
         raise SystemExit(_in_one_line(service, application.why))
     if not server.started:
         raise SystemExit(1)
+
+
+def _protocol(made: ASGIApp, policy: OriginPolicy, connections: Connections) -> Any:
+    """Return what reads connections; one that an application brings asks `policy` itself."""
+    own = getattr(made, "protocol", None)
+    if own is None:
+        return partial(HttpProtocol, connections=connections)
+    return partial(own, policy=policy, connections=connections)
+
+
+def require_writable(folder: Path) -> None:
+    """Make the data directory; raise `UsageError` in one line when no file can be made in it.
+
+    A full disk is no reason: what is there can still be read, and the service says what it cannot write.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        if error.errno in _DISK_FULL and folder.is_dir():
+            log.warning("the disk is full", directory=str(folder), error=error.strerror)
+            return
+        who = f" by user {os.getuid()}" if hasattr(os, "getuid") else ""
+        raise UsageError(
+            f"the data directory {folder.absolute()} cannot be written{who}: {error.strerror}; "
+            "make it writable or set HANDOVER_DATA_DIR to another directory"
+        ) from None
 
 
 class _SaysWhy:
@@ -127,6 +170,8 @@ def _in_one_line(service: str, error: Exception) -> int:
 
 
 def _end_with_parent() -> None:
-    while sys.stdin.buffer.read(4096):
+    while os.read(
+        sys.stdin.fileno(), 4096
+    ):  # without the lock of sys.stdin, which an early end would wait for
         pass
     os.kill(os.getpid(), signal.SIGTERM)

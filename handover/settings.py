@@ -1,5 +1,8 @@
 """Settings: one prefix, `HANDOVER_`, read from the environment and from `.env`; every one has a default.
 
+Secrets can also be files: with `HANDOVER_SECRETS_DIR`, a file of that directory named like a setting is its
+value, unless the environment gives one (an empty variable does not count).
+
 A service adds its own by subclassing `Settings` in its `settings.py`; `handover settings` prints them all
 with the place each value comes from.
 """
@@ -10,10 +13,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
+from urllib.parse import quote
 
 from dotenv import dotenv_values
 from pydantic import BeforeValidator, Field, SecretStr, ValidationError, field_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic.fields import FieldInfo
+from pydantic_settings import BaseSettings, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
 
 from handover.errors import UsageError
 
@@ -21,12 +26,62 @@ PREFIX = "HANDOVER_"
 LIFELINE = f"{PREFIX}LIFELINE"
 """Set by the launcher: the service ends when its standard input closes, so that no orphan stays."""
 ENV_FILE = ".env"
+SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
 STARS = "********"
 PASSWORD_IN_URL = re.compile(r"(://[^:/@\s]*:)[^@\s]*@")
+USER_WITHOUT_PASSWORD = re.compile(r"^([^:/@\s]+://[^:/@\s]+)@")
 
 
 MaybePath = Annotated[Path | None, BeforeValidator(lambda given: given or None)]
 """A path that may be absent, or empty, which is how a container is told nothing."""
+
+
+def _split_at_commas(given: object) -> object:
+    return [part.strip() for part in given.split(",") if part.strip()] if isinstance(given, str) else given
+
+
+Names = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split_at_commas)]
+"""Several names, in the environment with commas between them."""
+
+
+def _secrets_folder() -> str:
+    return os.environ.get(SECRETS_DIR) or dotenv_values(ENV_FILE).get(SECRETS_DIR) or ""
+
+
+def secret_file(name: str) -> Path | None:
+    """Return the file that holds the setting `name`, if there is one and the environment does not say it."""
+    folder = _secrets_folder()
+    if not folder or os.environ.get(name):
+        return None
+    file = Path(folder) / name
+    return file if os.path.lexists(file) else None
+
+
+class _SecretFiles(PydanticBaseSettingsSource):
+    """Reads settings from the files of `HANDOVER_SECRETS_DIR`."""
+
+    def get_field_value(self, field: FieldInfo, field_name: str) -> tuple[Any, str, bool]:  # noqa: ARG002
+        name = f"{PREFIX}{field_name}".upper()
+        file = secret_file(name)
+        if file is None:
+            return None, field_name, False
+        try:
+            return file.read_text(encoding="utf-8").strip(), field_name, False
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+            raise UsageError(
+                f"the secret {file} cannot be read: {reason}; make it a text file that the user of this "
+                f"service can read, or set {name}"
+            ) from None
+
+    def __call__(self) -> dict[str, Any]:
+        if not _secrets_folder():  # looked up once: `.env` is read each time
+            return {}
+        found = {name: self.get_field_value(info, name)[0] for name, info in self._fields()}
+        return {name: value for name, value in found.items() if value is not None}
+
+    def _fields(self) -> list[tuple[str, FieldInfo]]:
+        return list(self.settings_cls.model_fields.items())
 
 
 class Settings(BaseSettings):
@@ -49,6 +104,53 @@ class Settings(BaseSettings):
     database_url: str | None = Field(
         None, description="SQLAlchemy URL of the database; a SQLite file in the data directory if absent"
     )
+    retention_h: float = Field(
+        24.0,
+        ge=0,
+        description="a process that ended so many hours ago, and its Tasks, are deleted from the broker; "
+        "the orchestrator keeps their history; 0: never",
+    )
+    notification_key: SecretStr | None = Field(
+        None,
+        description="what the broker must send with each notification to this service; "
+        "random and kept in the data directory if absent",
+    )
+    allowed_hosts: Names = Field(
+        (),
+        description="further names by which our servers may be reached, with commas; loopback, numeric "
+        "addresses and the host names in HANDOVER_*_URL always may",
+    )
+    allowed_origins: Names = Field(
+        (),
+        description="origins (https://panel.example) whose requests are accepted besides each server's own, "
+        "with commas: for a proxy that changes Host, and for WebSockets; CORS headers are not sent",
+    )
+    http_header_timeout_s: float = Field(
+        10.0, gt=0, description="how long a server of ours waits for the head of a request, in seconds"
+    )
+    http_body_timeout_s: float = Field(
+        15.0, gt=0, description="how long it waits for the next bytes of a request's body, in seconds"
+    )
+    http_min_body_bytes_per_s: float = Field(
+        500.0, ge=0, description="how fast a body must come on average, after that time"
+    )
+    http_send_timeout_s: float = Field(
+        60.0, gt=0, description="how long it waits for a client that reads nothing of its answer, in seconds"
+    )
+    http_max_connections: int = Field(
+        4000, ge=16, description="connections to a server at once, as far as the limit of open files lets it"
+    )
+    http_max_unfinished_per_address: int = Field(
+        100, ge=1, description="connections of an address whose request has not come as a whole"
+    )
+    http_max_websockets: int = Field(1000, ge=1, description="WebSockets of a server at once")
+    database_password: SecretStr | None = Field(
+        None, description="the password for database URLs that name a user but no password"
+    )
+    secrets_dir: MaybePath = Field(
+        None,
+        description="a directory whose files, named like settings, hold secrets; made by `handover secrets`",
+    )
     reconcile_s: float = Field(5.0, gt=0, description="how often the broker is asked again, in seconds")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")
     log_format: Literal["text", "json"] = Field("text", description="how log lines look")
@@ -59,6 +161,25 @@ class Settings(BaseSettings):
         if not url.startswith(("http://", "https://")):
             raise ValueError("must start with http:// or https://")
         return url.rstrip("/").removesuffix("/ngsi-ld/v1")
+
+    @field_validator("notification_key")
+    @classmethod
+    def _is_long_enough(cls, key: SecretStr | None) -> SecretStr | None:
+        if key is None or not key.get_secret_value():
+            return None
+        if re.fullmatch(r"[\x21-\x7e]{16,200}", key.get_secret_value()) is None:
+            raise ValueError("must have 16 to 200 printable ASCII characters without spaces")
+        return key
+
+    @field_validator("allowed_origins")
+    @classmethod
+    def _are_origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in origins:
+            if re.fullmatch(r"https?://[^/@\s]+/?", origin) is None:
+                raise ValueError(
+                    f'"{origin}" is no origin; write it as https://panel.example or http://host:8080'
+                )
+        return origins
 
     @classmethod
     def load(cls, **overrides: Any) -> Self:
@@ -79,11 +200,42 @@ class Settings(BaseSettings):
         host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)  # noqa: S104 - not bound
         return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
+    def own_urls(self) -> Iterator[str]:
+        """Yield the addresses of our servers that these settings name."""
+        for name in type(self).model_fields:
+            url = getattr(self, name)
+            if (
+                name.endswith("_url")
+                and name != "context_url"
+                and str(url).startswith(("http://", "https://"))
+            ):
+                yield url
+
     def database(self, component: str) -> str:
         """Return the SQLAlchemy URL of `component`'s database."""
         if self.database_url:
-            return self.database_url
+            return self.with_password(self.database_url)
         return f"sqlite:///{(self.data_dir / f'{component}.db').absolute()}"
+
+    def with_password(self, url: str) -> str:
+        """Return a database URL with `database_password` in it, if it names a user but no password."""
+        password = self.database_password.get_secret_value() if self.database_password else ""
+        return USER_WITHOUT_PASSWORD.sub(rf"\1:{quote(password, safe='')}@", url) if password else url
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - ours know the environment
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Return where settings come from, the first that has one counts."""
+        return init_settings, _SecretFiles(settings_cls), env_settings, dotenv_settings
+
+
+Source = Literal["environment", "secret file", ".env", "default"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +244,7 @@ class Origin:
 
     name: str
     value: str
-    origin: Literal["environment", ".env", "default"]
+    origin: Source
     description: str
 
 
@@ -111,8 +263,10 @@ def origins(classes: Sequence[type[Settings]]) -> Iterator[Origin]:
             value = getattr(values, field)
             text = STARS if isinstance(value, SecretStr) and value.get_secret_value() else str(value)
             text = PASSWORD_IN_URL.sub(rf"\1{STARS}@", text)
-            origin: Literal["environment", ".env", "default"] = "default"
-            if name in in_environment:
+            origin: Source = "default"
+            if secret_file(name) is not None:
+                origin = "secret file"
+            elif name in in_environment:
                 origin = "environment"
             elif name in in_file:
                 origin = ".env"

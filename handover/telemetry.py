@@ -16,6 +16,18 @@ from structlog.typing import Processor
 from handover.settings import Settings
 
 
+def log_to_stderr() -> None:
+    """Send log lines to standard error: the standard output of a command is its answer, such as a file.
+
+    Commands call this before anything else; a service calls `set_up_logging` with its settings.
+    """
+    structlog.configure(
+        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),  # what that is now, not at this call
+        cache_logger_on_first_use=False,
+    )
+
+
 def set_up_logging(settings: Settings, service: str) -> None:
     """Send all logs, the libraries' too, to standard error as one stream in one form."""
     shared: list[Processor] = [

@@ -1,6 +1,5 @@
 """The face of the ROS bridge: its rules with their rates, last values and errors, and the live graph."""
 
-import secrets
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
@@ -10,8 +9,9 @@ from httpx_aiohttp import AiohttpTransport
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
-from handover.notifications import notified_entities
+from handover.messages import message
 from handover.service import create_app
+from handover.storage import storage_check
 from ros_fiware_bridge import graph_view, mapping
 from ros_fiware_bridge.joining import join
 from ros_fiware_bridge.mapping.document import Document
@@ -29,7 +29,11 @@ class _At:
 
     def the_bridge(self) -> Bridge:
         if self.bridge is None:
-            raise Problem(503, "Not ready", "the ROS bridge is starting; try again in a moment")
+            raise Problem(
+                503,
+                "Not ready",
+                message("ros.not_ready", "the ROS bridge is starting; try again in a moment"),
+            )
         return self.bridge
 
 
@@ -46,7 +50,15 @@ def make_app(settings: BridgeSettings) -> FastAPI:
         graph = await join(settings, store)
         try:
             made = planning.make(document, store, settings.factory)
-            bridge = Bridge(made, graph, broker, settings, url=settings.url, name=settings.bridge_name)
+            bridge = Bridge(
+                made,
+                graph,
+                broker,
+                settings,
+                url=settings.url,
+                name=settings.bridge_name,
+                parameters=settings.ros_adapter in {"auto", "cyclone"},  # rclpy serves its own
+            )
             bridge.tasks.mount(app)
             async with broker, bridge:
                 at.bridge = bridge
@@ -62,9 +74,13 @@ def make_app(settings: BridgeSettings) -> FastAPI:
         "ROS bridge",
         description=__doc__ or "",
         lifespan=lifespan,
-        checks={"broker": broker.probe, "subscriptions": subscribed},
+        checks={
+            "broker": broker.probe,
+            "subscriptions": subscribed,
+            "storage": storage_check(settings.data_dir),
+        },
     )
-    _add_rules(app, at)
+    _add_rules(app, at, settings)
     return app
 
 
@@ -75,7 +91,7 @@ def read_mapping(settings: BridgeSettings) -> Document:
     return mapping.load(settings.ros_mapping)
 
 
-def _add_rules(app: FastAPI, at: _At) -> None:
+def _add_rules(app: FastAPI, at: _At, settings: BridgeSettings) -> None:
     @app.get("/rules", tags=["rules"])
     async def rules() -> Sequence[RuleView]:
         """Return every rule with its rates, last value and last error."""
@@ -101,7 +117,11 @@ def _add_rules(app: FastAPI, at: _At) -> None:
     @app.get("/graph", tags=["graph"])
     async def graph() -> dict[str, Any]:
         """Return what is on the ROS graph now."""
-        return graph_view.of(at.the_bridge().graph)
+        by_dds = settings.ros_adapter != "rosbridge"
+        return {
+            "domain": settings.ros_domain_id if by_dds else None,
+            **graph_view.of(at.the_bridge().graph),
+        }
 
     @app.get("/broker", tags=["graph"])
     async def broker_link() -> dict[str, Any]:
@@ -114,14 +134,9 @@ def _add_rules(app: FastAPI, at: _At) -> None:
             "subscribed": bridge.listeners.subscribed,
         }
 
-    @app.post("/notifications/{key}/{rule}", status_code=204, tags=["notifications"])
-    async def notify(key: str, rule: str, request: Request) -> Response:
-        """Take notice of entities that changed; `key` is known to those who can read our subscriptions."""
-        bridge = at.the_bridge()
-        listener = bridge.listeners.named(rule)
-        if listener is None or not secrets.compare_digest(key.encode(), bridge.key.encode()):
-            raise Problem(404, "No such rule", f'no rule "{rule}" listens to the broker at this address')
-        entities = await notified_entities(request)
-        for entity in entities:
-            listener.take(entity)
+    @app.post("/notifications/{rule}", status_code=204, tags=["notifications"])
+    async def notify(rule: str, request: Request) -> Response:
+        """Read the entities that have changed from the broker, and have a rule act on what that says."""
+        listeners = at.the_bridge().listeners
+        await listeners.take_notification(rule, request)
         return Response(status_code=204)

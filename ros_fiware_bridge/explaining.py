@@ -1,8 +1,9 @@
 """Explaining: what a mapping would do, in sentences; and how it meets the graph that is there."""
 
+import re
 from collections.abc import Iterator
 
-from ros_fiware_bridge.graph.port import RosGraph
+from ros_fiware_bridge.graph.port import ActionInfo, Endpoint, RosGraph, ServiceInfo
 from ros_fiware_bridge.mapping.model import RosToNgsild, ServiceCall
 from ros_fiware_bridge.mapping.values import MADE_OF, Source
 from ros_fiware_bridge.rules.plan import Plan, PlannedAsk, PlannedOutward
@@ -40,30 +41,71 @@ def against(plan: Plan, graph: RosGraph) -> Iterator[str]:
     """Yield what about the graph that is there would keep rules from working."""
     topics = {topic.name: topic for topic in graph.topics()}
     for outward in plan.outward:
-        topic = topics.get(outward.rule.topic)
-        speakers = [one for one in topic.publishers if not one.ours] if topic else []
+        pattern = outward.pattern or re.compile(re.escape(outward.rule.topic))
+        fitting = [topic for name, topic in topics.items() if pattern.fullmatch(name)]
+        speakers = [one for topic in fitting for one in topic.publishers if not one.ours]
         if not speakers:
             yield f"{outward.name}: nobody publishes {outward.rule.topic} now"
         type_name = outward.outward.type_name if outward.outward else None
         for one in speakers:
-            if type_name is not None and one.type_name != type_name:
-                yield f"{outward.name}: {one.node} publishes {one.type_name}, not {type_name}"
-            if (unmet := outward.qos.unmet(one.qos)) is not None:
+            if type_name is not None and (why := _other_type(plan, type_name, one, "publishes")) is not None:
+                yield f"{outward.name}: {why}"
+            qos = outward.reader_qos(other.qos for other in speakers)
+            if (unmet := qos.unmet(one.qos)) is not None:
                 yield f"{outward.name}: {one.node} will not be heard: {unmet}; change qos of the rule"
-    services = {one.name for one in graph.services() if one.servers}
-    actions = {one.name for one in graph.actions() if one.servers}
+    for inward in plan.inward:
+        topic = topics.get(inward.rule.topic.with_settings(plan.settings).constant or "")
+        for one in topic.subscribers if topic else ():
+            if (
+                not one.ours
+                and (why := _other_type(plan, inward.rule.type, one, "subscribes to")) is not None
+            ):
+                yield f"{inward.name}: {why}"
+            if not one.ours and (unmet := one.qos.unmet(inward.qos)) is not None:
+                yield f"{inward.name}: {one.node} will not hear it: {unmet}; change qos of the rule"
     for asked in plan.asks:
-        rule = asked.rule
-        what = rule.service if isinstance(rule, ServiceCall) else rule.action
-        if what not in (services if isinstance(rule, ServiceCall) else actions):
-            yield f"{asked.name}: nobody serves {what} now"
+        yield from _unasked(asked, graph)
+
+
+def _other_type(plan: Plan, type_name: str, peer: Endpoint, does: str) -> str | None:
+    if peer.type_name != type_name:
+        return f"{peer.node} {does} {peer.type_name}, not {type_name}; give the rule that type"
+    ours = plan.definitions.hash(type_name)
+    if peer.type_hash is None or peer.type_hash == ours:
+        return None
+    return (
+        f"{peer.node} {does} another definition of {type_name} (its hash is {peer.type_hash}, ours is "
+        f"{ours}); name the files of its definition in type_paths"
+    )
+
+
+def _unasked(asked: PlannedAsk, graph: RosGraph) -> Iterator[str]:
+    """Yield what keeps a service or action from being called."""
+    rule = asked.rule
+    if isinstance(rule, ServiceCall):
+        name, carrier, type_name = rule.service, rule.service, rule.type
+        found: list[ServiceInfo | ActionInfo] = [one for one in graph.services() if one.name == name]
+    else:
+        name, carrier, type_name = rule.action, f"{rule.action}/_action/send_goal", f"{rule.type}_SendGoal"
+        found = [one for one in graph.actions() if one.name == name]
+    if not any(one.servers for one in found):
+        yield f"{asked.name}: nobody serves {name} now"
+        return
+    others = sorted({kind for one in found for kind in one.type_names} - {rule.type})
+    if others:
+        theirs = " and ".join(others)
+        yield f"{asked.name}: {name} has the type {theirs}, not {rule.type}; give the rule that type"
+        return
+    for problem in graph.obstacles(carrier, type_name):
+        yield f"{asked.name}: {problem}"
 
 
 def _outward(plan: Plan, planned: PlannedOutward) -> Iterator[str]:
     rule = planned.rule
     to = str(rule.entity.id.with_settings(plan.settings)) if rule.entity else "an Alert"
     kind = planned.outward.type_name if planned.outward else "type still unknown: nobody publishes it"
-    yield f"{planned.name}: {rule.topic} ({kind}; {planned.qos}) -> {to}{_pace(rule)}"
+    qos = f"as published, keep_last {planned.qos.depth}" if planned.match else str(planned.qos)
+    yield f"{planned.name}: {rule.topic} ({kind}; {qos}) -> {to}{_pace(rule)}"
     made = planned.outward.attributes if planned.outward else ()
     for attribute in made:
         asked = rule.attributes[attribute.name]

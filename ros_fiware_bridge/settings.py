@@ -28,9 +28,10 @@ class BridgeSettings(Settings):
     ros_mapping: MaybePath = Field(
         None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
     )
-    ros_adapter: Literal["cyclone", "rclpy", "rosbridge"] = Field(
-        "cyclone",
-        description="what carries the ROS graph: DDS from a wheel, an installed ROS, or a rosbridge server",
+    ros_adapter: Literal["auto", "cyclone", "rclpy", "rosbridge"] = Field(
+        "auto",
+        description="what carries the ROS graph: cyclone (DDS from a wheel), rclpy, a rosbridge server, or "
+        "auto: cyclone, and, where it is installed, rclpy for services of nodes on Fast DDS",
     )
     ros_domain_id: int = Field(
         default_factory=_ros_domain_id,

@@ -11,11 +11,11 @@ STRAIGHT, BENT = 2000, 100
 class TcpGlove:
     """Shows hands to the controller; its clock runs as fast as frames are sent."""
 
-    def __init__(self, port: int, name: str = "glove-1", hand: str = "right") -> None:
+    def __init__(self, port: int, name: str = "glove-1", hand: str = "right", token: str = "") -> None:
         self.link = socket.create_connection(("127.0.0.1", port), timeout=10)
         self.link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.t_s = 0.0
-        self.say({"type": "hello", "version": 1, "glove": name, "hand": hand})
+        self.say({"type": "hello", "version": 1, "glove": name, "hand": hand, "token": token})
         self.answer = orjson.loads(self.link.recv(4096))
 
     def show(self, code: str, seconds: float) -> None:

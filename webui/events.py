@@ -24,6 +24,8 @@ log = get_logger(__name__)
 
 KEPT = 10_000
 MOST_AT_ONCE = 1_000
+MAX_SEQ = 2**53 - 1
+"""The largest `seq` that a browser can state exactly; the database holds more."""
 _TRIM_EVERY = 200
 
 Level = Literal["info", "attention", "stop"]

@@ -10,3 +10,6 @@ COALESCED = Counter(
 TOO_SLOW = Counter("handover_webui_slow_pages_total", "Pages that were let go because they did not read")
 EVENTS = Counter("handover_webui_events_total", "Events taken into the log", ["key"])
 AWAY = Counter("handover_webui_service_away_total", "Requests to a service that did not answer", ["service"])
+STREAMS = Gauge("handover_webui_streams", "Requests to services that are being passed on")
+REFUSED = Counter("handover_webui_streams_refused_total", "Requests that were one too many", ["limit"])
+ENDED = Counter("handover_webui_streams_ended_total", "Requests that were ended for the sake of others")

@@ -14,6 +14,7 @@ from starlette.datastructures import Headers
 from starlette.responses import FileResponse, HTMLResponse, Response
 
 from handover.errors import Problem
+from handover.messages import message
 
 FOLDER: Final = Path(__file__).parent / "page"
 FOREVER: Final = "public, max-age=31536000, immutable"
@@ -84,7 +85,15 @@ class Page:
         found = await asyncio.to_thread(self._find, address, accepted)
         if found is None:
             if address.startswith("assets/") or _type_of(address) is not None:
-                raise Problem(404, "Not found", f'the page has no file "{address}"; load the page again')
+                raise Problem(
+                    404,
+                    "Not found",
+                    message(
+                        "page.no_such_file",
+                        'the page has no file "{address}"; load the page again',
+                        address=address,
+                    ),
+                )
             found = await asyncio.to_thread(self._find, "index.html", accepted)
         if found is None:
             return HTMLResponse(NOT_BUILT, 503, {"Cache-Control": "no-store"})

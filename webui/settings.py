@@ -2,11 +2,9 @@
 
 import ipaddress
 from collections.abc import Mapping
-from typing import Annotated
 from urllib.parse import urlsplit
 
-from pydantic import Field, SecretStr, field_validator
-from pydantic_settings import NoDecode
+from pydantic import Field, SecretStr
 
 from handover.settings import MaybePath, Settings
 
@@ -23,11 +21,6 @@ class WebuiSettings(Settings):
     webui_port: int = Field(54400, ge=1, le=65535, description="the port of the screen")
     webui_url: str | None = Field(
         None, description="where the broker reaches the screen's server; http://host:port of it if absent"
-    )
-    webui_hosts: Annotated[tuple[str, ...], NoDecode] = Field(
-        (),
-        description="further names under which browsers may open the screen, with commas; numeric addresses, "
-        "localhost and the name of webui_url always may",
     )
     emergency_stop: str | None = Field(
         None,
@@ -61,13 +54,6 @@ class WebuiSettings(Settings):
     glove_token: SecretStr | None = Field(
         None, description="what a glove must say to be let in; required when glove_host is not loopback"
     )
-
-    @field_validator("webui_hosts", mode="before")
-    @classmethod
-    def _listed_with_commas(cls, given: object) -> object:
-        return (
-            [part.strip() for part in given.split(",") if part.strip()] if isinstance(given, str) else given
-        )
 
     @property
     def own_url(self) -> str:

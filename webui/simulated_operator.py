@@ -14,6 +14,7 @@ from typing import Any, Final, Self
 import httpx
 
 from handover.errors import Problem
+from handover.messages import message
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
 from webui.events import EventLog, Happening, now
@@ -69,19 +70,33 @@ class SimulatedOperator:
         Raises `Problem`: 400 for a name that no glove has, 409 if one runs or somebody wears the glove.
         """
         if not GLOVE_NAME.match(glove):
-            raise Problem(400, "No such name", 'a glove is named by 1 to 64 letters, digits, ".", "_" or "-"')
+            raise Problem(
+                400,
+                "No such name",
+                message("page.no_such_name", 'a glove is named by 1 to 64 letters, digits, ".", "_" or "-"'),
+            )
         async with self._changing:
             if self.running:
                 raise Problem(
                     409,
                     "Operator at work",
-                    f"the simulated operator wears {self._glove}; stop it first to start it with {glove}",
+                    message(
+                        "page.operator_at_work",
+                        "the simulated operator wears {glove}; stop it first to start it with {wanted}",
+                        glove=self._glove,
+                        wanted=glove,
+                    ),
                 )
             if await self._is_worn(glove):
                 raise Problem(
                     409,
                     "Glove in use",
-                    f"{glove} is connected, so somebody wears it; take it off first, or choose another glove",
+                    message(
+                        "page.glove_in_use",
+                        "{glove} is connected, so somebody wears it; take it off first, or choose "
+                        "another glove",
+                        glove=glove,
+                    ),
                 )
             self._glove, self._detail = glove, None
             self._watcher = asyncio.create_task(self._keep_running())

@@ -26,8 +26,8 @@ class Written:
 
 
 def on_request(topic: str) -> bool:
-    """Say whether a topic is sent only to pages that want it: the joints of a robot."""
-    return topic.startswith("robot/") and topic.endswith("/joints")
+    """Say whether a topic is sent only to pages that want it: the joints of a robot, and `people`."""
+    return topic == "people" or (topic.startswith("robot/") and topic.endswith("/joints"))
 
 
 class World:

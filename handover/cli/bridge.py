@@ -1,6 +1,7 @@
 """`handover bridge`: check a mapping, see what is on the ROS graph, write a mapping for a topic."""
 
 import asyncio
+import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -64,6 +65,13 @@ def graph(wait_s: LookS = LOOK_S) -> None:
         return graph_view.of(found)
 
     view = _asked_of_bridge("/graph")
+    if view is not None and view.get("domain") not in {None, settings.ros_domain_id}:
+        print(
+            f"the ROS bridge that runs here is in ROS domain {view['domain']}; this is domain "
+            f"{settings.ros_domain_id} (ROS_DOMAIN_ID), without it",
+            file=sys.stderr,
+        )
+        view = None
     if view is None:
         view = asyncio.run(_on_the_graph(settings, TypeStore(), wait_s, look))
     for line in graph_view.lines(view):
@@ -106,6 +114,27 @@ def scaffold(
     if len(found.type_names) > 1:
         raise UsageError(f"{wanted} has the types {' and '.join(found.type_names)}; say which with --type")
     print(scaffolding.mapping_for(wanted, found.type_names[0], found.publishers[0].qos, store), end="")
+
+
+@app.command()
+def definitions(
+    topic: Annotated[str, typer.Argument(help="A topic whose type is not known here.")],
+    to: Annotated[Path, typer.Option("--to", help="The folder to write to; name it in type_paths.")] = Path(
+        "msgs"
+    ),
+    wait_s: LookS = LOOK_S,
+) -> None:
+    """Learn the definition of a topic's type from the node that publishes it (ROS 2 Jazzy and later)."""
+    from ros_fiware_bridge import learning  # noqa: PLC0415
+    from ros_fiware_bridge.types.type_store import TypeStore  # noqa: PLC0415
+
+    async def look(found: Any) -> Any:
+        return await learning.learn(found, topic)
+
+    learned = asyncio.run(_on_the_graph(BridgeSettings.load(), TypeStore(), wait_s, look))
+    learning.write(learned, to)
+    for name in sorted(learned):
+        print(to / name)
 
 
 async def _on_the_graph(

@@ -11,7 +11,7 @@ from pathlib import Path
 from handover.cli.launcher import make_room
 from handover.cli.services import wanted
 from handover.errors import UsageError
-from handover.ports import hold
+from handover.ports import hold, reserved_ports, unreserved
 from handover.settings import Settings
 
 OPTIONAL_PROGRAMS = {
@@ -64,6 +64,24 @@ def _ports() -> Iterator[Finding]:
                 yield Finding(service.name, False, f"{error} (or it is running already)", needed=False)
             else:
                 yield Finding(service.name, True, f"port {port} is free")
+    yield from _reserved({port for service in wanted() for _, port, _ in service.listens()})
+
+
+def _reserved(ports: set[int]) -> Iterator[Finding]:
+    """Say whether outgoing connections of this machine are kept from our ports."""
+    at_risk = unreserved(ports)
+    if not at_risk:
+        yield Finding("ports", True, "no outgoing connection can get one of ours", needed=False)
+        return
+    wanted_ports = ",".join(str(port) for port in sorted({*at_risk, *reserved_ports()}))
+    yield Finding(
+        "ports",
+        False,
+        f"outgoing connections of this machine may get {', '.join(map(str, at_risk))}; a service then waits; "
+        f"reserve them: echo net.ipv4.ip_local_reserved_ports={wanted_ports} | "
+        "sudo tee /etc/sysctl.d/60-handover.conf && sudo sysctl --system",
+        needed=False,
+    )
 
 
 def _serial() -> Iterator[Finding]:

@@ -1,8 +1,12 @@
-"""`handover glove`: the words of the glove bridge, with our settings where the person says nothing."""
+"""`handover glove`: tokens of gloves, and the words of the glove bridge with our settings."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from urllib.parse import quote
 
+import httpx
+
+from handover.errors import UsageError
 from services.gesture_controller.settings import ControllerSettings
 
 TALKS_TO = {
@@ -24,8 +28,8 @@ def bridge_words(said: Sequence[str]) -> list[str]:
     if not said or said[0] not in TALKS_TO:
         return list(said)
     settings = ControllerSettings.load()
-    if settings.token is not None:
-        os.environ.setdefault("HANDOVER_GLOVE_TOKEN", settings.token)
+    if settings.token is not None and not os.environ.get("HANDOVER_GLOVE_TOKEN"):
+        os.environ["HANDOVER_GLOVE_TOKEN"] = settings.token
     known = {
         "host": {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.glove_host, settings.glove_host),  # noqa: S104
         "port": str(settings.glove_port),
@@ -33,3 +37,37 @@ def bridge_words(said: Sequence[str]) -> list[str]:
     }
     ours = [part for word in TALKS_TO[said[0]] for part in (f"--{word}", known[word])]
     return [said[0], *ours, *said[1:]]
+
+
+def change_token(words: Sequence[str], say: Callable[[str], None]) -> None:
+    """Make a token for a glove and show it, or remove it: the words are NAME, or NAME --remove."""
+    remove = "--remove" in words
+    names = [word for word in words if word != "--remove"]
+    if len(names) != 1 or names[0].startswith("-"):
+        raise UsageError(
+            "say for which glove: handover glove token NAME, or handover glove token NAME --remove"
+        )
+    settings = ControllerSettings.load()
+    controller = settings.url_of(settings.controller_port, settings.controller_url)
+    url = f"{controller}/gloves/{quote(names[0], safe='')}/token"
+    try:
+        answer = httpx.request("DELETE" if remove else "PUT", url, timeout=30, trust_env=False)
+    except httpx.TransportError:
+        raise UsageError(
+            f"the gesture controller does not answer at {controller}; start it with: handover up"
+        ) from None
+    if not answer.is_success:
+        raise UsageError(_reason(answer))
+    if remove:
+        say(f"{names[0]} has no token of its own any more")
+        return
+    say(f"The token of {names[0]}, shown only now:")
+    say(str(answer.json()["token"]))
+    say("Give it to the glove as HANDOVER_GLOVE_TOKEN; it connects with this token only.")
+
+
+def _reason(answer: httpx.Response) -> str:
+    try:
+        return str(answer.json()["detail"])
+    except (ValueError, KeyError, TypeError):
+        return f"the gesture controller answered {answer.status_code}"

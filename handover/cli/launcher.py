@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
+from urllib.parse import urlsplit
 
 import httpx
 
@@ -22,11 +23,13 @@ from handover.cli.services import Service
 from handover.errors import UsageError
 from handover.ports import held
 from handover.settings import LIFELINE, Settings
+from services.context_broker.settings import BrokerSettings
 
 READY_WITHIN_S = 30.0
 STOP_WITHIN_S = 2.0
 LEAST_FREE_BYTES = 50 * 1024 * 1024
 LARGEST_LOG_BYTES = 10 * 1024 * 1024
+LOOPBACK = "localhost,127.0.0.0/8,::1"
 NO_USE = 2
 """What a process ends with when starting it again would not help."""
 FIRST_RESTART_S, LAST_RESTART_S = 0.2, 5.0
@@ -53,6 +56,12 @@ class Running:
         return f"it said nothing; see {self.log}"
 
 
+def _hosts_of(services: Sequence[Service]) -> set[str]:
+    """Return the names and addresses at which services are reached by one another."""
+    urls = [url for one in services for url in (one.url(), *one.settings.load().own_urls())]
+    return {host for url in urls if (host := urlsplit(url).hostname)}
+
+
 class Launcher:
     """Keeps `services` running while the context lasts; `say` gets a line when a person should know."""
 
@@ -60,6 +69,9 @@ class Launcher:
         self._services = services
         self._data_dir = settings.data_dir.absolute()
         self._settings = settings
+        # Whichever address the broker listens on, it may notify the services, wherever they are reached.
+        given = BrokerSettings.load().broker_outbound_allow
+        self._outbound_allow = ",".join(filter(None, (LOOPBACK, *sorted(_hosts_of(services)), given)))
         self._say = say
         self._running: list[Running] = []
         self._watchers: list[asyncio.Task[None]] = []
@@ -124,8 +136,8 @@ class Launcher:
         if running.log.exists() and running.log.stat().st_size > LARGEST_LOG_BYTES:
             running.log.replace(running.log.with_suffix(".log.1"))
         environment = {
-            "HANDOVER_BROKER_NOTIFY_LOOPBACK": "true",  # whoever listens, the services are on this machine
             **os.environ,
+            "HANDOVER_BROKER_OUTBOUND_ALLOW": self._outbound_allow,
             LIFELINE: "1",
             "HANDOVER_DATA_DIR": str(self._data_dir),
             "PYTHONUNBUFFERED": "1",

@@ -9,14 +9,17 @@ from typing import Annotated, Any
 
 import typer
 
-from handover.cli import bridge, process, specification
+from handover.cli import bridge, process, secrets, specification
+from handover.cli.check import databases, faults_in
 from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
-from handover.cli.glove import bridge_words
+from handover.cli.glove import bridge_words, change_token
 from handover.cli.launcher import Launcher
 from handover.cli.services import BESIDES, SERVICES, service_named, wanted
 from handover.errors import HandoverError, Problem, UsageError
 from handover.settings import Settings, origins
+from handover.sqlite_files import REMEDY
+from handover.telemetry import log_to_stderr
 
 app = typer.Typer(
     help="People and robots hand work to each other.",
@@ -27,6 +30,7 @@ app = typer.Typer(
 app.add_typer(process.app, name="process")
 app.add_typer(bridge.app, name="bridge")
 app.add_typer(specification.app, name="specification")
+app.add_typer(secrets.app, name="secrets")
 
 DataDir = Annotated[
     Path | None, typer.Option("--data-dir", help="Where everything that must survive is kept.")
@@ -79,6 +83,7 @@ def run(
 ) -> None:
     """One service in the foreground."""
     chosen = service_named(service)
+    secrets.wait_for_secrets()
     if port is not None:
         os.environ[chosen.port_setting] = str(port)
     _settings(data_dir)
@@ -89,9 +94,13 @@ def run(
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 )
 def glove(context: typer.Context) -> None:
-    """A glove becomes frames: forward, serial, replay, record, simulate, calibrate."""
+    """A glove becomes frames: forward, serial, replay, record, simulate, calibrate; token makes it one."""
+    if context.args[:1] == ["token"]:
+        change_token(context.args[1:], say)
+        return
     from glove_sdk_bridge.__main__ import main as bridge  # noqa: PLC0415 - only this command needs it
 
+    secrets.wait_for_secrets()
     raise typer.Exit(bridge(bridge_words(context.args), program="handover glove"))
 
 
@@ -102,6 +111,26 @@ def settings() -> None:
     width = max(len(setting.name) for setting in known)
     for setting in known:
         say(f"{setting.name:<{width}}  {setting.value or '-':<36} {setting.origin:<12} {setting.description}")
+
+
+@app.command()
+def check(data_dir: DataDir = None) -> None:
+    """Every database in the data directory, looked at completely; ends with 1 if anything is damaged."""
+    folder = _settings(data_dir).data_dir
+    found = databases(folder)
+    if not found:
+        say(f"there is no database in {folder.absolute()}")
+    is_damaged = False
+    for path in found:
+        faults = list(faults_in(path))
+        is_damaged = is_damaged or bool(faults)
+        for fault in faults:
+            say(f"damaged  {fault}")
+        if not faults:
+            say(f"ok       {path}")
+    if is_damaged:
+        say(f"to mend it: {REMEDY}")
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -121,6 +150,7 @@ def say(line: str) -> None:
 
 def main() -> None:
     """Run the command; what a person can mend is said in one line, without a traceback."""
+    log_to_stderr()
     try:
         app()
     except Problem as problem:

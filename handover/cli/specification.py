@@ -71,7 +71,7 @@ def _database(url: str | None, act: str) -> "Iterator[Engine]":
     from handover.database import connect  # noqa: PLC0415
     from services.gesture_controller.specifications.database import SETTING  # noqa: PLC0415
 
-    engine = connect(url or ControllerSettings.load().specifications, setting=SETTING)
+    engine = connect(url or ControllerSettings.load().specifications, setting=SETTING, is_own=False)
     try:
         yield engine
     except SQLAlchemyError as error:

@@ -1,13 +1,16 @@
 """The story of a process: what happens to its Tasks, told line by line as it happens."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
-from datamodels.entities import Task, TaskStatus
+from datamodels.entities import Outcome, Task, TaskStatus
 
 Say = Callable[[str], None]
+
+OUTCOMES = {Outcome.NOT_GOOD.value: '"not good"', Outcome.PROBLEM.value: '"problem"'}
+"""How an answer other than `ok` is called."""
 
 
 @dataclass
@@ -43,9 +46,9 @@ class Story:
 
     def summary(self) -> str:
         """Return the closing sentence: who did how much, and how long it took them."""
-        people = [task for task in self.done if "commandId" in outputs_of(task)]
+        people = [task for task in self.done if outputs_of(task).get("by") in {"gesture", "screen"}]
         robots = [task for task in self.done if task not in people]
-        gestures = {str(outputs_of(task).get("gesture")) for task in people}
+        gestures = {str(outputs_of(task)["gesture"]) for task in people if "gesture" in outputs_of(task)}
         return (
             f"{len(self.done)} Tasks: {len(people)} by the operator with {len(gestures)} different gestures "
             f"in {self._took_s(people):.1f} s, {len(robots)} by the robot in {self._took_s(robots):.1f} s"
@@ -63,6 +66,10 @@ class Story:
     def _ended(self, task: Task) -> str:
         seconds = (self._when(task) - self._asked_at[task.id]).total_seconds()
         given = outputs_of(task)
+        said = OUTCOMES.get(str(given.get("outcome", "")))
+        if said is not None:
+            note = f": {given['note']}" if given.get("note") else ""
+            return f"answered {said} {_by(given)}after {seconds:.1f} s{note}"
         if task.status.value is TaskStatus.FAILED:
             return f"failed after {seconds:.1f} s: {given.get('reason', 'no reason given')}"
         if given.get("by") == "screen":
@@ -84,6 +91,12 @@ class Story:
 
     def _when(self, task: Task) -> datetime:
         return task.status.observed_at or self.began
+
+
+def _by(given: Mapping[str, Any]) -> str:
+    if given.get("by") == "screen":
+        return "on the screen "
+    return f"with {given['gesture']} " if "gesture" in given else ""
 
 
 def parameters_of(task: Task) -> dict[str, Any]:

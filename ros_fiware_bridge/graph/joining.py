@@ -1,7 +1,7 @@
 """Joining the graph: under which name, on which network, and over which of the installed adapters."""
 
 import importlib.util
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from ros_fiware_bridge.errors import AdapterUnavailable
@@ -12,8 +12,13 @@ MOST_BYTES = 16 * 2**20
 
 
 class Adapter(StrEnum):
-    """What carries the graph: a DDS of our own, the ROS that is installed, or a rosbridge server."""
+    """What carries the graph: a DDS of our own, rclpy, a rosbridge server, or (auto) the first two together.
 
+    With `auto` topics go over our own DDS, and each service or action over the middleware its peer uses, as
+    far as rclpy is installed.
+    """
+
+    AUTO = "auto"
     CYCLONE = "cyclone"
     RCLPY = "rclpy"
     ROSBRIDGE = "rosbridge"
@@ -43,6 +48,7 @@ class JoinSettings:
 def installed() -> list[Adapter]:
     """Return the adapters whose libraries are here."""
     needs = {
+        Adapter.AUTO: ("cyclonedds", "rosbags"),
         Adapter.CYCLONE: ("cyclonedds", "rosbags"),
         Adapter.RCLPY: ("rclpy", "rosbags"),
         Adapter.ROSBRIDGE: ("rosbags",),
@@ -50,7 +56,7 @@ def installed() -> list[Adapter]:
     return [one for one in Adapter if all(importlib.util.find_spec(name) for name in needs[one])]
 
 
-async def join(store: TypeStore, settings: JoinSettings, adapter: Adapter = Adapter.CYCLONE) -> RosGraph:
+async def join(store: TypeStore, settings: JoinSettings, adapter: Adapter = Adapter.AUTO) -> RosGraph:
     """Join the graph; the caller closes it.
 
     Raises:
@@ -59,19 +65,32 @@ async def join(store: TypeStore, settings: JoinSettings, adapter: Adapter = Adap
     """
     if adapter not in installed():
         way = {
+            Adapter.AUTO: "install the extra: pip install 'handover[ros]'",
             Adapter.CYCLONE: "install the extra: pip install 'handover[ros]'",
             Adapter.ROSBRIDGE: "install the extra: pip install 'handover[ros]'",
-            Adapter.RCLPY: "run the bridge where ROS 2 is installed and its setup.bash was sourced",
+            Adapter.RCLPY: "on Linux with Python 3.11: pip install 'handover[ros,ros-rclpy]'; elsewhere run "
+            "the bridge where ROS 2 is installed and its setup.bash was sourced",
         }
         raise AdapterUnavailable(f"the adapter {adapter.value} is not installed; {way[adapter]}")
     if adapter is Adapter.RCLPY:
-        from ros_fiware_bridge.graph.ros_installed.graph import RosInstalledGraph  # noqa: PLC0415 - if chosen
-
-        return await RosInstalledGraph.join(store, settings)
+        return (await _join_rclpy(store, settings))[0]
     if adapter is Adapter.ROSBRIDGE:
         from ros_fiware_bridge.graph.rosbridge.graph import RosbridgeGraph  # noqa: PLC0415 - if chosen
 
         return await RosbridgeGraph.join(store, settings)
     from ros_fiware_bridge.graph.cyclone.graph import CycloneGraph  # noqa: PLC0415 - if chosen
 
-    return await CycloneGraph.join(store, settings)
+    own = await CycloneGraph.join(store, settings)
+    if adapter is Adapter.CYCLONE or Adapter.RCLPY not in installed():
+        return own
+    from ros_fiware_bridge.graph.mixed import MixedGraph  # noqa: PLC0415 - if chosen
+
+    beside = replace(settings, node=f"{settings.node}_rclpy")
+    return MixedGraph(own, lambda: _join_rclpy(store, beside))
+
+
+async def _join_rclpy(store: TypeStore, settings: JoinSettings) -> tuple[RosGraph, str]:
+    from ros_fiware_bridge.graph.ros_installed.graph import RosInstalledGraph  # noqa: PLC0415 - if chosen
+
+    graph = await RosInstalledGraph.join(store, settings)
+    return graph, graph.middleware

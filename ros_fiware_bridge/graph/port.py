@@ -123,9 +123,18 @@ class Served(Protocol):
 
     name: str
     type_name: str
-    calls: int
-    failed: int
-    last_error: str | None
+
+    @property
+    def calls(self) -> int:
+        """How many requests or goals came."""
+
+    @property
+    def failed(self) -> int:
+        """How many of them failed."""
+
+    @property
+    def last_error(self) -> str | None:
+        """Why the last one failed."""
 
     async def close(self) -> None:
         """Stop serving; calls that are being answered are let go. Closing twice is harmless."""
@@ -373,6 +382,12 @@ class RosGraph(Protocol):
 
     def nodes(self) -> Sequence[NodeInfo]:
         """Return the nodes of the graph by full name."""
+
+    def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:
+        """Return why calls of a service would fail with the servers that are there, as far as is known.
+
+        Of an action `service` is `NAME/_action/send_goal` and `type_name` `TYPE_SendGoal`.
+        """
 
     def problems(self) -> Sequence[GraphError]:
         """Return what stands between us and peers now: hashes that differ, QoS that does not meet."""

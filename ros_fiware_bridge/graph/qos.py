@@ -1,7 +1,7 @@
 """Quality of service: how surely and for how long a message is kept for its readers, named as in ROS."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -55,6 +55,22 @@ class Qos:
             known = ", ".join(PROFILES)
             raise UnknownQos(f'there is no quality of service "{name}"; it is one of {known}') from None
 
+    def matching(self, offered: "Iterable[Qos]") -> "Qos":
+        """Return this with the reliability and durability that readers of all those writers may ask for.
+
+        Without a writer it stays as it is.
+        """
+        found = list(offered)
+        if not found:
+            return self
+        reliable = all(one.reliability is Reliability.RELIABLE for one in found)
+        late = all(one.durability is Durability.TRANSIENT_LOCAL for one in found)
+        return replace(
+            self,
+            reliability=Reliability.RELIABLE if reliable else Reliability.BEST_EFFORT,
+            durability=Durability.TRANSIENT_LOCAL if late else Durability.VOLATILE,
+        )
+
     def unmet(self, offered: "Qos") -> str | None:
         """Return why a reader that wants this is not served by a writer that offers `offered`, or None.
 
@@ -75,6 +91,10 @@ class Qos:
 DEFAULT = Qos()
 SENSOR_DATA = Qos(reliability=Reliability.BEST_EFFORT, depth=5)
 SERVICES = Qos(depth=10)
+MAX_REQUESTS_UNDER_WAY = 8
+"""Requests to one service that are sent and not answered. A ROS server keeps the last ten that it has not
+taken, and drops the oldest silently.
+"""
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 PROFILES: Mapping[str, Qos] = MappingProxyType(

@@ -25,6 +25,7 @@ from ros_fiware_bridge.mapping.part import (
     ServiceType,
     TemplateText,
     TopicName,
+    TopicPattern,
     short_form,
 )
 from ros_fiware_bridge.mapping.paths import Path
@@ -45,9 +46,12 @@ RuleName = Annotated[str, BeforeValidator(_rule_name)]
 
 
 class Qos(Part):
-    """A quality of service: a named one (`preset`), or one changed in what else is said."""
+    """A quality of service: a named one (`preset`), or one changed in what else is said.
 
-    preset: QosWord = "default"
+    `match` takes reliability and durability from the publishers of the topic, unless one of them is given.
+    """
+
+    preset: QosWord = "match"
     reliability: Literal["reliable", "best_effort"] | None = None
     durability: Literal["volatile", "transient_local"] | None = None
     history: Literal["keep_last", "keep_all"] | None = None
@@ -149,9 +153,12 @@ class AlertFromRos(Part):
 
 
 class RosToNgsild(Part):
-    """What is said on a topic becomes attributes of an entity (or an Alert)."""
+    """What is said on a topic becomes attributes of an entity (or an Alert).
 
-    topic: TopicName
+    With places, `/{robot}/odom`, the rule is for every topic that fits, and `{robot}` may stand in `entity`.
+    """
+
+    topic: TopicPattern
     type: MessageType | None = None
     """The type; may be left out where somebody publishes the topic already."""
     qos: QosGiven = Qos()

@@ -20,6 +20,30 @@ def topic(text: str) -> str:
     return text if text.startswith("/") else f"/{text}"
 
 
+_PLACE = re.compile(r"\{([a-z][a-z0-9_]*)\}")
+
+
+def topic_pattern(text: str) -> str:
+    """Return the full name of a topic that may have places, such as `/{robot}/odom`. Raises ValueError."""
+    topic(_PLACE.sub("x", text))
+    if len(set(_PLACE.findall(text))) < len(_PLACE.findall(text)):
+        raise ValueError(f'"{text}" has one place twice; give each its own name')
+    return text if text.startswith("/") else f"/{text}"
+
+
+def places(text: str) -> tuple[str, ...]:
+    """Return the names of the places in a topic pattern."""
+    return tuple(_PLACE.findall(text))
+
+
+def matcher(text: str) -> re.Pattern[str]:
+    """Return what matches the topics that fit a topic pattern, with a group for each place."""
+    parts = _PLACE.split(text)
+    return re.compile(
+        "".join(f"(?P<{part}>[A-Za-z0-9_]+)" if n % 2 else re.escape(part) for n, part in enumerate(parts))
+    )
+
+
 def type_name(text: str, room: Room) -> str:
     """Return the full name of a type: `std_msgs/String` is `std_msgs/msg/String`. Raises ValueError."""
     found = _TYPE.fullmatch(text)

@@ -73,12 +73,13 @@ def _type_in(room: names.Room) -> AfterValidator:
 PathText = Annotated[Path, BeforeValidator(_path)]
 TemplateText = Annotated[Template, BeforeValidator(_template)]
 TopicName = Annotated[str, AfterValidator(names.topic)]
+TopicPattern = Annotated[str, AfterValidator(names.topic_pattern)]
 MessageType = Annotated[str, _type_in("msg")]
 ServiceType = Annotated[str, _type_in("srv")]
 ActionType = Annotated[str, _type_in("action")]
 Plain = bool | int | float | str
 
-QosWord = Literal["default", "sensor_data", "services", "latched"]
+QosWord = Literal["match", "default", "sensor_data", "services", "latched"]
 
 
 def short_form(key: str) -> BeforeValidator:

@@ -25,6 +25,8 @@ class Letter:
     keep: int = 1
     create: bool = True
     put_at_s: float = 0.0
+    shown: Mapping[str, Any] | None = None
+    """The values by attribute, where the rule counts what the broker has taken."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,9 @@
 Every mistake is told with its file and line; what comes out is ready to run.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 
 from handover.errors import UsageError
@@ -40,12 +41,30 @@ TASK_ANSWERS = ("id", "accepted", "completed", "status", "reason", "outputs")
 
 @dataclass(frozen=True)
 class PlannedOutward:
-    """A rule from ROS to NGSI-LD; `outward` is None while nobody has told the topic's type."""
+    """A rule from ROS to NGSI-LD; `outward` is None while nobody has told the topic's type.
+
+    With `match` reliability and durability are those of the publishers, and of `qos` while there is none.
+    """
 
     name: str
     rule: RosToNgsild
     qos: Qos
     outward: Outward | None
+    match: bool = False
+    pattern: re.Pattern[str] | None = None
+    """Matches the topics of the rule, where its topic has places such as `{robot}`."""
+
+    def at(self, plan: "Plan", topic: str, places: Mapping[str, str]) -> "PlannedOutward":
+        """Return the rule for one of the topics that fit its pattern."""
+        assert self.outward is not None  # noqa: S101 - a pattern has a type
+        rule = self.rule.model_copy(update={"topic": topic})
+        settings = {**plan.settings, **places}
+        made = Outward(rule, self.outward.type_name, plan.definitions, settings, lambda *_: None)
+        return replace(self, rule=rule, outward=made, pattern=None)
+
+    def reader_qos(self, publishers: Iterable[Qos]) -> Qos:
+        """Return the quality of service to read with, given what the publishers offer."""
+        return self.qos.matching(publishers) if self.match else self.qos
 
 
 @dataclass(frozen=True)
@@ -144,7 +163,7 @@ def outward(plan: Plan, rule: RosToNgsild, type_name: str, say: Say) -> Outward:
 
 def qos_of(given: model.Qos) -> Qos:
     """Return the quality of service that a rule asks for."""
-    preset = Qos.named(given.preset)
+    preset = Qos.named("default" if given.preset == "match" else given.preset)
     return Qos(
         Reliability(given.reliability) if given.reliability else preset.reliability,
         Durability(given.durability) if given.durability else preset.durability,
@@ -179,13 +198,22 @@ class _Maker:
 
     def _outward(self, name: str, rule: RosToNgsild) -> PlannedOutward:
         type_name = rule.type
+        places = names.places(rule.topic)
+        if places and type_name is None:
+            raise WrongRule(f"the topic {rule.topic} has places, so say which type it has (type: …)")
         if type_name is None:
             told = self._types_of(rule.topic)
             if len(told) > 1:
                 raise WrongRule(f"{rule.topic} has the types {' and '.join(told)}; say which (type: …)")
             type_name = told[0] if told else None
-        made = outward(self.plan, rule, type_name, self._say("ros_to_ngsild", name)) if type_name else None
-        return PlannedOutward(name, rule, qos_of(rule.qos), made)
+        sample = replace(self.plan, settings={**self.plan.settings, **dict.fromkeys(places, "x")})
+        made = outward(sample, rule, type_name, self._say("ros_to_ngsild", name)) if type_name else None
+        qos = qos_of(rule.qos)
+        if rule.qos.depth is None:  # what the rule keeps, a reader that keeps less would lose before
+            qos = replace(qos, depth=max(qos.depth, rule.buffer.keep))
+        match = rule.qos.preset == "match" and not (rule.qos.reliability or rule.qos.durability)
+        pattern = names.matcher(rule.topic) if places else None
+        return PlannedOutward(name, rule, qos, made, match, pattern)
 
     def _inward(self, name: str, rule: NgsildToRos) -> PlannedInward:
         say = self._say("ngsild_to_ros", name)

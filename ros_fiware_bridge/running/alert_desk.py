@@ -4,7 +4,8 @@ import asyncio
 from collections import OrderedDict
 from dataclasses import dataclass
 
-from handover.alerts import alert_id, clear_alert, raise_alert
+from datamodels.states import Severity
+from handover.alerts import PRIORITIES, alert_id, clear_alert, raise_alert
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.rounds import LAST_RETRY_S
 from handover.settings import Settings
@@ -75,7 +76,11 @@ class AlertDesk:
             severity=news.severity,
             description=news.description,
         )
-        written = {"severity": news.severity, "description": news.description}
+        written = {
+            "severity": news.severity,
+            "priority": PRIORITIES[Severity(news.severity)].value,
+            "description": news.description,
+        }
         await self._broker.append(
             alert_id(self._settings, key),
             {name: {"type": "Property", "value": value} for name, value in written.items()},

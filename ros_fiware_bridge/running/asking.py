@@ -10,6 +10,7 @@ from typing import Any
 from handover.broker import BrokerClient
 from handover.errors import HandoverError
 from handover.job import Job, TaskCancelled, TaskFailed, Wants
+from handover.messages import message, text_of
 from handover.performer import Performer
 from handover.settings import Settings
 from handover.telemetry import get_logger
@@ -82,6 +83,10 @@ class Asking:
             except asyncio.CancelledError:
                 with suppress(HandoverError, TimeoutError):  # the bridge ends; so does what it began
                     await goal.cancel(1.0)
+                raise
+            except HandoverError:  # the Task fails, so the robot must not go on with it
+                with suppress(HandoverError, TimeoutError):
+                    await goal.cancel(CANCEL_WITHIN_S)
                 raise
             finally:
                 if steering is not None:
@@ -160,14 +165,30 @@ class TaskAsking(Performer):
         if asking is None:
             known = ", ".join(task for resource, task in self._askings if resource == job.resource)
             raise TaskFailed(
-                f'no rule of the ROS bridge does "{operation}" for {job.resource}; they do {known}'
+                message(
+                    "ros.no_rule_for_operation",
+                    'no rule of the ROS bridge does "{operation}" for {resource}; they do {known}',
+                    operation=operation,
+                    resource=job.resource,
+                    known=known,
+                )
             )
         if not asking.tally.enabled:
-            raise TaskFailed(f'the rule "{asking.tally.name}" of the ROS bridge is switched off')
+            raise TaskFailed(
+                message(
+                    "ros.rule_disabled",
+                    'the rule "{rule}" of the ROS bridge is switched off',
+                    rule=asking.tally.name,
+                )
+            )
         rule = asking.planned.rule
         if job.resumed and isinstance(rule, ActionGoal) and not rule.again:
             raise TaskFailed(
-                f"the ROS bridge was ended while {rule.action} worked on this; such a goal is not sent again"
+                message(
+                    "ros.goal_interrupted",
+                    "the ROS bridge was ended while {action} worked on this; such a goal is not sent again",
+                    action=rule.action,
+                )
             )
         loop = asyncio.get_running_loop()
         chores: set[asyncio.Task[None]] = set()
@@ -183,11 +204,11 @@ class TaskAsking(Performer):
         try:
             return await asking.ask(scope, on_feedback, job)
         except NoSuccess as no:
-            raise TaskFailed(str(no), **no.outputs) from no
+            raise TaskFailed(text_of(no), **no.outputs) from no
         except TaskCancelled:
             raise
         except HandoverError as error:
-            raise TaskFailed(str(error)) from error
+            raise TaskFailed(text_of(error)) from error
 
 
 def _fraction(told: Any) -> float:
@@ -195,15 +216,21 @@ def _fraction(told: Any) -> float:
 
 
 class ChangeAsking:
-    """Asks the graph whenever an attribute changes: one after another, the oldest giving way to many."""
+    """Asks the graph whenever an attribute changes: one after another, the oldest giving way to many.
 
-    def __init__(self, asking: Asking, put: Callable[[Letter], None]) -> None:
+    `failing` is called with why a call failed, and with None once one has succeeded.
+    """
+
+    def __init__(
+        self, asking: Asking, put: Callable[[Letter], None], failing: Callable[[str | None], None]
+    ) -> None:
         change = asking.planned.rule.when
         assert change is not None  # noqa: S101 - a rule of changes
         assert asking.planned.selector is not None  # noqa: S101
         self.asking = asking
         self._change: Change = change
         self._put = put
+        self._failing = failing
         self._waiting: deque[Scope] = deque()
         self._something = asyncio.Event()
         self.listener = Listener(
@@ -226,9 +253,13 @@ class ChangeAsking:
                 outputs = await self.asking.ask(scope, lambda told, scope=scope: self._write(scope, told))  # type: ignore[misc]  # mypy does not see the default
             except NoSuccess as no:
                 outputs = dict(no.outputs)
+                self._failing(f"{scope.values['entityId']}: {no}")
             except (HandoverError, TaskCancelled) as error:
-                log.info("nothing came of a change", rule=self.asking.tally.name, why=str(error))
+                log.info("call for a changed attribute failed", rule=self.asking.tally.name, why=str(error))
+                self._failing(f"{scope.values['entityId']}: {error}")
                 continue
+            else:
+                self._failing(None)
             self._write(scope, outputs)
 
     def _take(self, _: Mapping[str, Any], scope: Scope) -> None:
@@ -237,7 +268,7 @@ class ChangeAsking:
             return
         if len(self._waiting) >= MOST_WAITING:
             self._waiting.popleft()
-            self.asking.tally.drop(1)
+            self.asking.tally.lose("queue_full")
         self._waiting.append(scope)
         self._something.set()
 

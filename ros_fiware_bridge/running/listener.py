@@ -10,7 +10,12 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
+from fastapi import Request
+
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.errors import Problem
+from handover.messages import message
+from handover.notifications import NotificationReceiver, ids_of
 from handover.rounds import Rounds
 from handover.settings import Settings
 from handover.telemetry import get_logger
@@ -51,7 +56,7 @@ class Listener:
         self._at_start = at_start
         self._began = False
 
-    def subscription(self, subscription_id: str, notify_url: str) -> dict[str, Any]:
+    def subscription(self, subscription_id: str, endpoint: Mapping[str, Any]) -> dict[str, Any]:
         """Return its subscription as the broker takes it."""
         chosen = self.selector
         entity = {"type": chosen.type, "id": chosen.id, "idPattern": chosen.id_pattern}
@@ -64,7 +69,7 @@ class Listener:
             **({"q": chosen.q} if chosen.q else {}),
             "notification": {
                 "format": "normalized",
-                "endpoint": {"uri": f"{notify_url}/{self.name}", "accept": "application/json"},
+                "endpoint": endpoint,
             },
         }
 
@@ -82,6 +87,15 @@ class Listener:
         first, self._began = not self._began, True
         for entity in entities:
             self.take(entity, only_notice=first and not self._at_start)
+
+    async def read(self, notified: Iterable[Mapping[str, Any]], receiver: NotificationReceiver) -> None:
+        """Read from the broker what a notification is about, and pass on what is news. Raises `BrokerError`.
+
+        What is passed on may move a robot, so the content of the notification is not used.
+        """
+        ids = ids_of([entity for entity in notified if self._is_chosen(entity)])
+        for entity in await receiver.read(self.selector.type, ids, q=self.selector.q):
+            self.take(entity)
 
     def take(self, entity: Mapping[str, Any], *, only_notice: bool = False) -> None:
         """Take notice of an entity; what is news is passed on unless it is `only_notice`d."""
@@ -106,12 +120,18 @@ class Listeners:
     """All listeners of a bridge, with their subscriptions."""
 
     def __init__(
-        self, settings: Settings, broker: BrokerClient, notify_url: str, prefix: str = "ros-bridge-rule-"
+        self,
+        settings: Settings,
+        broker: BrokerClient,
+        receiver: NotificationReceiver,
+        notify_url: str,
+        prefix: str = "ros-bridge-rule-",
     ) -> None:
         self.watched: frozenset[str] = frozenset()
         self.subscribed = False
         self._settings = settings
         self._broker = broker
+        self._receiver = receiver
         self._notify_url = notify_url
         self._prefix = prefix
         self._listeners: dict[str, Listener] = {}
@@ -135,6 +155,25 @@ class Listeners:
         """Take notice that a value of the graph is being written."""
         for listener in self._listeners.values():
             listener.latest.wrote(entity_id, attribute)
+
+    async def take_notification(self, rule: str, request: Request) -> None:
+        """Have the rule `rule` act on what the broker says of the entities that a notification names.
+
+        Raises `Problem` if there is no such rule, or if the notification is refused.
+        """
+        notified = await self._receiver.receive(request)
+        listener = self._listeners.get(rule)
+        if listener is None:
+            raise Problem(
+                404,
+                "No such rule",
+                message("ros.no_such_listening_rule", 'no rule "{rule}" listens to the broker', rule=rule),
+            )
+        try:
+            await listener.read(notified, self._receiver)
+        except BrokerError as error:
+            log.warning("cannot read entities that have changed", rule=rule, error=str(error))
+            self._rounds.wish()
 
     async def keep(self) -> None:
         """Go rounds until cancelled: subscriptions are what they should be, and nothing has been missed."""
@@ -176,9 +215,8 @@ class Listeners:
         """Make the subscription if it lacks, and ask for what it may have missed."""
         try:
             if subscription_id not in there or not self.subscribed:
-                await self._broker.ensure_subscription(
-                    listener.subscription(subscription_id, self._notify_url)
-                )
+                endpoint = self._receiver.endpoint(f"{self._notify_url}/{listener.name}")
+                await self._broker.ensure_subscription(listener.subscription(subscription_id, endpoint))
             await listener.ask(self._broker)
         except BrokerUnavailable:
             raise

@@ -20,22 +20,27 @@ log = get_logger(__name__)
 MOST_BATCHES_UNDER_WAY = 4
 GRACE_S = 1.0
 
+Taken = Callable[[Letter], None]
 Refused = Callable[[Letter, str], None]
-Dropped = Callable[[str, int], None]
+Dropped = Callable[[str, int, str], None]
+"""Called with the rule, the number and the cause, `broker_away` or `broker_slow`."""
 
 
 class Mailroom:
     """Sends what is put into it; an asynchronous context manager while it works.
 
-    `refused` is told of letters that the broker does not take, `dropped` of how many gave way to newer ones.
+    `taken` is called with letters that the broker has, `refused` with those that it does not take, `dropped`
+    with how many gave way to newer ones.
     """
 
-    def __init__(self, broker: BrokerClient, batch_s: float, *, refused: Refused, dropped: Dropped) -> None:
+    def __init__(
+        self, broker: BrokerClient, batch_s: float, *, taken: Taken, refused: Refused, dropped: Dropped
+    ) -> None:
         self.outbox = Outbox()
         self.away_since_s: float | None = None
-        self.lost_while_away = 0
         self._broker = broker
         self._batch_s = batch_s
+        self._taken = taken
         self._refused = refused
         self._dropped = dropped
         self._something = asyncio.Event()
@@ -59,6 +64,8 @@ class Mailroom:
         for chore in chores:
             chore.cancel()
         await asyncio.gather(*chores, return_exceptions=True)
+        if left := len(self.outbox):
+            log.warning("updates lost since the bridge ends and the broker has not taken them", updates=left)
 
     def put(self, letter: Letter) -> None:
         """Take a letter; it goes soon, or gives way to a newer one."""
@@ -110,6 +117,8 @@ class Mailroom:
             self._count_lost(parcels)
             raise
         else:
+            for parcel in parcels:
+                self._count_taken(parcel)
             self.outbox.arrived(parcels)
             self._is_back()
 
@@ -125,6 +134,8 @@ class Mailroom:
                     except BrokerError as error:
                         for letter in version.letters:
                             self._refused(letter, str(error))
+                    else:
+                        self._count_taken(version)
             except BrokerUnavailable as error:
                 await self._wait_for_broker(parcels[place:], error)
                 return
@@ -133,6 +144,11 @@ class Mailroom:
                 raise
             self.outbox.arrived([parcel])
             self._is_back()
+
+    def _count_taken(self, parcel: Parcel) -> None:
+        for version in parcel.versions:
+            for letter in version:
+                self._taken(letter)
 
     async def _write(self, parcels: Sequence[Parcel]) -> None:
         if parcels[0].create:
@@ -159,9 +175,7 @@ class Mailroom:
 
     def _lost(self, rule: str, number: int) -> None:
         if number:
-            if self.away_since_s is not None:
-                self.lost_while_away += number
-            self._dropped(rule, number)
+            self._dropped(rule, number, "broker_slow" if self.away_since_s is None else "broker_away")
 
     def _is_back(self) -> None:
         if self.away_since_s is not None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import orjson
 
 from handover.errors import Problem, UsageError
+from handover.messages import message
 
 
 class Memory:
@@ -41,7 +42,14 @@ class Memory:
             _sync_folder(self._path.parent)
         except OSError as error:
             raise Problem(
-                507, "Not kept", f"{self._path} cannot be written: {error.strerror}; make room for it"
+                507,
+                "Not kept",
+                message(
+                    "ros.not_kept",
+                    "{path} cannot be written: {error}; make room for it",
+                    path=str(self._path),
+                    error=error.strerror,
+                ),
             ) from error
 
 

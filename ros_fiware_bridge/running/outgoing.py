@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.port import Received, RosGraph, Subscription
+from ros_fiware_bridge.graph.qos import Qos
 from ros_fiware_bridge.rules import origin
 from ros_fiware_bridge.rules.outbox import Letter
 from ros_fiware_bridge.rules.outward import AlertNews, Outward, Update
@@ -58,14 +59,36 @@ class Outgoing:
         self._timers: dict[str, asyncio.TimerHandle] = {}
         self._seen: set[str] = set()
         self._pace = self._new_pace()
+        self._overtaken = 0
+        self._unread = 0
 
     async def start(self) -> None:
         """Listen to the topic; does nothing while nobody has told its type. Raises `GraphError`."""
         if self.subscription is None and self.outward is not None:
-            rule = self.planned
-            self.subscription = await self._graph.subscribe(
-                rule.rule.topic, self.outward.type_name, self._heard, rule.qos
-            )
+            await self._subscribe(self._reader_qos())
+
+    async def match(self) -> None:
+        """Subscribe again where the publishers offer another quality of service than before."""
+        if self.subscription is not None and (qos := self._reader_qos()) != self.subscription.qos:
+            await self._unsubscribe()
+            await self._subscribe(qos)
+
+    def _reader_qos(self) -> Qos:
+        topic = self.planned.rule.topic
+        found = next((one for one in self._graph.topics() if one.name == topic), None)
+        return self.planned.reader_qos(one.qos for one in (found.publishers if found else ()) if not one.ours)
+
+    async def _subscribe(self, qos: Qos) -> None:
+        assert self.outward is not None  # noqa: S101 - nobody subscribes before the type is known
+        topic = self.planned.rule.topic
+        self.subscription = await self._graph.subscribe(topic, self.outward.type_name, self._heard, qos)
+
+    async def _unsubscribe(self) -> None:
+        self.count_losses()
+        self._overtaken = self._unread = 0
+        if self.subscription is not None:
+            subscription, self.subscription = self.subscription, None
+            await subscription.close()
 
     async def stop(self) -> None:
         """Stop listening; what is held is let go."""
@@ -74,9 +97,32 @@ class Outgoing:
         self._timers.clear()
         self._held.clear()
         self._pace = self._new_pace()
-        if self.subscription is not None:
-            subscription, self.subscription = self.subscription, None
-            await subscription.close()
+        await self._unsubscribe()
+
+    @property
+    def keeps_versions(self) -> bool:
+        """Whether the rule wants every message written, not only the newest."""
+        rule = self.planned.rule
+        return rule.buffer.keep > 1 and rule.every_ms == 0
+
+    def count_losses(self) -> None:
+        """Count what the subscription has lost since the last time."""
+        if self.subscription is None:
+            self._overtaken = self._unread = 0
+            return
+        overtaken, unread = self.subscription.dropped, self.subscription.refused
+        if self.keeps_versions:
+            self.tally.lose("reader_overflow", overtaken - self._overtaken)
+        else:
+            self.tally.conflate(overtaken - self._overtaken)
+        if unread > self._unread:
+            self.tally.fault(self.subscription.last_error or "a message could not be read", self._clock())
+            self.tally.lose("unreadable", unread - self._unread)
+        self._overtaken, self._unread = overtaken, unread
+
+    def taken(self, letter: Letter) -> None:
+        """Count a letter that the broker has taken."""
+        self.tally.tell(self._clock(), {"entity": letter.entity_id, **(letter.shown or {})})
 
     def refused(self, letter: Letter) -> None:
         """Take notice that the broker did not take a letter: what it said is not known there."""
@@ -136,9 +182,9 @@ class Outgoing:
                     rule.buffer.keep,
                     rule.create,
                     now_s,
+                    update.values,
                 )
             )
-            self.tally.tell(now_s, {"entity": update.entity_id, **update.values})
 
     def _is_known(self, entity_id: str, now_s: float) -> bool:
         if entity_id in self._seen:

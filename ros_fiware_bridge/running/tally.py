@@ -10,7 +10,7 @@ import orjson
 
 from datamodels.times import iso
 from handover.telemetry import get_logger
-from ros_fiware_bridge.metrics import DROPPED, FAULTS, HEARD, TOLD
+from ros_fiware_bridge.metrics import CONFLATED, DROPPED, FAULTS, HEARD, TOLD
 
 log = get_logger(__name__)
 
@@ -47,7 +47,9 @@ class Tally:
     enabled: bool = True
     heard: int = 0
     told: int = 0
-    dropped: int = 0
+    conflated: int = 0
+    losses: dict[str, int] = field(default_factory=dict)
+    """How many messages were lost, by cause (see `losses.py`)."""
     faults: int = 0
     last_value: Any = None
     last_fault: str | None = None
@@ -58,7 +60,7 @@ class Tally:
     _counters: tuple[Any, Any, Any, Any] = field(init=False)
 
     def __post_init__(self) -> None:
-        self._counters = tuple(metric.labels(self.name) for metric in (HEARD, TOLD, DROPPED, FAULTS))  # type: ignore[assignment]  # four of them
+        self._counters = tuple(metric.labels(self.name) for metric in (HEARD, TOLD, CONFLATED, FAULTS))  # type: ignore[assignment]  # four of them
 
     def hear(self, now_s: float) -> None:
         """Count something that came."""
@@ -67,16 +69,27 @@ class Tally:
         self._counters[0].inc()
 
     def tell(self, now_s: float, value: Any) -> None:
-        """Count something that was passed on; `value` is shown as the last."""
+        """Count something that the other side has taken; `value` is shown as the last."""
         self.told += 1
         self.telling.count(now_s)
         self.last_value = value
         self._counters[1].inc()
 
-    def drop(self, number: int) -> None:
-        """Count what had to give way."""
+    @property
+    def dropped(self) -> int:
+        """How many messages were lost."""
+        return sum(self.losses.values())
+
+    def lose(self, cause: str, number: int = 1) -> None:
+        """Count messages that were lost."""
         if number:
-            self.dropped += number
+            self.losses[cause] = self.losses.get(cause, 0) + number
+            DROPPED.labels(self.name, cause).inc(number)
+
+    def conflate(self, number: int) -> None:
+        """Count messages that gave way to newer ones on purpose."""
+        if number:
+            self.conflated += number
             self._counters[2].inc(number)
 
     def fault(self, why: str, now_s: float) -> None:
@@ -101,6 +114,8 @@ class Tally:
             "told": self.told,
             "toldPerS": round(self.telling.per_s(now_s), 2),
             "dropped": self.dropped,
+            "losses": dict(self.losses),
+            "conflated": self.conflated,
             "faults": self.faults,
             "lastValue": _shown(self.last_value),
             "lastError": self.last_fault,

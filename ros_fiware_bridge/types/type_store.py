@@ -92,7 +92,10 @@ class TypeStore:
         if not self._has(full):
             near = difflib.get_close_matches(full, self.type_names(), n=1, cutoff=0.8)
             hint = f"did you mean {near[0]}? Otherwise name" if near else "name"
-            raise UnknownType(f"there is no type {full}; {hint} its .{kind} file or folder in type_paths")
+            learn = " (handover bridge definitions TOPIC writes it)" if kind == "msg" else ""
+            raise UnknownType(
+                f"there is no type {full}; {hint} its .{kind} file or folder in type_paths{learn}"
+            )
         return full
 
     def _has(self, full: str) -> bool:

@@ -4,13 +4,16 @@ import asyncio
 import time
 from collections.abc import Coroutine, Mapping
 from functools import partial
-from typing import Final
+from pathlib import Path
+from shutil import disk_usage
+from typing import TYPE_CHECKING, Final
 
 import orjson
 from prometheus_client import Gauge
 from starlette.types import Receive
 
 from handover.errors import Problem
+from handover.storage import require_storage
 from handover.telemetry import get_logger
 from services.context_broker.api.exchange import (
     Answer,
@@ -36,6 +39,7 @@ from services.context_broker.entities.batch_operations import BatchOperations
 from services.context_broker.entities.discovery_operations import DiscoveryOperations
 from services.context_broker.entities.entity_operations import EntityOperations
 from services.context_broker.garbage import look_rarely
+from services.context_broker.network.http_sender import HttpAsker
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots.entity_map_operations import EntityMapOperations, wants_map
 from services.context_broker.snapshots.making import HEADER as SNAPSHOT
@@ -50,14 +54,15 @@ from services.context_broker.storage.leadership import ElectedBroker, Leadership
 from services.context_broker.storage.postgres import PostgresDatabase
 from services.context_broker.storage.replica import TRIMMING, Overtaken, Replica
 from services.context_broker.storage.tenants import Tenants
-from services.context_broker.subscriptions.destinations import Destinations
-from services.context_broker.subscriptions.http_sender import HttpAsker
 from services.context_broker.subscriptions.notifier import REQUEST_HEADERS
 from services.context_broker.subscriptions.operations import SubscriptionOperations
 from services.context_broker.subscriptions.subscription import Counts
 from services.context_broker.temporal.operations import TemporalOperations
 from services.context_broker.temporal.provision import TemporalProvision
 from services.context_broker.temporal.retention import Retention
+
+if TYPE_CHECKING:
+    from handover.service import Check
 
 log = get_logger(__name__)
 
@@ -76,12 +81,11 @@ class Broker:
         self.journal = journal
         self.leadership = leadership
         self.tenants = Tenants(journal, settings, leadership, replica)
-        # A page of ours on this machine may well be what publishes a context: loopback is open to fetching.
-        open_addresses = Destinations(settings.broker_notify_link_local)
+        policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
         self.contexts = ContextBook(
             self._keep_documents,
             lambda documents: self.tenants.commits.store_later(Entries(documents=dict(documents))),
-            Fetcher(settings.broker_context_timeout_s, open_addresses),
+            Fetcher(settings.broker_context_timeout_s, policy, ca_file),
             OwnAddress(settings.broker_public_url, settings.url_of(settings.broker_port)),
             settings.broker_default_context,
         )
@@ -93,7 +97,7 @@ class Broker:
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
         self.entity_maps = EntityMapOperations(self._by_name)
         self.snapshots = SnapshotOperations(self.tenants, self._answered, self._by_name)
-        asker = HttpAsker(settings.destinations(), settings.broker_notification_ca_file)
+        asker = HttpAsker(policy, ca_file)
         forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
         self.relays = SubscriptionRelays(self.tenants, self.contexts, forwarder, settings.broker_public_url)
         self.distribution = Distribution(forwarder, self._handlings)
@@ -356,7 +360,8 @@ def create_broker(settings: BrokerSettings) -> "BrokerApplication":
     """Return the broker as an ASGI application; raise `UsageError` when its file cannot be used."""
     database: Database
     leadership: Leadership
-    url = settings.broker_database_url
+    given = settings.broker_database_url
+    url = settings.with_password(given) if given else given
     if not url:
         database, leadership = SqliteDatabase(settings.data_dir / "broker.db"), SoleBroker()
     else:
@@ -365,4 +370,17 @@ def create_broker(settings: BrokerSettings) -> "BrokerApplication":
     journal = Journal(database)
     journal.open()
     broker = Broker(settings, journal, leadership, Replica(journal) if url else None)
-    return BrokerApplication(broker, {"database": leadership.check})
+    checks: dict[str, Check] = {"database": leadership.check}
+    if not url:
+        checks["storage"] = partial(_require_storage, journal, settings.data_dir)
+    return BrokerApplication(broker, checks)
+
+
+async def _require_storage(journal: Journal, directory: Path) -> None:
+    """Raise an error with the reason while the disk refuses what is committed, or soon may."""
+    try:
+        journal.require_room()
+    except NotStored as error:
+        free = disk_usage(directory).free
+        raise NotStored(f"{directory} ({free} bytes free) does not take changes: {error}") from error
+    require_storage(directory)

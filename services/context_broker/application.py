@@ -52,6 +52,7 @@ class BrokerApplication:
         try:
             await self._broker.start()
         except BaseException as error:
+            await asyncio.to_thread(self._broker.journal.close)
             await send({"type": "lifespan.startup.failed", "message": str(error)})
             raise
         await send({"type": "lifespan.startup.complete"})

@@ -3,7 +3,7 @@
 from pydantic import Field, FilePath, field_validator
 
 from handover.settings import Settings
-from services.context_broker.subscriptions.destinations import Destinations, is_loopback
+from services.context_broker.network.outbound_policy import OutboundPolicy
 
 
 class BrokerSettings(Settings):
@@ -31,13 +31,11 @@ class BrokerSettings(Settings):
     broker_notification_ca_file: FilePath | None = Field(
         None, description="authorities (PEM) that vouch for subscribers, besides those the system knows"
     )
-    broker_notify_link_local: bool = Field(
-        False, description="whether subscribers may have link-local addresses (169.254.0.0/16, fe80::/10)"
-    )
-    broker_notify_loopback: bool | None = Field(
-        None,
-        description="whether subscribers may be on the broker's own machine; "
-        "if absent, they may while the broker listens on loopback only",
+    broker_outbound_allow: str = Field(
+        "",
+        description="hosts, addresses and networks, comma-separated (task-orchestrator, 10.0.0.0/8), to "
+        "which the broker may connect besides public ones: for notifications, context sources and @contexts. "
+        "While it listens on loopback only, its own machine and private networks are open without it",
     )
     broker_source_timeout_s: float = Field(
         5.0,
@@ -71,12 +69,15 @@ class BrokerSettings(Settings):
     def _is_root(cls, url: str | None) -> str | None:
         return None if url is None else url.rstrip("/").removesuffix("/ngsi-ld/v1")
 
-    def destinations(self) -> Destinations:
-        """Return where the broker may send to."""
-        loopback = self.broker_notify_loopback
-        return Destinations(
-            self.broker_notify_link_local, is_loopback(self.host) if loopback is None else loopback
-        )
+    @field_validator("broker_outbound_allow")
+    @classmethod
+    def _names_hosts_and_networks(cls, allowed: str) -> str:
+        OutboundPolicy.of("127.0.0.1", allowed)
+        return allowed
+
+    def outbound_policy(self) -> OutboundPolicy:
+        """Return which addresses the broker may connect to."""
+        return OutboundPolicy.of(self.host, self.broker_outbound_allow)
 
     broker_history: bool = Field(
         default=True, description="whether the broker records what changes, for the temporal API to tell"

@@ -8,21 +8,27 @@
       3: Thumbs up
     persons:                        # their own gestures for commands
       anna: {3: Horns}
+    answers:                        # without this section they are given on the screen only
+      notGood: Horns
+      problem: Little straight
     gloves:                         # without this section one, glove-1
       glove-1: {hand: right, person: anna, thresholds: {thumb: {upper: 1000, lower: 800}}}
 
 Each mistake gets one line that names the file, the line, the rule and the way out.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import yaml
 
+from datamodels.states import Outcome
 from services.gesture_controller.frames import is_glove_name
 from services.gesture_controller.gestures import (
     M2O2P_GESTURES,
+    RESTING,
+    Answers,
     Commands,
     Gestures,
     Shape,
@@ -36,6 +42,8 @@ from services.gesture_controller.thresholds import (
     Thresholds,
     WrongThreshold,
 )
+
+_SECTIONS = ("gestures", "commands", "persons", "answers", "gloves")
 
 
 class WrongConfiguration(WrongFile):
@@ -61,6 +69,23 @@ class Configuration:
     persons: Mapping[str, Commands]
     """The commands of each person who has gestures of their own."""
     gloves: tuple[GloveConfiguration, ...]
+    answers: Answers = field(default_factory=dict)
+    """The gestures that answer any Task with another outcome than `ok`."""
+
+    def restricted_answers(self) -> list[str]:
+        """Return, a sentence each, which answers some Tasks do not offer by gesture."""
+        found = []
+        for whose, commands in {"": self.commands, **self.persons}.items():
+            of_person = f" of {whose}" if whose else ""
+            for outcome, gesture in self.answers.items():
+                if (command := commands.ids.get(gesture)) is not None and (
+                    not whose or self.commands.ids.get(gesture) != command
+                ):
+                    found.append(
+                        f'"{gesture}" is the gesture of the answer {outcome} and of the command {command}'
+                        f"{of_person}: a Task that asks for it can be answered {outcome} on the screen only"
+                    )
+        return found
 
     def commands_of(self, person: str | None) -> Commands:
         """Return the commands as `person` shows them."""
@@ -102,15 +127,14 @@ class Reader(LinedYaml):
         """Return the configuration under `root`."""
         sections = {} if root is None else {entry.key: entry for entry in self.entries(root, "the file")}
         for entry in sections.values():
-            if entry.key not in {"gestures", "commands", "persons", "gloves"}:
-                raise self.wrong(
-                    entry.line,
-                    f'unknown section "{entry.key}"; the sections are gestures, commands, persons and gloves',
-                )
+            if entry.key not in _SECTIONS:
+                known = f"{', '.join(_SECTIONS[:-1])} and {_SECTIONS[-1]}"
+                raise self.wrong(entry.line, f'unknown section "{entry.key}"; the sections are {known}')
         gestures = self._gestures(sections.get("gestures"))
         commands = self._command_map(sections.get("commands"), gestures)
         persons = self._persons(sections.get("persons"), gestures, commands)
-        return Configuration(gestures, commands, persons, self._gloves(sections.get("gloves")))
+        answers = self._answers(sections.get("answers"), gestures)
+        return Configuration(gestures, commands, persons, self._gloves(sections.get("gloves")), answers)
 
     def _gestures(self, section: Entry | None) -> Gestures:
         if section is None:
@@ -176,6 +200,46 @@ class Reader(LinedYaml):
         given = self.gestures_by_command(self.entries(section.value, "commands"), gestures)
         self._refuse_two_meanings(given, section.line, "")
         return Commands(given)
+
+    def _answers(self, section: Entry | None, gestures: Gestures) -> dict[Outcome, str]:
+        if section is None:
+            return {}
+        answers: dict[Outcome, str] = {}
+        for entry in self.entries(section.value, "answers"):
+            if entry.key not in {Outcome.NOT_GOOD, Outcome.PROBLEM}:
+                raise self.wrong(
+                    entry.line,
+                    f'unknown answer "{entry.key}"; a gesture can stand for notGood and for problem; ok is '
+                    "answered with the gesture that the Task asks for",
+                )
+            answers[Outcome(entry.key)] = self._answer(entry, gestures, answers.values())
+        return answers
+
+    def _answer(self, entry: Entry, gestures: Gestures, taken: Collection[str]) -> str:
+        name = self.text(entry.value, f"the gesture of the answer {entry.key}")
+        known = gestures.find(name)
+        if known is None:
+            raise self.wrong(
+                entry.line,
+                f'the answer {entry.key} has the unknown gesture "{name}"; {gestures.like(name)}',
+            )
+        if known in gestures.composed:
+            raise self.wrong(
+                entry.line,
+                f'the answer {entry.key} has the gesture "{known}", which takes two hands or two steps; '
+                "choose a gesture of one hand, so that it can be given at any moment",
+            )
+        if gestures.codes[known] in RESTING:
+            raise self.wrong(
+                entry.line,
+                f'the answer {entry.key} has the gesture "{known}", which is how a hand rests or carries; '
+                "choose another, or it would be answered by accident",
+            )
+        if known in taken:
+            raise self.wrong(
+                entry.line, f'"{known}" stands for both notGood and problem; choose two different gestures'
+            )
+        return known
 
     def _persons(
         self, section: Entry | None, gestures: Gestures, commands: Commands

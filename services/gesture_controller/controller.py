@@ -5,10 +5,12 @@ from collections.abc import Mapping
 from contextlib import AsyncExitStack
 from typing import Any, Self
 
+from datamodels.states import Outcome
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
+from handover.messages import message
 from handover.performer import Job, Performer, TaskFailed, Wants
 from handover.telemetry import get_logger
 from services.gesture_controller.calibration.keeping import KEEP_EVERY_S, Keeping
@@ -22,6 +24,7 @@ from services.gesture_controller.glove_store import GloveStore
 from services.gesture_controller.gloves import Gloves
 from services.gesture_controller.inquiry import (
     definition_of,
+    handles_outcomes,
     what_is_asked,
 )
 from services.gesture_controller.outbox import Outbox
@@ -98,8 +101,16 @@ class Controller(Performer):
         finally:
             glove.end()
             self.gloves.equip(glove)
-        log.info("task answered", glove=glove.name, gesture=answer.gesture, by=answer.by)
-        return answer.outputs()
+        log.info(
+            "task answered",
+            glove=glove.name,
+            gesture=answer.gesture,
+            by=answer.by,
+            outcome=answer.outcome.value,
+        )
+        if answer.outcome is Outcome.OK or await handles_outcomes(job.task, job.parameters, self.broker):
+            return answer.outputs()
+        raise answer.failure()
 
     async def _free_glove(self, job: Job) -> Glove:
         """Return the glove to ask with, once it is free; the Task is paused while its person wears none."""
@@ -180,6 +191,8 @@ class Controller(Performer):
                 definition,
                 self.people.gestures_of(glove.person),
                 glove.commands,
+                answers=self.configuration.answers,
+                compared=self.configuration.commands if self.gloves.condition_of(glove) else None,
                 lacking=state.detail if state.name == "away" else "",
             )
         except TaskFailed as failure:
@@ -216,7 +229,11 @@ class Controller(Performer):
                     category="process",
                     sub_category="specificationDatabaseAway",
                     severity="medium",
-                    description=f"{state.detail}. Only Tasks that say all themselves can be shown",
+                    description=message(
+                        "alert.specifications_away",
+                        "{detail}. Only Tasks that say all themselves can be shown",
+                        detail=state.detail,
+                    ),
                 ),
             )
         else:
@@ -231,10 +248,12 @@ class Controller(Performer):
     def went_silent(self, glove: Glove) -> None:
         """Raise an Alert: a Task waits for a glove that does not send."""
         log.warning("glove went silent in the middle of a task", glove=glove.name)
-        description = (
-            f"{glove.name} has sent nothing for {self._silence_s:g} s in the middle of a Task, which is "
-            "paused until it is back; check that it is switched on, charged and near, or complete the Task "
-            "on the screen"
+        description = message(
+            "alert.glove_silent",
+            "{glove} has sent nothing for {seconds} s in the middle of a Task, which is paused until it is "
+            "back; check that it is switched on, charged and near, or complete the Task on the screen",
+            glove=glove.name,
+            seconds=f"{self._silence_s:g}",
         )
         self._outbox.put(
             f"Alert {glove.name} silent",
@@ -261,9 +280,12 @@ class Controller(Performer):
     def fits_badly(self, glove: Glove, why: str) -> None:
         """Raise an Alert: the glove should be calibrated again."""
         log.warning("glove should be calibrated again", glove=glove.name, why=why)
-        description = (
-            f"{glove.name} should be calibrated again: {why}. Put it on as usual, make a fist and open the "
-            "hand on the page Calibrate; Tasks can be completed on the screen meanwhile"
+        description = message(
+            "alert.calibration_needed",
+            "{glove} should be calibrated again: {why}. Put it on as usual, make a fist and open the hand on "
+            "the page Calibrate; Tasks can be completed on the screen meanwhile",
+            glove=glove.name,
+            why=why,
         )
         self._outbox.put(
             f"Alert {glove.name} fit",
@@ -313,6 +335,10 @@ class Controller(Performer):
                 for glove in self.gloves:
                     glove.look_after(now_s, self._silence_s)
                     self._join_hands(glove)
+                for glove in self.gloves.absent(now_s):
+                    if self.stop_acting_for(self.settings.entity_id("Device", glove.name)):
+                        self.gloves.forget(glove)
+                        self._devices.forget(glove)
             looked_s = now_s
 
     async def _keep_drifts(self) -> None:

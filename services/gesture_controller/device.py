@@ -30,6 +30,10 @@ class Devices:
             self._told[glove.name] = now
             self._outbox.put(f"Device {glove.name}", lambda: self._broker.upsert([self._entity(glove)]))
 
+    def forget(self, glove: Glove) -> None:
+        """Forget what was last written of `glove`; its entity stays, as that of a glove that is away."""
+        self._told.pop(glove.name, None)
+
     def _entity(self, glove: Glove) -> dict[str, Any]:
         entity: dict[str, Any] = {
             "id": self.id_of(glove),

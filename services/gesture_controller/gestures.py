@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any, Literal
 
+from datamodels.states import Outcome
+from handover.messages import message
 from services.gesture_controller.finger_states import BENT, STRAIGHT
 from services.gesture_controller.thresholds import FINGERS
 
@@ -60,6 +62,10 @@ DEFAULT_COMMANDS: Mapping[int, str] = {
     20: "Thumb, index, middle and little straight",
     21: "Thumb, middle and little straight",
 }
+
+
+RESTING = {"00000": "the open hand", "22222": "the fist"}
+"""Shapes in which a hand rests or carries: they would be made without being meant."""
 
 
 class WrongGesture(ValueError):
@@ -147,7 +153,9 @@ class Gestures:
     def like(self, name: str) -> str:
         """Return what a person may have meant by `name`, as half a sentence."""
         close = get_close_matches(name, self._all(), n=1)
-        return f'did you mean "{close[0]}"' if close else f"the gestures are {', '.join(self._all())}"
+        if close:
+            return message("gesture.did_you_mean", 'did you mean "{gesture}"', gesture=close[0])
+        return message("gesture.known", "the gestures are {known}", known=", ".join(self._all()))
 
     def parts_of(self, name: str) -> tuple[Part, ...]:
         """Return what the gesture called `name` consists of: itself, or two parts (left hand first)."""
@@ -170,13 +178,25 @@ class Gestures:
         names = {code: name for name, code in codes.items()}
         for name, shape in shapes.items():
             if self.find(name) is not None:
-                raise WrongGesture(f'there is a gesture "{name}" already; call one of them otherwise')
+                raise WrongGesture(
+                    message(
+                        "gesture.name_taken",
+                        'there is a gesture "{name}" already; call one of them otherwise',
+                        name=name,
+                    )
+                )
             if shape.code is not None:
                 code = checked_code(name, shape.code)
                 if code in names:
                     raise WrongGesture(
-                        f'gesture "{name}" has the code {code}, which "{names[code]}" already has; '
-                        "give one of them another code"
+                        message(
+                            "gesture.code_taken",
+                            'gesture "{name}" has the code {code}, which "{other}" already has; give one of '
+                            "them another code",
+                            name=name,
+                            code=code,
+                            other=names[code],
+                        )
                     )
                 codes[name], names[code] = code, name
         for name, shape in shapes.items():
@@ -184,7 +204,14 @@ class Gestures:
                 made = _composed(name, shape, codes, names, composed)
                 twin = next((other for other, its in composed.items() if its == made), None)
                 if twin is not None:
-                    raise WrongGesture(f'gesture "{name}" is made like "{twin}"; change one of them')
+                    raise WrongGesture(
+                        message(
+                            "gesture.same_parts",
+                            'gesture "{name}" is made like "{twin}"; change one of them',
+                            name=name,
+                            twin=twin,
+                        )
+                    )
                 composed[name] = made
         return Gestures(codes, composed)
 
@@ -212,8 +239,15 @@ def checked_code(name: str, code: str) -> str:
     """Return `code`; raise `WrongGesture` if the gesture called `name` cannot have it."""
     if not is_code(code):
         raise WrongGesture(
-            f'gesture "{name}" has the code "{code}"; a code is five states, thumb first, '
-            f"each {STRAIGHT} (straight) or {BENT} (bent), such as 02222"
+            message(
+                "gesture.invalid_code",
+                'gesture "{name}" has the code "{code}"; a code is five states, thumb first, '
+                "each {straight} (straight) or {bent} (bent), such as 02222",
+                name=name,
+                code=code,
+                straight=STRAIGHT,
+                bent=BENT,
+            )
         )
     return code
 
@@ -248,13 +282,27 @@ def _composed(
                 if given in composed
                 else Gestures(codes).like(given)
             )
-            raise WrongGesture(f'gesture "{name}" has the unknown part "{given}"; {hint}')
+            raise WrongGesture(
+                message(
+                    "gesture.unknown_part",
+                    'gesture "{name}" has the unknown part "{given}"; {hint}',
+                    name=name,
+                    given=given,
+                    hint=hint,
+                )
+            )
         return known
 
     if shape.sequence is not None:
         return InTurn(*(part(given) for given in shape.sequence))
     if shape.left is None or shape.right is None:
-        raise WrongGesture(f'gesture "{name}" names one hand; give a part for left and one for right')
+        raise WrongGesture(
+            message(
+                "gesture.one_hand",
+                'gesture "{name}" names one hand; give a part for left and one for right',
+                name=name,
+            )
+        )
     return TwoHanded(part(shape.left), part(shape.right))
 
 
@@ -272,6 +320,24 @@ class Commands:
     def with_own(self, own: Mapping[int, str]) -> "Commands":
         """Return the commands of a person who shows some of them with gestures of their own."""
         return Commands({**self.gestures, **own})
+
+
+Answers = Mapping[Outcome, str]
+"""The gesture of an answer other than `ok`, where the site configures one."""
+
+
+def answer_parts(answers: Answers, gestures: Gestures, asked: Sequence[Part] = ()) -> dict[Outcome, Part]:
+    """Return the answers that a person can give by gesture to a Task that asks for the parts `asked`.
+
+    An answer whose gesture the Task asks for is left out, since the hand then says `ok`; so is one that this
+    person cannot make, since a gesture of their own has its name or its code.
+    """
+    asked_codes = {part.code for part in asked}
+    return {
+        outcome: Part(gesture, gestures.codes[gesture])
+        for outcome, gesture in answers.items()
+        if gesture in gestures.codes and gestures.codes[gesture] not in asked_codes
+    }
 
 
 def default_commands(gestures: Gestures) -> Commands:

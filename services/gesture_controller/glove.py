@@ -11,9 +11,11 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
+from datamodels.states import Outcome
 from handover.job import Wants
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
+from services.gesture_controller.admission import NotAdmitted
 from services.gesture_controller.calibration.drift import Drift
 from services.gesture_controller.composed import interplay
 from services.gesture_controller.errand import Answer, CannotComplete, Errand, completable
@@ -28,6 +30,8 @@ from services.gesture_controller.thresholds import Thresholds
 log = get_logger(__name__)
 
 ON_SCREEN = "paused on the screen"
+TAKEOVER_AFTER_S = 3.0
+"""A connection that has been silent for so long gives way to a new one of the same glove."""
 
 
 class Glove:
@@ -85,6 +89,8 @@ class Glove:
         self.recorders: set[Callable[[bytes], None]] = set()
         """Called with the raw line of every frame."""
         self.interplay = interplay.Interplay()
+        self.forgotten = asyncio.Event()
+        """Set when the glove is not known any more, and screens stop to follow it."""
         self._silent = f"{name} silent"
         self._listener = listener
         self.last_s = float("-inf")
@@ -103,9 +109,19 @@ class Glove:
         return self.link is not None and self._present
 
     def connect(self, link: Link, hello: Hello, now_s: float) -> None:
-        """Take `link` for the glove's connection; an older one is told so and ends: the newest wins."""
+        """Take `link` for the glove's connection; raise `NotAdmitted` while another one is in use.
+
+        One that has been silent for `TAKEOVER_AFTER_S` is ended: the network may have lost it.
+        """
         if self.link is not None and self.link is not link:
-            self.link.end(f"{self.name} has connected anew from elsewhere; only its newest connection counts")
+            if now_s - self.last_s < TAKEOVER_AFTER_S:
+                raise NotAdmitted(
+                    "in use",
+                    f"another connection of {self.name} is in use; end it, or connect again when it has been "
+                    f"silent for {TAKEOVER_AFTER_S:g} s, or give this glove another name",
+                    retry=True,
+                )
+            self.link.end(f"{self.name} has connected again, since this connection was silent")
         self.link, self.hello, self.hand = link, hello, hello.hand
         self.last_s = now_s
         self._present = True
@@ -225,7 +241,14 @@ class Glove:
             glove.free.set()
             glove._changed()
 
-    def complete_on_screen(self, operator: str, now_s: float, task: str | None = None) -> None:
+    def complete_on_screen(
+        self,
+        operator: str,
+        now_s: float,
+        task: str | None = None,
+        outcome: Outcome = Outcome.OK,
+        note: str | None = None,
+    ) -> None:
         """Answer the errand for `operator`, who pressed the button; raises `CannotComplete`.
 
         `task` is the id of the Task that the button belonged to: a press that comes when another is asked
@@ -239,7 +262,7 @@ class Glove:
                 if glove.lost:
                     errand.job.pause(glove._silent)
             raise CannotComplete(f"the Task of {self.name} is paused; resume it, then complete it")
-        self._answer(errand, Answer(errand.asked, 0, "screen", operator), now_s)
+        self._answer(errand, Answer(errand.asked, 0, "screen", operator, outcome, note), now_s)
 
     def pause(self) -> None:
         """Let nothing count, and hold the Task, until `resume`."""
@@ -276,7 +299,7 @@ class Glove:
     def equip(self, gestures: Gestures, commands: Commands) -> None:
         """Know these gestures and commands from now on; a hold goes on if its gesture is among them."""
         kept = self.senses.gestures.codes.get(self.sight.gesture or "")
-        asked = self.errand.asked.parts if self.errand is not None else ()
+        asked = self.errand.asked.all_parts if self.errand is not None else ()
         in_use = codes_in_use(gestures, commands, asked)
         if gestures != self.senses.gestures or in_use != self.senses.in_use:
             self.senses = replace(self.senses, gestures=gestures, in_use=in_use)
@@ -322,7 +345,10 @@ class Glove:
         hold, errand = self.sight.hold, self.errand
         if hold.last is not HoldEvent.NONE:
             due = self.due
-            rules = Rules(due.gesture if due else None, self.commands, self.filtering, self._is_open())
+            answers = errand.asked.answers if errand is not None else {}
+            rules = Rules(
+                due.gesture if due else None, self.commands, self.filtering, self._is_open(), answers
+            )
             self._act_on(judge(hold, rules), now_s)
         if self.filtering and (errand is None or errand.asked.composed is None):
             return
@@ -354,9 +380,13 @@ class Glove:
         if verdict is Verdict.WRONG:
             metrics.WRONG_GESTURES.inc()
         elif verdict is Verdict.COMPLETE and errand is not None:
-            if errand.asked.composed is None:  # else a part of it counts with the other
+            outcome = errand.asked.outcome_of(hold.gesture) or Outcome.OK
+            if (
+                outcome is not Outcome.OK or errand.asked.composed is None
+            ):  # else a part counts with the other
                 self._spend()
-                self._answer(errand, Answer(errand.asked, hold.held_ms, "gesture"), now_s)
+                answer = Answer(errand.asked, hold.held_ms, "gesture", outcome=outcome)
+                self._answer(errand, answer, now_s)
         elif (
             verdict is Verdict.COMMAND
             and hold.gesture is not None
@@ -368,13 +398,13 @@ class Glove:
 
     def _answer(self, errand: Errand, answer: Answer, now_s: float) -> None:
         errand.answer.set_result(answer)
-        metrics.CONFIRMATIONS.labels(answer.by).inc()
+        metrics.CONFIRMATIONS.labels(answer.by, answer.outcome.value).inc()
         for glove in self._both():
             glove.last_answer = (answer, now_s)
-            if answer.asked.command_id is None:
+            if answer.command_id is None:
                 glove._changed()
             else:
-                glove._give(answer.asked.command_id)
+                glove._give(answer.command_id)
 
     def _give(self, command_id: int) -> None:
         self.command = (command_id, datetime.now(UTC))

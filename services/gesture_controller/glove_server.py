@@ -6,7 +6,6 @@ the oldest is shown out when it is full, so that a flood of connections cannot k
 """
 
 import asyncio
-import hmac
 import socket
 from collections.abc import Callable
 from typing import Any, Self, cast
@@ -16,17 +15,17 @@ import orjson
 from handover.errors import UsageError
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
+from services.gesture_controller.admission import NotAdmitted
 from services.gesture_controller.frames import (
     MAX_LINE_BYTES,
     VERSION,
     BadFrame,
     BadHello,
-    Hello,
     parse_frame,
     parse_hello,
 )
 from services.gesture_controller.glove import Glove
-from services.gesture_controller.gloves import Gloves, TooManyGloves
+from services.gesture_controller.gloves import Gloves
 from services.gesture_controller.settings import ControllerSettings
 
 log = get_logger(__name__)
@@ -44,9 +43,7 @@ class GloveServer:
     """Listens for gloves; an asynchronous context manager while it does."""
 
     def __init__(self, settings: ControllerSettings, gloves: Gloves) -> None:
-        settings.require_token_beyond_loopback()
         self.gloves = gloves
-        self.token = settings.token
         self.hello_timeout_s = settings.hello_timeout_s
         self.waiting: dict[GloveConnection, None] = {}
         self.open: set[GloveConnection] = set()
@@ -81,10 +78,6 @@ class GloveServer:
             oldest = next(iter(self.waiting))
             metrics.REFUSED.labels("too many waiting").inc()
             oldest.end(f"more than {WAITING_ROOM} connections wait to say hello; say it at once", retry=True)
-
-    def trusts(self, hello: Hello) -> bool:
-        """Say whether the token is right, in a time that does not tell how nearly."""
-        return self.token is None or hmac.compare_digest(hello.token.encode(), self.token.encode())
 
 
 class GloveConnection(asyncio.Protocol):
@@ -173,13 +166,10 @@ class GloveConnection(asyncio.Protocol):
         except BadHello as bad:
             self._refuse("bad hello", str(bad))
             return
-        if not self._server.trusts(hello):
-            self._refuse("wrong token", "the token is wrong; give the glove the HANDOVER_GLOVE_TOKEN")
-            return
         try:
             self._glove = self._server.gloves.connect(hello, self, self._now())
-        except TooManyGloves as error:
-            self._refuse("too many gloves", str(error), retry=True)
+        except NotAdmitted as error:
+            self._refuse(error.kind, str(error), retry=error.retry)
             return
         self._order = hello.order
         self._leave_waiting_room()

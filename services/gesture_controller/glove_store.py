@@ -17,6 +17,7 @@ from datamodels.times import iso
 from handover.errors import UsageError
 from handover.tables import bring_forward
 from handover.telemetry import get_logger
+from services.gesture_controller.admission import TokenStore
 from services.gesture_controller.people import tables
 from services.gesture_controller.people.person import Person
 from services.gesture_controller.people.store import save_person
@@ -62,10 +63,17 @@ class GloveStore:
     def __init__(self, engine: Engine, old_files: Path | None = None) -> None:
         self._engine = engine
         self._old_files = old_files
+        self.tokens = TokenStore(engine)
 
     def load(self) -> dict[str, StoredGlove]:
         """Return all stored gloves by name; raise `UsageError` for an old file that cannot be read."""
-        bring_forward(self._engine, tables.tables, room="controller_people", version=tables.VERSION)
+        bring_forward(
+            self._engine,
+            tables.tables,
+            room="controller_people",
+            version=tables.VERSION,
+            steps=tables.STEPS,
+        )
         self._take_over_files()
         with self._engine.connect() as connection:
             rows = connection.execute(select(tables.gloves).order_by(tables.gloves.c.name)).all()

@@ -1,5 +1,6 @@
 """Guidance: which word the wearer of a glove needs now."""
 
+from datamodels.states import Outcome
 from services.gesture_controller import wording
 from services.gesture_controller.composed.in_turn import Turn, second_ms
 from services.gesture_controller.composed.together import Together
@@ -39,6 +40,10 @@ def said_to(glove: Glove, now_s: float) -> Message:
 def _asked_of(glove: Glove, errand: Errand) -> Message:
     if not glove.connected:
         return wording.put_on(glove.name)
+    hold, timing = glove.sight.hold, glove.senses.timing
+    outcome = errand.asked.outcome_of(hold.gesture)
+    if outcome not in {None, Outcome.OK} and hold.reached is not HoldEvent.NONE and not hold.is_spent:
+        return wording.hold_on_to(outcome, timing.confirm_ms - timing.announce_ms)
     if errand.asked.hands == "both":
         return _about_both(glove, errand)
     if isinstance(errand.progress, Turn) and errand.progress.step:
@@ -55,7 +60,9 @@ def _thanks(glove: Glove, now_s: float) -> Message | None:
     answer, at_s = glove.last_answer
     if now_s - at_s > THANKS_S:
         return None
-    return wording.by_screen(answer.operator) if answer.operator else wording.confirmed(answer.gesture)
+    if answer.outcome is not Outcome.OK:
+        return wording.answered(answer.outcome)
+    return wording.by_screen(answer.operator) if answer.operator else wording.confirmed(answer.asked.gesture)
 
 
 def _about_both(glove: Glove, errand: Errand) -> Message:

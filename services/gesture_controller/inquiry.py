@@ -7,14 +7,16 @@ with that of the command map.
 
 import asyncio
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.job import TaskFailed
+from handover.messages import message
 from handover.telemetry import get_logger
 from services.gesture_controller.errand import Asked
-from services.gesture_controller.gestures import Commands, Gestures
+from services.gesture_controller.gestures import Answers, Commands, Gestures, answer_parts
 from services.gesture_controller.specifications.database import SpecificationDatabase
 from services.gesture_controller.specifications.definition import Definition, needs_definition
 
@@ -45,6 +47,17 @@ async def definition_of(
     return definition.filled_from(found)
 
 
+async def handles_outcomes(task: Task, parameters: Mapping[str, Any], broker: BrokerClient) -> bool:
+    """Say whether the process of `task` decides what follows from another outcome than `ok`.
+
+    The Task's own word counts, then that of its TaskDefinition in the broker. Waits while the broker is away.
+    """
+    given = parameters.get("handlesOutcomes")
+    if given is None:
+        given = (await _definition_in_broker(task, broker)).handles_outcomes
+    return given is True
+
+
 async def _definition_in_broker(task: Task, broker: BrokerClient) -> Definition:
     while True:
         try:
@@ -63,6 +76,7 @@ async def _definition_in_broker(task: Task, broker: BrokerClient) -> Definition:
                 description if isinstance(description, str) else None,
                 _value(entity, "gesture"),
                 _value(entity, "commandId"),
+                _value(entity, "handlesOutcomes"),
             )
 
 
@@ -73,16 +87,24 @@ def what_is_asked(
     gestures: Gestures,
     commands: Commands,
     *,
+    answers: Answers = MappingProxyType({}),
+    compared: Commands | None = None,
     lacking: str = "",
 ) -> Asked:
     """Return what `task` asks, with the `commands` of the person; raise `TaskFailed` if nobody can tell.
 
-    `lacking` says where one could not look, if that may be why.
+    `answers` are the site's gestures for other outcomes; `lacking` says where one could not look, if that may
+    be why. In a study, which compares gestures for the same commands, `compared` are the site's commands: the
+    gesture of the command then counts before one that the Task names.
     """
     named = _first(parameters.get("gesture"), definition.gesture)
     command_id = _command_id(_first(parameters.get("commandId"), definition.command_id))
     if parameters.get("commandId") is not None and parameters.get("gesture") is None:
         named = None  # the Task's own command goes before the definition's gesture
+    if compared is not None and isinstance(named, str):
+        command_id = compared.ids.get(gestures.find(named) or "") if command_id is None else command_id
+        if command_id in commands.gestures:
+            named = None
     if named is not None:
         gesture = _known(named, gestures)
         command_id = commands.ids.get(gesture) if command_id is None else command_id
@@ -95,14 +117,22 @@ def what_is_asked(
         )
     parts = gestures.parts_of(gesture)
     description = _description(task, parameters, definition)
-    return Asked(task.id, description, gesture, parts[0].code, command_id, parts)
+    others = answer_parts(answers, gestures, parts)
+    return Asked(task.id, description, gesture, parts[0].code, command_id, parts, others)
 
 
 def _known(named: Any, gestures: Gestures) -> str:
     gesture = gestures.find(named) if isinstance(named, str) else None
     if gesture is None:
         hint = gestures.like(str(named))
-        raise TaskFailed(f'the Task asks for the unknown gesture "{named}"; {hint}')
+        raise TaskFailed(
+            message(
+                "task.unknown_gesture",
+                'the Task asks for the unknown gesture "{named}"; {hint}',
+                named=named,
+                hint=hint,
+            )
+        )
     return gesture
 
 
@@ -110,8 +140,12 @@ def _shown_for(command_id: int, commands: Commands) -> str:
     gesture = commands.gestures.get(command_id)
     if gesture is None:
         raise TaskFailed(
-            f"the Task asks for the command {command_id}, which has no gesture; "
-            "name a gesture in its workParameters or give the command one in the gestures file"
+            message(
+                "task.command_without_gesture",
+                "the Task asks for the command {command_id}, which has no gesture; name a "
+                "gesture in its workParameters or give the command one in the gestures file",
+                command_id=command_id,
+            )
         )
     return gesture
 
@@ -122,7 +156,11 @@ def _command_id(given: Any) -> int | None:
     if isinstance(given, str) and given.isdecimal():
         return int(given)
     if isinstance(given, bool) or not isinstance(given, int):
-        raise TaskFailed(f'commandId is a whole number such as 3, not "{given}"')
+        raise TaskFailed(
+            message(
+                "task.command_not_whole", 'commandId is a whole number such as 3, not "{given}"', given=given
+            )
+        )
     return given
 
 

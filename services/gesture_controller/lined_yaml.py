@@ -1,14 +1,22 @@
 """Lined YAML: a file that people write, read so that every mistake names the file and the line.
 
 Values stay as they are written: the types of YAML would read the code 02222 as the number 1170.
+
+Bounds are checked on the stream of events, before anything is built of it: how deep a file is nested, and how
+many values it holds once every alias (`*name`) is replaced by what it stands for.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import yaml
 
 from handover.errors import UsageError
+
+MAX_DEPTH = 50
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""libyaml is some ten times faster than PyYAML's own parser, where PyYAML was built with it."""
 
 
 class WrongFile(UsageError):
@@ -28,6 +36,7 @@ class LinedYaml:
     """Reads the file called `name`; raises `mistake` for what cannot be read."""
 
     mistake: type[WrongFile] = WrongFile
+    max_values = 1_000_000
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -35,14 +44,48 @@ class LinedYaml:
     def compose(self, text: str) -> yaml.Node | None:
         """Return what `text` holds, None if it is empty."""
         try:
-            return yaml.compose(text, Loader=yaml.SafeLoader)
+            self._check_bounds(text)
+            return yaml.compose(text, Loader=_LOADER)
         except yaml.YAMLError as error:
             where = getattr(error, "problem_mark", None)
             line = f":{where.line + 1}" if where else ""
             problem = getattr(error, "problem", None) or str(error)
             raise self.mistake(f"{self.name}{line}: not YAML: {problem}") from None
-        except RecursionError:
-            raise self.mistake(f"{self.name}: nested too deeply; write names and values") from None
+
+    def _check_bounds(self, text: str) -> None:
+        """Raise `mistake` where `text` is nested too deeply or holds too many values, aliases expanded."""
+        open_collections: list[tuple[str | None, int]] = []
+        sizes: dict[str, int | None] = {}
+        """Of each anchor the values it stands for; None while it is still being read."""
+        count = 0
+        for event in yaml.parse(text, Loader=_LOADER):
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            if isinstance(event, yaml.AliasEvent):
+                size = sizes.get(str(event.anchor), 1)
+                if size is None:
+                    raise self.wrong(line, f"*{event.anchor} stands within itself; write its value out")
+                count += size
+            elif isinstance(event, yaml.ScalarEvent):
+                count += 1
+                if event.anchor is not None:
+                    sizes[event.anchor] = 1
+            elif isinstance(event, yaml.CollectionStartEvent):
+                open_collections.append((event.anchor, count))
+                count += 1
+                if event.anchor is not None:
+                    sizes[event.anchor] = None
+                if len(open_collections) > MAX_DEPTH:
+                    raise self.wrong(
+                        line, f"nested too deeply; {MAX_DEPTH} levels are allowed, write names and values"
+                    )
+            elif isinstance(event, yaml.CollectionEndEvent):
+                anchor, before = open_collections.pop()
+                if anchor is not None:
+                    sizes[anchor] = count - before
+            if count > self.max_values:
+                raise self.wrong(
+                    line, f"too many values; {self.max_values} are allowed, aliases counted in full"
+                )
 
     def entries(self, node: yaml.Node, what: str) -> list[Entry]:
         """Return the names and values in `node`; each name stands once."""

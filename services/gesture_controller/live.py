@@ -34,16 +34,21 @@ async def follow(glove: Glove, screen: WebSocket) -> None:
     glove.watchers.add(watch)
     sending = asyncio.create_task(_send(glove, screen, moved, matters))
     listening = asyncio.create_task(_until_closed(screen))
+    forgotten = asyncio.create_task(glove.forgotten.wait())
+    parts = {sending, listening, forgotten}
     try:
-        await asyncio.wait({sending, listening}, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
     finally:
         glove.watchers.discard(watch)
-        for half in (sending, listening):
+        for half in parts:
             half.cancel()
-        await asyncio.wait({sending, listening})
-        for half in (sending, listening):
+        await asyncio.wait(parts)
+        for half in parts:
             if not half.cancelled():
                 half.exception()  # a screen that went away while it was being sent to is no fault
+    if glove.forgotten.is_set():
+        with suppress(RuntimeError, WebSocketDisconnect):
+            await screen.close(4404, f"{glove.name} is not known any more")
 
 
 async def frames_of(glove: Glove) -> AsyncIterator[bytes]:

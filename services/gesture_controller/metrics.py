@@ -13,7 +13,9 @@ REFUSED = Counter(
 )
 CONNECTED = Gauge("handover_gesture_controller_gloves_connected", "Gloves that are connected")
 CONFIRMATIONS = Counter(
-    "handover_gesture_controller_confirmations_total", "Tasks that a person completed, by how", ["by"]
+    "handover_gesture_controller_confirmations_total",
+    "Tasks that a person answered, by how and with which outcome",
+    ["by", "outcome"],
 )
 COMMANDS = Counter(
     "handover_gesture_controller_commands_total", "Commands sent without a Task, filtering being off"

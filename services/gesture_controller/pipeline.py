@@ -4,15 +4,17 @@
 everything they know is in their arguments.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from datamodels.states import Outcome
 from services.gesture_controller.calibration.drift import Drift, Rooms
 from services.gesture_controller.calibration.levels import Calibration
 from services.gesture_controller.finger_states import BETWEEN
 from services.gesture_controller.frames import Frame
-from services.gesture_controller.gestures import Commands, Gestures
+from services.gesture_controller.gestures import Commands, Gestures, Part
 from services.gesture_controller.hold import Hold, HoldEvent, HoldTiming
 from services.gesture_controller.recognition.recognizer import (
     CannotRecognize,
@@ -82,6 +84,8 @@ class Rules:
     filtering: bool = True
     open: bool = True
     """False while nothing counts: in testing mode, or paused."""
+    answers: Mapping[Outcome, Part] = field(default_factory=dict)
+    """The gestures that answer the Task otherwise than with `ok`."""
 
 
 class Verdict(Enum):
@@ -92,6 +96,7 @@ class Verdict(Enum):
     WRONG = "wrong"
     COMMAND = "command"
     COMPLETE = "complete"
+    """The gesture that the Task asks for, or one of its other answers, has been held."""
 
 
 def see(before: Sight, frame: Frame, senses: Senses) -> Sight:
@@ -120,7 +125,7 @@ def judge(hold: Hold, rules: Rules) -> Verdict:
     """Return what the last frame means: announced, told to be wrong, a command, or the Task's end."""
     if hold.last is HoldEvent.NONE or hold.gesture is None or not rules.open:
         return Verdict.NOTHING
-    right = hold.gesture == rules.asked
+    right = hold.gesture == rules.asked or any(p.gesture == hold.gesture for p in rules.answers.values())
     if hold.last is HoldEvent.CONFIRMED:
         if right:
             return Verdict.COMPLETE

@@ -6,7 +6,6 @@ from typing import Self
 
 from pydantic import Field, SecretStr, model_validator
 
-from handover.errors import UsageError
 from handover.settings import Settings
 from services.gesture_controller.hold import HoldTiming
 
@@ -23,11 +22,23 @@ class ControllerSettings(Settings):
     glove_host: str = Field("127.0.0.1", description="the address on which gloves are awaited")
     glove_port: int = Field(54000, ge=1, le=65535, description="the TCP port on which gloves are awaited")
     glove_token: SecretStr | None = Field(
-        None, description="what a glove must say to be let in; required when glove_host is not loopback"
+        None,
+        description="the token of this site, for gloves without one of their own; if absent, those need none "
+        "where only this machine reaches glove_host, and are refused elsewhere",
     )
     hello_timeout_s: float = Field(5.0, gt=0, description="how long a connection may take to say hello")
     max_gloves: int = Field(
         256, ge=1, description="gloves served at most, those of the gestures file included"
+    )
+    max_undeclared_gloves: int = Field(
+        64,
+        ge=0,
+        description="gloves admitted at most that are neither declared nor have a token of their own",
+    )
+    glove_forget_s: float = Field(
+        3600.0,
+        gt=0,
+        description="a glove that nobody declared is forgotten when it has been away for so long",
     )
     gestures_file: Path | None = Field(
         None, description="YAML file of gestures, commands, persons and gloves; built-in ones if absent"
@@ -90,14 +101,10 @@ class ControllerSettings(Settings):
         """Return the token that gloves must show; None if none is asked for."""
         return (self.glove_token.get_secret_value() if self.glove_token else "") or None
 
-    def require_token_beyond_loopback(self) -> None:
-        """Raise `UsageError` if gloves are awaited on an open address without a token."""
-        if self.token is None and not _is_loopback(self.glove_host):
-            raise UsageError(
-                f"gloves are awaited on {self.glove_host}, which others can reach, and "
-                "HANDOVER_GLOVE_TOKEN is not set; set it to a secret that the gloves know, or set "
-                "HANDOVER_GLOVE_HOST to 127.0.0.1"
-            )
+    @property
+    def is_local(self) -> bool:
+        """Say whether only this machine reaches the address on which gloves connect."""
+        return _is_loopback(self.glove_host)
 
 
 def _is_loopback(host: str) -> bool:

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
+from handover.messages import message
+
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 
@@ -38,10 +40,24 @@ class Thresholds:
         changed = dict(zip(FINGERS, self.fingers, strict=True))
         for finger, bounds in changes.items():
             if finger not in changed:
-                raise WrongThreshold(f'unknown finger "{finger}"; the fingers are {", ".join(FINGERS)}')
+                raise WrongThreshold(
+                    message(
+                        "glove.unknown_finger",
+                        'unknown finger "{finger}"; the fingers are {known}',
+                        finger=finger,
+                        known=", ".join(FINGERS),
+                    )
+                )
             unknown = set(bounds) - {"upper", "lower"}
             if unknown:
-                raise WrongThreshold(f'{finger}: unknown bound "{min(unknown)}"; give "upper" and "lower"')
+                raise WrongThreshold(
+                    message(
+                        "glove.unknown_bound",
+                        '{finger}: unknown bound "{unknown}"; give "upper" and "lower"',
+                        finger=finger,
+                        unknown=min(unknown),
+                    )
+                )
             before = changed[finger]
             changed[finger] = checked(
                 finger, bounds.get("upper", before.upper), bounds.get("lower", before.lower)
@@ -59,11 +75,25 @@ class Thresholds:
 def checked(finger: str, upper: float, lower: float) -> Threshold:
     """Return the threshold of `finger`; raise `WrongThreshold` if it could never tell bent from straight."""
     if not (math.isfinite(upper) and math.isfinite(lower)):
-        raise WrongThreshold(f"{finger}: thresholds are finite numbers, not {upper} and {lower}")
+        raise WrongThreshold(
+            message(
+                "glove.thresholds_not_finite",
+                "{finger}: thresholds are finite numbers, not {upper} and {lower}",
+                finger=finger,
+                upper=upper,
+                lower=lower,
+            )
+        )
     if lower > upper:
         raise WrongThreshold(
-            f"{finger}: the lower threshold {lower:g} is above the upper one {upper:g}; "
-            "a finger is bent below lower and straight above upper, so exchange or correct them"
+            message(
+                "glove.thresholds_crossed",
+                "{finger}: the lower threshold {lower} is above the upper one {upper}; a finger "
+                "is bent below lower and straight above upper, so exchange or correct them",
+                finger=finger,
+                lower=f"{lower:g}",
+                upper=f"{upper:g}",
+            )
         )
     return Threshold(upper, lower)
 

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from datamodels.states import Outcome
 from handover.job import Wants
 from services.gesture_controller import wording
 from services.gesture_controller.composed.in_turn import Turn, second_ms
@@ -66,7 +67,24 @@ def _task(glove: Glove) -> dict[str, Any] | None:
         "commandId": errand.asked.command_id,
         "parts": _parts(glove, errand),
         "status": str(errand.job.task.status.value),
+        "answers": _answers(errand),
     }
+
+
+def _answers(errand: Errand) -> list[dict[str, Any]]:
+    """Return the answers other than `ok`: always on the screen, by gesture where `gesture` is not null."""
+    answers: list[dict[str, Any]] = []
+    for outcome in (Outcome.NOT_GOOD, Outcome.PROBLEM):
+        part = errand.asked.answers.get(outcome)
+        answers.append(
+            {
+                "outcome": outcome.value,
+                "gesture": part.gesture if part else None,
+                "code": part.code if part else None,
+                "parts": [],
+            }
+        )
+    return answers
 
 
 def _parts(glove: Glove, errand: Errand) -> list[dict[str, Any]]:
@@ -85,11 +103,15 @@ def _parts(glove: Glove, errand: Errand) -> list[dict[str, Any]]:
 
 
 def _hold(glove: Glove) -> dict[str, Any]:
-    """Return how long the gesture has been held; of a composed one, what is due of it."""
+    """Return how long the gesture has been held; of a composed one, what is due of it.
+
+    `outcome` is what the gesture would answer to the Task; null if it is none of its answers.
+    """
     hold, timing, there = glove.sight.hold, glove.senses.timing, glove.connected
     held_ms, confirm_ms = 0.0 if hold.is_spent else hold.held_ms, timing.confirm_ms
     errand = glove.errand
-    if errand is not None and errand.asked.composed is not None:
+    outcome = errand.asked.outcome_of(hold.gesture) if errand is not None and there else None
+    if errand is not None and errand.asked.composed is not None and outcome in {None, Outcome.OK}:
         held_ms = errand.progress.held_ms
         if isinstance(errand.progress, Turn):
             confirm_ms = second_ms(timing) if errand.progress.step else timing.announce_ms
@@ -99,6 +121,7 @@ def _hold(glove: Glove) -> dict[str, Any]:
         "announceMs": min(timing.announce_ms, confirm_ms),
         "confirmMs": confirm_ms,
         "spent": there and hold.is_spent,
+        "outcome": outcome.value if outcome is not None else None,
     }
 
 
@@ -112,4 +135,6 @@ def _answered(glove: Glove) -> dict[str, Any] | None:
         "gesture": answer.gesture,
         "by": answer.by,
         "operator": answer.operator,
+        "outcome": answer.outcome.value,
+        "note": answer.note,
     }

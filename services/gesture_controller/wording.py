@@ -8,8 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from datamodels.states import Outcome
 from services.gesture_controller.finger_states import STRAIGHT
 from services.gesture_controller.thresholds import FINGERS
+
+_SAID = {Outcome.OK: "Good", Outcome.NOT_GOOD: "Not good", Outcome.PROBLEM: "Problem"}
+_KEYED = {Outcome.OK: "Ok", Outcome.NOT_GOOD: "NotGood", Outcome.PROBLEM: "Problem"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +77,17 @@ def hold_on(confirm_in_ms: float) -> Message:
     return Message("holdOn", f"Right. Hold it for {rest} to confirm.", {"seconds": seconds})
 
 
+def hold_on_to(outcome: Outcome, confirm_in_ms: float) -> Message:
+    """Return what is said when a gesture for another outcome than `ok` has been announced."""
+    seconds = confirm_in_ms / 1000
+    rest = "another second" if seconds == 1 else f"another {seconds:g} seconds"
+    text = f"{_SAID[outcome]}? Hold it for {rest} to report it."
+    return Message(f"holdOn{_KEYED[outcome]}", text, {"seconds": seconds})
+
+
 def wrong(shown: str, hint: Advice) -> Message:
     """Return what is said when another gesture than the asked one is held."""
-    text = f"{shown} is not the gesture this Task asks for: {hint}."
+    text = f"That is {shown}, not the requested gesture: {hint}."
     return Message("wrong", text, {"shown": shown, **hint.as_dict()})
 
 
@@ -105,10 +117,10 @@ def begin_together(gesture: str) -> Message:
 
 def wear_both(gesture: str, hand: str, person: str | None) -> Message:
     """Return what is said when a gesture takes both hands and the other one has no glove."""
-    who = f"that {person} wears it" if person else "who wears both"
+    choice = f"assign it to {person}" if person else "choose who wears both"
     text = (
-        f"{gesture} takes both hands. Put on the {hand} glove too and choose {who}, "
-        "or complete it on the screen."
+        f"{gesture} needs both hands. Also put on the {hand} glove and {choice}, "
+        "or complete the task on the screen."
     )
     return Message(f"wearBoth{hand.capitalize()}", text, {"gesture": gesture, "hand": hand})
 
@@ -126,15 +138,15 @@ def then(part: str) -> Message:
 def unfiltered() -> Message:
     """Return the warning that goes with filtering switched off."""
     text = (
-        "Filtering is off: every gesture that has a command is sent as soon as it is held, whether a Task "
-        "asks for it or not. Switch filtering on before you work."
+        "Filtering is off: every gesture with a command is sent as soon as it is held, even if no task "
+        "asks for it. Switch filtering on before starting work."
     )
     return Message("unfiltered", text)
 
 
 def let_go(gesture: str) -> Message:
     """Return what is said when a gesture that has counted already is still held."""
-    text = f"This counted already. Let go, then show {gesture} again."
+    text = f"Already counted. Let go, then show {gesture} again."
     return Message("letGo", text, {"gesture": gesture})
 
 
@@ -143,50 +155,51 @@ def confirmed(gesture: str) -> Message:
     return Message("confirmed", f"Confirmed: {gesture}.", {"gesture": gesture})
 
 
+def answered(outcome: Outcome) -> Message:
+    """Return what is said when another outcome than `ok` has been answered."""
+    return Message(f"answered{_KEYED[outcome]}", f"Reported: {_SAID[outcome].lower()}.")
+
+
 def by_screen(operator: str) -> Message:
-    """Return the thanks to whoever pressed the button."""
+    """Return the thanks to the person who pressed the button."""
     return Message("byScreen", f"Completed on the screen by {operator}.", {"operator": operator})
 
 
 def testing(shown: str | None) -> Message:
     """Return what is said in testing mode."""
     if shown is None:
-        return Message("testing", "Testing, nothing is sent. Try a gesture.")
-    return Message("testingShown", f"Testing, nothing is sent. This is {shown}.", {"shown": shown})
+        return Message("testing", "Test mode: nothing is sent. Try a gesture.")
+    return Message("testingShown", f"Test mode: nothing is sent. This is {shown}.", {"shown": shown})
 
 
 def paused_on_screen() -> Message:
     """Return what is said while the wearer's own screen has paused the work."""
-    return Message("pausedOnScreen", _paused("on the screen"))
+    return Message("pausedOnScreen", "Paused on the screen. Gestures do not count until you resume.")
 
 
 def paused_by_process() -> Message:
     """Return what is said while somebody else has paused the work."""
-    return Message("pausedByProcess", _paused("by whoever runs the process"))
+    text = "Paused by someone else. Gestures do not count until the process resumes."
+    return Message("pausedByProcess", text)
 
 
 def put_on(glove: str) -> Message:
     """Return what is said when a Task waits for a glove that is not there."""
-    text = f"Put on {glove} and switch it on: a Task waits for it. Or complete it on the screen."
+    text = f"Put on {glove} and switch it on, or complete the task on the screen."
     return Message("putOn", text, {"glove": glove})
 
 
 def silent(glove: str) -> Message:
     """Return what is said when the glove has stopped sending in the middle of a Task."""
-    text = f"{glove} is silent, the Task waits. Check that it is on and near, or use the screen."
+    text = f"No data from {glove}; the task is waiting. Check that it is on and in range, or use the screen."
     return Message("silent", text, {"glove": glove})
 
 
 def nothing_to_do(glove: str, connected: bool) -> Message:
     """Return what is said when no Task is there."""
     if connected:
-        return Message("nothingToDo", "No Task for you at the moment.")
-    text = f"{glove} is not connected. No Task waits for it."
-    return Message("notConnected", text, {"glove": glove})
-
-
-def _paused(reason: str) -> str:
-    return f"Paused {reason}. Nothing you show counts until the work goes on."
+        return Message("nothingToDo", "No task for you.")
+    return Message("notConnected", f"{glove} is not connected.", {"glove": glove})
 
 
 def _called(finger: str) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from services.task_orchestrator.definition import Activity, Definition, Flow, Kind, Node, variable_of
+from services.task_orchestrator.definition import Activity, Definition, Flow, Kind, Node, Trigger, variable_of
 from services.task_orchestrator.expressions import ExpressionError, read
 
 MAX_AHEAD = 8
@@ -85,7 +85,7 @@ class _Drawing:
         return borders
 
     def ends_without(self, avoided: str, first: str) -> bool:
-        """Say whether a token at `first` can get to an end without coming to `avoided`."""
+        """Say whether a token at `first` can get to an end, not by an error, without coming to `avoided`."""
         seen = {avoided}
         ahead = [first]
         while ahead:
@@ -93,7 +93,8 @@ class _Drawing:
             if name in seen:
                 continue
             seen.add(name)
-            if self.definition.nodes[name].kind is Kind.END:
+            node = self.definition.nodes[name]
+            if node.kind is Kind.END and node.trigger is not Trigger.ERROR:
                 return True
             ahead += [flow.target for flow in self.leaving[name]]
         return False

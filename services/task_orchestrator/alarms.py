@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from handover.messages import message, with_code
 from services.task_orchestrator.records import ProcessRecord, Saying, Step, TaskRecord
 
 
@@ -15,7 +16,12 @@ def call_for_overdue(step: Step, task: TaskRecord) -> None:
         source=task.id,
         category="taskOverdue",
         sub_category="notTakenUp",
-        description=f"Nobody has taken up the Task {task.id}; it involves {involved}",
+        description=message(
+            "alert.task_overdue",
+            "Nobody has taken up the Task {task}; it involves {involved}",
+            task=task.id,
+            involved=involved,
+        ),
     )
 
 
@@ -32,8 +38,14 @@ def call_for_lost(step: Step, task: TaskRecord) -> None:
         f"{_short(task)} lost",
         source=task.id,
         category="taskLost",
-        description=f"The broker no longer has the Task {task.id}, which was {task.status}. "
-        f"See what came of it, then cancel the process {task.process}",
+        description=message(
+            "alert.task_lost",
+            "The broker no longer has the Task {task}, which was {status}. See what came of it, then cancel "
+            "the process {process}",
+            task=task.id,
+            status=task.status.value,
+            process=task.process,
+        ),
     )
 
 
@@ -45,7 +57,12 @@ def call_for_failed(step: Step, process: ProcessRecord, urn: str) -> None:
         _failed_key(process),
         source=urn,
         category="processFailed",
-        description=f"The process {process.id} has failed: {process.reason}",
+        description=message(
+            "alert.process_failed",
+            "The process {process} has failed: {reason}",
+            process=process.id,
+            reason=process.reason,
+        ),
     )
 
 
@@ -55,7 +72,9 @@ def end_failed(step: Step, process: ProcessRecord, urn: str) -> None:
 
 
 def _raise(step: Step, stream: str, key: str, **alert: Any) -> None:
-    step.say(stream, Saying.RAISE, alert["source"], {"key": key, **alert})
+    # The outbox keeps JSON, in which a message is its text, its code and its parameters.
+    described = with_code("description", alert["description"])
+    step.say(stream, Saying.RAISE, alert["source"], {"key": key, **alert, **described})
 
 
 def _short(task: TaskRecord) -> str:

@@ -3,19 +3,23 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from datetime import UTC
 from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 from starlette.responses import JSONResponse
 
 from datamodels.entities import TaskStatus
+from handover.body_limit import max_body
 from handover.broker import BrokerClient
 from handover.errors import Problem
-from handover.notifications import notified_entities
-from handover.service import create_app
+from handover.messages import message
+from handover.service import XML_TYPES, accepts, create_app
+from handover.storage import storage_check
 from handover.telemetry import get_logger
+from services.task_orchestrator.archive import Archiver
 from services.task_orchestrator.definition import BadBpmn, Fault
 from services.task_orchestrator.orchestrator import Orchestrator
 from services.task_orchestrator.reconcile import Reconciler
@@ -23,6 +27,7 @@ from services.task_orchestrator.settings import OrchestratorSettings
 from services.task_orchestrator.views import (
     activity_views,
     definition_view,
+    period_view,
     process_summary,
     process_view,
     statistics_view,
@@ -31,6 +36,8 @@ from services.task_orchestrator.xml_names import MAX_BYTES
 
 log = get_logger(__name__)
 
+MAX_PARAMETERS_BYTES = 1024 * 1024
+MAX_VERSION = 2**31 - 1
 SHIPPED = Path(__file__).parent / "processes"
 
 
@@ -74,6 +81,7 @@ class Orchestration:
         self.broker = BrokerClient(settings)
         self.orchestrator = Orchestrator(settings, self.broker)
         self.reconciler = Reconciler(self.orchestrator, self.broker)
+        self.archiver = Archiver(self.orchestrator, self.broker)
 
     @asynccontextmanager
     async def at_work(self, _: FastAPI) -> AsyncIterator[None]:
@@ -82,7 +90,7 @@ class Orchestration:
             await self._deploy_folder(SHIPPED)
             if self.settings.process_dir is not None:
                 await self._deploy_folder(self.settings.process_dir)
-            async with self.reconciler:
+            async with self.reconciler, self.archiver:
                 yield
 
     async def _deploy_folder(self, folder: Path) -> None:
@@ -116,6 +124,7 @@ def make_app(settings: OrchestratorSettings) -> FastAPI:
             "database": at.check_database,
             "broker": at.broker.probe,
             "subscription": at.reconciler.probe,
+            "storage": storage_check(settings.data_dir),
         },
     )
     _add_definitions(app, at.orchestrator)
@@ -123,8 +132,8 @@ def make_app(settings: OrchestratorSettings) -> FastAPI:
 
     @app.post("/notifications", status_code=204, tags=["notifications"])
     async def notify(request: Request) -> Response:
-        """Take notice of Tasks that changed; answered when that is on disk."""
-        await at.orchestrator.hear(await notified_entities(request))
+        """Read the Tasks that have changed from the broker; answered when what that says is on disk."""
+        await at.reconciler.take_notification(request)
         return Response(status_code=204)
 
     return app
@@ -134,6 +143,8 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     library = orchestrator.library
 
     @app.post("/definitions", status_code=201, tags=["definitions"])
+    @accepts(*XML_TYPES)
+    @max_body(2 * MAX_BYTES)
     async def deploy(request: Request, *, dry: bool = False) -> JSONResponse:
         """Deploy a BPMN file (the body is the XML): 201 for a new version, 200 if it is deployed already.
 
@@ -149,12 +160,16 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     @app.get("/definitions", tags=["definitions"])
     async def definitions() -> list[dict[str, Any]]:
         """Return the latest version of every definition."""
-        return [definition_view(library, record) for record in library.latest()]
+        latest = library.latest()
+        for record in latest:
+            await library.prepare(record)
+        return [definition_view(library, record) for record in latest]
 
     @app.get("/definitions/{name}", tags=["definitions"])
     async def definition(name: str, version: int | None = None) -> dict[str, Any]:
         """Return a definition with its activities."""
         record = library.record(name, version)
+        await library.prepare(record)
         activities = activity_views(library.plan(record).definition)
         return {**definition_view(library, record), "activities": activities}
 
@@ -176,6 +191,7 @@ def _add_processes(app: FastAPI, at: Orchestration) -> None:
     store, library = orchestrator.store, orchestrator.library
 
     @app.post("/processes", status_code=201, tags=["processes"])
+    @max_body(MAX_PARAMETERS_BYTES)
     async def start(body: ProcessStart) -> JSONResponse:
         """Start a process: 201, or 200 if the same key has started it before."""
         process_id, created = await orchestrator.begin(
@@ -186,8 +202,16 @@ def _add_processes(app: FastAPI, at: Orchestration) -> None:
 
     @app.get("/processes", tags=["processes"])
     async def processes(
+        *,
         status: TaskStatus | None = None,
         definition: str | None = None,
+        version: Annotated[int | None, Query(ge=1, le=MAX_VERSION)] = None,
+        search: Annotated[
+            str | None, Query(max_length=200, description="a part of the business key or of the id")
+        ] = None,
+        involves: Annotated[
+            str | None, Query(max_length=300, description="a person or a resource: those with a Task for it")
+        ] = None,
         before: Annotated[str | None, Query(description="a process: those started before it")] = None,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     ) -> list[dict[str, Any]]:
@@ -195,9 +219,24 @@ def _add_processes(app: FastAPI, at: Orchestration) -> None:
         wanted = status.value if status is not None else None
         mark = _plain(before) if before is not None else None
         records = await orchestrator.on_disk(
-            lambda: store.page(status=wanted, definition=definition, before=mark, limit=limit)
+            lambda: store.page(
+                status=wanted,
+                definition=definition,
+                version=version,
+                search=search or None,
+                involves=involves,
+                before=mark,
+                limit=limit,
+            )
         )
         return [process_summary(settings, library, record) for record in records]
+
+    @app.get("/statistics", tags=["processes"])
+    async def statistics(
+        since: Annotated[AwareDatetime, Query(description="those that ended at this moment or later")],
+    ) -> dict[str, Any]:
+        """Return how many processes run, how many ended since a moment and how, and their median duration."""
+        return period_view(await orchestrator.on_disk(store.counts_since, since.astimezone(UTC)))
 
     @app.get("/processes/{process_id}", tags=["processes"])
     async def process(process_id: str) -> dict[str, Any]:
@@ -219,7 +258,12 @@ def _add_processes(app: FastAPI, at: Orchestration) -> None:
     async def _process(process_id: str) -> dict[str, Any]:
         seen = await orchestrator.on_disk(store.everything, _plain(process_id))
         if seen is None:
-            raise Problem(404, "No such process", f'there is no process "{process_id}"')
+            raise Problem(
+                404,
+                "No such process",
+                message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
+            )
+        await library.prepare(library.record(seen[0].definition, seen[0].version))
         return process_view(settings, library, *seen)
 
     def _plain(process_id: str) -> str:
@@ -231,5 +275,17 @@ async def _body(request: Request) -> bytes:
     async for chunk in request.stream():
         body += chunk
         if len(body) > MAX_BYTES:
-            raise BadBpmn([Fault(None, None, f"a BPMN file has at most {MAX_BYTES} bytes")])
+            raise BadBpmn(
+                [
+                    Fault(
+                        None,
+                        None,
+                        message(
+                            "bpmn.upload_too_large",
+                            "a BPMN file has at most {max_bytes} bytes",
+                            max_bytes=MAX_BYTES,
+                        ),
+                    )
+                ]
+            )
     return bytes(body)

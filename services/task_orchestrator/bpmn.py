@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 
 from lxml import etree
 
+from handover.messages import message, text_of
 from services.task_orchestrator.bpmn_rules import faults_of_flow
 from services.task_orchestrator.definition import (
     HANDED_OVER,
@@ -28,7 +29,7 @@ from services.task_orchestrator.extension import (
     read_activity,
     read_process_extension,
 )
-from services.task_orchestrator.xml_names import BPMN, MAX_BYTES, local, qualified
+from services.task_orchestrator.xml_names import BPMN, MAX_BYTES, MAX_ELEMENTS, local, qualified
 
 _ID = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,63}", re.ASCII)
 
@@ -86,16 +87,65 @@ def _parser() -> etree.XMLParser:
 
 def _tree(xml: bytes) -> etree._Element:
     if len(xml) > MAX_BYTES:
-        raise BadBpmn([Fault(None, None, f"a BPMN file has at most {MAX_BYTES} bytes, not {len(xml)}")])
+        raise BadBpmn(
+            [
+                Fault(
+                    None,
+                    None,
+                    message(
+                        "bpmn.too_large",
+                        "a BPMN file has at most {limit} bytes, not {bytes}",
+                        limit=MAX_BYTES,
+                        bytes=len(xml),
+                    ),
+                )
+            ]
+        )
     try:
         root = etree.fromstring(xml, _parser())
     except (etree.XMLSyntaxError, ValueError) as error:
         line = getattr(error, "lineno", None)
-        raise BadBpmn([Fault(None, line, f"this is not well-formed XML: {error}")]) from None
+        raise BadBpmn(
+            [
+                Fault(
+                    None,
+                    line,
+                    message("bpmn.not_xml", "this is not well-formed XML: {error}", error=text_of(error)),
+                )
+            ]
+        ) from None
+    elements = sum(1 for _ in root.iter())
+    if elements > MAX_ELEMENTS:
+        raise BadBpmn(
+            [
+                Fault(
+                    None,
+                    None,
+                    message(
+                        "bpmn.too_many_elements",
+                        "a BPMN file has at most {limit} elements, not {elements}",
+                        limit=MAX_ELEMENTS,
+                        elements=elements,
+                    ),
+                )
+            ]
+        )
     if root.getroottree().docinfo.doctype or root.getroottree().docinfo.internalDTD is not None:
-        raise BadBpmn([Fault(None, 1, "a DOCTYPE is not allowed; remove it")])
+        raise BadBpmn([Fault(None, 1, message("bpmn.doctype", "a DOCTYPE is not allowed; remove it"))])
     if root.tag != qualified("definitions"):
-        raise BadBpmn([Fault(None, root.sourceline, f"the root must be bpmn:definitions, not {local(root)}")])
+        raise BadBpmn(
+            [
+                Fault(
+                    None,
+                    root.sourceline,
+                    message(
+                        "bpmn.wrong_root",
+                        "the root must be bpmn:definitions, not {root}",
+                        root=local(root),
+                    ),
+                )
+            ]
+        )
     return root
 
 

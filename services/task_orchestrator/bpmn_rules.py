@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 
+from handover.messages import message
 from services.task_orchestrator.definition import (
     CHOICES,
     GATEWAYS,
@@ -14,6 +15,7 @@ from services.task_orchestrator.definition import (
 )
 
 MAX_NODES = 300
+MAX_FLOWS = 1_500
 
 Leading = Mapping[str, list[Flow]]
 
@@ -24,8 +26,20 @@ def faults_of_flow(
     """Return what is wrong with how the `nodes` of `process`, which begins in `line`, are connected."""
     if len(nodes) > MAX_NODES:
         return [
-            Fault(process, line, f"a process has at most {MAX_NODES} nodes, not {len(nodes)}; cut it in two")
+            Fault(
+                process,
+                line,
+                message(
+                    "bpmn.too_many_nodes",
+                    "a process has at most {limit} nodes, not {nodes}; cut it in two",
+                    limit=MAX_NODES,
+                    nodes=len(nodes),
+                ),
+            )
         ]
+    if len(flows) > MAX_FLOWS:
+        rule = f"a process has at most {MAX_FLOWS} sequence flows, not {len(flows)}"
+        return [Fault(process, line, message("bpmn.cut_in_two", "{rule}; cut it in two", rule=rule))]
     incoming: dict[str, list[Flow]] = {name: [] for name in nodes}
     outgoing: dict[str, list[Flow]] = {name: [] for name in nodes}
     for flow in flows.values():
@@ -47,11 +61,23 @@ def faults_of_flow(
 def _of_ends(process: str, nodes: Mapping[str, Node], line: int) -> Iterator[Fault]:
     starts = [node for node in nodes.values() if node.kind is Kind.START]
     if not starts:
-        yield Fault(process, line, "a process has one start event, this one has none")
+        yield Fault(
+            process,
+            line,
+            message("bpmn.no_start_event", "a process has one start event, this one has none"),
+        )
     for start in starts[1:]:
-        yield Fault(start.id, start.line, "a process has one start event, this is another")
+        yield Fault(
+            start.id,
+            start.line,
+            message("bpmn.second_start_event", "a process has one start event, this is another"),
+        )
     if not any(node.kind is Kind.END for node in nodes.values()):
-        yield Fault(process, line, "a process has at least one end event, this one has none")
+        yield Fault(
+            process,
+            line,
+            message("bpmn.no_end_event", "a process has at least one end event, this one has none"),
+        )
 
 
 def _dangling(nodes: Mapping[str, Node], flows: Mapping[str, Flow]) -> Iterator[Fault]:
@@ -59,7 +85,14 @@ def _dangling(nodes: Mapping[str, Node], flows: Mapping[str, Flow]) -> Iterator[
         for end, name in (("sourceRef", flow.source), ("targetRef", flow.target)):
             if name not in nodes:
                 yield Fault(
-                    flow.id, flow.line, f'the sequence flow dangles: {end} "{name}" is no node of the process'
+                    flow.id,
+                    flow.line,
+                    message(
+                        "bpmn.dangling_flow",
+                        'the sequence flow dangles: {end} "{name}" is no node of the process',
+                        end=end,
+                        name=name,
+                    ),
                 )
 
 
@@ -69,34 +102,75 @@ def _of_node(
     kind = node.kind.value
     if node.kind in {Kind.START, Kind.BOUNDARY}:
         if incoming:
-            yield Fault(node.id, node.line, f"no sequence flow may lead to a {kind}")
+            yield Fault(
+                node.id,
+                node.line,
+                message("bpmn.incoming_flow_forbidden", "no sequence flow may lead to a {kind}", kind=kind),
+            )
     elif not incoming:
-        yield Fault(node.id, node.line, f"no sequence flow leads to this {kind}")
+        yield Fault(
+            node.id,
+            node.line,
+            message("bpmn.no_incoming_flow", "no sequence flow leads to this {kind}", kind=kind),
+        )
     if node.kind is Kind.END:
         if outgoing:
-            yield Fault(node.id, node.line, "no sequence flow may leave an endEvent")
+            yield Fault(
+                node.id,
+                node.line,
+                message("bpmn.outgoing_flow_forbidden", "no sequence flow may leave an endEvent"),
+            )
     elif not outgoing:
-        yield Fault(node.id, node.line, f"no sequence flow leaves this {kind}")
+        yield Fault(
+            node.id,
+            node.line,
+            message("bpmn.no_outgoing_flow", "no sequence flow leaves this {kind}", kind=kind),
+        )
     elif len(outgoing) > 1 and node.kind not in GATEWAYS:
         yield Fault(
-            node.id, node.line, f"one sequence flow leaves a {kind}; put a gateway behind it to split"
+            node.id,
+            node.line,
+            message(
+                "bpmn.implicit_split",
+                "one sequence flow leaves a {kind}; put a gateway behind it to split",
+                kind=kind,
+            ),
         )
     if node.kind is Kind.BOUNDARY:
         yield from _of_boundary(node, nodes)
     if node.kind in CHOICES:
         yield from _of_choice(node, outgoing)
     elif node.default is not None:
-        yield Fault(node.id, node.line, "only an exclusive or inclusive gateway has a default flow")
+        yield Fault(
+            node.id,
+            node.line,
+            message(
+                "bpmn.default_flow_forbidden", "only an exclusive or inclusive gateway has a default flow"
+            ),
+        )
 
 
 def _of_boundary(node: Node, nodes: Mapping[str, Node]) -> Iterator[Fault]:
     host = nodes.get(node.attached_to or "")
     if host is None or host.kind not in HANDED_OVER:
         yield Fault(
-            node.id, node.line, f'attachedToRef "{node.attached_to}" names no task that can be interrupted'
+            node.id,
+            node.line,
+            message(
+                "bpmn.unknown_attached_task",
+                'attachedToRef "{attached_to}" names no task that can be interrupted',
+                attached_to=node.attached_to,
+            ),
         )
     if node.trigger is Trigger.ERROR and not node.interrupting:
-        yield Fault(node.id, node.line, 'an error boundary event interrupts; set cancelActivity="true"')
+        yield Fault(
+            node.id,
+            node.line,
+            message(
+                "bpmn.error_event_not_interrupting",
+                'an error boundary event interrupts; set cancelActivity="true"',
+            ),
+        )
     twins = [
         other
         for other in nodes.values()
@@ -106,25 +180,61 @@ def _of_boundary(node: Node, nodes: Mapping[str, Node]) -> Iterator[Fault]:
         and other.error_code == node.error_code
     ]
     if len(twins) > 1 and twins[0] is not node:
-        yield Fault(node.id, node.line, f'"{twins[0].id}" catches the same error of the same task already')
+        yield Fault(
+            node.id,
+            node.line,
+            message(
+                "bpmn.error_caught_twice",
+                '"{name}" catches the same error of the same task already',
+                name=twins[0].id,
+            ),
+        )
 
 
 def _of_choice(node: Node, outgoing: list[Flow]) -> Iterator[Fault]:
     if node.default is not None and node.default not in {flow.id for flow in outgoing}:
-        yield Fault(node.id, node.line, f'its default flow "{node.default}" does not leave it')
+        yield Fault(
+            node.id,
+            node.line,
+            message(
+                "bpmn.wrong_default_flow",
+                'its default flow "{default}" does not leave it',
+                default=node.default,
+            ),
+        )
     if len(outgoing) < 2:
         return
     for flow in outgoing:
         if flow.condition is None and flow.id != node.default:
             rule = "has no condition and is not the gateway's default"
-            yield Fault(node.id, node.line, f'its flow "{flow.id}" to "{flow.target}" {rule}; give it one')
+            yield Fault(
+                node.id,
+                node.line,
+                message(
+                    "bpmn.flow_without_condition",
+                    'its flow "{flow}" to "{target}" {rule}; give it one',
+                    flow=flow.id,
+                    target=flow.target,
+                    rule=rule,
+                ),
+            )
 
 
 def _of_condition(flow: Flow, nodes: Mapping[str, Node]) -> Iterator[Fault]:
     source = nodes.get(flow.source)
     if flow.condition is not None and source is not None and source.kind not in CHOICES:
         rule = "only flows that leave an exclusive or inclusive gateway have conditions"
-        yield Fault(flow.id, flow.line, f'{rule}; "{source.id}" is a {source.kind.value}')
+        yield Fault(
+            flow.id,
+            flow.line,
+            message(
+                "bpmn.wrong_source",
+                '{rule}; "{source}" is a {kind}',
+                rule=rule,
+                source=source.id,
+                kind=source.kind.value,
+            ),
+        )
 
 
 def _unreachable(nodes: Mapping[str, Node], outgoing: Leading) -> Iterator[Fault]:
@@ -132,7 +242,11 @@ def _unreachable(nodes: Mapping[str, Node], outgoing: Leading) -> Iterator[Fault
     led_to = {flow.target for leaving in outgoing.values() for flow in leaving}
     for node in nodes.values():
         if node.id not in reached and (node.id in led_to or node.kind is Kind.BOUNDARY):
-            yield Fault(node.id, node.line, "it cannot be reached from the start event")
+            yield Fault(
+                node.id,
+                node.line,
+                message("bpmn.unreachable", "it cannot be reached from the start event"),
+            )
 
 
 def _waiting_for_themselves(
@@ -146,7 +260,17 @@ def _waiting_for_themselves(
             if flow.source not in reached:
                 rule = "only comes after the gateway itself, so it would wait for ever"
                 way_out = "put an exclusive gateway before it, where the loop comes back"
-                yield Fault(node.id, node.line, f'its flow "{flow.id}" {rule}; {way_out}')
+                yield Fault(
+                    node.id,
+                    node.line,
+                    message(
+                        "bpmn.wrong_flow",
+                        'its flow "{flow}" {rule}; {way_out}',
+                        flow=flow.id,
+                        rule=rule,
+                        way_out=way_out,
+                    ),
+                )
 
 
 def _reached(nodes: Mapping[str, Node], outgoing: Leading, *, without: str | None = None) -> set[str]:

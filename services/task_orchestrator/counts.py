@@ -7,6 +7,7 @@ Task being handed out to its end, waiting for somebody to take it up included.
 import statistics
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, and_, case, func, select
@@ -35,6 +36,16 @@ class VersionCount:
     completed: int
     failed: int
     elements: Mapping[str, ElementCount]
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodCount:
+    """What became of the processes that ended in a period; `running` are those that have not ended."""
+
+    running: int
+    completed: int
+    failed: int
+    median_ms: int | None
 
 
 def count_elements(listed: Iterable[TaskRecord]) -> dict[str, ElementCount]:
@@ -68,6 +79,23 @@ def count_version(connection: Connection, definition: str, version: int) -> Vers
     completed = ended.pop(TaskStatus.COMPLETED.value, 0)
     failed = ended.pop(TaskStatus.FAILED.value, 0)
     return VersionCount(sum(ended.values()), completed, failed, _elements(connection, of_version))
+
+
+def count_period(connection: Connection, since: str) -> PeriodCount:
+    """Return the counts of processes that ended at `since` (as the tables have it) or later."""
+    running = connection.scalar(select(func.count()).where(processes.c.ended_at.is_(None))) or 0
+    ended = connection.execute(
+        select(processes.c.status, processes.c.started_at, processes.c.ended_at).where(
+            processes.c.ended_at >= since
+        )
+    ).all()
+    times = [
+        (datetime.fromisoformat(row.ended_at) - datetime.fromisoformat(row.started_at)).total_seconds() * 1000
+        for row in ended
+        if row.status == TaskStatus.COMPLETED.value
+    ]
+    failed = sum(row.status == TaskStatus.FAILED.value for row in ended)
+    return PeriodCount(running, len(times), failed, round(statistics.median(times)) if times else None)
 
 
 def _elements(connection: Connection, of_version: ColumnElement[bool]) -> dict[str, ElementCount]:

@@ -9,9 +9,14 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from datamodels.states import Outcome
 from handover.errors import Problem
+from handover.messages import Message, message, with_code
+from handover.outcomes import reason_of
 from services.task_orchestrator.durations import Duration
 from services.task_orchestrator.expressions import Expression
+
+MAX_FAULTS_LISTED = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +36,10 @@ class BadBpmn(Problem):
     """A BPMN file cannot be deployed; `faults` say all that is wrong with it."""
 
     def __init__(self, faults: list[Fault]) -> None:
-        listed = [{"element": f.element, "line": f.line, "message": f.message} for f in faults]
+        listed = [
+            {"element": f.element, "line": f.line, **with_code("message", f.message)}
+            for f in faults[:MAX_FAULTS_LISTED]
+        ]
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         super().__init__(
             422, "BPMN cannot be deployed", f"{faults[0]}{more}", "urn:handover:bad-bpmn", {"faults": listed}
@@ -74,6 +82,16 @@ class Activity:
     parameters: Mapping[str, Given]
     outputs: Mapping[str, str]
     """Process variable -> name in the Task's outputParameters; if empty, all go to `variable`."""
+    handles_outcomes: bool = False
+    """Whether the drawing decides what follows from another outcome than `ok`; else the Task fails."""
+
+    def unhandled(self, outputs: Mapping[str, Any]) -> Message | None:
+        """Return why a completed Task counts as failed: an outcome that the drawing does not handle."""
+        outcome = outputs.get("outcome")
+        if self.handles_outcomes or outcome is None or outcome == Outcome.OK:
+            return None
+        note = outputs.get("note")
+        return reason_of(str(outcome), str(note) if note else None)
 
     @property
     def variable(self) -> str:
@@ -81,7 +99,12 @@ class Activity:
         return variable_of(self.id)
 
     def results(self, outputs: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the process variables that the Task's `outputs` give; what it did not report is null."""
+        """Return the process variables that the Task's `outputs` give; what it did not report is null.
+
+        Where outcomes are handled there is one: a performer that knows of none has answered `ok`.
+        """
+        if self.handles_outcomes:
+            outputs = {"outcome": Outcome.OK.value, **outputs}
         if not self.outputs:
             return {self.variable: dict(outputs)}
         return {variable: outputs.get(source) for variable, source in self.outputs.items()}
@@ -179,10 +202,27 @@ class Definition:
         if unknown:
             known = ", ".join(sorted(self.parameters))
             raise Problem(
-                422, "Unknown parameter", f'"{unknown[0]}" is none of those of {self.name}: {known}'
+                422,
+                "Unknown parameter",
+                message(
+                    "process.unknown_parameter",
+                    '"{unknown}" is none of those of {definition}: {known}',
+                    unknown=unknown[0],
+                    definition=self.name,
+                    known=known,
+                ),
             )
         if missing:
-            raise Problem(422, "Missing parameter", f'{self.name} cannot start without "{missing[0]}"')
+            raise Problem(
+                422,
+                "Missing parameter",
+                message(
+                    "process.missing_parameter",
+                    '{definition} cannot start without "{missing}"',
+                    definition=self.name,
+                    missing=missing[0],
+                ),
+            )
         return {**{p.name: p.default for p in self.parameters.values()}, **given}
 
 

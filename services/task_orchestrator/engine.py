@@ -26,6 +26,7 @@ from SpiffWorkflow.util.deep_merge import DeepMerge
 from SpiffWorkflow.util.task import TaskState
 
 from handover.errors import HandoverError
+from handover.messages import message, text_of
 from services.task_orchestrator.bpmn import bare_process
 from services.task_orchestrator.definition import Definition, Kind, Trigger
 from services.task_orchestrator.expressions import ExpressionError
@@ -76,7 +77,13 @@ class Plan:
             parser.add_bpmn_xml(bare_process(definition, _OURS))
             self.spec = parser.get_process_parser(definition.name).get_spec()
         except (SpiffWorkflowException, ValueError, TypeError, AttributeError, RecursionError) as error:
-            raise RunFailed(f"the engine cannot run this drawing: {error}") from error
+            raise RunFailed(
+                message(
+                    "process.not_executable",
+                    "the engine cannot run this drawing: {error}",
+                    error=text_of(error),
+                )
+            ) from error
         for node in definition.nodes.values():
             if node.trigger is Trigger.TIMER:
                 spec = self.spec.task_specs[_OURS + node.id]
@@ -94,7 +101,13 @@ class Plan:
         """Return the run that `snapshot` was taken of."""
         kept = orjson.loads(snapshot)
         if kept["version"] not in {1, SNAPSHOT_VERSION}:
-            raise RunFailed(f"a run kept in version {kept['version']} cannot be read by this release")
+            raise RunFailed(
+                message(
+                    "process.unknown_state_version",
+                    "a run kept in version {version} cannot be read by this release",
+                    version=kept["version"],
+                )
+            )
         scripts = Scripts(datetime.now(UTC))
         workflow = BpmnWorkflow(self.spec, deserializing=True, script_engine=scripts)
         for row in kept["tokens"]:
@@ -206,7 +219,14 @@ class Run:
             for token in ready:
                 steps += 1
                 if steps > MAX_STEPS:
-                    raise RunFailed(f'at "{_element(token)}": {MAX_STEPS} steps without waiting for anything')
+                    raise RunFailed(
+                        message(
+                            "process.endless_loop",
+                            'at "{element}": {limit} steps without waiting for anything',
+                            element=_element(token),
+                            limit=MAX_STEPS,
+                        )
+                    )
                 if token.state == TaskState.READY:
                     self._step(token)
             self._refresh_timers()
@@ -228,9 +248,21 @@ class Run:
         try:
             kept = orjson.dumps(content)
         except TypeError as error:
-            raise RunFailed(f"a process variable is no JSON: {error}") from error
+            raise RunFailed(
+                message(
+                    "process.variable_not_json",
+                    "a process variable is no JSON: {error}",
+                    error=text_of(error),
+                )
+            ) from error
         if len(kept) > MAX_BYTES:
-            raise RunFailed(f"the process variables take more than {MAX_BYTES} bytes")
+            raise RunFailed(
+                message(
+                    "process.variables_too_large",
+                    "the process variables take more than {limit} bytes",
+                    limit=MAX_BYTES,
+                )
+            )
         return kept
 
     def _token(self, token: str) -> Token:
@@ -242,7 +274,9 @@ class Run:
         with _failures(name):
             token.run()
         if node is not None and node.kind is Kind.END and node.trigger is Trigger.ERROR:
-            raise RunFailed(f'the error end event "{node.name}" was reached')
+            raise RunFailed(
+                message("process.error_end_event", 'the error end event "{node}" was reached', node=node.name)
+            )
 
     def _refresh_timers(self) -> None:
         with _failures("a timer"):
@@ -301,7 +335,9 @@ def _failures(element: str) -> Iterator[None]:
     try:
         yield
     except (SpiffWorkflowException, ExpressionError, ValueError) as error:
-        raise RunFailed(f'at "{element}": {str(error).strip(" .")}') from error
+        raise RunFailed(
+            message("process.failed_at", 'at "{element}": {why}', element=element, why=str(error).strip(" ."))
+        ) from error
 
 
 def _catcher(activity: Token, code: Any) -> Token | None:

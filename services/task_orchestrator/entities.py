@@ -9,6 +9,7 @@ from datamodels.times import iso
 from handover.settings import Settings
 from services.task_orchestrator.definition import Activity, Definition
 from services.task_orchestrator.extension import is_reference
+from services.task_orchestrator.records import TaskRecord
 
 Entity = dict[str, Any]
 
@@ -36,7 +37,9 @@ def definition_entities(settings: Settings, definition: Definition, version: int
     tasks: dict[str, Entity] = {}
     for activity in definition.activities.values():
         entity = _task_definition(settings, activity, process_definition)
-        tasks.setdefault(entity["id"], entity)
+        known = tasks.setdefault(entity["id"], entity)
+        if not activity.handles_outcomes:  # one that does not handle them decides for all of this definition
+            known.pop("handlesOutcomes", None)
     return [process, *tasks.values()]
 
 
@@ -53,6 +56,8 @@ def _task_definition(settings: Settings, activity: Activity, process_definition:
         given = activity.parameters.get(name)
         if given is not None and given.expression is None:
             entity[name] = _property(given.literal)
+    if activity.handles_outcomes:
+        entity["handlesOutcomes"] = _property(True)
     return entity
 
 
@@ -110,9 +115,7 @@ def task_entity(
         "involves": _property(
             [_link(settings, given.value(variables), activity) for given in activity.involves]
         ),
-        "workParameters": _property(
-            {name: given.value(variables) for name, given in activity.parameters.items()}
-        ),
+        "workParameters": _property(_work_parameters(activity, variables)),
         "deadline": _property({"@type": "DateTime", "@value": iso(deadline)}),
     }
     places = [
@@ -122,6 +125,13 @@ def task_entity(
     if places:
         entity["happensAt"] = _property(places)
     return entity
+
+
+def _work_parameters(activity: Activity, variables: Mapping[str, Any]) -> dict[str, Any]:
+    parameters = {name: given.value(variables) for name, given in activity.parameters.items()}
+    if activity.handles_outcomes:
+        parameters["handlesOutcomes"] = True
+    return parameters
 
 
 def _place(settings: Settings, reference: Any, function: str | None, activity: Activity) -> Entity:
@@ -138,6 +148,15 @@ def _link(settings: Settings, reference: Any, activity: Activity) -> Entity:
 def cancel_request(at: datetime) -> Entity:
     """Return the attribute that asks for a Task to be cancelled."""
     return {"requestedStatus": {**_property(RequestedStatus.CANCELLED.value), "observedAt": iso(at)}}
+
+
+def final_attributes(task: TaskRecord) -> Entity:
+    """Return the attributes that say how a Task has ended, as the orchestrator has recorded it."""
+    at = task.observed_at or task.ended_at or task.created_at
+    return {
+        "status": status_property(task.status, at),
+        "outputParameters": outputs_property(task.outputs or {}, at),
+    }
 
 
 def status_property(status: TaskStatus, at: datetime) -> Entity:

@@ -4,9 +4,13 @@
   <handover:involves resource="Device:ur10-1"/>
   <handover:parameter name="pose" expression="scan.pose"/>
 </handover:task>
+
+With handlesOutcomes="true" a Task that a person answers with another outcome than `ok` is completed, and the
+drawing goes on with its `outcome`; without it, such a Task fails.
 """
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,7 +34,7 @@ _URN = re.compile(r"urn:[a-z0-9][a-z0-9-]{0,31}:[^\s<>\"]+", re.ASCII)
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}", re.ASCII)
 
 _ATTRIBUTES: Mapping[str, frozenset[str]] = {
-    "task": frozenset({"definition", "deadline"}),
+    "task": frozenset({"definition", "deadline", "handlesOutcomes"}),
     "involves": frozenset({"resource", "expression"}),
     "happensAt": frozenset({"location", "expression", "function"}),
     "parameter": frozenset({"name", "value", "expression"}),
@@ -90,6 +94,7 @@ def read_activity(element: etree._Element, lane: str | None, found: Findings) ->
         ),
         parameters={part.get("name") or "": _given(part, found) for part in parts["parameter"]},
         outputs=outputs,
+        handles_outcomes=_handles_outcomes(extension, found),
     )
 
 
@@ -140,8 +145,8 @@ def _parts(extension: etree._Element, names: set[str], found: Findings) -> dict[
         else:
             found.fault(part, f"{local(part)} is unknown here; known are {', '.join(sorted(names))}")
     for name in ("parameter", "output"):
-        listed = [part.get("name") for part in parts.get(name, [])]
-        for twice in {each for each in listed if listed.count(each) > 1}:
+        times = Counter(part.get("name") for part in parts.get(name, []))
+        for twice in (each for each, number in times.items() if number > 1):
             found.fault(extension, f'the {name} "{twice}" is given twice')
     return parts
 
@@ -165,6 +170,13 @@ def _deadline(extension: etree._Element, found: Findings) -> Duration | None:
     except ValueError as error:
         found.fault(extension, str(error))
         return None
+
+
+def _handles_outcomes(extension: etree._Element, found: Findings) -> bool:
+    text = extension.get("handlesOutcomes", "false")
+    if text not in {"true", "false"}:
+        found.fault(extension, f'handlesOutcomes="{text}" is neither true nor false')
+    return bool(text == "true")
 
 
 def _reference(part: etree._Element, attribute: str, found: Findings) -> Given:

@@ -115,7 +115,9 @@ class Floor:
     async def _load(self, record: ProcessRecord, *, even_if_over: bool = False) -> None:
         tasks = await self._on_disk(self._store.tasks, record.id)
         try:
-            plan = self._library.plan(self._library.record(record.definition, record.version))
+            definition = self._library.record(record.definition, record.version)
+            await self._library.prepare(definition)
+            plan = self._library.plan(definition)
             process = Process.resume(self._settings, plan, record, tasks)
         except HandoverError as error:
             log.critical("a process cannot be resumed", process=record.id, error=str(error))

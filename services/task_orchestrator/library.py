@@ -1,12 +1,15 @@
 """Library: the deployed definitions, every version of them, since running processes keep theirs."""
 
+import asyncio
 import hashlib
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from handover.errors import Problem
+from handover.errors import HandoverError, Problem
+from handover.messages import message, text_of
 from services.task_orchestrator.bpmn import read_bpmn
 from services.task_orchestrator.definition import BadBpmn, Definition, Fault
 from services.task_orchestrator.engine import Plan, RunFailed
@@ -30,7 +33,8 @@ class Library:
     def __init__(self, settings: OrchestratorSettings) -> None:
         self._settings = settings
         self._records: dict[str, list[DefinitionRecord]] = {}
-        self._plans: dict[tuple[str, int], Plan] = {}
+        self._plans: dict[str, Plan] = {}
+        """By the digest of the file."""
 
     def add(self, records: Iterable[DefinitionRecord]) -> None:
         """Put `records` on the shelf, in the order of their versions."""
@@ -47,22 +51,50 @@ class Library:
         if not versions:
             known = ", ".join(sorted(self._records)) or "none yet"
             raise Problem(
-                404, "No such definition", f'there is no definition "{name}"; deployed are: {known}'
+                404,
+                "No such definition",
+                message(
+                    "bpmn.no_such_definition",
+                    'there is no definition "{name}"; deployed are: {known}',
+                    name=name,
+                    known=known,
+                ),
             )
         if version is None:
             return versions[-1]
         if not 1 <= version <= len(versions):
             raise Problem(
-                404, "No such version", f'"{name}" has the versions 1 to {len(versions)}, not {version}'
+                404,
+                "No such version",
+                message(
+                    "bpmn.no_such_version",
+                    '"{name}" has the versions 1 to {versions}, not {version}',
+                    name=name,
+                    versions=len(versions),
+                    version=version,
+                ),
             )
         return versions[version - 1]
 
     def plan(self, record: DefinitionRecord) -> Plan:
-        """Return `record` made ready to run."""
-        key = (record.name, record.version)
-        if key not in self._plans:
-            self._plans[key] = Plan(read_bpmn(record.xml))
-        return self._plans[key]
+        """Return `record` made ready to run; on the event loop, `prepare` it first."""
+        if record.digest not in self._plans:
+            self._plans[record.digest] = Plan(read_bpmn(record.xml))
+        return self._plans[record.digest]
+
+    async def prepare(self, record: DefinitionRecord) -> None:
+        """Make `record` ready in a thread, where the largest file takes half a second.
+
+        One that cannot be made ready stays as it is: `plan` raises the reason.
+        """
+        if record.digest in self._plans:
+            return
+        with suppress(HandoverError):
+            self._plans[record.digest] = await asyncio.to_thread(lambda: Plan(read_bpmn(record.xml)))
+
+    def keep(self, plan: Plan) -> None:
+        """Keep a plan that has been made already."""
+        self._plans[_digest(plan.definition.xml)] = plan
 
     def next_version(
         self,
@@ -80,7 +112,7 @@ class Library:
             *self._records.get(definition.name, []),
             *(r for r in beside if r.name == definition.name),
         ]
-        digest = hashlib.sha256(definition.xml).hexdigest()
+        digest = _digest(definition.xml)
         for record in versions if only_if_never_seen else versions[-1:]:
             if record.digest == digest:
                 return record, False
@@ -102,11 +134,19 @@ class Library:
         return definition_entities(self._settings, definition, record.version, url)
 
 
-def read_runnable(xml: bytes) -> Definition:
-    """Return the definition in `xml`; raise `BadBpmn` if it is wrong or the engine cannot run it."""
+def plan_of(xml: bytes) -> Plan:
+    """Return the plan for `xml`; raise `BadBpmn` if it is wrong or the engine cannot run it."""
     definition = read_bpmn(xml)
     try:
-        Plan(definition)
+        return Plan(definition)
     except RunFailed as failure:
-        raise BadBpmn([Fault(definition.name, None, str(failure))]) from failure
-    return definition
+        raise BadBpmn([Fault(definition.name, None, text_of(failure))]) from failure
+
+
+def read_runnable(xml: bytes) -> Definition:
+    """Return the definition in `xml`; raise `BadBpmn` if it is wrong or the engine cannot run it."""
+    return plan_of(xml).definition
+
+
+def _digest(xml: bytes) -> str:
+    return hashlib.sha256(xml).hexdigest()

@@ -55,7 +55,9 @@ class Relay:
             task = step.tasks.get(move.task)
             if task is None or move.observed_at is None:
                 continue
-            if move.status is TaskStatus.COMPLETED and (task.outputs or {}).get("by") == "gesture":
+            outputs = task.outputs or {}
+            allows = outputs.get("by") == "gesture" and outputs.get("outcome", "ok") == "ok"
+            if move.status is TaskStatus.COMPLETED and allows:
                 self._held_at[task.process] = move.observed_at
             elif move.status is TaskStatus.IN_PROGRESS:
                 held_at = self._held_at.pop(task.process, None)

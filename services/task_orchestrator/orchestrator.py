@@ -6,10 +6,10 @@ that commits 200 times a second can still move many more processes.
 
 import asyncio
 import secrets
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any, Self, TypeVar
 
@@ -21,16 +21,19 @@ from datamodels.entities import Task, TaskStatus
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import HandoverError, Problem
+from handover.messages import message, text_of
+from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator import metrics
+from services.task_orchestrator.entities import final_attributes
 from services.task_orchestrator.expressions import is_variable_name
 from services.task_orchestrator.floor import Floor
-from services.task_orchestrator.library import Deployment, Library, read_runnable
+from services.task_orchestrator.library import Deployment, Library, plan_of, read_runnable
 from services.task_orchestrator.outbox import Outbox
-from services.task_orchestrator.process import Process
+from services.task_orchestrator.process import Process, entity_of
 from services.task_orchestrator.records import Message, ProcessRecord, Saying, Step
 from services.task_orchestrator.settings import OrchestratorSettings
-from services.task_orchestrator.store import Store
+from services.task_orchestrator.store import EndedProcess, EndedTask, Store
 
 log = get_logger(__name__)
 
@@ -38,6 +41,8 @@ BATCH = 200
 STRIKE_OFF_AFTER_S = 0.1
 TIDY_UP_EVERY_S = 3600.0
 FORGET_AT_ONCE = 100
+DELETED_AT_ONCE = 50
+"""Entities deleted in one request, so that the broker answers others in between."""
 
 STEP_SECONDS = Histogram(
     "handover_orchestrator_step_seconds",
@@ -83,6 +88,8 @@ class Orchestrator:
         self.floor = Floor(settings, self.library, self.store, self.on_disk)
         self._chores: list[asyncio.Task[None]] = []
         self.due_changed = asyncio.Event()
+        self.on_unowned: Callable[[], None] = lambda: None
+        """Called when the broker shows an unfinished Task that no running process waits for."""
 
     async def __aenter__(self) -> Self:
         await self.on_disk(self.store.migrate)
@@ -117,13 +124,15 @@ class Orchestrator:
         The file that is the latest version already changes nothing; nor, with `only_if_never_seen`, one that
         was a version at any time.
         """
-        definition = await asyncio.to_thread(read_runnable, xml)
+        plan = await asyncio.to_thread(plan_of, xml)
+        definition = plan.definition
 
         def act(step: Step) -> Deployment:
             record, created = self.library.next_version(
                 definition, step.definitions, self.clock(), only_if_never_seen=only_if_never_seen
             )
             if created:
+                self.library.keep(plan)
                 step.definitions.append(record)
                 entities = self.library.entities(record)
                 step.say(f"definition {record.name}", Saying.UPSERT, entities[0]["id"], entities)
@@ -153,12 +162,31 @@ class Orchestrator:
             return known.id, False
         for name in parameters:
             if not is_variable_name(name):
-                raise Problem(422, "Bad parameter", f'"{name}" cannot be the name of a process variable')
+                raise Problem(
+                    422,
+                    "Bad parameter",
+                    message(
+                        "process.bad_parameter_name",
+                        '"{name}" cannot be the name of a process variable',
+                        name=name,
+                    ),
+                )
 
         try:
             orjson.dumps(parameters)
         except TypeError as error:
-            raise Problem(422, "Bad parameter", f"the parameters are no plain JSON: {error}") from None
+            raise Problem(
+                422,
+                "Bad parameter",
+                message(
+                    "process.parameters_not_json",
+                    "the parameters are no plain JSON: {error}",
+                    error=text_of(error),
+                ),
+            ) from None
+
+        with suppress(Problem):  # a twin that was begun meanwhile counts, whatever its definition
+            await self.library.prepare(self.library.record(definition, version))
 
         def act(step: Step) -> tuple[str, bool]:
             twin = self._begun_with(key)
@@ -168,7 +196,7 @@ class Orchestrator:
             plan, now = self.library.plan(deployed), self.clock()
             variables = plan.definition.arguments(parameters)
             record = ProcessRecord(
-                id=f"{definition}-{secrets.token_hex(4)}",
+                id=f"{definition}-{secrets.token_hex(6)}",
                 definition=definition,
                 version=deployed.version,
                 key=key,
@@ -206,11 +234,18 @@ class Orchestrator:
 
     async def hear(self, entities: Iterable[Mapping[str, Any]]) -> int:
         """Take in Tasks as the broker has them; return how many were news. Others' Tasks are ignored."""
+        tasks = self.news_in(entities)
+        return await self._do(lambda step: self._take_in(tasks, step)) if tasks else 0
+
+    def news_in(self, entities: Iterable[Mapping[str, Any]]) -> list[Task]:
+        """Return those of our Tasks among `entities` that say something we do not know."""
         tasks = []
         for entity in entities:
             owner = self.floor.owner(str(entity.get("id")))
             if owner is None:
                 NEWS.labels("not ours").inc()
+                if not _says_finished(entity):
+                    self.on_unowned()  # a Task of ours that has ended may have come back
                 continue
             try:
                 task = Task.from_ngsild(entity)
@@ -222,7 +257,7 @@ class Orchestrator:
                 tasks.append(task)
             else:
                 NEWS.labels("known").inc()
-        return await self._do(lambda step: self._take_in(tasks, step)) if tasks else 0
+        return tasks
 
     async def recover(self) -> None:
         """Take up again what the database, when it was away, left undone."""
@@ -263,6 +298,75 @@ class Orchestrator:
             if not self.outbox.on_its_way(task_id)
         ]
 
+    # What leaves the broker, and what it shows though it has ended
+
+    async def archive(self, ended: Iterable[EndedProcess]) -> list[str]:
+        """Mark processes as archived and delete their entities from the broker; return which.
+
+        One transaction marks them and puts the deletions into the outbox. A process that is being retried at
+        this moment stays.
+        """
+
+        def act(step: Step) -> list[str]:
+            now = self.clock()
+            archived = []
+            for each in ended:
+                record = each.process
+                if record.id not in self.floor.processes:
+                    step.archived.append(replace(record, archived_at=now, revision=record.revision + 1))
+                    self._say_delete(step, record.id, (*each.tasks, self._urn(record.id)))
+                    archived.append(record.id)
+            return archived
+
+        return await self._do(act)
+
+    async def delete_archived(self, entities: Mapping[str, Iterable[str]]) -> None:
+        """Delete entities of archived processes again (by process), which the broker shows all the same."""
+
+        def act(step: Step) -> None:
+            for process_id, ids in entities.items():
+                if process_id not in self.floor.processes:
+                    self._say_delete(step, process_id, tuple(ids))
+
+        await self._do(act)
+
+    async def restate(self, tasks: Iterable[EndedTask], processes: Iterable[EndedProcess]) -> int:
+        """Report again how Tasks and processes have ended that the broker shows as unfinished.
+
+        What is archived is deleted again. Returns how many were reported.
+        """
+
+        def act(step: Step) -> int:
+            now, before = self.clock(), len(step.messages)
+            for each in tasks:
+                task = each.task
+                if self.floor.owner(task.id) is not None or self.outbox.on_its_way(task.id):
+                    continue
+                if each.archived:
+                    self._say_delete(step, task.process, (task.id,))
+                else:
+                    step.say(task.process, Saying.APPEND, task.id, final_attributes(task))
+            for ended in processes:
+                record, urn = ended.process, self._urn(ended.process.id)
+                if record.id in self.floor.processes or self.outbox.on_its_way(urn):
+                    continue
+                if record.archived_at is not None:
+                    self._say_delete(step, record.id, (urn,))
+                else:
+                    entity = entity_of(self.settings, record, ended.tasks, now)
+                    step.say(record.id, Saying.UPSERT, urn, [entity])
+            return len(step.messages) - before
+
+        return await self._do(act)
+
+    def _say_delete(self, step: Step, process_id: str, ids: Sequence[str]) -> None:
+        for start in range(0, len(ids), DELETED_AT_ONCE):
+            some = list(ids[start : start + DELETED_AT_ONCE])
+            step.say(process_id, Saying.DELETE, self._urn(process_id), some)
+
+    def _urn(self, process_id: str) -> str:
+        return self.settings.entity_id("Process", process_id)
+
     def _take_in(self, tasks: Iterable[Task], step: Step) -> int:
         now = self.clock()
         heard = 0
@@ -289,7 +393,11 @@ class Orchestrator:
     async def _do_with(self, process_id: str, act: Callable[[Process, Step], T]) -> T:
         """Do something with a process that may be over; raise `Problem` 404 if there is none."""
         if not await self.on_disk(self.store.processes, [process_id]):
-            raise Problem(404, "No such process", f'there is no process "{process_id}"')
+            raise Problem(
+                404,
+                "No such process",
+                message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
+            )
 
         def with_it(step: Step) -> T:
             process = self.floor.processes.get(process_id)
@@ -351,7 +459,16 @@ class Orchestrator:
         log.error("a step could not be written", error=reason, exc_info=None if expected else error)
         for work in works:
             _answer(
-                work, Problem(503, "Not written", f"nothing was changed: {reason}; mend that and ask again")
+                work,
+                Problem(
+                    503,
+                    "Not written",
+                    message(
+                        "process.not_written",
+                        "nothing was changed: {reason}; mend that and ask again",
+                        reason=reason,
+                    ),
+                ),
             )
 
     async def _strike_off(self) -> None:
@@ -369,11 +486,22 @@ class Orchestrator:
         while self.settings.keep_days:
             ended_before = self.clock() - timedelta(days=self.settings.keep_days)
             try:
-                while await self.on_disk(self.store.forget, ended_before, FORGET_AT_ONCE) == FORGET_AT_ONCE:
+                while await self.on_disk(self._forget, ended_before) == FORGET_AT_ONCE:
                     log.info("processes of old forgotten", at_least=FORGET_AT_ONCE)
             except SQLAlchemyError as error:
                 log.warning("processes of old could not be forgotten yet", error=str(error))
             await asyncio.sleep(TIDY_UP_EVERY_S)
+
+    def _forget(self, ended_before: datetime) -> int:
+        """Delete old processes from the database, but none whose entities have not left the broker."""
+        archived_only = self.settings.retention_h > 0
+        return self.store.forget(ended_before, FORGET_AT_ONCE, archived_only=archived_only)
+
+
+def _says_finished(entity: Mapping[str, Any]) -> bool:
+    status = entity.get("status")
+    value = status.get("value") if isinstance(status, Mapping) else None
+    return isinstance(value, str) and value in FINISHED
 
 
 def _answer(work: _Work, answer: Any) -> None:

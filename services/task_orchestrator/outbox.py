@@ -14,6 +14,7 @@ from prometheus_client import Counter, Gauge
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.errors import Problem
+from handover.messages import message_in
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from services.task_orchestrator.records import Message, Saying
@@ -135,8 +136,12 @@ class Outbox:
                     await self._broker.append(message.subject, message.body)
                 except NotFound:
                     log.warning("no longer there", subject=message.subject)
+            case Saying.DELETE:
+                await self._broker.delete_batch(message.body)
             case Saying.RAISE:
-                await raise_alert(self._broker, self._settings, **message.body)
+                alert = {k: v for k, v in message.body.items() if not k.startswith("description")}
+                said = message_in(message.body, "description") or ""
+                await raise_alert(self._broker, self._settings, description=said, **alert)
             case Saying.CLEAR:
                 await clear_alert(self._broker, self._settings, **message.body)
 

@@ -12,6 +12,8 @@ from typing import Any
 
 from datamodels.entities import Task, TaskStatus
 from handover.errors import Problem
+from handover.messages import Message as MessageText
+from handover.messages import message, message_in, text_of, with_code
 from handover.task_life import FINISHED, is_news
 from services.task_orchestrator import alarms
 from services.task_orchestrator.engine import Open, Plan, Run, RunFailed
@@ -38,6 +40,7 @@ from services.task_orchestrator.retry import run_to_retry
 from services.task_orchestrator.settings import OrchestratorSettings
 
 CANCELLED = "cancelled"
+NO_REASON = message("task.no_reason", "no reason given")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,29 @@ class _News:
     @property
     def final(self) -> bool:
         return self.status in FINISHED
+
+
+def entity_of(
+    settings: OrchestratorSettings, record: ProcessRecord, composed: Iterable[str], now: datetime
+) -> dict[str, Any]:
+    """Return the Process entity of `record`, whose Tasks have the ids `composed`."""
+    outputs: dict[str, Any] | None = None
+    if record.status is TaskStatus.COMPLETED:
+        outputs = {n: v for n, v in record.variables.items() if n not in record.parameters}
+    elif record.status is TaskStatus.FAILED:
+        outputs = with_code("reason", record.reason or "")
+    elif record.acts:
+        outputs = {}  # a process that goes on again has none, whatever was told before
+    return process_entity(
+        settings,
+        record.id,
+        record.definition,
+        status=record.status,
+        at=record.ended_at or now,
+        parameters=record.parameters,
+        tasks=composed,
+        outputs=outputs,
+    )
 
 
 @dataclass
@@ -152,7 +178,9 @@ class Process:
         task = self.tasks.get(task_id)
         if task is not None:
             step.touched.add(self.record.id)
-            outputs = {"reason": f"the broker refused the Task: {reason}"}
+            outputs = with_code(
+                "reason", message("task.refused_by_broker", "the broker refused the Task: {why}", why=reason)
+            )
             self._take_in(task, _News(TaskStatus.FAILED, now, outputs), step, now)
 
     def missing(self, task_id: str, step: Step, now: datetime) -> None:
@@ -189,14 +217,23 @@ class Process:
             try:
                 self.run.advance(now)
             except RunFailed as failure:
-                self._fail(str(failure), step, now)
+                self._fail(text_of(failure), step, now)
         if due:
             self._follow(step, now)
 
     def cancel(self, by: str | None, step: Step, now: datetime) -> None:
         """End the process as failed and call its Tasks back; raise `Problem` 409 if it has ended."""
         if self.run is None:
-            raise Problem(409, "Process has ended", f"{self.record.id} is {self.record.status} already")
+            raise Problem(
+                409,
+                "Process has ended",
+                message(
+                    "process.process_has_ended",
+                    "{process} is {status} already",
+                    process=self.record.id,
+                    status=self.record.status,
+                ),
+            )
         step.touched.add(self.record.id)
         self._keep_in_mind(Act(now, ActKind.CANCEL, by))
         self._end(TaskStatus.FAILED, f"{CANCELLED} by {by}" if by else CANCELLED, step, now)
@@ -213,7 +250,9 @@ class Process:
         step.ended.discard(self.record.id)
         alarms.end_failed(step, self.record, self.urn)
         self._keep_in_mind(Act(now, ActKind.RETRY, by, task_id))
-        self._revise(status=TaskStatus.IN_PROGRESS, reason=None, ended_at=None, failed_by=None)
+        self._revise(
+            status=TaskStatus.IN_PROGRESS, reason=None, ended_at=None, failed_by=None, archived_at=None
+        )
         self.run = run
         try:
             run.restart_timers(now)
@@ -252,18 +291,28 @@ class Process:
         self._follow(step, now)
 
     def _go_on(self, run: Run, task: TaskRecord, news: _News, step: Step, now: datetime) -> None:
-        if news.status is TaskStatus.COMPLETED:
+        activity = self.plan.definition.activities[task.element]
+        # Whatever its performer takes for completed: an outcome that is not handled must not start a robot.
+        unhandled = activity.unhandled(news.outputs)
+        if news.status is TaskStatus.COMPLETED and unhandled is None:
             run.complete(task.token, self._results(task, news.outputs), now)
             return
         if task.cancelled_at is not None:
             return  # called back when the process failed, wanted again since: it is handed out anew
-        activity = self.plan.definition.activities[task.element]
-        reason = str(news.outputs.get("reason") or "no reason given").replace("\0", "")
-        code = news.outputs.get("errorCode")
-        error = {"activity": task.element, "reason": reason, "code": None if code is None else str(code)}
+        reason = message_in(news.outputs, "reason") or unhandled or NO_REASON
+        if "\0" in reason or not isinstance(reason, MessageText):
+            reason = str(reason).replace("\0", "")  # which PostgreSQL does not take
+        code = news.outputs.get("errorCode", news.outputs.get("outcome") if unhandled else None)
+        error = {"activity": task.element, "reason": str(reason), "code": None if code is None else str(code)}
         if not run.fail(task.token, error, now):
             self._revise(failed_by=task.id, state=run.snapshot())
-            self._fail(f'"{activity.name}" failed: {reason}', step, now)
+            self._fail(
+                message(
+                    "process.task_failed", '"{task}" failed: {reason}', task=activity.name, reason=reason
+                ),
+                step,
+                now,
+            )
 
     def _results(self, task: TaskRecord, outputs: Mapping[str, Any]) -> dict[str, Any]:
         return self.plan.definition.activities[task.element].results(outputs)
@@ -358,26 +407,9 @@ class Process:
 
     def _tell(self, step: Step, now: datetime) -> None:
         """Tell the broker how the process stands."""
-        record = self.record
-        self.told = (record.status, len(self.composed))
-        outputs: dict[str, Any] | None = None
-        if record.status is TaskStatus.COMPLETED:
-            outputs = {n: v for n, v in record.variables.items() if n not in record.parameters}
-        elif record.status is TaskStatus.FAILED:
-            outputs = {"reason": record.reason}
-        elif record.acts:
-            outputs = {}  # a process that goes on again has none, whatever was told before
-        entity = process_entity(
-            self.settings,
-            record.id,
-            record.definition,
-            status=record.status,
-            at=record.ended_at or now,
-            parameters=record.parameters,
-            tasks=self.composed,
-            outputs=outputs,
-        )
-        step.say(record.id, Saying.UPSERT, self.urn, [entity])
+        self.told = (self.record.status, len(self.composed))
+        entity = entity_of(self.settings, self.record, self.composed, now)
+        step.say(self.record.id, Saying.UPSERT, self.urn, [entity])
 
     def _note(self, task: TaskRecord, step: Step) -> None:
         step.tasks[task.id] = task
@@ -388,7 +420,8 @@ class Process:
             self.tasks[task.id] = task
             return
         self.tasks.pop(task.id, None)
-        if task.cancelled_at is not None and task.status is TaskStatus.COMPLETED:
+        unhandled = self.plan.definition.activities[task.element].unhandled(task.outputs or {})
+        if task.cancelled_at is not None and task.status is TaskStatus.COMPLETED and unhandled is None:
             self.done_anyway[task.token] = task
 
     def _keep_in_mind(self, act: Act) -> None:

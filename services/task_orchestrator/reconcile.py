@@ -7,8 +7,11 @@ happen is kept here too.
 import asyncio
 from typing import Any
 
+from fastapi import Request
+
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError, Problem
+from handover.notifications import NotificationReceiver
 from handover.rounds import LAST_RETRY_S, Rounds
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
@@ -27,12 +30,14 @@ class Reconciler:
         self._orchestrator = orchestrator
         self._broker = broker
         self._settings = orchestrator.settings
+        self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
+        self._rounds = Rounds(self._ask_well, self._settings.reconcile_s)
         self._introduced = self._away = False
         self._chores: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> "Reconciler":
-        rounds = Rounds(self._ask_well, self._settings.reconcile_s)
-        self._chores = [asyncio.create_task(rounds.keep()), asyncio.create_task(self._keep_time())]
+        self._receiver.require_key()
+        self._chores = [asyncio.create_task(self._rounds.keep()), asyncio.create_task(self._keep_time())]
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -60,6 +65,20 @@ class Reconciler:
                 log.warning("the broker does not have tasks of ours", tasks=sorted(gone))
                 self._introduced = False
                 await self._orchestrator.missing(gone)
+
+    async def take_notification(self, request: Request) -> None:
+        """Read the Tasks that a notification says have changed from the broker, and take in what that says.
+
+        Raises `Problem` if the notification is refused, or if what the broker says cannot be written.
+        """
+        news = self._orchestrator.news_in(await self._receiver.receive(request))
+        try:
+            entities = await self._receiver.read("Task", [task.id for task in news])
+        except BrokerError as error:
+            log.warning("cannot read tasks that have changed", error=str(error))
+            self._rounds.wish()
+            return
+        await self._orchestrator.hear(entities)
 
     async def _introduce(self) -> None:
         """Make sure that the broker notifies us and knows our definitions: it may have lost them."""
@@ -117,9 +136,6 @@ class Reconciler:
             "watchedAttributes": ["status"],
             "notification": {
                 "format": "normalized",
-                "endpoint": {
-                    "uri": f"{self._settings.own_url}/notifications",
-                    "accept": "application/json",
-                },
+                "endpoint": self._receiver.endpoint(f"{self._settings.own_url}/notifications"),
             },
         }

@@ -68,6 +68,8 @@ class ProcessRecord:
     state: bytes | None = field(repr=False)
     failed_by: str | None = None
     acts: tuple[Act, ...] = ()
+    archived_at: datetime | None = None
+    """When the deletion of its entities from the broker was decided; None while they belong there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +129,7 @@ class Saying(StrEnum):
     APPEND = "append"
     RAISE = "raise"
     CLEAR = "clear"
+    DELETE = "delete"
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +178,8 @@ class Step:
     timers: dict[str, tuple[Timer, ...]] = field(default_factory=dict)
     messages: list[Message] = field(default_factory=list)
     delivered: list[int] = field(default_factory=list)
+    archived: list[ProcessRecord] = field(default_factory=list)
+    """Ended processes, as read from the database, that get `archived_at` now."""
 
     def say(self, stream: str, saying: Saying, subject: str, body: Any) -> None:
         """Put a message into the outbox."""

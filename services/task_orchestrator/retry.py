@@ -7,6 +7,7 @@ from collections.abc import Collection
 
 from datamodels.entities import TaskStatus
 from handover.errors import Problem
+from handover.messages import message
 from services.task_orchestrator.engine import Plan, Run, RunFailed
 from services.task_orchestrator.records import ProcessRecord
 
@@ -18,7 +19,16 @@ def run_to_retry(plan: Plan, record: ProcessRecord, composed: Collection[str], t
     reason if it cannot be retried.
     """
     if task_id not in composed:
-        raise Problem(404, "No such Task", f'{record.id} has no Task "{task_id}"')
+        raise Problem(
+            404,
+            "No such Task",
+            message(
+                "process.no_such_task",
+                '{process} has no Task "{task_id}"',
+                process=record.id,
+                task_id=task_id,
+            ),
+        )
     if record.status is not TaskStatus.FAILED:
         raise _refusal(f"{record.id} is {record.status}, and only a failed process can be retried")
     if record.failed_by is None or record.state is None:

@@ -27,7 +27,7 @@ from sqlalchemy.schema import CreateIndex
 
 from handover.tables import Step, bring_forward
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 _meta = MetaData()
 definitions = Table(
@@ -59,8 +59,15 @@ processes = Table(
     Column("state", LargeBinary),
     Column("failed_by", String(300)),
     Column("acts", Text, nullable=False, server_default="[]"),
+    Column("archived_at", String(40)),
+    Column("reason_message", Text),
     Index("orchestrator_processes_started", "started_at", "id"),
     Index("orchestrator_processes_definition", "definition", "version"),
+    # A list of one status or definition is read in its order, however many processes are kept.
+    Index("orchestrator_processes_status_started", "status", "started_at", "id"),
+    Index("orchestrator_processes_definition_started", "definition", "started_at", "id"),
+    Index("orchestrator_processes_ended", "ended_at"),
+    Index("orchestrator_processes_to_archive", "archived_at", "ended_at"),
 )
 tasks = Table(
     "orchestrator_tasks",
@@ -82,6 +89,7 @@ tasks = Table(
     Column("outputs", Text),
     Column("entity", Text, nullable=False),
     Column("took_ms", BigInteger),
+    Index("orchestrator_tasks_unfinished", "ended_at", "process"),
 )
 inbox = Table(
     "orchestrator_inbox",
@@ -138,5 +146,23 @@ def _keep_what_a_retry_needs(connection: Connection) -> None:
         connection.execute(update(tasks).where(tasks.c.id == row.id).values(took_ms=took_ms))
 
 
-_MIGRATIONS: Mapping[int, Step] = {1: _keep_what_a_retry_needs}
+def _add_archive(connection: Connection) -> None:
+    """2 to 3: which processes were archived, codes of reasons, and indexes for lists of many processes."""
+    connection.exec_driver_sql(f"ALTER TABLE {processes.name} ADD COLUMN archived_at VARCHAR(40)")
+    connection.exec_driver_sql(f"ALTER TABLE {processes.name} ADD COLUMN reason_message TEXT")
+    for index in sorted((*processes.indexes, *tasks.indexes), key=lambda index: str(index.name)):
+        if index.name in _INDEXES_OF_VERSION_3:
+            connection.execute(CreateIndex(index))
+
+
+_INDEXES_OF_VERSION_3 = frozenset(
+    {
+        "orchestrator_processes_status_started",
+        "orchestrator_processes_definition_started",
+        "orchestrator_processes_ended",
+        "orchestrator_processes_to_archive",
+        "orchestrator_tasks_unfinished",
+    }
+)
+_MIGRATIONS: Mapping[int, Step] = {1: _keep_what_a_retry_needs, 2: _add_archive}
 """From version n to n + 1."""

@@ -24,7 +24,10 @@ class OrchestratorSettings(Settings):
         5.0, ge=0, description="a cancelled Task that nobody has taken up is closed after so long"
     )
     keep_days: float = Field(
-        365.0, ge=0, description="a process that ended so long ago is deleted from the database; 0: never"
+        365.0,
+        ge=0,
+        description="a process that ended so many days ago is deleted from the database, with "
+        "all that is known of it; 0: never",
     )
 
     @property

@@ -5,17 +5,32 @@ cannot both move it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
 import orjson
-from sqlalchemy import Connection, Engine, Table, delete, insert, select, tuple_, update
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    Engine,
+    Table,
+    delete,
+    exists,
+    insert,
+    select,
+    tuple_,
+    update,
+)
 from sqlalchemy.exc import IntegrityError
 
 from datamodels.entities import TaskStatus
 from handover.errors import HandoverError, Problem
+from handover.messages import Message as MessageText
+from handover.messages import message, message_in, with_code
 from services.task_orchestrator import schema
-from services.task_orchestrator.counts import VersionCount, count_version
+from services.task_orchestrator.counts import PeriodCount, VersionCount, count_period, count_version
 from services.task_orchestrator.records import (
     Act,
     ActKind,
@@ -31,13 +46,39 @@ from services.task_orchestrator.records import (
 )
 
 _MOMENTS = frozenset(
-    {"deployed_at", "started_at", "ended_at", "observed_at", "created_at", "deadline", "cancelled_at"}
+    {
+        "deployed_at",
+        "started_at",
+        "ended_at",
+        "observed_at",
+        "created_at",
+        "deadline",
+        "cancelled_at",
+        "archived_at",
+    }
 )
+_AT_ONCE = 500
 _DOCUMENTS = frozenset({"parameters", "variables", "waiting", "outputs", "entity", "acts"})
 
 
 class Conflict(HandoverError):
     """Another orchestrator has moved the same process, or taken the same key, in this database."""
+
+
+@dataclass(frozen=True, slots=True)
+class EndedProcess:
+    """A process that has ended (without the engine's state), and the ids of all its Tasks."""
+
+    process: ProcessRecord
+    tasks: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class EndedTask:
+    """A Task that has ended, and whether its process is archived."""
+
+    task: TaskRecord
+    archived: bool
 
 
 class Store:
@@ -70,16 +111,23 @@ class Store:
                 connection.execute(delete(schema.timers).where(schema.timers.c.process == process))
                 _insert(connection, schema.timers, [{"process": process, **_row(timer)} for timer in timers])
             _insert(connection, schema.outbox, [_message_row(message) for message in step.messages])
+            _write_archived(connection, step.archived)
             if step.delivered:
                 connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(step.delivered)))
 
-    def forget(self, ended_before: datetime, at_most: int) -> int:
-        """Delete processes that ended before, with all that is kept of them; return how many were deleted."""
+    def forget(self, ended_before: datetime, at_most: int, *, archived_only: bool = False) -> int:
+        """Delete processes that ended before, with all that is kept of them; return how many were deleted.
+
+        With `archived_only` a process stays whose entities may still be in the broker.
+        """
         processes, tasks = schema.processes, schema.tasks
         with self._engine.begin() as connection:
-            old = select(processes.c.id).where(processes.c.ended_at < _written(ended_before))
-            unfinished = select(tasks.c.process).where(tasks.c.ended_at.is_(None))
-            ids = list(connection.scalars(old.where(processes.c.id.not_in(unfinished)).limit(at_most)))
+            old = select(processes.c.id).where(
+                processes.c.ended_at < _written(ended_before), ~_has_open_tasks()
+            )
+            if archived_only:
+                old = old.where(processes.c.archived_at.is_not(None))
+            ids = list(connection.scalars(old.limit(at_most)))
             theirs = select(tasks.c.id).where(tasks.c.process.in_(ids))
             connection.execute(delete(schema.inbox).where(schema.inbox.c.task.in_(theirs)))
             connection.execute(delete(tasks).where(tasks.c.process.in_(ids)))
@@ -104,25 +152,47 @@ class Store:
         *,
         status: str | None = None,
         definition: str | None = None,
+        version: int | None = None,
+        search: str | None = None,
+        involves: str | None = None,
         before: str | None = None,
         limit: int | None = None,
     ) -> list[ProcessRecord]:
         """Return processes without the engine's state, the latest first.
 
+        `search` is a part of the business key or of the id, in any case of letters; `involves` the URN of
+        a person or a resource that a Task of the process involves.
         `before` is a process: only those that were started before it, however many were started since.
         Raises `Problem` 404 if it is none.
         """
         table = schema.processes.c
-        columns = [column for column in table if column.name != "state"]
-        statement = select(*columns).order_by(table.started_at.desc(), table.id.desc()).limit(limit)
+        statement = select(*_without_state()).order_by(table.started_at.desc(), table.id.desc()).limit(limit)
         if status is not None:
             statement = statement.where(table.status == status)
         if definition is not None:
             statement = statement.where(table.definition == definition)
+        if version is not None:
+            statement = statement.where(table.version == version)
+        if search is not None:
+            statement = statement.where(
+                table.key.icontains(search, autoescape=True) | table.id.icontains(search, autoescape=True)
+            )
+        if involves is not None:
+            quoted = orjson.dumps(involves).decode()
+            theirs = schema.tasks.c.entity.contains(f'"object":{quoted}', autoescape=True)
+            statement = statement.where(table.id.in_(select(schema.tasks.c.process).where(theirs)))
         if before is not None:
             mark = list(self._rows(select(table.started_at).where(table.id == before)))
             if not mark:
-                raise Problem(404, "No such process", f'there is no process "{before}" to come before')
+                raise Problem(
+                    404,
+                    "No such process",
+                    message(
+                        "process.unknown_mark",
+                        'there is no process "{before}" to come before',
+                        before=before,
+                    ),
+                )
             began = mark[0]["started_at"]
             statement = statement.where(tuple_(table.started_at, table.id) < tuple_(began, before))
         return [_process({**row, "state": None}) for row in self._rows(statement)]
@@ -135,6 +205,54 @@ class Store:
         )
         return [_process(row) for row in self._rows(statement)]
 
+    def to_archive(self, ended_before: datetime, at_most: int) -> list[EndedProcess]:
+        """Return the processes that ended first, before a moment, and are complete: nothing of them is open.
+
+        Their Tasks have ended too, and the broker has been told everything about them.
+        """
+        table = schema.processes.c
+        statement = (
+            select(*_without_state())
+            .where(table.archived_at.is_(None), table.ended_at < _written(ended_before))
+            .where(~_has_open_tasks(), ~_has_messages())
+            .order_by(table.ended_at)
+            .limit(at_most)
+        )
+        return self._with_tasks([_process({**row, "state": None}) for row in self._rows(statement)])
+
+    def ended_processes(self, ids: Sequence[str]) -> list[EndedProcess]:
+        """Return those of the processes `ids` that have ended."""
+        table = schema.processes.c
+        found = []
+        for some in _in_parts(ids):
+            statement = select(*_without_state()).where(table.id.in_(some), table.ended_at.is_not(None))
+            found += [_process({**row, "state": None}) for row in self._rows(statement)]
+        return self._with_tasks(found)
+
+    def ended_tasks(self, ids: Sequence[str]) -> list[EndedTask]:
+        """Return those of the Tasks `ids` that have ended."""
+        of_process = schema.processes.c.id == schema.tasks.c.process
+        statement = select(schema.tasks, schema.processes.c.archived_at).join(schema.processes, of_process)
+        statement = statement.where(schema.tasks.c.ended_at.is_not(None))
+        rows = [
+            row for some in _in_parts(ids) for row in self._rows(statement.where(schema.tasks.c.id.in_(some)))
+        ]
+        return [EndedTask(archived=row.pop("archived_at") is not None, task=_task(row)) for row in rows]
+
+    def archived(self, entities: Sequence[str], processes: Sequence[str]) -> dict[str, str]:
+        """Return those of the Tasks and of the processes that are archived, each with the process's id."""
+        of_process = schema.processes.c.id == schema.tasks.c.process
+        is_archived = schema.processes.c.archived_at.is_not(None)
+        of_tasks = select(schema.tasks.c.id, schema.tasks.c.process).join(schema.processes, of_process)
+        found: dict[str, str] = {}
+        for some in _in_parts(entities):
+            statement = of_tasks.where(schema.tasks.c.id.in_(some), is_archived)
+            found |= {row["id"]: row["process"] for row in self._rows(statement)}
+        for some in _in_parts(processes):
+            ids = select(schema.processes.c.id).where(schema.processes.c.id.in_(some), is_archived)
+            found |= {row["id"]: row["id"] for row in self._rows(ids)}
+        return found
+
     def by_key(self, key: str) -> ProcessRecord | None:
         """Return the process that was started with the idempotency key `key`."""
         rows = list(self._rows(select(schema.processes).where(schema.processes.c.key == key)))
@@ -144,6 +262,11 @@ class Store:
         """Return what became of the processes of a version of a definition and of their Tasks."""
         with self._engine.connect() as connection:
             return count_version(connection, definition, version)
+
+    def counts_since(self, since: datetime) -> PeriodCount:
+        """Return what became of the processes that ended at `since` or later."""
+        with self._engine.connect() as connection:
+            return count_period(connection, _written(since))
 
     def tasks(self, process: str) -> list[TaskRecord]:
         """Return the Tasks of a process in the order in which they came to be."""
@@ -193,7 +316,17 @@ class Store:
             for r in self._rows(select(schema.outbox).order_by(schema.outbox.c.seq))
         ]
 
-    def _rows(self, statement: Any) -> Iterator[Mapping[str, Any]]:
+    def _with_tasks(self, found: Sequence[ProcessRecord]) -> list[EndedProcess]:
+        tasks: dict[str, list[str]] = {record.id: [] for record in found}
+        for some in _in_parts(list(tasks)):
+            statement = select(schema.tasks.c.id, schema.tasks.c.process).where(
+                schema.tasks.c.process.in_(some)
+            )
+            for row in self._rows(statement.order_by(schema.tasks.c.created_at, schema.tasks.c.id)):
+                tasks[row["process"]].append(row["id"])
+        return [EndedProcess(record, tuple(tasks[record.id])) for record in found]
+
+    def _rows(self, statement: Any) -> Iterator[dict[str, Any]]:
         with self._engine.connect() as connection:
             for row in connection.execute(statement).mappings().all():
                 yield dict(row)
@@ -205,7 +338,7 @@ def _write_definitions(connection: Connection, definitions: Sequence[DefinitionR
 
 def _write_processes(connection: Connection, step: Step) -> None:
     for process in step.processes.values():
-        values = _row(process)
+        values = _process_row(process)
         if process.id in step.new:
             try:
                 connection.execute(insert(schema.processes).values(values))
@@ -215,6 +348,36 @@ def _write_processes(connection: Connection, step: Step) -> None:
         mine = (schema.processes.c.id == process.id) & (schema.processes.c.revision == process.revision - 1)
         if connection.execute(update(schema.processes).where(mine).values(values)).rowcount != 1:
             raise Conflict(f"another orchestrator works on {process.id} in this database; stop one of them")
+
+
+def _write_archived(connection: Connection, archived: Sequence[ProcessRecord]) -> None:
+    for process in archived:
+        unchanged = (schema.processes.c.id == process.id) & (
+            schema.processes.c.revision == process.revision - 1
+        )
+        changes = {"archived_at": _written(process.archived_at), "revision": process.revision}
+        if connection.execute(update(schema.processes).where(unchanged).values(changes)).rowcount != 1:
+            raise Conflict(f"{process.id} has been changed meanwhile")
+
+
+def _without_state() -> list[Column[Any]]:
+    return [column for column in schema.processes.c if column.name != "state"]
+
+
+def _in_parts(ids: Sequence[str]) -> Iterator[Sequence[str]]:
+    """Yield `ids` in parts: databases limit the parameters of a statement."""
+    for start in range(0, len(ids), _AT_ONCE):
+        yield ids[start : start + _AT_ONCE]
+
+
+def _has_open_tasks() -> ColumnElement[bool]:
+    """Return the condition that some Task of a process has not ended."""
+    return exists().where(schema.tasks.c.process == schema.processes.c.id, schema.tasks.c.ended_at.is_(None))
+
+
+def _has_messages() -> ColumnElement[bool]:
+    """Return the condition that the outbox holds messages about a process."""
+    return exists().where(schema.outbox.c.stream == schema.processes.c.id)
 
 
 def _write_tasks(connection: Connection, step: Step) -> None:
@@ -232,6 +395,15 @@ def _insert(connection: Connection, table: Table, rows: Sequence[Mapping[str, An
 
 def _row(record: Any) -> dict[str, Any]:
     return {name: _written(getattr(record, name)) for name in record.__dataclass_fields__}
+
+
+def _process_row(process: ProcessRecord) -> dict[str, Any]:
+    """Return the row of a process; the code and parameters of its reason are in a column of their own."""
+    reason = process.reason
+    if not isinstance(reason, MessageText):
+        return {**_row(process), "reason_message": None}
+    told = orjson.dumps(with_code("reason", reason)).decode()
+    return {**_row(process), "reason": str(reason), "reason_message": told}
 
 
 def _task_row(task: TaskRecord) -> dict[str, Any]:
@@ -262,9 +434,11 @@ def _values(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def _process(row: Mapping[str, Any]) -> ProcessRecord:
     values = _values(row)
+    told = values.pop("reason_message")
     return ProcessRecord(
         **{
             **values,
+            "reason": values["reason"] if told is None else message_in(orjson.loads(told), "reason"),
             "status": TaskStatus(values["status"]),
             "waiting": tuple(values["waiting"]),
             "acts": tuple(_act(act) for act in values["acts"]),

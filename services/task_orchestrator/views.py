@@ -7,8 +7,9 @@ from typing import Any
 from datamodels.entities import TaskStatus
 from datamodels.times import iso
 from handover.errors import HandoverError
+from handover.messages import message_in, with_code
 from services.task_orchestrator.ahead import activities_ahead
-from services.task_orchestrator.counts import ElementCount, VersionCount, count_elements
+from services.task_orchestrator.counts import ElementCount, PeriodCount, VersionCount, count_elements
 from services.task_orchestrator.definition import Activity, Definition
 from services.task_orchestrator.entities import resource_id
 from services.task_orchestrator.expressions import ExpressionError
@@ -69,6 +70,16 @@ def statistics_view(record: DefinitionRecord, counts: VersionCount) -> View:
     }
 
 
+def period_view(counts: PeriodCount) -> View:
+    """Return what became of the processes of a period."""
+    return {
+        "running": counts.running,
+        "completed": counts.completed,
+        "failed": counts.failed,
+        "medianMs": counts.median_ms,
+    }
+
+
 def process_summary(settings: OrchestratorSettings, library: Library, record: ProcessRecord) -> View:
     """Return a process in a line."""
     return {
@@ -79,9 +90,10 @@ def process_summary(settings: OrchestratorSettings, library: Library, record: Pr
         "title": library.record(record.definition, record.version).title,
         "key": record.key,
         "status": record.status.value,
-        "reason": record.reason,
+        **_reason(record.reason),
         "startedAt": iso(record.started_at),
         "endedAt": _iso(record.ended_at),
+        "archivedAt": _iso(record.archived_at),
         "waiting": list(record.waiting),
         "retry": record.failed_by,
     }
@@ -166,7 +178,7 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
         "deadline": iso(task.deadline),
         "endedAt": _iso(task.ended_at),
         "cancelled": task.cancelled_at is not None,
-        "reason": str(outputs["reason"]) if failed and outputs.get("reason") else None,
+        **_reason(message_in(outputs, "reason") if failed else None),
         "outputParameters": task.outputs,
         "history": [
             {"status": move.status.value, "at": iso(move.observed_at or move.heard_at)} for move in moves
@@ -182,6 +194,10 @@ def _count_view(count: ElementCount) -> View:
         "lastMs": count.last_ms,
         "medianMs": count.median_ms,
     }
+
+
+def _reason(reason: str | None) -> View:
+    return {"reason": None} if not reason else with_code("reason", reason)
 
 
 def _act_view(act: Act) -> View:

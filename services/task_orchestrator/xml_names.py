@@ -5,6 +5,7 @@ from lxml import etree
 BPMN = "http://www.omg.org/spec/BPMN/20100524/MODEL"
 HANDOVER = "urn:handover:bpmn"
 MAX_BYTES = 1024 * 1024
+MAX_ELEMENTS = 20_000
 
 
 def qualified(name: str) -> str:

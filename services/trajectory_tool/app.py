@@ -9,7 +9,9 @@ from fastapi import FastAPI, WebSocket
 
 from handover.broker import BrokerClient
 from handover.errors import Problem
+from handover.messages import message, text_of
 from handover.service import create_app
+from handover.storage import storage_check
 from services.trajectory_tool.controller import Controller
 from services.trajectory_tool.joint_states import stream, written
 from services.trajectory_tool.robot import RobotFault
@@ -35,7 +37,11 @@ def make_app(settings: TrajectorySettings) -> FastAPI:
         "Trajectory tool",
         description=__doc__ or "",
         lifespan=lifespan,
-        checks={"broker": broker.probe, "tasks": controller.probe},
+        checks={
+            "broker": broker.probe,
+            "tasks": controller.probe,
+            "storage": storage_check(settings.data_dir),
+        },
     )
     controller.mount(app)
     _add_robots(app, controller)
@@ -86,12 +92,23 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
         _require_known(controller, robot)
         if controller.work is not None:
             raise Problem(
-                409, "Robot at work", f"{robot} does {controller.work.task}; wait for its end or cancel it"
+                409,
+                "Robot at work",
+                message(
+                    "robot.robot_at_work",
+                    "{robot} does {task}; wait for its end or cancel it",
+                    robot=robot,
+                    task=controller.work.task,
+                ),
             )
         try:
             await controller.cell.free()
         except RobotFault as fault:
-            raise Problem(503, "Robot fault", f"the gripper cannot be opened: {fault}") from fault
+            raise Problem(
+                503,
+                "Robot fault",
+                message("robot.robot_fault", "the gripper cannot be opened: {fault}", fault=text_of(fault)),
+            ) from fault
         controller.device.tell(controller.device.state)
         return view_of(controller)
 
@@ -111,7 +128,16 @@ def _add_stream(app: FastAPI, controller: Controller) -> None:
 
 def _require_known(controller: Controller, robot: str) -> None:
     if robot not in {controller.robot_name, controller.device.id}:
-        raise Problem(404, "No such robot", f'there is no robot "{robot}"; there is {controller.robot_name}')
+        raise Problem(
+            404,
+            "No such robot",
+            message(
+                "robot.no_such_robot",
+                'there is no robot "{robot}"; there is {known}',
+                robot=robot,
+                known=controller.robot_name,
+            ),
+        )
 
 
 def _rate(asked: str | None) -> float:
@@ -122,5 +148,13 @@ def _rate(asked: str | None) -> float:
     except ValueError:
         hz = math.nan
     if not 0 < hz <= MOST_HZ:
-        raise Problem(400, "No such rate", f"hz must be a number above 0 and at most {MOST_HZ:.0f}")
+        raise Problem(
+            400,
+            "No such rate",
+            message(
+                "robot.no_such_rate",
+                "hz must be a number above 0 and at most {limit}",
+                limit=f"{MOST_HZ:.0f}",
+            ),
+        )
     return hz

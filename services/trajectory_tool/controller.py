@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 from datamodels.entities import DeviceState
 from handover.broker import BrokerClient
+from handover.messages import message, text_of
 from handover.performer import Job, Performer, TaskCancelled, TaskFailed, TaskGone, Wants
 from handover.telemetry import get_logger
 from services.trajectory_tool import operations, parameters, scene
@@ -79,11 +80,18 @@ class Controller(Performer):
             yield
         except RobotFault as fault:
             after = DeviceState.ERROR
-            raise TaskFailed(f"the robot cannot move: {fault}") from fault
+            raise TaskFailed(
+                message("robot.cannot_move", "the robot cannot move: {fault}", fault=text_of(fault))
+            ) from fault
         except OSError as error:
             raise TaskFailed(
-                f"the state of the cell cannot be kept in {self.cell.file.path}: {error.strerror}; "
-                "make room for it or set HANDOVER_DATA_DIR"
+                message(
+                    "robot.state_not_stored",
+                    "the state of the cell cannot be kept in {path}: {error}; make room for it or set "
+                    "HANDOVER_DATA_DIR",
+                    path=str(self.cell.file.path),
+                    error=error.strerror,
+                )
             ) from error
         finally:
             self.work = None

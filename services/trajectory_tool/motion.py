@@ -5,6 +5,7 @@ A target that the arm cannot or must not take is refused before anything moves.
 
 from dataclasses import dataclass
 
+from handover.messages import message, text_of
 from services.trajectory_tool.poses import Frame, Pose
 from services.trajectory_tool.robot import JOINT_NAMES, Joints
 from services.trajectory_tool.ur10_kinematics import JOINT_LIMIT_RAD, Unreachable, forward, nearest
@@ -33,14 +34,28 @@ class Arm:
             return nearest(pose.frame() @ self._tool.inverse(), near)
         except Unreachable as why:
             where = ", ".join(f"{value:.3f}" for value in pose.position)
-            raise Unreachable(f"the tool cannot be at ({where}) m: {why}") from None
+            raise Unreachable(
+                message(
+                    "robot.tool_unreachable",
+                    "the tool cannot be at ({position}) m: {why}",
+                    position=where,
+                    why=text_of(why),
+                )
+            ) from None
 
     def allow(self, joints: Joints) -> Joints:
         """Return `joints` if each is within its limits. Raises `Unreachable`."""
         for name, angle in zip(JOINT_NAMES, joints, strict=True):
             if abs(angle) > JOINT_LIMIT_RAD:
                 raise Unreachable(
-                    f"{name} cannot be at {angle:.3f} rad: it turns from {-JOINT_LIMIT_RAD:.3f} to "
-                    f"{JOINT_LIMIT_RAD:.3f} rad; choose an angle in between"
+                    message(
+                        "robot.joint_limit",
+                        "{joint} cannot be at {angle} rad: it turns from {lower} to {upper} rad; choose an "
+                        "angle in between",
+                        joint=name,
+                        angle=f"{angle:.3f}",
+                        lower=f"{-JOINT_LIMIT_RAD:.3f}",
+                        upper=f"{JOINT_LIMIT_RAD:.3f}",
+                    )
                 )
         return joints

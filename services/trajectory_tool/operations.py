@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from handover.messages import Message, message, text_of
 from handover.performer import TaskFailed
 from services.trajectory_tool import parameters as given
 from services.trajectory_tool.metrics import SCANS
@@ -40,7 +41,14 @@ async def move_to(work: Work, asked: given.MoveTo) -> Result:
         try:
             return await _move(work, work.cell.arm.allow(asked.joints))
         except Unreachable as why:
-            raise TaskFailed(f'parameter "joints" of moveTo: {why}') from None
+            raise TaskFailed(
+                message(
+                    "robot.target_unreachable",
+                    "{target}: {why}",
+                    target='parameter "joints" of moveTo',
+                    why=text_of(why),
+                )
+            ) from None
     target = asked.pose
     assert target is not None  # noqa: S101 - MoveTo has one or the other
     return await _move(work, _reach(work, target.pose, work.cell.joints, 'parameter "pose" of moveTo'))
@@ -50,7 +58,7 @@ async def scan(work: Work, asked: given.Scan) -> Result:
     """Look into a bin from above and say which part lies free, and where."""
     cell = work.cell
     if asked.bin not in cell.scene.bins:
-        raise TaskFailed(_unknown("bin", "scan", "bin", asked.bin, cell.scene.bins))
+        raise TaskFailed(_unknown_bin("scan", asked.bin, cell.scene.bins))
     seen_bin = cell.scene.bins[asked.bin]
     view = _reach(work, seen_bin.view.pose, cell.joints, f"the view of {asked.bin}")
     work.intend(view, seen_bin.looks_for_s)
@@ -88,13 +96,23 @@ async def pick(work: Work, asked: given.Pick) -> Result:
         await work.release(lay.place if lay else None)
         await work.go(above)
         raise TaskFailed(
-            f'"{part}" lies at {_position(spot)} where "{asked.part}" was asked for; '
-            "scan the bin again and give the part and the pose it says"
+            message(
+                "robot.other_part_there",
+                '"{part}" lies at {position} where "{asked}" was asked for; '
+                "scan the bin again and give the part and the pose it says",
+                part=part,
+                position=_position(spot),
+                asked=asked.part,
+            )
         )
     await work.go(above)
     if part is None:
         raise TaskFailed(
-            f"there was no part at {_position(spot)}; scan the bin again and give the pose it says"
+            message(
+                "robot.no_part_there",
+                "there was no part at {position}; scan the bin again and give the pose it says",
+                position=_position(spot),
+            )
         )
     return {"part": part, "gripped": True}
 
@@ -128,8 +146,12 @@ def known(name: str) -> Operation:
     """Return the operation called `name`. Raises `TaskFailed` with the names there are."""
     if name not in OPERATIONS:
         raise TaskFailed(
-            f'the robot knows no operation "{name}"; give parameter "operation" as one of '
-            f"{', '.join(OPERATIONS)}"
+            message(
+                "robot.unknown_operation",
+                'the robot knows no operation "{operation}"; give parameter "operation" as one of {known}',
+                operation=name,
+                known=", ".join(OPERATIONS),
+            )
         )
     return OPERATIONS[name]
 
@@ -144,7 +166,11 @@ async def _already_picked(work: Work, asked: given.Pick, held: str) -> Result:
     done = work.done_before()
     if done is None and asked.part != held:
         raise TaskFailed(
-            f'the gripper holds "{held}"; place it, or take it out by hand, before another part is picked'
+            message(
+                "robot.gripper_full",
+                'the gripper holds "{part}"; place it, or take it out by hand, before another part is picked',
+                part=held,
+            )
         )
     await _leave(work)
     return {"part": held, "gripped": True}
@@ -153,7 +179,9 @@ async def _already_picked(work: Work, asked: given.Pick, held: str) -> Result:
 async def _already_placed(work: Work) -> Result:
     done = work.done_before()
     if done is None or done.kind != "released":
-        raise TaskFailed("the gripper is empty; pick a part before one is placed")
+        raise TaskFailed(
+            message("robot.gripper_empty", "the gripper is empty; pick a part before one is placed")
+        )
     await _leave(work)
     return _placed(done.part, done.place, done.pose)
 
@@ -175,19 +203,34 @@ def _where_to_pick(work: Work, asked: given.Pick) -> Pose:
         return asked.pose.pose
     if asked.part is None and asked.bin is not None:
         if asked.bin not in cell.scene.bins:
-            raise TaskFailed(_unknown("bin", "pick", "bin", asked.bin, cell.scene.bins))
+            raise TaskFailed(_unknown_bin("pick", asked.bin, cell.scene.bins))
         lying = cell.parts_in(asked.bin)
         if not lying:
-            raise TaskFailed(f"{asked.bin} is empty; fill it before a part is picked from it")
+            raise TaskFailed(
+                message(
+                    "robot.bin_empty",
+                    "{bin} is empty; fill it before a part is picked from it",
+                    bin=asked.bin,
+                )
+            )
         return lying[0].pose
     part = asked.part or cell.seen
     if part is None:
         raise TaskFailed(
-            'no part has been seen yet; scan a bin first, or give pick a "part", "pose" or "bin"'
+            message(
+                "robot.no_part_seen",
+                'no part has been seen yet; scan a bin first, or give pick a "part", "pose" or "bin"',
+            )
         )
     found = cell.contents.find(part)
     if found is None:
-        raise TaskFailed(f'no part "{part}" lies in the cell; scan a bin and give the part it says')
+        raise TaskFailed(
+            message(
+                "robot.unknown_part",
+                'no part "{part}" lies in the cell; scan a bin and give the part it says',
+                part=part,
+            )
+        )
     return found.pose
 
 
@@ -197,10 +240,23 @@ def _where_to_place(work: Work, asked: given.Place) -> Pose:
     fixtures = work.cell.scene.fixtures
     name = asked.location or ""
     if name not in fixtures:
-        raise TaskFailed(_unknown("location", "place", "fixture", name, fixtures))
+        raise TaskFailed(
+            message(
+                "robot.unknown_fixture",
+                'parameter "location" of place: there is no fixture "{fixture}"; the cell has {known}',
+                fixture=name,
+                known=", ".join(fixtures) or "none",
+            )
+        )
     nest = work.cell.nest_in(name)
     if nest is None:
-        raise TaskFailed(f"all nests of {name} are full; take parts out of it or place the part elsewhere")
+        raise TaskFailed(
+            message(
+                "robot.fixture_full",
+                "all nests of {fixture} are full; take parts out of it or place the part elsewhere",
+                fixture=name,
+            )
+        )
     return nest
 
 
@@ -213,7 +269,9 @@ def _reach(work: Work, pose: Pose, near: Joints, what: str) -> Joints:
     try:
         return work.cell.arm.reach(pose, near)
     except Unreachable as why:
-        raise TaskFailed(f"{what}: {why}") from None
+        raise TaskFailed(
+            message("robot.target_unreachable", "{target}: {why}", target=what, why=text_of(why))
+        ) from None
 
 
 def _placed(part: str, location: str | None, pose: Pose) -> Result:
@@ -225,6 +283,11 @@ def _position(pose: Pose) -> str:
     return "(" + ", ".join(f"{value:.3f}" for value in pose.position) + ") m"
 
 
-def _unknown(parameter: str, operation: str, kind: str, name: str, there_are: Mapping[str, Any]) -> str:
-    known_names = ", ".join(there_are) or "none"
-    return f'parameter "{parameter}" of {operation}: there is no {kind} "{name}"; the cell has {known_names}'
+def _unknown_bin(operation: str, name: str, bins: Mapping[str, Any]) -> Message:
+    return message(
+        "robot.unknown_bin",
+        'parameter "bin" of {operation}: there is no bin "{bin}"; the cell has {known}',
+        operation=operation,
+        bin=name,
+        known=", ".join(bins) or "none",
+    )

@@ -15,6 +15,7 @@ from typing import Any
 from datamodels.entities import RequestedStatus, Task, TaskStatus
 from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
+from handover.messages import message, text_of
 from handover.settings import Settings
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
@@ -61,7 +62,7 @@ class Orders:
         """Take the hint that an order may have moved."""
         self._news.set()
 
-    def subscription(self, notify_url: str) -> dict[str, Any]:
+    def subscription(self, endpoint: Mapping[str, Any]) -> dict[str, Any]:
         """Return the subscription by which the broker tells how orders stand."""
         return {
             "id": self._settings.entity_id("Subscription", f"{self.prefix.rsplit(':', 1)[-1]}s"),
@@ -69,7 +70,7 @@ class Orders:
             "description": f"Orders for {self.resource}",
             "entities": [{"type": Task.ngsi_type(), "idPattern": f"^{self.prefix}.*"}],
             "watchedAttributes": ["status"],
-            "notification": {"endpoint": {"uri": notify_url, "accept": "application/json"}},
+            "notification": {"endpoint": endpoint},
         }
 
     async def give(self, operation: str, **parameters: Any) -> str:
@@ -78,7 +79,14 @@ class Orders:
         try:
             await self._broker.create(task)
         except BrokerError as error:
-            raise RobotFault(f"the order to {self.resource} could not be given: {error}") from error
+            raise RobotFault(
+                message(
+                    "robot.order_refused",
+                    "the order to {resource} could not be given: {error}",
+                    resource=self.resource,
+                    error=text_of(error),
+                )
+            ) from error
         self._task = task
         return task.id
 
@@ -98,13 +106,24 @@ class Orders:
                 return Ended(done, outputs if isinstance(outputs, Mapping) else {})
             if clock() - given_s > within_s:
                 await self._withdraw(order)
-                raise RobotFault(f"the motion of {self.resource} did not end within {within_s:.0f} s")
+                raise RobotFault(
+                    message(
+                        "robot.motion_overdue",
+                        "the motion of {resource} did not end within {within_s} s",
+                        resource=self.resource,
+                        within_s=f"{within_s:.0f}",
+                    )
+                )
             waits = self._task is None or self._task.status.value is TaskStatus.PENDING
             if waits and clock() - given_s > TAKEN_UP_WITHIN_S:
                 await self._withdraw(order)
                 raise RobotFault(
-                    f"nobody takes up what is asked of {self.resource}; start the ROS bridge with a "
-                    "mapping that does (handover run ros-bridge; HANDOVER_ROS_MAPPING=arm)"
+                    message(
+                        "robot.order_not_accepted",
+                        "nobody takes up what is asked of {resource}; start the ROS bridge with a "
+                        "mapping that does (handover run ros-bridge; HANDOVER_ROS_MAPPING=arm)",
+                        resource=self.resource,
+                    )
                 )
             await self._a_while()
 
@@ -154,7 +173,13 @@ class Orders:
         try:
             self._task = await self._broker.get(order, Task)
         except NotFound:
-            raise RobotFault(f"the order {order} was deleted by somebody else") from None
+            raise RobotFault(
+                message(
+                    "robot.order_deleted",
+                    "the order {order} was deleted by somebody else",
+                    order=order,
+                )
+            ) from None
         except BrokerError as error:
             log.info("the broker cannot be asked for an order", order=order, error=str(error))
             return None

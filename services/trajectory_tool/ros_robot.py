@@ -11,12 +11,14 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, Self
 
 from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, NotFound
-from handover.notifications import notified_entities
+from handover.messages import message
+from handover.notifications import NotificationReceiver
 from handover.rounds import Rounds
 from handover.telemetry import get_logger
 from services.trajectory_tool.metrics import MOTION_SECONDS
@@ -39,6 +41,19 @@ RESTS_WITHIN_S = 10.0
 NOTIFIED_AT = "/notifications/arm"
 
 
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """A motion under way: a straight line in joint space."""
+
+    start: Joints
+    target: Joints
+    planned_s: float
+
+    def remaining_s(self, positions: Joints) -> float:
+        left = _apart(positions, self.target) / _apart(self.start, self.target)
+        return max(self.planned_s * min(left, 1.0), 0.01)
+
+
 class RosRobot(Robot):
     """The arm whose Device is `settings.ros_arm`; until its joints are told they are `joints` (rad)."""
 
@@ -58,6 +73,7 @@ class RosRobot(Robot):
             f"{settings.url_of(settings.trajectory_port, settings.trajectory_url)}{NOTIFIED_AT}"
         )
         self._subscription_id = settings.entity_id("Subscription", f"{settings.robot_name}-arm")
+        self._receiver = NotificationReceiver(f"trajectory-tool-{settings.robot_name}-arm", settings, broker)
         self._orders = Orders(settings.robot_name, self.arm, settings, broker)
         self._state = JointState(time.time(), joints, (0.0,) * len(joints))
         self._stamp = ""
@@ -67,7 +83,7 @@ class RosRobot(Robot):
         self._rounds = Rounds(self._ask, settings.reconcile_s)
         self._asking: asyncio.Task[None] | None = None
         self._ready = asyncio.Event()
-        self._ends_s: float | None = None
+        self._motion: _Motion | None = None
         self._fault = f"the ROS bridge has not told of {self.arm} yet"
 
     def mount(self, app: FastAPI) -> None:
@@ -75,15 +91,16 @@ class RosRobot(Robot):
 
         @app.post(NOTIFIED_AT, status_code=204, tags=["notifications"])
         async def notify(request: Request) -> Response:
-            """Take notice of joints and orders that changed."""
-            for entity in await notified_entities(request):
-                if entity.get("id") == self.arm:
-                    self._take(entity)
+            """Read the joints from the broker when they have changed, and have orders that did looked at."""
+            for notified in await self._receiver.receive(request):
+                if notified.get("id") == self.arm:
+                    await self._read_joints()
                 else:
                     self._orders.wake()
             return Response(status_code=204)
 
     async def __aenter__(self) -> Self:
+        self._receiver.require_key()
         self._asking = asyncio.create_task(self._rounds.keep())
         return self
 
@@ -98,8 +115,11 @@ class RosRobot(Robot):
         return self._state
 
     def remaining_s(self) -> float:
-        """Return how long the motion under way will still take, as it was planned; 0 at rest."""
-        return 0.0 if self._ends_s is None else max(self._ends_s - time.monotonic(), 0.01)
+        """Return how long the motion under way will still take from where the joints are; 0 at rest.
+
+        It does not shrink while the joints do not move, so neither does the progress of a Task climb.
+        """
+        return 0.0 if self._motion is None else self._motion.remaining_s(self._state.positions)
 
     def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
         """Return how long a motion from rest to rest takes."""
@@ -119,17 +139,24 @@ class RosRobot(Robot):
             "followTrajectory", jointNames=list(JOINT_NAMES), points=points(course), durationS=planned_s
         )
         began_s = time.monotonic()
-        self._ends_s = began_s + planned_s
+        self._motion = _Motion(start, target, planned_s)
         try:
             ended = await self._watched(order, may_go, 2 * planned_s + 10)
             if not ended.completed and not ended.cancelled:
-                raise RobotFault(f"{self.arm} did not follow the trajectory: {ended.reason}")
+                raise RobotFault(
+                    message(
+                        "robot.trajectory_not_followed",
+                        "{arm} did not follow the trajectory: {reason}",
+                        arm=self.arm,
+                        reason=ended.reason,
+                    )
+                )
             await self._rest()
         except asyncio.CancelledError:
             await asyncio.shield(self._orders.cancel(order))
             raise
         finally:
-            self._ends_s = None
+            self._motion = None
             MOTION_SECONDS.inc(time.monotonic() - began_s)
         return ended.completed
 
@@ -139,14 +166,28 @@ class RosRobot(Robot):
         self._gripper_closed = True
         stalled = ended.outputs.get("stalled") is True
         if not ended.completed and not stalled:
-            raise RobotFault(f"the gripper of {self.arm} did not close: {ended.reason}")
+            raise RobotFault(
+                message(
+                    "robot.gripper_did_not_close",
+                    "the gripper of {arm} did not close: {reason}",
+                    arm=self.arm,
+                    reason=ended.reason,
+                )
+            )
         return stalled
 
     async def open_gripper(self) -> None:
         """Open the gripper."""
         ended = await self._grip("openGripper")
         if not ended.completed:
-            raise RobotFault(f"the gripper of {self.arm} did not open: {ended.reason}")
+            raise RobotFault(
+                message(
+                    "robot.gripper_did_not_open",
+                    "the gripper of {arm} did not open: {reason}",
+                    arm=self.arm,
+                    reason=ended.reason,
+                )
+            )
         self._gripper_closed = False
 
     @property
@@ -163,9 +204,19 @@ class RosRobot(Robot):
         """Wait for the end of a motion, and wish it to end once it may not go on."""
         end = asyncio.ensure_future(self._orders.end_of(order, within_s))
         stopping = False
+        began_s = time.monotonic()
         try:
             while not end.done():
-                await asyncio.wait({end}, timeout=MAY_GO_EVERY_S if not stopping else None)
+                silent_s = time.monotonic() - max(began_s, self._told_s or began_s)
+                if silent_s > FRESH_S:
+                    await self._orders.cancel(order)
+                    await asyncio.wait({end}, timeout=RESTS_WITHIN_S)
+                    raise RobotFault(
+                        f"the joints of {self.arm} have not been reported for {silent_s:.0f} s while it "
+                        "should move, and its goal was cancelled; look after the arm, its driver and the ROS "
+                        "bridge"
+                    )
+                await asyncio.wait({end}, timeout=MAY_GO_EVERY_S if not stopping else 1.0)
                 if not stopping and not end.done() and not may_go():
                     stopping = True
                     await self._orders.cancel(order)
@@ -186,7 +237,13 @@ class RosRobot(Robot):
                 before, since_s = now, time.monotonic()
             elif time.monotonic() - since_s >= STILL_S:
                 return
-        raise RobotFault(f"{self.arm} was told to stop and has not come to rest; look after it")
+        raise RobotFault(
+            message(
+                "robot.not_at_rest",
+                "{arm} was told to stop and has not come to rest; look after it",
+                arm=self.arm,
+            )
+        )
 
     async def _joints_of_now(self) -> Joints:
         """Return where the joints are, asked of the broker. Raises `RobotFault` when nobody knows."""
@@ -198,8 +255,13 @@ class RosRobot(Robot):
                         return self._state.positions
                     await asyncio.sleep(0.2)
         raise RobotFault(
-            f"where the joints of {self.arm} are is not known: {self._fault}; start its driver, "
-            "and the ROS bridge with a mapping that tells of it (handover bridge check arm)"
+            message(
+                "robot.joints_unknown",
+                "where the joints of {arm} are is not known: {fault}; start its driver, and the "
+                "ROS bridge with a mapping that tells of it (handover bridge check arm)",
+                arm=self.arm,
+                fault=self._fault,
+            )
         )
 
     def _is_fresh(self) -> bool:
@@ -214,7 +276,7 @@ class RosRobot(Robot):
         """One round: subscriptions in place, old orders ended, the arm looked at."""
         try:
             await self._broker.ensure_subscription(self._subscription())
-            await self._broker.ensure_subscription(self._orders.subscription(self._notify_url))
+            await self._broker.ensure_subscription(self._orders.subscription(self._endpoint()))
             if not self._ready.is_set():
                 await self._orders.end_old()
                 self._ready.set()
@@ -236,6 +298,15 @@ class RosRobot(Robot):
             self._fault = f"the broker cannot be asked: {error}"
             return False
         return True
+
+    async def _read_joints(self) -> None:
+        """Read the arm from the broker, with one query for all notifications that come meanwhile."""
+        try:
+            for entity in await self._receiver.read("Device", [self.arm]):
+                self._take(entity)
+        except BrokerError as error:
+            log.warning("cannot read the arm", arm=self.arm, error=str(error))
+            self._rounds.wish()
 
     def _take(self, entity: Mapping[str, Any]) -> None:
         """Take the joints of an arm as the bridge has written them; older ones are no news."""
@@ -265,9 +336,12 @@ class RosRobot(Robot):
             "watchedAttributes": ["jointPositions"],
             "notification": {
                 "attributes": ["jointNames", "jointPositions", "jointVelocities"],
-                "endpoint": {"uri": self._notify_url, "accept": "application/json"},
+                "endpoint": self._endpoint(),
             },
         }
+
+    def _endpoint(self) -> dict[str, Any]:
+        return self._receiver.endpoint(self._notify_url)
 
 
 def points(course: Course) -> list[dict[str, Any]]:
@@ -298,11 +372,25 @@ def in_order(names: Any, values: Any) -> Joints:
     Drivers put the joints of a gripper, or of a second arm, into the same message, in any order.
     """
     if not isinstance(names, Sequence) or not isinstance(values, Sequence) or len(names) != len(values):
-        raise RobotFault(f"{len(names or ())} joints and {len(values or ())} values are told of the arm")
+        raise RobotFault(
+            message(
+                "robot.joint_count_differs",
+                "{names} joints and {values} values are told of the arm",
+                names=len(names or ()),
+                values=len(values or ()),
+            )
+        )
     by_name = dict(zip(names, values, strict=True))
     missing = [name for name in JOINT_NAMES if not isinstance(by_name.get(name), int | float)]
     if missing:
-        raise RobotFault(f"nothing is told of {', '.join(missing)}; the joints told are {', '.join(by_name)}")
+        raise RobotFault(
+            message(
+                "robot.joints_missing",
+                "nothing is told of {missing}; the joints told are {given}",
+                missing=", ".join(missing),
+                given=", ".join(by_name),
+            )
+        )
     return tuple(float(by_name[name]) for name in JOINT_NAMES)
 
 

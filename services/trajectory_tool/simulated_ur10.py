@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from threading import Event
 from typing import Self, TypeVar
 
+from handover.messages import message
 from services.trajectory_tool.metrics import MOTION_SECONDS, OVERRUNS
 from services.trajectory_tool.robot import Joints, JointState, Robot, RobotFault
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
@@ -103,7 +104,12 @@ class SimulatedUR10(Robot):
     async def _in_control(self, work: Callable[[], T], give_up: Callable[[], None] | None = None) -> T:
         """Do `work` in the thread of control; who stops waiting for it waits until it is at rest."""
         if self._switched_off.is_set():
-            raise RobotFault("the robot is switched off; start the trajectory tool again")
+            raise RobotFault(
+                message(
+                    "robot.switched_off",
+                    "the robot is switched off; start the trajectory tool again",
+                )
+            )
         doing = asyncio.get_running_loop().run_in_executor(self._control, work)
         try:
             return await asyncio.shield(doing)

@@ -11,6 +11,7 @@ from typing import Any
 from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError
 from ruckig import Trajectory as RuckigProfile
 
+from handover.messages import message, text_of
 from services.trajectory_tool.robot import Joints, RobotFault
 
 NOTHING_RAD = 1e-9
@@ -88,7 +89,14 @@ class Course:
         self.stopping = False
         self._line = _Line(start, target)
         if not all(map(math.isfinite, (*start, *target))):
-            raise RobotFault(f"there is no motion from {start} to {target}: each angle must be a number")
+            raise RobotFault(
+                message(
+                    "robot.no_motion",
+                    "there is no motion from {start} to {target}: each angle must be a number",
+                    start=str(start),
+                    target=str(target),
+                )
+            )
         self._limits = limits
         self._began_s = began_s
         self._profile: Any = None
@@ -123,9 +131,23 @@ class Course:
         try:
             result = Ruckig(1).calculate(given, profile)
         except RuckigError as error:
-            raise RobotFault(f"there is no motion along {self._line}: {error}") from error
+            raise RobotFault(
+                message(
+                    "robot.no_motion_because",
+                    "there is no motion along {line}: {error}",
+                    line=str(self._line),
+                    error=text_of(error),
+                )
+            ) from error
         if result not in {Result.Working, Result.Finished}:
-            raise RobotFault(f"there is no motion along {self._line}: {result}")
+            raise RobotFault(
+                message(
+                    "robot.no_motion_along",
+                    "there is no motion along {line}: {result}",
+                    line=str(self._line),
+                    result=result,
+                )
+            )
         self._profile, self._duration_s = profile, float(profile.duration)
 
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator
 
 from handover.errors import HandoverError
+from handover.messages import Message, message
 from services.trajectory_tool.poses import Frame
 from services.trajectory_tool.robot import Joints
 
@@ -184,15 +185,21 @@ def _wrapped(angle: float) -> float:
     return math.remainder(angle, _FULL_TURN)
 
 
-def _why_not(flange: Frame) -> str:
+def _why_not(flange: Frame) -> Message:
     x, y, z = _wrist_centre(flange)
     beside_m, distance_m = math.hypot(x, y), math.dist((x, y, z), (0.0, 0.0, D1))
     if beside_m < D4:
-        return (
-            f"the wrist would be {beside_m:.3f} m from the axis of the base, and the arm passes that axis at "
-            f"{D4:.3f} m; choose a pose further out"
+        return message(
+            "robot.wrist_too_near",
+            "the wrist would be {distance} m from the axis of the base, and the arm passes that axis at "
+            "{nearest} m; choose a pose further out",
+            distance=f"{beside_m:.3f}",
+            nearest=f"{D4:.3f}",
         )
-    return (
-        f"the wrist would be {distance_m:.3f} m from the shoulder, and the arm reaches {REACH_M:.2f} m at "
-        "most, less with some orientations; choose a pose nearer to the base or another orientation"
+    return message(
+        "robot.wrist_too_far",
+        "the wrist would be {distance} m from the shoulder, and the arm reaches {reach} m at most, less with "
+        "some orientations; choose a pose nearer to the base or another orientation",
+        distance=f"{distance_m:.3f}",
+        reach=f"{REACH_M:.2f}",
     )

@@ -34,19 +34,19 @@ def test_thresholds_count_once_they_are_saved_and_can_be_exchanged_with_the_ones
     before = thresholds(cell)
     page = open_page("/calibrate?glove=glove-1&finger=index")
     upper = page.get_by_role("textbox", name="Upper threshold of the index finger")
-    expect(upper).to_have_value(f"{before['index']['upper']:g}")
+    expect(upper).to_have_value(f"{before['index']['upper']:,g}")
     page.keyboard.press("ArrowUp")
-    page.get_by_role("button", name="Upper threshold of the index finger up by 25").click()
-    expect(upper).to_have_value(f"{before['index']['upper'] + 50:g}")
+    page.get_by_role("button", name="Upper threshold of the index finger: up by 25").click()
+    expect(upper).to_have_value(f"{before['index']['upper'] + 50:,g}")
     expect(page.get_by_text("1 finger changed, not saved")).to_be_visible()
     assert thresholds(cell) == before
     accessible(page)
     keep(page, "calibrate-unsaved")
-    page.get_by_role("button", name="Save the thresholds").click()
-    expect(page.get_by_text("Saved, and in use")).to_be_visible()
+    page.get_by_role("button", name="Save thresholds").click()
+    expect(page.get_by_text("Saved and in use")).to_be_visible()
     assert thresholds(cell)["index"]["upper"] == before["index"]["upper"] + 50
-    page.get_by_role("button", name="Exchange with the ones before").click()
-    expect(upper).to_have_value(f"{before['index']['upper']:g}")
+    page.get_by_role("button", name="Restore previous thresholds").click()
+    expect(upper).to_have_value(f"{before['index']['upper']:,g}")
     assert thresholds(cell) == before
 
 
@@ -54,7 +54,7 @@ def test_thresholds_count_once_they_are_saved_and_can_be_exchanged_with_the_ones
 def test_a_line_is_dragged_over_the_live_signal_and_let_go_unsaved(cell: Cell, open_page: OpenPage) -> None:
     before = thresholds(cell)
     page = open_page("/calibrate?glove=glove-1&finger=ring")
-    plot = page.get_by_role("img", name="The signal of the ring finger")
+    plot = page.get_by_role("img", name="Signal of the ring finger")
     plot.wait_for()
     area = plot.locator(".u-over").bounding_box()
     assert area is not None
@@ -70,11 +70,11 @@ def test_a_line_is_dragged_over_the_live_signal_and_let_go_unsaved(cell: Cell, o
     # The lower line stands somewhere in the lower half: looked for from the bottom up.
     for share in (0.98, 0.92, 0.86, 0.8):
         drag_from(area["y"] + area["height"] * share)
-        if lower.input_value() != f"{before['ring']['lower']:g}":
+        if lower.input_value() != f"{before['ring']['lower']:,g}":
             break
     expect(page.get_by_text("1 finger changed, not saved")).to_be_visible()
     page.keyboard.press("z")
-    wait_until(lambda: lower.input_value() == f"{before['ring']['lower']:g}")
+    wait_until(lambda: lower.input_value() == f"{before['ring']['lower']:,g}")
     assert thresholds(cell) == before
 
 
@@ -85,10 +85,10 @@ def test_what_cannot_be_a_threshold_is_never_sent(cell: Cell, open_page: OpenPag
     lower = page.get_by_role("textbox", name="Lower threshold of the thumb")
     lower.fill("many")
     lower.press("Enter")
-    expect(lower).to_have_value(f"{before['thumb']['lower']:g}")
+    expect(lower).to_have_value(f"{before['thumb']['lower']:,g}")
     lower.fill("99999")
     lower.press("Enter")
-    expect(lower).to_have_value(f"{before['thumb']['upper']:g}")
+    expect(lower).to_have_value(f"{before['thumb']['upper']:,g}")
     assert thresholds(cell) == before
 
 
@@ -100,7 +100,7 @@ def test_a_hand_is_led_through_a_calibration_that_names_the_finger_in_doubt(
 ) -> None:
     glove = TcpGlove(glove_screen.ports["glove"])
     page = open_page("/calibrate?glove=glove-1")
-    page.get_by_role("button", name="Calibrate in ten seconds").click()
+    page.get_by_role("button", name="Start calibration").click()
     page.get_by_text("Make a fist").wait_for()
     keep(page, "calibrate-guided")
     shown = {"fist": "22202", "open": "00000"}  # a ring finger that stays as it is
@@ -112,7 +112,35 @@ def test_a_hand_is_led_through_a_calibration_that_names_the_finger_in_doubt(
 
     wait_until(is_led)
     doubted = page.locator(".guided__outcome li").filter(has_text="ring finger")
-    expect(doubted).to_contain_text("shows the same value whatever you do")
+    expect(doubted).to_contain_text("always shows the same value")
     accessible(page)
     keep(page, "calibrate-doubt")
     glove.close()
+
+
+@pytest.mark.parametrize("language", ["en", "de", "fi"])
+@pytest.mark.usefixtures("glove_screen")
+def test_no_number_is_cut_on_a_phone(
+    open_page: OpenPage, keep: Callable[[Page, str], Path], language: str
+) -> None:
+    page = open_page("/calibrate?glove=glove-1", language=language, viewport={"width": 390, "height": 844})
+    page.locator(".calibrate__steps input").first.wait_for()
+    page.evaluate("document.fonts.ready.then(() => true)")
+    fields = page.locator(".calibrate__steps input").all()
+    assert len(fields) == 10
+    for field in fields:
+        field.fill({"en": "1,800.25", "de": "1.800,25", "fi": "1 800,25"}[language])
+        wide, room = field.evaluate("(one) => [one.scrollWidth, one.clientWidth]")
+        assert wide <= room, f"{wide - room} px of a threshold are cut off"
+        box = field.bounding_box()
+        assert box is not None
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 390
+    cut = page.evaluate(
+        "[...document.querySelectorAll('.calibrate__finger, .calibrate__finger *')]"
+        ".filter((one) => one.closest('svg') === null && getComputedStyle(one).display !== 'inline')"
+        ".filter((one) => one.scrollWidth > one.clientWidth + 1).map((one) => one.className)"
+    )
+    assert cut == []
+    fields[0].scroll_into_view_if_needed()
+    keep(page, f"calibrate-phone-{language}")

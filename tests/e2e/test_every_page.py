@@ -1,10 +1,11 @@
 """Every page in both themes, three languages and the sizes it is made for: nothing cut off, axe content."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Page, expect
 
 from tests.conftest import Cell
 from tests.e2e.conftest import OpenPage
@@ -13,6 +14,19 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 SIZES = {"panel": {"width": 1280, "height": 800}, "desk": {"width": 1920, "height": 1080}}
 PHONE = {"width": 390, "height": 844}
+TABLET = {"width": 820, "height": 1180}
+COLLIDING = """
+    [...document.querySelectorAll("main :is([role=cell], [role=gridcell], [role=columnheader], th)")]
+        .filter((cell) => cell.offsetParent !== null && cell.clientWidth > 1)
+        .filter((cell) => (cell.closest("thead")?.clientWidth ?? 2) > 1)
+        .filter((cell) => {
+            const [row, own] = [cell.closest("[role=row], tr"), cell.getBoundingClientRect()];
+            const isBeyond = row !== null && own.right > row.getBoundingClientRect().right + 1;
+            return isBeyond || cell.scrollWidth > cell.clientWidth + 1;
+        })
+        .map((cell) => `${cell.textContent.slice(0, 40)}: ${cell.scrollWidth} in ${cell.clientWidth} px`)
+"""
+"""The cells of tables whose content is wider than they are, but for heads that only screen readers see."""
 LOOKS = [("light", "en", "panel"), ("dark", "de", "panel"), ("light", "fi", "desk"), ("dark", "en", "desk")]
 PAGES = {
     "start": "/",
@@ -74,6 +88,55 @@ def test_pages_for_engineers_fit_a_phone(
 
 
 @pytest.mark.usefixtures("screen")
+def test_no_table_collides_on_a_tablet(open_page: OpenPage, keep: Callable[[Page, str], Path]) -> None:
+    for language in ("fi", "de"):
+        page = open_page(language=language, viewport=TABLET)
+        for tab in ("services", "devices", "alerts"):
+            page.goto(f"/system?tab={tab}")
+            page.locator("[role=row], .empty").first.wait_for()
+            nothing_is_cut_off(page)
+            assert page.evaluate(COLLIDING) == []
+            keep(page, f"tablet-{tab}-{language}")
+        page.goto("/processes")
+        settled(page)
+        nothing_is_cut_off(page)
+        keep(page, f"tablet-processes-{language}")
+        page.goto("/")
+        settled(page)
+        nothing_is_cut_off(page)
+        keep(page, f"tablet-start-{language}")
+        page.context.close()
+
+
+@pytest.mark.usefixtures("screen")
+def test_a_time_in_a_table_is_no_tab_stop_and_its_row_is_one(open_page: OpenPage) -> None:
+    page = open_page("/system")
+    rows = page.get_by_role("table", name="Services").locator("tbody [role=row]")
+    rows.first.wait_for()
+    assert page.locator("time[tabindex='0']").count() == 0
+    assert page.locator("tbody [role=row][tabindex='0']").count() == 1
+    rows.first.focus()
+    page.keyboard.press("ArrowDown")
+    expect(rows.nth(1)).to_be_focused()
+    shown = rows.nth(1).locator("time").first.evaluate("time => getComputedStyle(time, '::after').content")
+    assert str(datetime.now(UTC).year) in shown, "the row with the focus shows the exact time"
+
+
+@pytest.mark.usefixtures("screen")
+def test_the_first_steps_are_hidden_for_good_and_shown_when_asked(open_page: OpenPage) -> None:
+    page = open_page("/")
+    steps = page.get_by_role("heading", name="Connect a glove")
+    expect(steps).to_be_visible()
+    page.get_by_role("button", name="Hide").click()
+    expect(steps).to_have_count(0)
+    page.reload()
+    expect(page.get_by_role("region", name="Open tasks")).to_be_visible()
+    expect(steps).to_have_count(0)
+    page.get_by_role("button", name="Show first steps").click()
+    expect(steps).to_be_visible()
+
+
+@pytest.mark.usefixtures("screen")
 def test_language_theme_and_name_are_chosen_once_and_kept(open_page: OpenPage) -> None:
     page = open_page("/", who="")
     page.get_by_role("button", name="Appearance, language and name").click()
@@ -97,7 +160,7 @@ def test_the_keyboard_reaches_every_page_and_lists_its_keys(open_page: OpenPage)
         page.keyboard.press(key)
         page.wait_for_url(f"**{path}*")
     page.keyboard.press("?")
-    page.get_by_role("dialog", name="Keys").wait_for()
+    page.get_by_role("dialog", name="Keyboard shortcuts").wait_for()
     page.keyboard.press("Escape")
     page.get_by_role("dialog").wait_for(state="detached")
 

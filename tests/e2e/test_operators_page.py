@@ -58,7 +58,7 @@ def test_with_the_keyboard_only(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page(WORK, who="")
-    page.get_by_role("heading", name="Nothing to do just now").wait_for()
+    page.get_by_role("heading", name="Nothing to do right now").wait_for()
     accessible(page)
     keep(page, "work-idle")
     page.wait_for_timeout(700)  # a key counts once the step has been in sight for a moment
@@ -92,9 +92,9 @@ def test_with_the_mouse_only(
     page.wait_for_url("**/work*")
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
     page.get_by_role("button", name="Pause").click()
-    page.get_by_text("Paused", exact=True).wait_for()
+    page.get_by_role("heading", name="Paused").wait_for()
     keep(page, "work-paused")
-    page.get_by_role("button", name="Go on").first.click()
+    page.get_by_role("button", name="Resume").first.click()
     page.locator("[data-situation='asked']").wait_for()
     seen_at_work = False
 
@@ -116,9 +116,9 @@ def test_with_the_mouse_only(
 @pytest.mark.parametrize(
     "lost",
     [
-        ("context_broker", "The context broker does not answer"),
-        ("gesture_controller", "The gesture controller does not answer"),
-        ("webui", "This screen has lost the cell"),
+        ("context_broker", "Context broker not responding"),
+        ("gesture_controller", "Gesture controller not responding"),
+        ("webui", "No connection to the cell"),
     ],
 )
 @pytest.mark.usefixtures("quiet_screen")
@@ -205,7 +205,7 @@ def test_with_the_glove_only(
         each["name"]: each["code"] for each in httpx.get(f"{cell.url('gesture_controller')}/gestures").json()
     }
     page = open_page(WORK)
-    page.get_by_role("heading", name="Nothing to do just now").wait_for()
+    page.get_by_role("heading", name="Nothing to do right now").wait_for()
     wearer = put_on()
     page.get_by_text("Show Thumbs up to start Bin picking").wait_for()
     wearer.show("02222")
@@ -248,7 +248,7 @@ def test_a_lost_glove_is_the_whole_page_until_it_is_back(
     wearer.show("02222")
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
     wearer.take_off()
-    page.get_by_role("heading", name="glove-1 is lost").wait_for()
+    page.get_by_role("heading", name="Connection to glove-1 lost").wait_for()
     accessible(page)
     keep(page, "work-glove-lost")
     page.get_by_role("button", name="Complete by hand").wait_for()

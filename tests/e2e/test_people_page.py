@@ -32,6 +32,15 @@ def person(cell: Cell, name: str) -> dict[str, Any]:
     return dict(answer.raise_for_status().json())
 
 
+def pick(page: Page, label: str, gesture: str) -> None:
+    """Choose a gesture in the picker called `label`: find it by its name, touch its picture."""
+    page.get_by_role("button", name=re.compile(f"^{label} ")).click()
+    panel = page.get_by_role("dialog", name=label)
+    panel.get_by_role("searchbox").fill(gesture)
+    panel.get_by_role("option", name=gesture, exact=True).click()
+    panel.wait_for(state="detached")
+
+
 @pytest.mark.usefixtures("glove_screen")
 def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
@@ -40,14 +49,14 @@ def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
     page.get_by_role("button", name="Add a person").wait_for()
     page.keyboard.press("n")
     page.get_by_label("Short name").fill("anna")
-    page.get_by_label("What people call them").fill("Anna K.")
+    page.get_by_label("Display name").fill("Anna K.")
     page.get_by_role("dialog").get_by_role("button", name="Add a person").click()
     expect(page.get_by_role("heading", name="Anna K.")).to_be_visible()
-    page.get_by_label("glove-1 is worn by").select_option("anna")
+    page.get_by_label("Wearer of glove-1").select_option("anna")
     expect(page.get_by_role("button", name=re.compile("Anna K.*glove-1"))).to_be_visible()
-    page.get_by_label("Command 3", exact=True).select_option("Horns")
-    expect(page.get_by_label("Command 8", exact=True)).to_have_value("Thumbs up")
-    expect(page.get_by_role("button", name="Command 3 as the site has it")).to_be_visible()
+    pick(page, "Command 3", "Horns")
+    expect(page.get_by_role("button", name="Command 8 Thumbs up")).to_be_visible()
+    expect(page.get_by_role("button", name="Reset command 3 to the site default")).to_be_visible()
     accessible(page)
     keep(page, "people")
     kept = person(cell, "anna")
@@ -56,22 +65,36 @@ def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
 
 
 @pytest.mark.usefixtures("glove_screen")
+def test_two_browsers_show_the_same_without_being_loaded_again(cell: Cell, open_page: OpenPage) -> None:
+    httpx.put(f"{cell.url('gesture_controller')}/people/eva", json={}).raise_for_status()
+    one, other = open_page("/people?person=eva"), open_page("/people?person=eva")
+    for page in (one, other):
+        expect(page.get_by_role("button", name="Command 3 Thumbs up")).to_be_visible()
+    pick(one, "Command 3", "Horns")
+    expect(other.get_by_role("button", name="Command 3 Horns")).to_be_visible()
+    # What is changed without a browser reaches both as well.
+    httpx.put(f"{cell.url('gesture_controller')}/people/fred", json={}).raise_for_status()
+    for page in (one, other):
+        expect(page.get_by_role("button", name=re.compile("^fred"))).to_be_visible(timeout=20_000)
+
+
+@pytest.mark.usefixtures("glove_screen")
 def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is_one_like_it(
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None]
 ) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}).raise_for_status()
     page = open_page("/people?person=ben", forgives=(REFUSED,))
-    page.get_by_label("What it is called").fill("Mine")
+    page.get_by_label("Name", exact=True).fill("Mine")
     page.get_by_role("radiogroup", name="thumb").get_by_role("radio", name="straight").click()
     page.get_by_role("button", name="Add the gesture").click()
     refused = page.get_by_role("alert")
     expect(refused).to_contain_text("Thumbs up")
     accessible(page)
-    page.get_by_role("radio", name="Two in turn").click()
-    page.get_by_label("First").select_option("Horns")
-    page.get_by_label("Then").select_option("Thumbs up")
+    page.get_by_role("radio", name="Two in sequence").click()
+    pick(page, "First", "Horns")
+    pick(page, "Then", "Thumbs up")
     page.get_by_role("button", name="Add the gesture").click()
-    expect(page.get_by_text("Mine is there")).to_be_visible()
+    expect(page.get_by_text("Mine added")).to_be_visible()
     expect(page.get_by_role("button", name="Delete Mine")).to_be_visible()
     wait_until(lambda: "Mine" in person(cell, "ben")["ownGestures"])
 
@@ -85,9 +108,9 @@ def test_a_gesture_is_recorded_by_making_it_and_taken_along_in_the_profile(
     httpx.put(f"{controller}/gloves/glove-1/person", json={"person": "carl"}).raise_for_status()
     glove = TcpGlove(glove_screen.ports["glove"])
     page = open_page("/people?person=carl")
-    page.get_by_role("radio", name="By making it").click()
-    page.get_by_label("What it is called").fill("Three")
-    page.get_by_role("button", name="Record it now").click()
+    page.get_by_role("radio", name="Recording").click()
+    page.get_by_label("Name", exact=True).fill("Three")
+    page.get_by_role("button", name="Record now").click()
     delete = page.get_by_role("button", name="Delete Three")
 
     def is_recorded() -> bool:
@@ -96,18 +119,51 @@ def test_a_gesture_is_recorded_by_making_it_and_taken_along_in_the_profile(
 
     wait_until(is_recorded)
     glove.close()
-    expect(page.get_by_text("Three is there; the nearest other is")).to_be_visible()
+    expect(page.get_by_text("Three added; the closest other gesture is")).to_be_visible()
     assert person(glove_screen, "carl")["ownGestures"]["Three"]["code"] == "00002"
     with page.expect_download() as download:
-        page.get_by_role("button", name="Save as a file").click()
+        page.get_by_role("button", name="Export profile").click()
     profile = download.value.path()
     assert download.value.suggested_filename == "carl.yaml"
     page.get_by_role("button", name=re.compile("^dora")).click()
     page.get_by_role("heading", name="dora").wait_for()
     with page.expect_file_chooser() as chooser:
-        page.get_by_role("button", name="Take from a file").click()
+        page.get_by_role("button", name="Import profile").click()
     chooser.value.set_files(
         {"name": "carl.yaml", "mimeType": "application/yaml", "buffer": profile.read_bytes()}
     )
     delete.wait_for()
     assert "Three" in person(glove_screen, "dora")["ownGestures"]
+
+
+@pytest.mark.parametrize("touch", [False, True], ids=["keyboard", "touch"])
+def test_a_gesture_is_found_among_many_by_its_picture_or_its_name(
+    glove_screen: Cell,
+    open_page: OpenPage,
+    keep: Callable[[Page, str], Path],
+    accessible: Callable[[Page], None],
+    *,
+    touch: bool,
+) -> None:
+    httpx.put(f"{glove_screen.url('gesture_controller')}/people/eve", json={}).raise_for_status()
+    httpx.put(f"{glove_screen.url('gesture_controller')}/people/eve/commands", json={}).raise_for_status()
+    size = {"width": 390, "height": 844} if touch else {"width": 1280, "height": 800}
+    page = open_page("/people?person=eve", viewport=size, has_touch=touch, language="de")
+    page.get_by_role("button", name=re.compile("^Befehl 3 ")).click()
+    panel = page.get_by_role("dialog")
+    assert panel.get_by_role("option").count() == 22, "every gesture, and none"
+    accessible(page)
+    keep(page, f"people-picker-{'phone' if touch else 'panel'}")
+    for tile in panel.get_by_role("option").all():
+        box = tile.bounding_box()
+        assert box is not None
+        assert min(box["width"], box["height"]) >= 120, "a tile is hit with a glove on"
+        assert tile.evaluate("(one) => one.scrollHeight <= one.clientHeight + 1"), "a name is cut off"
+    if touch:
+        panel.get_by_role("option", name="Hörner", exact=True).tap()
+    else:
+        page.keyboard.type("hörn")
+        assert panel.get_by_role("option").count() == 1
+        page.keyboard.press("Enter")
+    panel.wait_for(state="detached")
+    wait_until(lambda: person(glove_screen, "eve")["commands"]["3"] == "Horns")

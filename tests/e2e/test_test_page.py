@@ -34,8 +34,8 @@ def test_a_gesture_is_green_when_the_glove_sees_it_and_red_when_not(
     accessible: Callable[[Page], None],
 ) -> None:
     page = open_page("/test?gesture=Thumbs%20up")
-    page.get_by_role("button", name="Switch testing on").click()
-    page.get_by_text("nothing that you show completes a Task").wait_for()
+    page.get_by_role("button", name="Switch test mode on").click()
+    page.get_by_text("Test mode is on").wait_for()
     glove.show("02202", 0.6)
     page.locator(".test__side--wrong").wait_for()
     accessible(page)
@@ -44,8 +44,8 @@ def test_a_gesture_is_green_when_the_glove_sees_it_and_red_when_not(
     page.locator(".test__side--right").get_by_text("Thumbs up").wait_for()
     accessible(page)
     keep(page, "test-try-right")
-    page.get_by_role("button", name="Switch testing off").click()
-    page.get_by_text("Testing is off").wait_for()
+    page.get_by_role("button", name="Switch test mode off").click()
+    page.get_by_text("Test mode is off").wait_for()
 
 
 def test_an_accuracy_test_is_led_to_its_report(
@@ -56,7 +56,7 @@ def test_an_accuracy_test_is_led_to_its_report(
     accessible: Callable[[Page], None],
 ) -> None:
     page = open_page("/test?part=accuracy&rounds=1")
-    page.get_by_role("button", name="Begin 21 trials").click()
+    page.get_by_role("button", name="Start 21 trials").click()
     page.get_by_role("heading", name="Open your hand").wait_for()
     accessible(page)
     controller = httpx.Client(base_url=cell.url("gesture_controller"), timeout=10, trust_env=False)
@@ -83,7 +83,7 @@ def test_an_accuracy_test_is_led_to_its_report(
         return False
 
     wait_until(moves, within_s=90)
-    page.get_by_role("heading", name="What was taken for what").wait_for()
+    page.get_by_role("heading", name="Confusion matrix").wait_for()
     expect(page.get_by_text("95.24%")).to_be_visible()
     page.wait_for_timeout(300)  # the table has come to rest for its picture
     accessible(page)

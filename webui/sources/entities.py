@@ -4,7 +4,7 @@ Learnt by a subscription of the screen's own, and by asking: at start, after a b
 seconds, since notifications may be late, doubled or lost. Nothing here needs more than NGSI-LD.
 """
 
-import secrets
+import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
@@ -12,8 +12,7 @@ from typing import Any, Final
 from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.errors import Problem
-from handover.notifications import notified_entities
+from handover.notifications import NotificationReceiver
 from handover.rounds import Rounds
 from handover.telemetry import get_logger
 from webui.settings import BROKER, WebuiSettings
@@ -23,6 +22,9 @@ from webui.sources.source import Source
 log = get_logger(__name__)
 
 ASKED_AT_ONCE: Final = 40
+NOTIFIED_AT: Final = "/notifications"
+TAKEN_AT_ONCE: Final = 50
+"""Entities taken before others get a turn of the event loop."""
 
 
 class Kind(ABC):
@@ -54,7 +56,7 @@ class Entities(Source):
         self._broker = broker
         self._kinds = {kind.ngsi_type: kind for kind in kinds}
         self._services = services
-        self._path = f"/notifications/{secrets.token_urlsafe(16)}"  # known to the broker alone
+        self._receiver = NotificationReceiver("webui", settings, broker)
         self._subscribed = self._away = False
         self._overtaken: set[str] = set()
         self._rounds = Rounds(self._ask, settings.reconcile_s)
@@ -62,17 +64,20 @@ class Entities(Source):
     def mount(self, app: FastAPI) -> None:
         """Add the route that the broker notifies."""
 
-        @app.post(self._path, status_code=204, include_in_schema=False)
+        @app.post(NOTIFIED_AT, status_code=204, include_in_schema=False)
         async def notify(request: Request) -> Response:
-            for entity in await notified_entities(request):
+            received = await self._receiver.receive(request)  # shown as it is: nothing acts on it
+            for number, entity in enumerate(received, 1):
                 self._overtaken.add(str(entity.get("id")))
                 self._take(entity)
                 self._services.heard(BROKER, _in_words(entity))
+                if number % TAKEN_AT_ONCE == 0:
+                    await asyncio.sleep(0)
             return Response(status_code=204)
 
-        @app.post("/notifications/{_}", include_in_schema=False)
-        async def stale(_: str) -> Response:
-            raise Problem(404, "Not found", "this address belonged to an earlier run of the screen's server")
+    def require_key(self) -> None:
+        """Return if notifications can be told from forged ones; raise `UsageError` if no key can be kept."""
+        self._receiver.require_key()
 
     def ask_again(self) -> None:
         """Ask the broker now."""
@@ -110,21 +115,23 @@ class Entities(Source):
         self._overtaken.clear()
         before = set(kind.still_open())
         found = await self._broker.query(type=kind.ngsi_type, q=kind.open_q)
-        self._take_fresh(found)
+        await self._take_fresh(found)
         missing = sorted(before.difference(str(entity["id"]) for entity in found))
         for start in range(0, len(missing), ASKED_AT_ONCE):
             asked = missing[start : start + ASKED_AT_ONCE]
             changed = await self._broker.query(type=kind.ngsi_type, id=asked)
-            self._take_fresh(changed)
+            await self._take_fresh(changed)
             for lost in set(asked).difference(str(entity["id"]) for entity in changed):
                 if lost not in self._overtaken:
                     kind.gone(lost)
 
-    def _take_fresh(self, entities: Sequence[Mapping[str, Any]]) -> None:
+    async def _take_fresh(self, entities: Sequence[Mapping[str, Any]]) -> None:
         """Take what was asked for, but not what a notification has overtaken meanwhile."""
-        for entity in entities:
+        for number, entity in enumerate(entities, 1):
             if str(entity.get("id")) not in self._overtaken:
                 self._take(entity)
+            if number % TAKEN_AT_ONCE == 0:
+                await asyncio.sleep(0)
 
     def _take(self, entity: Mapping[str, Any]) -> None:
         kind = self._kinds.get(_type_of(entity))
@@ -143,7 +150,7 @@ class Entities(Source):
             "entities": [{"type": name} for name in self._kinds],
             "notification": {
                 "format": "normalized",
-                "endpoint": {"uri": f"{self._settings.own_url}{self._path}", "accept": "application/json"},
+                "endpoint": self._receiver.endpoint(f"{self._settings.own_url}{NOTIFIED_AT}"),
             },
         }
 

@@ -6,13 +6,14 @@ each hint is followed by a second look. Everything is looked at every few second
 
 import asyncio
 import random
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 from urllib.parse import quote
 
 import httpx
 
 from datamodels.entities import TaskStatus
+from handover.messages import message_in, with_code
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from webui.events import EventLog, Happening, Level, in_milliseconds
@@ -28,6 +29,9 @@ log = get_logger(__name__)
 KEPT_ENDED: Final = 10
 LOOK_AGAIN_S: Final = (0.15, 0.6)
 LEAST_PAUSE_S: Final = 0.05
+MAX_CONCURRENT_READS: Final = 8
+REFRESHED_AT_ONCE: Final = 10
+"""Running processes that are read in each round although nothing says that they have changed."""
 AWAY_RETRY_S: Final = 0.5
 PATIENCE_S: Final = 10.0
 
@@ -54,6 +58,8 @@ class Processes(Source):
         self._events = events
         self._services = services
         self._running: set[str] = set()
+        self._listed: dict[str, Mapping[str, Any]] = {}
+        self._to_refresh: list[str] = []
         self._ended: dict[str, str] = {}
         self._told: dict[str, tuple[str, str]] = {}
         self._hinted: set[str] = set()
@@ -86,8 +92,7 @@ class Processes(Source):
                     await self._read_all()
                     due_s = clock() + self._settings.reconcile_s * random.uniform(0.8, 1.2)  # noqa: S311
                 hinted, self._hinted = self._hinted, set()
-                for process in hinted:
-                    await self._read(process)
+                await self._read_many(hinted)
                 wait_s = max(due_s - clock(), 0.0)
             except (httpx.HTTPError, asyncio.IncompleteReadError) as error:
                 log.debug("cannot ask the orchestrator", error=str(error))
@@ -107,19 +112,23 @@ class Processes(Source):
 
     async def _read_all(self) -> None:
         await self._read_definitions()
-        running: set[str] = set()
+        listed: dict[str, Mapping[str, Any]] = {}
         for status in TaskStatus:
             if status not in FINISHED:
-                running |= {row["id"] for row in await self._rows(status, 1000)}
+                listed |= {row["id"]: row for row in await self._rows(status, 1000)}
+        running = set(listed)
         ended: dict[str, str] = {}
         for status in sorted(FINISHED):
             rows = await self._rows(status, KEPT_ENDED)
             ended |= {row["id"]: str(row.get("endedAt") or row["startedAt"]) for row in rows}
         kept = dict(sorted(ended.items(), key=lambda item: item[1])[-KEPT_ENDED:])
         just_ended = self._running - running
-        for process in running | just_ended | (kept.keys() - self._ended.keys()):
-            await self._read(process)
-        self._running = running
+        changed = {process for process, row in listed.items() if self._listed.get(process) != row}
+        if not self._to_refresh:
+            self._to_refresh = sorted(running)
+        refreshed = {self._to_refresh.pop() for _ in self._to_refresh[:REFRESHED_AT_ONCE]} & running
+        await self._read_many(changed | refreshed | just_ended | (kept.keys() - self._ended.keys()))
+        self._running, self._listed = running, listed
         self._ended = kept
         shown = {f"process/{process}" for process in running | kept.keys()}
         for topic in self._world.names("process"):
@@ -135,6 +144,18 @@ class Processes(Source):
         for topic in self._world.names("definition"):
             if topic not in definitions:
                 self._world.forget(topic)
+
+    async def _read_many(self, processes: Collection[str]) -> None:
+        slots = asyncio.Semaphore(MAX_CONCURRENT_READS)
+
+        async def read(process: str) -> None:
+            async with slots:
+                await self._read(process)
+
+        ends = await asyncio.gather(*(read(process) for process in processes), return_exceptions=True)
+        for end in ends:
+            if isinstance(end, BaseException):
+                raise end
 
     async def _read(self, process: str) -> None:
         answer = await self._ask(f"/processes/{quote(process, safe='')}")
@@ -167,7 +188,7 @@ class Processes(Source):
         title = _title(view)
         self._record(view, "started", in_milliseconds(view["startedAt"]), f"{title} begins")
         if status in FINISHED:
-            reason = str(view.get("reason") or "")
+            reason = message_in(view, "reason") or ""
             words = "is completed" if status == "completed" else f"fails: {reason or 'no reason given'}"
             self._record(view, status, in_milliseconds(ended), f"{title} {words}", reason=reason)
 
@@ -186,7 +207,7 @@ class Processes(Source):
                     "process": view["id"],
                     "definition": view["definition"],
                     "title": title,
-                    "reason": reason,
+                    **with_code("reason", reason),
                 },
             )
         ):

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
+from handover.messages import message_in, with_code
 from handover.task_life import FINISHED, is_news
 from webui.events import EventLog, Happening, Level, in_milliseconds
 from webui.settings import BROKER
@@ -84,7 +85,7 @@ class Tasks(Kind):
         kind = short(task.is_defined_by.object)
         said = asked.get("description") or (task.description.value if task.description else None)
         name = str(said or asked.get("operation") or kind)
-        reason = str(given.get("reason", "")) if status is TaskStatus.FAILED else ""
+        reason = (message_in(given, "reason") or "") if status is TaskStatus.FAILED else ""
         text = f'"{name}" {WORDS[status]} {short(who) or "nobody"}' + (f": {reason}" if reason else "")
         self._services.heard(self._devices.performer_of(who) or BROKER, text, at)
         self._events.record(
@@ -101,8 +102,10 @@ class Tasks(Kind):
                     "kind": kind,
                     "name": name,
                     "who": short(who),
-                    "reason": reason,
+                    **with_code("reason", reason),
                     "by": str(given.get("operator") or given.get("by") or ""),
+                    "outcome": str(given.get("outcome", "")),
+                    "note": str(given.get("note", "")),
                 },
             )
         )

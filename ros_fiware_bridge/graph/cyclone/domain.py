@@ -3,6 +3,11 @@
 Without a word of configuration it is heard both on the network that the machine prefers (by multicast, as
 ROS 2 does it) and on the machine itself (by unicast, as the loopback interface has no multicast). Where there
 is no network, the loopback interface alone is used. `CYCLONEDDS_URI` has the last word, as with ROS 2.
+
+Two defaults of Cyclone are changed. It prefers loopback to other interfaces, and would send what is meant
+for a peer on the network over loopback, where it goes nowhere; so both have the same priority. It forgets a
+peer that has not answered for 30 s, so a robot that is switched on later would never be found; peers are
+kept for good.
 """
 
 import os
@@ -46,7 +51,7 @@ class DomainSettings:
             f"<General><Interfaces>{''.join(interfaces)}</Interfaces></General>"
             "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
             "<MaxAutoParticipantIndex>100</MaxAutoParticipantIndex>"
-            f"<Peers>{peers}</Peers></Discovery>"
+            f"<Peers>{peers}</Peers><InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay></Discovery>"
             "</Domain></CycloneDDS>"
         )
 
@@ -54,7 +59,10 @@ class DomainSettings:
 def _interface(name: str, multicast: bool) -> str:
     what = "address" if name[0].isdigit() or ":" in name else "name"
     on_loopback = name == "lo" or name.startswith("127.")
-    return f"<NetworkInterface {what}={quoteattr(name)}{_multicast(multicast and not on_loopback)}/>"
+    priority = ' priority="0"' if on_loopback else ""
+    return (
+        f"<NetworkInterface {what}={quoteattr(name)}{priority}{_multicast(multicast and not on_loopback)}/>"
+    )
 
 
 def _multicast(wanted: bool) -> str:

@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph import names
-from ros_fiware_bridge.graph.cyclone import view
+from ros_fiware_bridge.graph.cyclone import dds_names, view
 from ros_fiware_bridge.graph.cyclone.action_client import CycloneActionClient
 from ros_fiware_bridge.graph.cyclone.action_server import CycloneActionServer
 from ros_fiware_bridge.graph.cyclone.domain import DomainSettings
 from ros_fiware_bridge.graph.cyclone.node import OwnNode
-from ros_fiware_bridge.graph.cyclone.services import CycloneClient, CycloneServer
+from ros_fiware_bridge.graph.cyclone.services import CycloneClient, CycloneServer, obstacle
 from ros_fiware_bridge.graph.cyclone.topics import CyclonePublisher, CycloneSubscription
 from ros_fiware_bridge.graph.joining import JoinSettings
 from ros_fiware_bridge.graph.member import Member
@@ -105,11 +105,19 @@ class CycloneGraph(Member):
 
     async def action_client(self, action: str, type_name: str) -> CycloneActionClient:
         """Send goals to an action."""
-        name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
+        name, full = self.require_action(action, type_name)
         opened = CycloneActionClient(self, name, full, self._gone)
         self._keep(opened)
         await opened.open()
         return opened
+
+    def require_action(self, action: str, type_name: str) -> tuple[str, str]:
+        """Return the full name and type of an action.
+
+        Raises:
+            UnknownType, UnsupportedType, BadName.
+        """
+        return self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
 
     async def serve_action(
         self,
@@ -120,11 +128,28 @@ class CycloneGraph(Member):
         accept: Callable[[Message], bool] | None = None,
     ) -> CycloneActionServer:
         """Serve an action."""
-        name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
+        name, full = self.require_action(action, type_name)
         opened = CycloneActionServer(self, name, full, handler, accept=accept, closed=self._gone)
         self._keep(opened)
         await opened.open()
         return opened
+
+    def full(self, name: str) -> str:
+        """Return the full name of a topic, service or action. Raises `BadName`, `GraphClosed`."""
+        return self._full(name)
+
+    def server_vendors(self, service: str) -> set[str]:
+        """Return the middlewares of the servers of a service, given by its full name."""
+        return self._vendors(service, writes=False)
+
+    def client_vendors(self, service: str) -> set[str]:
+        """Return the middlewares of the clients of a service, given by its full name."""
+        return self._vendors(service, writes=True)
+
+    def _vendors(self, service: str, *, writes: bool) -> set[str]:
+        picture = self._node.discovery.picture()
+        requests = picture.at(dds_names.of_request(service), writes=writes)
+        return {one.vendor for one in requests}
 
     def topics(self) -> Sequence[TopicInfo]:
         """Return the topics of the graph."""
@@ -141,6 +166,15 @@ class CycloneGraph(Member):
     def nodes(self) -> Sequence[NodeInfo]:
         """Return the nodes of the graph."""
         return view.nodes(self._node.discovery.picture())
+
+    def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:
+        """Return why calls of a service would fail with the servers that are there."""
+        name, picture = self._full(service), self._node.discovery.picture()
+        found = (
+            obstacle(self.store, name, type_name, one, picture.node_of(one))
+            for one in picture.at(dds_names.of_request(name), writes=False)
+        )
+        return [one for one in found if one is not None]
 
     def problems(self) -> Sequence[GraphError]:
         """Return what stands between us and peers now."""

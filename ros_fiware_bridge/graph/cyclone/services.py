@@ -3,6 +3,10 @@
 The header says who asked (8 bytes, chosen by the client) and which of its requests it is. Fast DDS carries
 the same in another place, so the two cannot call each other; who tries is told so, before anything is sent (a
 Fast DDS server would keep every request that it cannot answer).
+
+`rmw_cyclonedds_cpp` publishes on each endpoint the hash of the *message* it carries, `X_Request` or
+`X_Response`; other programs publish the hash of the service `X`. We publish as `rmw_cyclonedds_cpp` does and
+accept both.
 """
 
 import asyncio
@@ -26,8 +30,9 @@ from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.samples import Sample
 from ros_fiware_bridge.graph.cyclone.topics import send
 from ros_fiware_bridge.graph.port import Message, ServiceHandler
-from ros_fiware_bridge.graph.qos import SERVICES
+from ros_fiware_bridge.graph.qos import MAX_REQUESTS_UNDER_WAY, SERVICES
 from ros_fiware_bridge.graph.waiting import until
+from ros_fiware_bridge.types.type_store import TypeStore
 
 log = structlog.get_logger(__name__)
 
@@ -56,8 +61,41 @@ def vendor_refused(service: str, endpoint: Known, node: str | None, doing: str) 
     """Say that a peer carries services in another way."""
     return (
         f"{service}: {node or 'a node'} {doing} it with {endpoint.vendor}, whose services cannot be reached "
-        "from Cyclone DDS; start it with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or run the bridge on its ROS"
+        "from Cyclone DDS; start it with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or install rclpy beside the "
+        "bridge (pip install 'handover[ros,ros-rclpy]', Python 3.11 on Linux) and leave HANDOVER_ROS_ADAPTER "
+        "at auto"
     )
+
+
+def hash_refused(store: TypeStore, service: str, base: str, server: Known, node: str | None) -> str | None:
+    """Say that the request reader of a server has another definition of `base`; None if it has the same.
+
+    The peer may publish the hash of the request message, of the service, or none.
+    """
+    name, theirs = dds_names.to_type(server.dds_type).removesuffix("_Request"), server.type_hash
+    accepted = _accepted_hashes(store, base)
+    if name == base and (theirs is None or theirs in accepted):
+        return None
+    ours = ", ".join(f"{of} {found}" for found, of in accepted.items())
+    return (
+        f"{service}: {node or 'a node'} serves {name} with the type hash {theirs}, our {base} has {ours}; "
+        "give the rule that type, or name the robot's definition in type_paths"
+    )
+
+
+def _accepted_hashes(store: TypeStore, base: str) -> dict[str, str]:
+    """Return what each hash that a request endpoint may publish is of."""
+    return {store.hash(f"{base}_Request"): "request", store.hash(base): "service"}
+
+
+def obstacle(
+    store: TypeStore, service: str, base: str, server: Known, node: str | None
+) -> VendorNotShared | TypeHashDiffers | None:
+    """Return why a server, given by its request reader, must not be asked; None if it may."""
+    if server.vendor != VENDOR:
+        return VendorNotShared(vendor_refused(service, server, node, "serves"))
+    fault = hash_refused(store, service, base, server, node)
+    return TypeHashDiffers(fault) if fault is not None else None
 
 
 class CycloneClient:
@@ -72,7 +110,9 @@ class CycloneClient:
         self._guid = secrets.randbits(63) + 1
         self._sequence = 0
         self._asked: dict[int, asyncio.Future[bytes]] = {}
+        self._free = asyncio.Semaphore(MAX_REQUESTS_UNDER_WAY)
         self._pair: tuple[Any, Any] | None = None
+        self._met: set[bytes] = set()
         self._stop: Callable[[], None] = lambda: None
         self._request_topic = dds_names.of_request(service)
         self._reply_topic = dds_names.of_reply(service)
@@ -86,16 +126,15 @@ class CycloneClient:
         picture = self._node.discovery.picture()
         servers = picture.at(self._request_topic, writes=False)
         for one in servers:
-            if one.vendor != VENDOR:
+            fault = obstacle(self._node.store, self.service, self.base, one, picture.node_of(one))
+            if isinstance(fault, VendorNotShared):
                 self.close()
-                raise VendorNotShared(vendor_refused(self.service, one, picture.node_of(one), "serves"))
-            ours, theirs = self._node.store.hash(self.base), one.type_hash
-            name = dds_names.to_type(one.dds_type).removesuffix("_Request")
-            if name != self.base or (theirs is not None and theirs != ours):
-                raise TypeHashDiffers(
-                    f"{self.service}: {picture.node_of(one) or 'its server'} serves {name} ({theirs}), we "
-                    f"call {self.base} ({ours}); give that type, or name the robot's definition in type_paths"
-                )
+            if fault is not None:
+                raise fault
+            if one.guid not in self._met:
+                self._met.add(one.guid)
+                of = _accepted_hashes(self._node.store, self.base).get(one.type_hash or "", "none")
+                log.info("service found", service=self.service, node=picture.node_of(one), type_hash_of=of)
         return servers
 
     def _matched(self) -> bool:
@@ -116,12 +155,21 @@ class CycloneClient:
 
     def _open(self) -> tuple[Any, Any]:
         if self._pair is None:
-            user = {"clientid": _id_of_pair(), "typehash": self._node.store.hash(self.base)}
+            pair_id, store = _id_of_pair(), self._node.store
+            asks, answers = f"{self.base}_Request", f"{self.base}_Response"
             reader = self._node.reader(
-                self._reply_topic, f"{self.base}_Response", SERVICES, user=user, header=True
+                self._reply_topic,
+                answers,
+                SERVICES,
+                user={"clientid": pair_id, "typehash": store.hash(answers)},
+                header=True,
             )
             writer = self._node.writer(
-                self._request_topic, f"{self.base}_Request", SERVICES, user=user, header=True
+                self._request_topic,
+                asks,
+                SERVICES,
+                user={"clientid": pair_id, "typehash": store.hash(asks)},
+                header=True,
             )
             self._stop = self._node.listening.to_samples(reader, self._on_samples)
             self._pair = writer, reader
@@ -160,6 +208,15 @@ class CycloneClient:
                 f"nobody serves {self.service} ({self.base}); start its node, or check the name and the "
                 "number of the domain (ROS_DOMAIN_ID)"
             )
+        if timeout_s is None:  # the result of a goal, which may take for ever
+            return await self._ask(data, None)
+        try:
+            async with asyncio.timeout_at(start_s + timeout_s), self._free:
+                return await self._ask(data, timeout_s)
+        except TimeoutError:
+            raise CallTimeout(f"{self.service} did not answer within {timeout_s} s") from None
+
+    async def _ask(self, data: bytes, timeout_s: float | None) -> Message:
         self._sequence += 1
         sequence = self._sequence
         answer: asyncio.Future[bytes] = self._loop.create_future()
@@ -167,23 +224,23 @@ class CycloneClient:
         try:
             writer, _ = self._open()
             send(self._node, writer, _wrapped(self._guid, sequence, data), self._most_bytes, self.service)
-            if timeout_s is None:
-                body = await self._while_served(answer)
-            else:
-                left_s = max(0.0, start_s + timeout_s - self._loop.time())
-                body = await asyncio.wait_for(answer, left_s)
-        except TimeoutError:
-            raise CallTimeout(f"{self.service} did not answer within {timeout_s} s") from None
+            asked = {one.guid for one in self._servers()}
+            body = await (self._while_served(answer, asked) if timeout_s is None else answer)
         finally:
             self._asked.pop(sequence, None)
         return self._node.store.decode(f"{self.base}_Response", body)
 
-    async def _while_served(self, answer: asyncio.Future[bytes]) -> bytes:
+    async def _while_served(self, answer: asyncio.Future[bytes], asked: set[bytes]) -> bytes:
+        """Wait while a server that was `asked` is there; another in its place does not know the request."""
+
+        def is_there() -> bool:
+            return self._matched() and any(one.guid in asked for one in self._servers())
+
         while True:
             done, _ = await asyncio.wait([answer], timeout=_AWAY_S)
             if done:
                 return answer.result()
-            if not await self.available(_AWAY_S):
+            if not await until(is_there, _AWAY_S):
                 raise ServiceUnavailable(f"the server of {self.service} went away before it answered")
 
     def close(self) -> None:
@@ -225,11 +282,21 @@ class CycloneServer:
         # Each is counted by one thread alone: what listening hands over, and what the loop has taken.
         self._handed = 0
         self._taken = 0
-        user = {"serviceid": _id_of_pair(), "typehash": node.store.hash(base)}
+        pair_id, asks, answers = _id_of_pair(), f"{base}_Request", f"{base}_Response"
         self._reply_topic = dds_names.of_reply(service)
-        self._writer = node.writer(self._reply_topic, f"{base}_Response", SERVICES, user=user, header=True)
+        self._writer = node.writer(
+            self._reply_topic,
+            answers,
+            SERVICES,
+            user={"serviceid": pair_id, "typehash": node.store.hash(answers)},
+            header=True,
+        )
         self._reader = node.reader(
-            dds_names.of_request(service), f"{base}_Request", SERVICES, user=user, header=True
+            dds_names.of_request(service),
+            asks,
+            SERVICES,
+            user={"serviceid": pair_id, "typehash": node.store.hash(asks)},
+            header=True,
         )
         self._stop = node.listening.to_samples(self._reader, self._on_samples)
 

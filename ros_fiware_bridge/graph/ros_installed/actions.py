@@ -11,7 +11,7 @@ import structlog
 
 from ros_fiware_bridge.errors import CallTimeout, GoalRefused, GraphClosed, ServiceUnavailable
 from ros_fiware_bridge.graph.port import ActionHandler, GoalEnded, GoalResult, GoalStatus, Message
-from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, as_future, call
+from ros_fiware_bridge.graph.ros_installed.own_node import SETTLES_S, OwnRosNode, as_future, call, interface
 from ros_fiware_bridge.graph.waiting import until
 
 log = structlog.get_logger(__name__)
@@ -73,10 +73,11 @@ class RosActionClient:
         self._node = node
         self._closed = closed
         self._loop = asyncio.get_running_loop()
-        self._interface = node.interface(type_name)
+        self._interface = interface(type_name)
         self._client = ActionClient(node.node, self._interface, action, callback_group=node.group)
         self._goals: list[RosGoal] = []
         self._open = True
+        self._settled = False
 
     async def available(self, timeout_s: float) -> bool:
         """Wait until a server is there."""
@@ -110,6 +111,10 @@ class RosActionClient:
                 f"nobody serves {self.name} ({self.type_name}); start its node, or check the name and the "
                 "number of the domain (ROS_DOMAIN_ID)"
             )
+
+        if not self._settled:
+            await asyncio.sleep(min(SETTLES_S, timeout_s / 2))
+            self._settled = True
 
         def told(feedback: Any) -> None:
             if on_feedback is not None:
@@ -202,7 +207,7 @@ class RosActionServer:
         self._accept = accept
         self._closed = closed
         self._loop = asyncio.get_running_loop()
-        self._interface = node.interface(type_name)
+        self._interface = interface(type_name)
         self._goal_response, self._cancel_response = GoalResponse, CancelResponse
         self._goals: dict[bytes, RosServedGoal] = {}
         self._working: set[concurrent.futures.Future[tuple[GoalStatus, Message]]] = set()

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ros_fiware_bridge.errors import GraphError
+from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.joining import JoinSettings
 from ros_fiware_bridge.graph.member import Member
@@ -21,7 +21,7 @@ from ros_fiware_bridge.graph.port import (
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.graph.ros_installed import view
 from ros_fiware_bridge.graph.ros_installed.actions import RosActionClient, RosActionServer
-from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, hash_of
+from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, hash_of, interface
 from ros_fiware_bridge.graph.ros_installed.services import RosClient, RosServer
 from ros_fiware_bridge.graph.ros_installed.topics import RosPublisher, RosSubscription
 from ros_fiware_bridge.types.type_store import TypeStore
@@ -34,6 +34,11 @@ class RosInstalledGraph(Member):
         super().__init__(store, settings)
         self._node = node
         self._clients: dict[tuple[str, str], RosClient] = {}
+
+    @property
+    def middleware(self) -> str:
+        """Return the RMW implementation, `rmw_fastrtps_cpp`."""
+        return str(self._node.vendor)
 
     @classmethod
     async def join(cls, store: TypeStore, settings: JoinSettings) -> "RosInstalledGraph":
@@ -136,6 +141,10 @@ class RosInstalledGraph(Member):
         """Return the nodes of the graph."""
         return view.nodes(self._node.node, self.node_name, self._node.vendor)
 
+    def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:  # noqa: ARG002 - see the port
+        """Return why calls of a service would fail; rclpy does not reveal the hashes of servers."""
+        return missing_type(type_name)
+
     def problems(self) -> Sequence[GraphError]:
         """Return what stands between us and peers now."""
         return view.problems(self.topics())
@@ -150,3 +159,12 @@ class RosInstalledGraph(Member):
             client.close()
         self._clients.clear()
         await asyncio.to_thread(self._node.close)
+
+
+def missing_type(type_name: str) -> list[GraphError]:
+    """Return why rclpy cannot carry a service, `X` or `X_SendGoal`; empty if it can."""
+    try:
+        interface(type_name.removesuffix("_SendGoal"))
+    except UnknownType as error:
+        return [error]
+    return []

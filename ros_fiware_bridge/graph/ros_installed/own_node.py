@@ -6,6 +6,7 @@ the bridge would read what nobody wrote: their hashes are compared when somethin
 
 import asyncio
 import importlib
+import os
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -21,6 +22,10 @@ from ros_fiware_bridge.types.type_store import TypeStore
 log = structlog.get_logger(__name__)
 
 _ROUND_S = 1.0
+SETTLES_S = 0.5
+"""A server that we see may not see us yet, and its answer would be lost. Nothing shows when it does, so the
+first call waits this long.
+"""
 _THREADS = 64
 """Handlers of services and goals keep a thread each while they work."""
 
@@ -40,6 +45,8 @@ class OwnRosNode:
         from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
 
         self.store = store
+        for name, value in _network(settings).items():
+            os.environ.setdefault(name, value)  # what is set already is how this machine's ROS is set up
         self._context = rclpy.Context()
         try:
             rclpy.init(
@@ -73,26 +80,6 @@ class OwnRosNode:
                 # One callback's fault, or what was closed while it was waited on: the others go on.
                 if not self._stopping:
                     log.exception("the ROS graph had a fault")
-
-    def interface(self, type_name: str) -> Any:
-        """Return the Python class of a message, service or action type.
-
-        Raises:
-            UnknownType: the installed ROS has no such type.
-        """
-        package, kind, name = type_name.split("/")
-        from rclpy.type_support import check_for_type_support  # noqa: PLC0415 - is only there where ROS is
-
-        try:
-            found = getattr(importlib.import_module(f"{package}.{kind}"), name)
-            check_for_type_support(found)
-        except Exception as error:
-            built = f"ros-jazzy-{package.replace('_', '-')}"
-            raise UnknownType(
-                f"the installed ROS has no {type_name}; install its package ({built}), build it in a "
-                "workspace, or use the adapter cyclone, which reads definition files"
-            ) from error
-        return found
 
     def same(self, where: str, type_name: str, theirs: str | None) -> None:
         """Check that the installed ROS means by a type what we mean.
@@ -128,6 +115,38 @@ class OwnRosNode:
         self._thread.join(5.0)
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
+
+
+def interface(type_name: str) -> Any:
+    """Return the Python class of a message, service or action type.
+
+    Raises:
+        UnknownType: the installed ROS has no such type.
+    """
+    package, kind, name = type_name.split("/")
+    from rclpy.type_support import check_for_type_support  # noqa: PLC0415 - is only there where ROS is
+
+    try:
+        found = getattr(importlib.import_module(f"{package}.{kind}"), name)
+        check_for_type_support(found)
+    except Exception as error:
+        built = f"ros-jazzy-{package.replace('_', '-')}"
+        raise UnknownType(
+            f"rclpy has no {type_name}; install its package ({built}), build it in a workspace and "
+            "source that, or start the robot's node with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, where "
+            "definition files do"
+        ) from error
+    return found
+
+
+def _network(settings: JoinSettings) -> dict[str, str]:
+    """Return the environment by which ROS 2 is given the network of `settings`."""
+    found = {}
+    if settings.peers:
+        found["ROS_STATIC_PEERS"] = ";".join(settings.peers)
+    if settings.interfaces and all(one == "lo" or one.startswith("127.") for one in settings.interfaces):
+        found["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    return found
 
 
 def profile(qos: Qos, depth: int | None = None) -> Any:

@@ -9,7 +9,8 @@ import structlog
 
 from ros_fiware_bridge.errors import CallTimeout, GraphClosed, ServiceUnavailable
 from ros_fiware_bridge.graph.port import Message, ServiceHandler
-from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, as_future
+from ros_fiware_bridge.graph.qos import MAX_REQUESTS_UNDER_WAY
+from ros_fiware_bridge.graph.ros_installed.own_node import SETTLES_S, OwnRosNode, as_future, interface
 from ros_fiware_bridge.graph.waiting import until
 
 log = structlog.get_logger(__name__)
@@ -22,9 +23,11 @@ class RosClient:
         self.service = service
         self.type_name = type_name
         self._node = node
-        self._interface = node.interface(type_name)
+        self._interface = interface(type_name)
         self._client = node.node.create_client(self._interface, service, callback_group=node.group)
         self._waiting: set[asyncio.Future[Any]] = set()
+        self._settled = False
+        self._free = asyncio.Semaphore(MAX_REQUESTS_UNDER_WAY)
 
     async def call(self, request: Message, timeout_s: float) -> Message:
         """Ask and return the response.
@@ -32,25 +35,32 @@ class RosClient:
         Raises:
             BadMessage, ServiceUnavailable, CallTimeout, GraphClosed.
         """
-        loop = asyncio.get_running_loop()
-        start_s = loop.time()
+        start_s = asyncio.get_running_loop().time()
         asked = self._node.to_ros(self._interface.Request, f"{self.type_name}_Request", request)
         if not await until(self._client.service_is_ready, timeout_s):
             raise ServiceUnavailable(
                 f"nobody serves {self.service} ({self.type_name}); start its node, or check the name and the "
                 "number of the domain (ROS_DOMAIN_ID)"
             )
+        try:
+            async with asyncio.timeout_at(start_s + timeout_s), self._free:
+                response = await self._answer(asked, timeout_s)
+        except TimeoutError:
+            raise CallTimeout(f"{self.service} did not answer within {timeout_s} s") from None
+        return self._node.from_ros(f"{self.type_name}_Response", response)
+
+    async def _answer(self, asked: Any, timeout_s: float) -> Any:
+        if not self._settled:
+            await asyncio.sleep(min(SETTLES_S, timeout_s / 2))
+            self._settled = True
         pending = self._client.call_async(asked)
-        answer = as_future(pending, loop)
+        answer = as_future(pending, asyncio.get_running_loop())
         self._waiting.add(answer)
         try:
-            response = await asyncio.wait_for(answer, max(0.0, start_s + timeout_s - loop.time()))
-        except TimeoutError:
-            self._client.remove_pending_request(pending)
-            raise CallTimeout(f"{self.service} did not answer within {timeout_s} s") from None
+            return await answer
         finally:
+            self._client.remove_pending_request(pending)
             self._waiting.discard(answer)
-        return self._node.from_ros(f"{self.type_name}_Response", response)
 
     def close(self) -> None:
         """Ask no more; who still waits is told."""
@@ -83,7 +93,7 @@ class RosServer:
         self._loop = asyncio.get_running_loop()
         self._working: set[concurrent.futures.Future[Message]] = set()
         self._open = True
-        self._interface = node.interface(type_name)
+        self._interface = interface(type_name)
         self._service = node.node.create_service(
             self._interface, service, self._asked, callback_group=node.group
         )

@@ -9,7 +9,7 @@ from ros_fiware_bridge.graph.inbox import Inbox, hash_differs
 from ros_fiware_bridge.graph.member import require_fit
 from ros_fiware_bridge.graph.port import Message, OnMessage
 from ros_fiware_bridge.graph.qos import Qos
-from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, hash_of, profile
+from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, hash_of, interface, profile
 from ros_fiware_bridge.graph.waiting import until
 
 _PLACES = 256
@@ -37,7 +37,7 @@ class RosSubscription(Inbox):
         self._looked_s = 0.0
         self._why_not: str | None = None
         self._subscription = node.node.create_subscription(
-            node.interface(type_name),
+            interface(type_name),
             topic,
             self._came,
             profile(qos, max(qos.depth, _PLACES)),
@@ -98,7 +98,7 @@ class RosPublisher:
         self._most_bytes = most_bytes
         self._closed = closed
         self._open = True
-        self._publisher = node.node.create_publisher(node.interface(type_name), topic, profile(qos))
+        self._publisher = node.node.create_publisher(interface(type_name), topic, profile(qos))
 
     def publish(self, message: Message) -> None:
         """Send `message`."""

@@ -143,6 +143,10 @@ class RosbridgeGraph(Member):
         """Return the nodes of the graph."""
         return self._view.nodes()
 
+    def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:  # noqa: ARG002 - see the port
+        """Return nothing: a rosbridge server reveals neither middlewares nor hashes."""
+        return []
+
     def problems(self) -> Sequence[GraphError]:
         """Return what stands between us and peers now."""
         return self._view.problems()

@@ -24,6 +24,7 @@ from services.context_broker.api.negotiation import (
     context_link,
     preferred_version,
 )
+from services.context_broker.api.nesting import MAX_NESTING, is_too_deep, too_deep
 from services.context_broker.api.problems import (
     MethodNotAllowed,
     bad_request_data,
@@ -42,12 +43,18 @@ __all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Answer", "Disconnected", "E
 
 PREFIX: Final = "/ngsi-ld/v1/"
 LONGEST_QUERY: Final = 64 * 1024
+_ANSWERED_AS: Final = {"HEAD": "GET"}
+"""An operation is carried out alike for both; the server leaves the body of an answer to HEAD out."""
 LONGEST_HEADER: Final = 4096
 MOST_PARAMETERS: Final = 100
 """Parameters that are read: no operation has half as many."""
 LONGEST_REMEMBERED: Final = 1024
 """Characters of the query of a URL that is kept parsed."""
 
+BOOLEANS: Final = frozenset(
+    {"count", "deleteAll", "details", "entityMap", "local", "reload", "splitEntities"}
+)
+"""Query parameters that are true or false, wherever they stand."""
 _READABLE = {JSON, JSON_LD, MERGE_PATCH}
 _PLAINLY_SAID: Final = {one.encode(): one for one in _READABLE}
 _WITH_BODY = {"POST", "PATCH", "PUT"}
@@ -142,7 +149,7 @@ class Exchange:
     def __init__(
         self, request: Request, names: tuple[str, ...], contexts: ContextBook, tenant: Tenant
     ) -> None:
-        self.method = request.method
+        self.method = _ANSWERED_AS.get(request.method, request.method)
         self.path = request.path
         self.parameters = request.parameters
         self.headers = request.headers
@@ -158,28 +165,35 @@ class Exchange:
         return self.parameters.get(name)
 
     def flag(self, name: str) -> bool:
-        """Return a query parameter that is true or false."""
-        given = self.parameters.get(name, "false")
-        if given not in {"true", "false"}:
-            raise invalid_request(f"the parameter {name} is true or false, not {shown(given)}")
-        return given == "true"
+        """Return a query parameter that is true or false; `require_known` has refused anything else."""
+        return self.parameters.get(name) == "true"
 
     def require_known(self, known: frozenset[str]) -> None:
-        """Refuse parameters that the operation does not have."""
-        for name in self.parameters:
+        """Refuse parameters that the operation does not have, and booleans that are neither true nor false.
+
+        All booleans are checked here, since an operation reads only those that matter for its answer.
+        """
+        for name, given in self.parameters.items():
+            if name in BOOLEANS and name in known and given not in {"true", "false"}:
+                raise bad_request_data(f"the parameter {name} is true or false, not {shown(given)}")
             if name not in known:
                 raise invalid_request(
                     f"there is no parameter {shown(name)} here, only {', '.join(sorted(known)) or 'none'}"
                 )
 
     def document(self) -> Any:
-        """Return the body as JSON."""
+        """Return the body as JSON; raise a problem (400) if it is none, or nested too deep."""
         try:
-            return orjson.loads(self.raw)
+            document = orjson.loads(self.raw)
         except orjson.JSONDecodeError as error:
+            if "depth" in error.msg or "recursion" in error.msg.lower():
+                raise too_deep() from None
             raise invalid_request(
                 f"the body is not JSON: {error.msg} at line {error.lineno}, column {error.colno}"
             ) from None
+        if self.raw.count(b"[") + self.raw.count(b"{") > MAX_NESTING and is_too_deep(document):
+            raise too_deep()
+        return document
 
     async def body(self) -> tuple[Any, Context]:
         """Return the body and the context that its names are in."""
@@ -209,10 +223,7 @@ class Exchange:
         in_body = document.get("@context") if isinstance(document, dict) else None
         link = self.link()
         if media_type == JSON_LD:
-            if link is not None:
-                raise bad_request_data(
-                    f"with {JSON_LD} the @context stands in the body; leave the Link header out"
-                )
+            self.require_no_link(media_type)
             if in_body is None:
                 raise bad_request_data(f'with {JSON_LD} the body has an "@context"; add it, or send {JSON}')
             return await self.contexts.of(in_body)
@@ -221,6 +232,13 @@ class Exchange:
                 f"with {media_type} the @context stands in a Link header; move it there, or send {JSON_LD}"
             )
         return await self.contexts.of(link or self.contexts.default)
+
+    def require_no_link(self, media_type: str) -> None:
+        """Refuse a Link header beside a body that holds its @context itself (clause 6.3.5)."""
+        if media_type == JSON_LD and self.link() is not None:
+            raise bad_request_data(
+                f"with {JSON_LD} the @context stands in the body; leave the Link header out"
+            )
 
     async def reader_context(self) -> Context:
         """Return the context that the asker wants names in."""

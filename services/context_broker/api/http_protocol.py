@@ -15,8 +15,10 @@ from starlette.types import Message, Receive
 from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
+from handover.http_protocol import BODY, HEAD, IDLE, IN_USE, Connections, HttpProtocol
+from handover.origin_guard import OriginPolicy
 from handover.telemetry import get_logger
-from services.context_broker.api.exchange import PREFIX, Answer, Request, by_name
+from services.context_broker.api.exchange import PREFIX, Answer, Request, by_name, problem_answer
 
 if TYPE_CHECKING:
     from uvicorn.config import Config
@@ -34,8 +36,10 @@ Door = Callable[[Request, bytes | Receive], Coroutine[Any, Any, Answer | None]]
 """Answers a request whose body is there or still to be received; None where the asker has gone."""
 
 
-class BrokerProtocol(HttpToolsProtocol):
-    """One connection. `door` answers what is asked of NGSI-LD."""
+class BrokerProtocol(HttpProtocol):
+    """One connection. `door` answers what is asked of NGSI-LD and accepted by `policy`."""
+
+    __slots__ = ("_is_reading", "_next", "_said_always", "door", "held", "policy")
 
     def __init__(
         self,
@@ -45,14 +49,16 @@ class BrokerProtocol(HttpToolsProtocol):
         _loop: asyncio.AbstractEventLoop | None = None,
         *,
         door: Door,
+        policy: OriginPolicy,
+        connections: Connections,
     ) -> None:
-        super().__init__(config, server_state, app_state, _loop)
+        super().__init__(config, server_state, app_state, _loop, connections=connections)
         self.door = door
+        self.policy = policy
         self.held: Callable[[], None] | None = None
         """Sends an answer that has to wait until the asker took what was sent before."""
         self._next: Turn | None = None
         self._is_reading = False
-        self._idle_since_s: float | None = None
         self._said_always: tuple[object, bytes] = (None, b"")
 
     # What comes in
@@ -67,6 +73,7 @@ class BrokerProtocol(HttpToolsProtocol):
 
     def on_message_begin(self) -> None:
         """Begin to read a request."""
+        self.phase, self.since_s = HEAD, 0.0
         self.url = b""
         self.headers = []
         self.expect_100_continue = False
@@ -79,12 +86,13 @@ class BrokerProtocol(HttpToolsProtocol):
         """Take a request whose head is there."""
         if not self.url.startswith(_PREFIX) or self.parser.should_upgrade():
             url, headers = self.url, self.headers
-            super().on_message_begin()
+            HttpToolsProtocol.on_message_begin(self)
             self.url = url
             for header in headers:
                 super().on_header(*header)
             super().on_headers_complete()
             return
+        self.phase = BODY
         target = httptools.parse_url(self.url)
         method = self.parser.get_method().decode("ascii")
         before: Any = self.cycle
@@ -101,7 +109,9 @@ class BrokerProtocol(HttpToolsProtocol):
         turn: Any = self.cycle
         if not isinstance(turn, Turn):
             super().on_body(body)
-        elif not turn.response_complete:
+            return
+        self.body_bytes += len(body)
+        if not turn.response_complete:
             turn.take(body)
 
     def on_message_complete(self) -> None:
@@ -109,9 +119,13 @@ class BrokerProtocol(HttpToolsProtocol):
         turn: Any = self.cycle
         if not isinstance(turn, Turn):
             super().on_message_complete()
+            return
+        turn.more_body = False
+        turn.set()
+        if turn.response_complete:  # it did not wait for the body
+            self.phase, self.since_s = IDLE, 0.0
         else:
-            turn.more_body = False
-            turn.set()
+            self.phase = IN_USE
 
     # What goes out
 
@@ -129,20 +143,6 @@ class BrokerProtocol(HttpToolsProtocol):
         if held is not None:
             held()
 
-    def on_response_complete(self) -> None:
-        """Go on to the next request, or wait for one."""
-        self.server_state.total_requests += 1
-        if self.transport.is_closing():
-            return
-        self.flow.resume_reading()
-        if self.pipeline:
-            cycle, app = self.pipeline.pop()
-            self._start_asgi_task(cycle, app)
-            return
-        self._idle_since_s = self.loop.time()
-        if self.timeout_keep_alive_task is None:
-            self._look_again_in(self.timeout_keep_alive)
-
     def _start_asgi_task(self, cycle: Any, app: Any) -> None:
         if not isinstance(cycle, Turn):
             super()._start_asgi_task(cycle, app)
@@ -158,33 +158,6 @@ class BrokerProtocol(HttpToolsProtocol):
             turn, self._next = self._next, None
             turn.begin()
         self._is_reading = False
-
-    # How long an idle connection is kept
-
-    def _unset_keepalive_if_required(self) -> None:
-        self._idle_since_s = None
-
-    def _look_again_in(self, seconds: float) -> None:
-        self.timeout_keep_alive_task = self.loop.call_later(seconds, self.timeout_keep_alive_handler)
-
-    def timeout_keep_alive_handler(self) -> None:
-        """Close a connection that has been idle for too long.
-
-        There is one timer as long as there is something to wait for: one for each request costs more.
-        """
-        self.timeout_keep_alive_task = None
-        if self._idle_since_s is not None:
-            rest_s = self._idle_since_s + self.timeout_keep_alive - self.loop.time()
-            if rest_s > 0:
-                self._look_again_in(rest_s)
-            else:
-                super().timeout_keep_alive_handler()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Let go."""
-        super().connection_lost(exc)
-        if self.timeout_keep_alive_task is not None:
-            self.timeout_keep_alive_task.cancel()
 
 
 class Turn:
@@ -233,7 +206,13 @@ class Turn:
     def begin(self) -> None:
         """Begin to answer."""
         is_whole = not (self.more_body or self._expects)
-        self._work = self._protocol.door(self._asked, self.body if is_whole else self._receive)
+        asked, policy = self._asked, self._protocol.policy
+        if not policy.is_known(asked.headers) and (
+            refusal := policy.refusal(asked.method, asked.path, asked.headers)
+        ):
+            self._end(problem_answer(refusal))
+            return
+        self._work = self._protocol.door(asked, self.body if is_whole else self._receive)
         self._context = copy_context()
         self._context.run(self._go_on)
 

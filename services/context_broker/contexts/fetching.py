@@ -9,17 +9,22 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
+from pathlib import Path
 from typing import Any, Final
+from urllib.parse import urljoin, urlsplit
 
 import orjson
 
 from handover.errors import Problem
+from handover.settings import PASSWORD_IN_URL, STARS
 from services.context_broker.api.problems import bad_request_data, context_not_available
-from services.context_broker.subscriptions.destinations import Destinations, Refused
+from services.context_broker.api.words import shown
+from services.context_broker.network.http_sender import HttpAsker, SendError
+from services.context_broker.network.outbound_policy import OutboundPolicy
 
 LARGEST_CONTEXT: Final = 1024 * 1024
-"""Bytes of an @context: the largest published ones have half of it."""
-MOST_REDIRECTS: Final = 5
+"""Bytes of an @context, inflated: the largest published ones have half of it."""
+MAX_REDIRECTS: Final = 5
 LEAST_PAUSE_S: Final = 1.0
 """How long a URL that failed at once is left alone."""
 MOST_FAILURES: Final = 1000
@@ -30,7 +35,13 @@ USUALLY_KEPT_S: Final = 86_400.0
 """How long a context is kept whose server says nothing."""
 LONGEST_KEPT_S: Final = 30 * 86_400.0
 _MAX_AGE: Final = re.compile(r"(?:^|[\s,])max-age=\"?([0-9]{1,10})")
-_ACCEPT: Final = {"Accept": "application/ld+json, application/json;q=0.9"}
+_HEADERS: Final = (
+    ("Accept", "application/ld+json, application/json;q=0.9"),
+    ("Accept-Encoding", "gzip"),
+    ("User-Agent", "handover-context-broker"),
+    ("Connection", "close"),
+)
+_REDIRECTS: Final = frozenset({301, 302, 303, 307, 308})
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +53,11 @@ class Fetched:
 
 
 class Fetcher:
-    """Gets the documents of URLs. `destinations` says which addresses are closed."""
+    """Gets the documents of URLs, from addresses that `policy` leaves open."""
 
-    def __init__(self, timeout_s: float, destinations: Destinations) -> None:
+    def __init__(self, timeout_s: float, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
         self._timeout_s = timeout_s
-        self._destinations = destinations
+        self._asker = HttpAsker(policy, ca_file, LARGEST_CONTEXT)
         self._on_their_way: dict[str, asyncio.Task[Fetched]] = {}
         self._failed: dict[str, tuple[float, Problem]] = {}
 
@@ -56,8 +67,8 @@ class Fetcher:
         Raises a problem: 504 when it cannot be had (for a while without asking, unless `again`), 400 when it
         is no context (clause 5.5.6).
         """
-        if not url.startswith(("http://", "https://")):
-            raise bad_request_data(f"the @context {url!r} is no http or https URL")
+        if (fault := fault_of_url(url)) is not None:
+            raise bad_request_data(f"the @context {_printed(url)} {fault}")
         if not again:
             self._raise_remembered(url)
         task = self._on_their_way.get(url)
@@ -92,35 +103,56 @@ class Fetcher:
         return Fetched(document, kept_s)
 
     async def _download(self, url: str) -> tuple[bytes, float]:
-        """Return the text at `url`, and for how many seconds it may be kept."""
-        import httpx  # noqa: PLC0415 - takes time to load, and most brokers never fetch a context
+        """Return the text at `url`, and for how many seconds it may be kept.
 
-        async def require_open(request: httpx.Request) -> None:
-            await self._destinations.resolved(request.url.host, request.url.port or 80)
-
+        Each redirect is a request of its own: its URL is checked, and its host resolved and judged, like the
+        first.
+        """
+        at = url
         try:
-            async with (
-                asyncio.timeout(self._timeout_s),
-                httpx.AsyncClient(
-                    follow_redirects=True,
-                    max_redirects=MOST_REDIRECTS,
-                    timeout=self._timeout_s,
-                    trust_env=False,
-                    event_hooks={"request": [require_open]},
-                ) as client,
-                client.stream("GET", url, headers=_ACCEPT) as answer,
-            ):
-                answer.raise_for_status()
-                text = bytearray()
-                async for chunk in answer.aiter_bytes():
-                    text += chunk
-                    if len(text) > LARGEST_CONTEXT:
-                        raise unavailable(url, f"it is larger than {LARGEST_CONTEXT} bytes")
-                return bytes(text), kept_for_s(answer.headers)
+            async with asyncio.timeout(self._timeout_s):
+                for _ in range(MAX_REDIRECTS + 1):
+                    reply = await self._asker.ask("GET", at, _HEADERS, b"", self._timeout_s)
+                    if reply.status not in _REDIRECTS:
+                        break
+                    at = _redirected(at, reply.headers.get("location", ""))
+                    if (fault := fault_of_url(at)) is not None:
+                        raise unavailable(url, f"it redirects to {_printed(at)}, which {fault}")
+                else:
+                    raise unavailable(url, f"it is redirected more than {MAX_REDIRECTS} times")
         except TimeoutError:
             raise unavailable(url, f"no answer within {self._timeout_s:g} s") from None
-        except (httpx.HTTPError, httpx.InvalidURL, Refused, OSError, UnicodeError) as error:
-            raise unavailable(url, str(error) or type(error).__name__) from None
+        except SendError as error:
+            cause = str(error) if at == url else f"it redirects to {_printed(at)}: {error}"
+            raise unavailable(url, cause) from None
+        if reply.status != 200:
+            raise unavailable(url, f"the server answers {reply.status}")
+        return reply.body, kept_for_s(reply.headers)
+
+
+def fault_of_url(url: str) -> str | None:
+    """Return why the broker fetches nothing from a URL, None if it may try."""
+    try:
+        parts = urlsplit(url)
+        is_usable = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        is_usable = False
+    if not is_usable or not url.isascii() or not url.isprintable() or " " in url:
+        return "is no http or https URL of plain characters"
+    if parts.username is not None or parts.password is not None:
+        return "carries credentials; publish the @context where none are needed"
+    return None
+
+
+def _redirected(at: str, location: str) -> str:
+    try:
+        return urljoin(at, location)
+    except ValueError:
+        return location
+
+
+def _printed(url: str) -> str:
+    return shown(PASSWORD_IN_URL.sub(rf"\1{STARS}@", url))
 
 
 def kept_for_s(headers: Mapping[str, str]) -> float:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from typing import Any, Final
-from urllib.parse import quote
 
 import orjson
 
@@ -40,7 +39,9 @@ class ContextOperations:
         if not isinstance(document, Mapping) or "@context" not in document:
             raise invalid_request('the body is an object with an "@context"; put the context there')
         one = await self._contexts.add(exchange.tenant.name, document["@context"])
-        return Answer(201, b"", [(b"location", (PATH + quote(one.id, safe="")).encode())])
+        # Absolute: what a client does with it is to name it as the @context of its requests.
+        location = one.address(self._contexts.base(exchange.headers))
+        return Answer(201, b"", [(b"location", location.encode())])
 
     async def list(self, exchange: Exchange) -> Answer:
         """GET jsonldContexts: their URLs; with details=true how they are used too."""

@@ -1,7 +1,8 @@
 """Many entities changed at several sources at once (clauses 5.6.7 to 5.6.10 and 5.6.20).
 
 Each entity is shared as if it came alone; each source gets its shares as one batch, or one by one if it takes
-no batches. What the broker refuses of its own share is not passed on.
+no batches. What the broker refuses of its own share as invalid is not passed on. An entity of which one part
+succeeds and another fails is listed both as a success and as an error (clause 5.6.7.4).
 """
 
 import asyncio
@@ -259,9 +260,10 @@ class _Batch:
         errors: list[dict[str, Any]] = []
         created: list[Any] = []
         for item in items:
-            _, failed = outcomes.settled(item.outcomes)
+            good, failed = outcomes.settled(item.outcomes)
             if failed:
                 errors += outcomes.entity_errors(item.entity_id, failed)
+            if failed and not good:
                 continue
             success.append(item.entity_id)
             if item.is_new or self._operation == "createBatch":
@@ -274,7 +276,8 @@ class _Batch:
 
 
 def _is_refused(item: _Item) -> bool:
-    return any(one.problem is not None and one.status != 404 for one in item.outcomes)
+    """Say whether the broker refuses an entity for good: not because it has it already, or has it not."""
+    return any(one.problem is not None and one.status not in {404, 409} for one in item.outcomes)
 
 
 def _document(item: _Item, share: Share, tongue: Tongue) -> Any:

@@ -21,8 +21,8 @@ from services.context_broker.distribution.gathering import Gathering
 from services.context_broker.distribution.questions import FILTERS
 from services.context_broker.distribution.source_answers import heard, read_entities
 from services.context_broker.entities.entity import Entity
+from services.context_broker.network.http_sender import Reply
 from services.context_broker.sources.registration import Asked, Match, Registration, Where
-from services.context_broker.subscriptions.http_sender import Reply
 
 ONE: Final = ("retrieveEntity", "queryEntity", "queryBatch")
 """Operations by which one entity can be read, the best first."""

@@ -27,8 +27,8 @@ from services.context_broker.distribution.fetching import MOST_IDS
 from services.context_broker.distribution.forwarding import INVALID, SILENT, Question, Tongue, Unheard
 from services.context_broker.distribution.source_answers import answered_context, heard
 from services.context_broker.distribution.translation import translated
+from services.context_broker.network.http_sender import Reply
 from services.context_broker.sources.registration import Match, Registration
-from services.context_broker.subscriptions.http_sender import Reply
 from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.query import (
     AGGREGATION_PARAMETERS,
@@ -46,7 +46,7 @@ LONGEST_READ_S: Final = 30.0
 """So long values may be read for totals: about as long as askers wait for an answer."""
 _NOT_PASSED_ON: Final = frozenset(
     {"local", "id", "idPattern", "type", "attrs", "pick", "omit", "limit", "offset", "count", "csf",
-     "splitEntities", "entities", "temporalQ", "aggrParams", "orderBy", "collation", "entityMapLifetime"}
+     "splitEntities", "entities", "temporalQ", "aggrParams", "entityMapLifetime"}
 )  # fmt: skip
 _NAMING: Final = frozenset({"q", "geoproperty"})
 _FORMS: Final = frozenset({"options", "format", *AGGREGATION_PARAMETERS, *SHOWING})

@@ -17,9 +17,9 @@ from services.context_broker.api.exchange import JSON, JSON_LD
 from services.context_broker.contexts.book import CORE, Context, ContextBook
 from services.context_broker.distribution.translation import older, translated
 from services.context_broker.distribution.via import chain, lengthened
+from services.context_broker.network.http_sender import HttpAsker, Reply, SendError, TooLarge, TooSlow
 from services.context_broker.sources.registration import Registration
 from services.context_broker.sources.registry import Registry
-from services.context_broker.subscriptions.http_sender import HttpAsker, Reply, SendError, TooLarge, TooSlow
 
 log = get_logger(__name__)
 
@@ -68,6 +68,8 @@ class Asking:
     name: str
     """The alias of this broker for the tenant of the request."""
     registry: Registry
+    timed_out: set[str] = field(default_factory=set)
+    """Registrations whose source did not answer this request in time: it is not asked again for this one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +113,6 @@ class Forwarder:
     small_pages: set[str] = field(default_factory=set)
     """Endpoints of sources that refuse large pages."""
     _aliases: dict[tuple[str, str], str] = field(default_factory=dict)
-    _hung: dict[tuple[str, str], float] = field(default_factory=dict)
     _remembered: OrderedDict[tuple[Any, ...], _Remembered] = field(default_factory=OrderedDict)
 
     def alias_of(self, registration: Registration) -> str | None:
@@ -156,7 +157,8 @@ class Forwarder:
     async def ask(self, registration: Registration, question: Question, asking: Asking) -> tuple[Reply, bool]:
         """Return the answer, whatever its status, and whether it was one that had been kept.
 
-        Raises `Unheard` when there is none: the source is silent, out of reach or at rest after a failure.
+        Raises `Unheard` when there is none: the source is silent, out of reach or in its cooldown. A cooldown
+        is only what its registration sets (clause 5.2.34); without one, the next request asks it again.
         """
         headers = _headers(registration, question, asking)
         url = _url(registration, question)
@@ -164,8 +166,8 @@ class Forwarder:
         key = (registration.id, url, *headers)
         if is_kept and (kept := self._remembered.get(key)) and kept.until_s > time.monotonic():
             return kept.reply, True
-        self._refuse_at_rest(registration, asking.registry)
-        reply = await self._asked(registration, question, asking.registry, url, headers)
+        _refuse_at_rest(registration, asking)
+        reply = await self._asked(registration, question, asking, url, headers)
         if is_kept and reply.status == 200 and len(reply.body) <= LARGEST_REMEMBERED:
             self._remember(key, reply, registration.management.cache_s)
         return reply, False
@@ -174,19 +176,18 @@ class Forwarder:
         self,
         registration: Registration,
         question: Question,
-        registry: Registry,
+        asking: Asking,
         url: str,
         headers: list[tuple[str, str]],
     ) -> Reply:
-        timeout_s = self.patience_s(registration)
+        timeout_s, registry = self.patience_s(registration), asking.registry
         try:
             reply = await self.asker.ask(
                 question.method, url, headers, _body(registration, question), timeout_s
             )
         except SendError as error:
             if isinstance(error, TooSlow):
-                # One that hangs costs its patience once, then nothing for as long: others need not wait too.
-                self._hung[registry.tenant, registration.id] = time.monotonic() + timeout_s
+                asking.timed_out.add(registration.id)
             registry.note(registration, succeeded=False)
             warning = INVALID if isinstance(error, TooLarge) else SILENT
             why = f"{registration.endpoint}: {error}"
@@ -199,21 +200,20 @@ class Forwarder:
             self._aliases[registration.endpoint, registration.tenant] = names[0]
         return reply
 
-    def _refuse_at_rest(self, registration: Registration, registry: Registry) -> None:
-        key = registry.tenant, registration.id
-        until_s = self._hung.get(key)
-        if until_s is not None and until_s <= time.monotonic():
-            del self._hung[key]
-            until_s = None
-        if until_s is not None or registry.rests(registration):
-            why = f"{registration.endpoint} failed a moment ago and is left alone for a while"
-            raise Unheard(registration, SILENT, 504, why)
-
     def _remember(self, key: tuple[Any, ...], reply: Reply, seconds: float) -> None:
         self._remembered[key] = _Remembered(reply, time.monotonic() + seconds)
         self._remembered.move_to_end(key)
         if len(self._remembered) > MOST_REMEMBERED:
             self._remembered.popitem(last=False)
+
+
+def _refuse_at_rest(registration: Registration, asking: Asking) -> None:
+    if registration.id in asking.timed_out:
+        why = f"{registration.endpoint} did not answer another part of this request in time"
+        raise Unheard(registration, SILENT, 504, why)
+    if asking.registry.rests(registration):
+        why = f"{registration.endpoint} failed within the cooldown that its registration sets"
+        raise Unheard(registration, SILENT, 504, why)
 
 
 def _info(registration: Registration, key: str) -> str | None:

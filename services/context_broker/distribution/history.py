@@ -42,6 +42,7 @@ from services.context_broker.distribution.questions import (
     may_be_split,
     questions_in,
     reach_of,
+    refuse_order,
     where_of,
 )
 from services.context_broker.distribution.split_evolutions import narrowed_to, split_hits
@@ -151,7 +152,9 @@ async def _query(sources: Sources, exchange: Exchange, perform: Performing, give
     matched: list[tuple[Match, dict[str, str]]] = []
     for parameters in given.questions:
         asked, where = asked_by(parameters, context, _names_of(parameters, context))
-        matches = sources.unasked(sources.registry.matching("queryTemporal", asked, where))
+        found = sources.registry.matching("queryTemporal", asked, where)
+        refuse_order(parameters, sources.unasked(found, heeds_map=False))
+        matches = sources.unasked(found)
         matched += [(match, parameters) for match in matches]
     if not matched:
         return await perform(exchange)
@@ -166,7 +169,7 @@ async def _query(sources: Sources, exchange: Exchange, perform: Performing, give
     paged = {"offset": "0", "limit": str(most)}
     own = await perform(_for_all_members(exchange, paged))
     wish = _wish(exchange, context, given.parameters)
-    found: list[Part] = await all_of(
+    told: list[Part] = await all_of(
         *(
             ask_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
             for match, parameters in matched
@@ -177,14 +180,14 @@ async def _query(sources: Sources, exchange: Exchange, perform: Performing, give
         for one in orjson.loads(own.body)
     }
     mine = len(known)
-    _take(known, matched, found, wish)
+    _take(known, matched, told, wish)
     order = list(known)
     page = order[window.offset : window.offset + window.limit]
     if page and (
-        full := [one for one, part in zip(matched, found, strict=True) if len(part.documents) >= most]
+        full := [one for one, part in zip(matched, told, strict=True) if len(part.documents) >= most]
     ):
         await _add_rest(known, sources, full, page, wish)
-    edge = evolutions.common_edge([edge_of(own), *(part.edge for part in found)], wish.query)
+    edge = evolutions.common_edge([edge_of(own), *(part.edge for part in told)], wish.query)
     if wish.is_for_totals:
         edge = None
         shared = tuple(one for one in page if len(known[one]) > 1)

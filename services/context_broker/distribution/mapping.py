@@ -2,7 +2,7 @@
 
 A source's map lists what the source has of the query, and is linked from the broker's: later pages are asked
 for by it, so that the source, too, need not look around again. Where conditions have to wait until an entity
-is put together, or an order needs what entities say, the entities are read as well.
+is put together, the entities are read as well.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from services.context_broker.distribution.fetching import can_be_asked, fetch_ma
 from services.context_broker.distribution.fetching_past import of_the_past, who
 from services.context_broker.distribution.forwarding import INVALID, SILENT, Question, Unheard
 from services.context_broker.distribution.gathering import Gathering
-from services.context_broker.distribution.questions import FILTERS, asked_by, questions_in
+from services.context_broker.distribution.questions import FILTERS, asked_by, questions_in, refuse_order
 from services.context_broker.distribution.source_answers import heard
 from services.context_broker.snapshots.entity_maps import Listed
 from services.context_broker.sources.registration import Match, Registration
@@ -28,7 +28,6 @@ from services.context_broker.temporal.operations import temporal_parameters
 MAKES: Final = "createEntityMapQueryEntity"
 MAKES_OF_THE_PAST: Final = "createEntityMapQueryTemporal"
 _LIFETIME: Final = "entityMapLifetime"
-_NEEDS_ENTITIES: Final = ("orderBy", "join")
 _PAGE: Final = 1000
 _MOST_PAGES: Final = 100
 """Pages of entities of the past that are read from a source that makes no maps."""
@@ -155,6 +154,7 @@ async def map_past(sources: Sources, exchange: Exchange, perform: Performing) ->
     for each in questions:
         asked, where = asked_by(each, context, None)
         found = sources.registry.matching((MAKES_OF_THE_PAST, "queryTemporal"), asked, where)
+        refuse_order(each, sources.unasked(found, heeds_map=False))
         asking += [mapper.ask_of_the_past(match, each) for match in sources.unasked(found)]
     if not asking:
         return await perform(exchange)
@@ -164,8 +164,8 @@ async def map_past(sources: Sources, exchange: Exchange, perform: Performing) ->
 
 
 def _needs_entities(registration: Registration, parameters: Mapping[str, str], is_split: bool) -> bool:
-    """Say whether a list of ids is not enough to know which entities answer a query, and in which order."""
-    if any(name in parameters for name in _NEEDS_ENTITIES):
+    """Say whether a list of ids is not enough to know which entities answer a query."""
+    if "join" in parameters:
         return True
     has_other_names = any(name.lower() == "jsonldcontext" for name, _ in registration.source_info)
     return (is_split or has_other_names) and any(name in parameters for name in FILTERS)

@@ -10,8 +10,8 @@ from handover.errors import Problem
 from services.context_broker.api.exchange import JSON, Answer
 from services.context_broker.api.problems import ERRORS
 from services.context_broker.distribution.forwarding import Unheard
+from services.context_broker.network.http_sender import Reply
 from services.context_broker.sources.registration import Registration
-from services.context_broker.subscriptions.http_sender import Reply
 
 _PASSED_ON: Final = frozenset({404, 409})
 """Failures of a single source that are the asker's to know as they are."""
@@ -22,18 +22,21 @@ class Outcome:
     """What became of one share: of the broker's own (no registration) or of a source's.
 
     `names` are the attributes (IRIs) that it is about; `problem` says why it failed, None if it did not.
+    `is_held` says of the broker's own share that it has the entity, so that a 404 is about an attribute.
     """
 
     registration: Registration | None
     names: frozenset[str]
     status: int
     problem: dict[str, Any] | None = None
+    is_held: bool = False
 
     @property
     def is_absence(self) -> bool:
         """Say whether there was just nothing to change, where there need not be anything."""
-        one = self.registration
-        return self.status == 404 and self.problem is not None and (one is None or not one.mode.is_proxied)
+        if self.status != 404 or self.problem is None:
+            return False
+        return not self.is_held if self.registration is None else not self.registration.mode.is_proxied
 
 
 def of_reply(registration: Registration, names: frozenset[str], reply: Reply) -> Outcome:
@@ -92,7 +95,15 @@ def settled(outcomes: Iterable[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
 
 
 def failure(failed: list[Outcome]) -> Answer | None:
-    """Return the answer when nothing was done and all shares failed alike; None if they did not."""
+    """Return the answer when nothing was done; None if the shares failed in different ways.
+
+    What the broker itself could not do with an entity that it has comes first: AlreadyExists or
+    ResourceNotFound (clauses 5.6.1.4 and 5.6.19.4), with the failures of the sources as "errors".
+    """
+    own = next((one for one in failed if one.registration is None and not one.is_absence), None)
+    if own is not None and own.problem is not None:
+        others = [one.problem for one in failed if one is not own]
+        return _problem_answer(own.status, {**own.problem, **({"errors": others} if others else {})}, None)
     statuses = {one.status for one in failed}
     if len(statuses) > 1:
         return None

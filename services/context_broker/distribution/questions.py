@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import orjson
 
+from services.context_broker.api.problems import bad_request_data
 from services.context_broker.contexts.book import Context
 from services.context_broker.entities.intake import expand
 from services.context_broker.queries import geo_query
@@ -20,7 +21,7 @@ FILTERS: Final = (
     "q", "expandValues", "jsonKeys", "scopeQ", "georel", "geometry", "coordinates", "geoproperty"
 )  # fmt: skip
 """Parameters that are conditions on whole entities."""
-_NEEDS_MORE: Final = (*FILTERS, "orderBy", "join")
+_NEEDS_MORE: Final = (*FILTERS, "join")
 """Parameters for which attributes count that are not to be shown."""
 _TYPE_SIGNS: Final = re.compile(r"[,;|()]+")
 
@@ -37,6 +38,8 @@ def questions_in(document: Mapping[str, Any], parameters: Mapping[str, str]) -> 
             if name in geo:
                 said = geo[name]
                 plain[name] = said if isinstance(said, str) else orjson.dumps(said).decode()
+    if isinstance(document.get("ordering"), dict):
+        plain["orderBy"] = ",".join(str(one) for one in document["ordering"].get("orderBy") or ())
     plain.pop("type", None)  # which is that of the document, "Query"
     selectors = document.get("entities")
     if not isinstance(selectors, list) or not selectors:
@@ -52,6 +55,15 @@ def questions_in(document: Mapping[str, Any], parameters: Mapping[str, str]) -> 
                     if isinstance(said, str | list)
                 },
             }
+
+
+def refuse_order(parameters: Mapping[str, str], matches: Iterable[Match]) -> None:
+    """Raise a problem (400) for a query that wants an order and that a source has a share in (4.23.1)."""
+    if "orderBy" in parameters and (match := next(iter(matches), None)) is not None:
+        raise bad_request_data(
+            f"no order is made across context sources, and registration {match.registration.id} matches this "
+            "query; leave orderBy out, or ask for what this broker has itself with local=true"
+        )
 
 
 def asked_by(

@@ -1,7 +1,7 @@
 """Entities read from several sources: retrieve and query (clauses 5.7.1.4, 5.7.2.4 and 4.5.5.3).
 
 Whoever may know something is asked for the plain data; the fragments become entities; and the room that
-answers for the broker's own entities answers for these: filters, order, pages and forms are applied once, to
+answers for the broker's own entities answers for these: filters, pages and forms are applied once, to
 whole entities.
 """
 
@@ -29,6 +29,7 @@ from services.context_broker.distribution.questions import (
     may_be_split,
     names_of,
     questions_in,
+    refuse_order,
     types_of,
     where_of,
 )
@@ -118,7 +119,10 @@ async def _query(
     for parameters in questions:
         asked, where = asked_by(parameters, context, names_of(parameters, context))
         wanted.append(asked)
-        matches = answering(sources, asked, where, or_takes=None if mapper is None else MAKES)
+        or_takes = None if mapper is None else MAKES
+        if "orderBy" in parameters:
+            refuse_order(parameters, answering(sources, asked, where, heeds_map=False, or_takes=or_takes))
+        matches = answering(sources, asked, where, or_takes=or_takes)
         is_split = may_be_split(parameters, matches)
         matched += [(match, parameters, is_split) for match in matches]
     times = Counter(match.registration.id for match, _, _ in matched)

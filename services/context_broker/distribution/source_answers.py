@@ -22,8 +22,8 @@ from services.context_broker.distribution.forwarding import (
 )
 from services.context_broker.distribution.fragments import read_fragment, still_there
 from services.context_broker.entities.entity import Entity
+from services.context_broker.network.http_sender import Reply
 from services.context_broker.sources.registration import Registration
-from services.context_broker.subscriptions.http_sender import Reply
 
 _FROM_ELSEWHERE: Final = 1 << 62
 """Places in the order from here on are those of entities that were created elsewhere, by a hash of their id:

@@ -39,9 +39,7 @@ MOST_PAGES: Final = 20
 _CONDITIONS: Final = frozenset({"q", "geoQ", "scopeQ", "expandValues", "jsonKeys"})
 """Members of a Query document that are conditions."""
 _IN_DOCUMENTS: Final = _CONDITIONS | {"aggrParams", "attrs", "datasetId", "lang", *SHOWING}
-_NOT_ASKED: Final = frozenset(
-    {*FILTERS, "lastN", "count", "offset", "limit", "attrs", "datasetId", "lang", "orderBy", "collation"}
-)
+_NOT_ASKED: Final = frozenset({*FILTERS, "lastN", "count", "offset", "limit", "attrs", "datasetId", "lang"})
 """What is looked at when evolutions are whole, or is about how they are shown."""
 _NOT_SAID: Final = frozenset({"instanceId", "createdAt", "modifiedAt", "expiresAt"})
 _TIMES: Final = ("createdAt", "modifiedAt")

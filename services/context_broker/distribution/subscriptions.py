@@ -39,13 +39,13 @@ from services.context_broker.distribution.relays import (
 )
 from services.context_broker.distribution.told_changes import told_change
 from services.context_broker.distribution.via import chain
+from services.context_broker.network.http_sender import Reply
 from services.context_broker.sources.reach import Reach
 from services.context_broker.sources.registration import Registration
 from services.context_broker.storage.entries import Entries, Kind, Notice
 from services.context_broker.storage.journal import Journal, NotStored
 from services.context_broker.storage.tenants import Tenant, Tenants
 from services.context_broker.subscriptions.documents import CAME_BY
-from services.context_broker.subscriptions.http_sender import Reply
 from services.context_broker.subscriptions.notification import notification, told_of
 from services.context_broker.subscriptions.subscription import Subscription
 

@@ -1,7 +1,9 @@
 """Entities, and their past, changed at several sources: create, replace, merge, append, update, delete.
 
 Clauses 5.6.1 to 5.6.6 and 5.6.11 to 5.6.19, each where it speaks of registrations. The broker's own
-share comes first: a change that it refuses goes nowhere. Then all others are asked at once.
+share comes first: a change that it refuses as invalid goes nowhere. Then all others are asked at once, also
+when the broker has the entity already (create) or has it without the attribute: that part has failed, and the
+answer is 207 if any other succeeds.
 """
 
 from collections.abc import Mapping
@@ -30,6 +32,7 @@ from services.context_broker.distribution.outcomes import Outcome
 from services.context_broker.distribution.shares import Share, Shares, shared
 from services.context_broker.entities.intake import expand
 from services.context_broker.queries.reading import datasets_of
+from services.context_broker.queries.type_selection import type_selection
 from services.context_broker.sources.reach import taking_in
 from services.context_broker.sources.registration import Asked
 
@@ -188,12 +191,25 @@ class SharedChange:
                 if own.status != 207:
                     found.append(Outcome(None, shares.own_names, own.status))
             except Problem as problem:
-                if problem.status != 404 or problem.__cause__ is not None:
+                if problem.status not in {404, 409} or problem.__cause__ is not None:
                     raise
-                found.append(Outcome(None, shares.own_names, 404, problem.body()))
+                is_held = problem.status == 409 or self._is_held()
+                found.append(Outcome(None, shares.own_names, problem.status, problem.body(), is_held))
         told = await all_of(*(self.forwarded(share) for share in shares.others))
         found += [one for one in told if one is not None]
         return own, found
+
+    def _is_held(self) -> bool:
+        """Say whether the broker itself has the current entity that the path names, of the type asked for."""
+        known = (
+            None
+            if _is_temporal(self._exchange)
+            else self._exchange.tenant.store.latest(self._exchange.names[0])
+        )
+        wanted = self._exchange.parameter("type")
+        if known is None or wanted is None:
+            return known is not None
+        return type_selection(wanted, self._context.terms.expand).wants(known.types)
 
     def _own_share(self, shares: Shares) -> Exchange:
         if self._document is None or not any(one.registration.mode.is_proxied for one in shares.others):

@@ -202,6 +202,7 @@ class BatchOperations:
         if is_simplified(exchange, others):
             act = partial(_from_simplified, act)
         media_type = exchange.content_type()
+        exchange.require_no_link(media_type)
         documents = _as_list(exchange.document(), "entities")
         fates = _Fates()
         for given in documents:
@@ -236,8 +237,8 @@ class BatchOperations:
         return self._carry_out(store, before, changes.replaced(before, change, timestamp_now()))
 
     def _append(self, store: Store, given: Any, context: Context, *, overwrite: bool) -> _Change:
+        change = read_change(given, context.terms, Nulls.ATTRIBUTES)  # before its existence (5.6.9.4)
         before = self._existing(store, given)
-        change = read_change(given, context.terms, Nulls.ATTRIBUTES)
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
         if outcome.refused:
             names = ", ".join(outcome.refused)
@@ -246,7 +247,10 @@ class BatchOperations:
         return self._carry_out(store, before, outcome)
 
     def _merge(self, store: Store, given: Any, context: Context) -> _Change:
-        before = self._existing(store, given)
+        before = self._known(store, given)
+        if before is None:
+            read_change(given, context.terms, Nulls.VALUES)  # before its existence (5.6.20.4)
+            raise absent(id_of(given))
         change = read_merge(given, before, context)
         return self._carry_out(store, before, changes.merged(before, change, timestamp_now()))
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from services.context_broker.api.nesting import MAX_NESTING, too_deep
 from services.context_broker.api.words import moment
 from services.context_broker.entities.entity import (
     NULL,
@@ -17,7 +18,7 @@ from services.context_broker.entities.entity import (
     dataset_of,
     is_deletion,
 )
-from services.context_broker.entities.intake import DEEPEST_VALUE, Change, too_deep
+from services.context_broker.entities.intake import Change
 
 PRESENT = "the entity has this attribute already and noOverwrite was asked for"
 
@@ -266,7 +267,7 @@ def _merge(old: Instance | None, new: Instance) -> Instance:
 def _merge_values(old: Any, new: Any, depth: int = 0) -> Any:
     if not isinstance(new, dict):
         return new
-    if depth > DEEPEST_VALUE:
+    if depth > MAX_NESTING:
         raise too_deep()
     result = dict(old) if isinstance(old, dict) else {}
     for key, value in new.items():

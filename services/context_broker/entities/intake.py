@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 from handover.errors import Problem
+from services.context_broker.api.nesting import MAX_NESTING, too_deep
 from services.context_broker.api.problems import bad_request_data
 from services.context_broker.api.words import (
     is_time,
@@ -27,9 +28,6 @@ DEFAULT_INSTANCE: Final = "@none"
 """The datasetId by which a writer or a reader may name the instance that has none."""
 DEEPEST: Final = 20
 """Attributes of attributes of attributes … that are read."""
-
-DEEPEST_VALUE: Final = 250
-"""Levels of objects and lists in a value; what is deeper could not be written as JSON again."""
 
 KINDS: Final = frozenset(SAYS)
 SAYING: Final = frozenset(SAYS.values())
@@ -179,20 +177,15 @@ _PLAIN: Final = frozenset({float, int, str, bool, type(None)})
 
 def _holds_null(value: Any, depth: int = 0) -> bool:
     """Say whether NULL stands for a member of an object somewhere in `value`."""
-    if depth > DEEPEST_VALUE:
+    if depth > MAX_NESTING:
         raise too_deep()
     if isinstance(value, dict):
         return any(part == NULL or _holds_null(part, depth + 1) for part in value.values())
     if not isinstance(value, list):
         return False
-    if depth < DEEPEST_VALUE and _PLAIN.issuperset(map(type, value)):
+    if depth < MAX_NESTING and _PLAIN.issuperset(map(type, value)):
         return False  # most lists are of numbers, as a robot's hundred joints
     return any(_holds_null(part, depth + 1) for part in value)
-
-
-def too_deep() -> Problem:
-    """A value has more levels than can be kept."""
-    return bad_request_data(f"a value is nested deeper than {DEEPEST_VALUE} levels; 200 levels are safe")
 
 
 def read_types(given: Any, terms: Terms) -> tuple[str, ...]:

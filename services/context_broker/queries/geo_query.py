@@ -26,8 +26,6 @@ from services.context_broker.queries.sphere import (
 )
 
 DEFAULT_PROPERTY: Final = "location"
-MOST_POSITIONS: Final = 10_000
-"""Numbers in the coordinates of a reference geometry, counted by their commas."""
 PARAMETERS: Final = frozenset({"georel", "geometry", "coordinates", "geoproperty"})
 
 _NEAR: Final = re.compile(r"near;(max|min)Distance==((?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][+-]?\d+)?)")
@@ -63,7 +61,7 @@ class GeoQuery:
 
     def fits(self, place: Any) -> bool:
         """Say whether a geometry fits; what is no geometry never does."""
-        if not isinstance(place, dict) or (place.get("type") != "Point" and fault_of(place) is not None):
+        if fault_of(place) is not None:
             return False
         if self.relation == "maxDistance":
             return self._distance_to(place) <= self.within_m
@@ -164,8 +162,6 @@ def reference_geometry(kind: Any, coordinates: Any, names: tuple[str, str]) -> G
     fault = fault_of(geometry)
     if fault is not None:
         raise bad_request_data(f"{names[1]} {shown(coordinates)} make no {kind}: {fault}")
-    if _count(coordinates) > MOST_POSITIONS:
-        raise bad_request_data(f"{names[1]} has more than {MOST_POSITIONS} numbers; simplify the geometry")
     return geometry
 
 
@@ -225,9 +221,3 @@ def _shapes(place: Geometry, reference: Any) -> list[Any]:
     if min(west, reference_west) <= -180 or max(east, reference_east) >= 180:
         shapes += [translate(made, turn) for turn in (360.0, -360.0)]
     return shapes
-
-
-def _count(coordinates: Any) -> int:
-    if isinstance(coordinates, list):
-        return sum(map(_count, coordinates))
-    return 1

@@ -1,6 +1,7 @@
 """GeoJSON geometries, as a GeoProperty holds them (RFC 7946; clause 4.7 of ETSI GS CIM 009)."""
 
 from collections.abc import Mapping
+from math import isfinite
 from typing import Any, Final
 
 DEPTHS: Final = {
@@ -12,6 +13,16 @@ DEPTHS: Final = {
     "MultiPolygon": 3,
 }
 """How deep the positions of each kind of geometry are nested."""
+MAX_POSITIONS: Final = 10_000
+"""Positions of one geometry: what relates two geometries takes time with the product of theirs."""
+
+_NUMBERS: Final = frozenset({int, float})
+_RING_FAULT: Final = "each ring of a Polygon has at least four positions, the last the same as the first"
+_RANGE_FAULT: Final = (
+    "a longitude is between -180 and 180, a latitude between -90 and 90 degrees, longitude first, and an "
+    "altitude is finite; cut what crosses the antimeridian into two parts there (RFC 7946, section 3.1.9)"
+)
+_SIZE_FAULT: Final = f"a geometry has at most {MAX_POSITIONS} positions; simplify it"
 
 
 def looks_like_geometry(value: Any) -> bool:
@@ -20,37 +31,54 @@ def looks_like_geometry(value: Any) -> bool:
     return isinstance(kind, str) and kind in DEPTHS and "coordinates" in value
 
 
-def fault_of(value: Any) -> str | None:
-    """Return what is wrong with a geometry, None if nothing is."""
+def fault_of(value: Any) -> str | None:  # noqa: PLR0911 - a list of rules
+    """Return what is wrong with a geometry, None if nothing is.
+
+    A geometry without fault is safe to compute with: its positions are few enough, finite, and on the globe.
+    """
     kind = value.get("type") if isinstance(value, Mapping) else None
     if not isinstance(kind, str) or kind not in DEPTHS:
         return f"its value must be a GeoJSON geometry of type {', '.join(DEPTHS)}"
     coordinates = value.get("coordinates")
-    if not _is_nested(coordinates, DEPTHS[kind]):
-        return f"the coordinates fit no {kind}: a position is a list of two or three numbers, longitude first"
-    if kind in {"LineString", "MultiLineString"}:
-        lines = [coordinates] if kind == "LineString" else coordinates
-        return None if all(len(line) >= 2 for line in lines) else "a LineString has at least two positions"
-    if kind in {"Polygon", "MultiPolygon"}:
-        polygons = [coordinates] if kind == "Polygon" else coordinates
-        return None if all(_is_closed(ring) for polygon in polygons for ring in polygon) else _ring_fault
+    if kind == "Point":
+        return _position_fault(coordinates, kind)
+    lines = _lines(coordinates, DEPTHS[kind])
+    if lines is None:
+        return _shape_fault(kind)
+    if sum(map(len, lines)) > MAX_POSITIONS:
+        return _SIZE_FAULT
+    for line in lines:
+        for position in line:
+            if (fault := _position_fault(position, kind)) is not None:
+                return fault
+    if kind in {"LineString", "MultiLineString"} and any(len(line) < 2 for line in lines):
+        return "a LineString has at least two positions"
+    if kind in {"Polygon", "MultiPolygon"} and any(len(ring) < 4 or ring[0] != ring[-1] for ring in lines):
+        return _RING_FAULT
     return None
 
 
-_ring_fault = "each ring of a Polygon has at least four positions, the last the same as the first"
+def _lines(coordinates: Any, depth: int) -> list[list[Any]] | None:
+    """Return the lists of positions in coordinates of a depth; None where they are nested otherwise."""
+    lists = [coordinates]
+    for _ in range(depth - 1):
+        if not all(isinstance(one, list) and one for one in lists):
+            return None
+        lists = [part for one in lists for part in one]
+    return lists if all(isinstance(one, list) and one for one in lists) else None
 
 
-def _is_closed(ring: list[Any]) -> bool:
-    return len(ring) >= 4 and ring[0] == ring[-1]
+def _position_fault(position: Any, kind: str) -> str | None:
+    if (
+        not isinstance(position, list)
+        or not 2 <= len(position) <= 3
+        or not _NUMBERS.issuperset(map(type, position))
+    ):
+        return _shape_fault(kind)
+    if not (-180 <= position[0] <= 180 and -90 <= position[1] <= 90) or not isfinite(position[-1]):
+        return _RANGE_FAULT
+    return None
 
 
-def _is_nested(coordinates: Any, depth: int) -> bool:
-    if not isinstance(coordinates, list):
-        return False
-    if depth == 0:
-        return 2 <= len(coordinates) <= 3 and all(_is_number(part) for part in coordinates)
-    return bool(coordinates) and all(_is_nested(part, depth - 1) for part in coordinates)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _shape_fault(kind: str) -> str:
+    return f"the coordinates fit no {kind}: a position is a list of two or three numbers, longitude first"

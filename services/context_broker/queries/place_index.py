@@ -7,10 +7,20 @@ from collections.abc import Iterable, Iterator
 from math import floor
 from typing import Any, Final
 
+from prometheus_client import Counter
+
+from handover.telemetry import get_logger
 from services.context_broker.entities.entity import Entity
 from services.context_broker.queries.geo_query import boxes_touch
 from services.context_broker.queries.geometry import fault_of
 from services.context_broker.queries.sphere import Box, box_of
+
+log = get_logger(__name__)
+
+SKIPPED: Final = Counter(
+    "handover_broker_geometries_skipped_total",
+    "Stored geometries that geoqueries skip, for they are not valid",
+)
 
 _SIZES_DEG: Final = (0.0001, 0.001, 0.01, 0.1, 1.0, 10.0)
 """Sides of the cells, from some ten metres on; a grid is made when a question first needs it."""
@@ -46,7 +56,7 @@ class PlaceIndex:
         if before is not None and (boxes := self._boxes.pop(before.id, None)):
             for grid in self._grids.values():
                 grid.take_out(before.id, boxes)
-        if after is not None and (boxes := _boxes(instances_after)):
+        if after is not None and (boxes := _boxes(after.id, self._attribute, instances_after)):
             self._boxes[after.id] = boxes
             for grid in self._grids.values():
                 grid.put_in(after.id, boxes)
@@ -116,12 +126,18 @@ class _Grid:
         return hits
 
 
-def _boxes(instances: Iterable[dict[str, Any]]) -> list[Box]:
-    return [
-        box_of(one["value"])
-        for one in instances
-        if one["type"] == "GeoProperty" and fault_of(one["value"]) is None
-    ]
+def _boxes(entity_id: str, attribute: str, instances: Iterable[dict[str, Any]]) -> list[Box]:
+    """Return the boxes of the valid geometries; others were stored before they were checked."""
+    boxes = []
+    for one in instances:
+        if one["type"] != "GeoProperty":
+            continue
+        if (fault := fault_of(one["value"])) is None:
+            boxes.append(box_of(one["value"]))
+        else:
+            SKIPPED.inc()
+            log.warning("stored geometry skipped", entity=entity_id, attribute=attribute, fault=fault)
+    return boxes
 
 
 def _count(box: Box, size_deg: float) -> int:

@@ -133,8 +133,7 @@ def selection_of(
     """Return which entities are asked for by query parameters (clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2.4).
 
     If there are any in `any_of`, the entities fit one of these, too. Raises a problem (400) for what cannot
-    be read, and for a query that would be about everything. Ids alone are enough here, as in other brokers,
-    though the standard wants a type or the like with them.
+    be read, and for a query that is too broad: ids alone do not narrow it down (clauses 5.7.2.4, 5.7.4.4).
     """
     ids, wanted, types, q = (parameters.get(name) for name in ("id", "idPattern", "type", "q"))
     expand_name = context.terms.expand
@@ -164,7 +163,6 @@ def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> Non
     attributes = parameters.get("attrs", "").split(",")
     narrows = (
         selection.types is not None
-        or selection.ids is not None
         or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
         or (selection.query is not None and selection.query.names_attributes)
         or selection.places is not None
@@ -172,8 +170,8 @@ def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> Non
     )
     if not narrows and local != "true":
         raise bad_request_data(
-            "the query is too broad: add type, id, attrs, q or georel to narrow it down, or local=true to "
-            "ask for all that this broker holds"
+            "the query is too broad: add type, attrs, q or georel to narrow it down, which id and idPattern "
+            "alone do not (clause 5.7.2.4), or local=true to search all that this broker holds"
         )
 
 

@@ -11,10 +11,17 @@ from services.context_broker.api.operation import Operation
 from services.context_broker.api.problems import not_stored
 from services.context_broker.distribution.distribution import in_place_of
 from services.context_broker.queries.ordering import ordering
-from services.context_broker.queries.pages import PLACE
 from services.context_broker.queries.query_document import query_parameters, selectors_of
-from services.context_broker.queries.reading import QUERY_PARAMETERS, selection_of, window_of
+from services.context_broker.queries.reading import QUERY_PARAMETERS, selection_of
 from services.context_broker.queries.selection import Selection, hits_of
+from services.context_broker.snapshots.entity_map_pages import (
+    MAP_OPTION,
+    SHAPING,
+    Performing,
+    for_the_query,
+    map_page,
+    query_mark,
+)
 from services.context_broker.snapshots.entity_maps import (
     MAP_PARAMETERS,
     MOST_ENTITIES,
@@ -26,24 +33,15 @@ from services.context_broker.sources.registration_operations import answer, with
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.store import Mix, Store
 from services.context_broker.temporal.operations import QUERYING
-from services.context_broker.temporal.query import temporal_window
-
-Performing = Callable[[Exchange], Awaitable[Answer]]
-"""Carries a query out, sources included."""
 
 HEADER: Final = b"ngsild-entitymap"
 OF_ONE: Final = frozenset({"retrieveEntity", "retrieveTemporal"})
 """Operations on one entity: a map tells them whom to ask for it (clauses 5.7.1.4 and 5.7.3.4)."""
 THROUGH_A_MAP: Final = OF_ONE | {"queryEntity", "queryBatch", "queryTemporal"}
 """Operations that can be answered by a map."""
-_OPTION: Final = "entityMap"
 _LOCAL: Final = frozenset({"local"})
-_SHAPING: Final = frozenset({"options", "format", "count", "pick", "omit", "lang", "datasetId"})
-"""Parameters that say how hits look, not which they are."""
 _DONE: Final = Answer(204)
 _PAGE: Final = 1000
-_NOBODY: Final = "urn:ngsi-ld:EntityMap:nobody"
-"""Asked for where a page has nothing, so that an empty answer looks as the asker wants it."""
 
 
 class EntityMapOperations:
@@ -109,7 +107,7 @@ class EntityMapOperations:
         exchange.accept()
         name = "queryTemporal" if exchange.method == "GET" else "queryTemporalBatch"
         mapped: dict[str, list[str]] = {}
-        plain = _without(exchange.parameters, MAP_PARAMETERS | _SHAPING)
+        plain = _without(exchange.parameters, MAP_PARAMETERS | SHAPING)
         while True:
             parameters = {**plain, "limit": str(_PAGE), "offset": str(len(mapped)), "lastN": "1"}
             told = await self._perform(name, _plainly(exchange, parameters))
@@ -134,7 +132,7 @@ class EntityMapOperations:
             return await self._page(exchange, named, perform)
         past = operation.name == "queryTemporal"
         making = "createEntityMapQueryTemporal" if past else "createEntityMapQueryEntity"
-        parameters = _for_the_query(exchange.parameters)
+        parameters = for_the_query(exchange.parameters)
         if "entityMapLifetime" in exchange.parameters:
             parameters["entityMapLifetime"] = exchange.parameters["entityMapLifetime"]
         made = await self._perform(making, _plainly(exchange, parameters))
@@ -148,7 +146,7 @@ class EntityMapOperations:
     async def _entity(self, exchange: Exchange, one: EntityMap | None, perform: Performing) -> Answer:
         """Answer with one entity, asking those who have it by the map; without one, note who they are."""
         who_has = Listed()
-        parameters = _for_the_query(exchange.parameters)
+        parameters = for_the_query(exchange.parameters)
         asking = in_place_of(exchange, entity_map=one, elsewhere=who_has, parameters=parameters)
         result = await perform(asking)
         if result.status >= 300:
@@ -158,39 +156,17 @@ class EntityMapOperations:
             one = await self._made(exchange, entities, who_has)
         return Answer(result.status, result.body, [*result.headers, _location(one)])
 
-    async def _page(self, exchange: Exchange, one: EntityMap, perform: Performing) -> Answer:
-        """Answer with the piece of a map that is asked for; what no longer fits the query is left out."""
-        wanted = in_place_of(exchange, parameters=_for_the_query(exchange.parameters))
-        window = (temporal_window if "/temporal/" in wanted.path else window_of)(wanted)
-        given = _ids_in(exchange)
-        ids = [entity for entity in one.entities if given is None or entity in given]
-        some = ids[window.offset : window.offset + window.limit] or [_NOBODY]
-        parameters = {
-            **_without(wanted.parameters, {"offset", "count", "idPattern", PLACE}),
-            "limit": str(len(some)),
-        }
-        if exchange.method == "GET":
-            asking = in_place_of(exchange, entity_map=one, parameters={**parameters, "id": ",".join(some)})
-        else:
-            raw = _narrowed(exchange, some)
-            asking = in_place_of(exchange, entity_map=one, parameters=parameters, raw=raw)
-        result = await perform(asking)
-        headers = [header for header in result.headers if not _is_page_link(header)]
-        if window.count:
-            headers.append((b"ngsild-results-count", str(len(ids)).encode()))
-        media_type = next((value for name, value in headers if name == b"content-type"), b"").decode()
-        before, after = window.offset - window.limit, window.offset + window.limit
-        if window.offset and window.limit:
-            headers.append(_page_link(wanted, max(0, before), "prev", media_type))
-        if window.limit and after < len(ids):
-            headers.append(_page_link(wanted, after, "next", media_type))
-        return Answer(result.status, result.body, [*headers, _location(one)])
+    @staticmethod
+    async def _page(exchange: Exchange, one: EntityMap, perform: Performing) -> Answer:
+        result = await map_page(exchange, one, perform)
+        return Answer(result.status, result.body, [*result.headers, _location(one)])
 
     @staticmethod
     async def _made(exchange: Exchange, entities: dict[str, list[str]], elsewhere: Listed) -> EntityMap:
         lifetime = exchange.parameter("entityMapLifetime")
         try:
-            return await exchange.tenant.entity_maps.make(entities, lifetime, elsewhere.linked)
+            query = query_mark(exchange)
+            return await exchange.tenant.entity_maps.make(entities, lifetime, elsewhere.linked, query)
         except NotStored as error:
             raise not_stored(str(error)) from error
 
@@ -235,47 +211,6 @@ def _plainly(exchange: Exchange, parameters: Mapping[str, str]) -> Exchange:
     return in_place_of(exchange, parameters=parameters, headers=_without(exchange.headers, {b"accept"}))
 
 
-def _narrowed(exchange: Exchange, ids: list[str]) -> bytes:
-    """Return the Query document of a request with its selectors narrowed to some ids; no Query as it is."""
-    document = exchange.document()
-    selectors = document.get("entities", [{"type": "*"}]) if isinstance(document, dict) else None
-    if not isinstance(selectors, list) or not all(isinstance(one, dict) for one in selectors):
-        return exchange.raw
-    narrowed = [{"id": ids, **({"type": one["type"]} if "type" in one else {})} for one in selectors]
-    return orjson.dumps({**document, "entities": narrowed})
-
-
-def _ids_in(exchange: Exchange) -> set[str] | None:
-    """Return the ids that a request asks for; None if it may be any."""
-    if exchange.method == "GET":
-        given = exchange.parameter("id")
-        return None if given is None else set(given.split(","))
-    document = exchange.document()
-    selectors = document.get("entities") if isinstance(document, dict) else None
-    found: set[str] = set()
-    for one in selectors if isinstance(selectors, list) else [None]:
-        ids = one.get("id") if isinstance(one, dict) else None
-        if ids is None:
-            return None
-        found |= {each for each in (ids if isinstance(ids, list) else [ids]) if isinstance(each, str)}
-    return found
-
-
-def _is_page_link(header: tuple[bytes, bytes]) -> bool:
-    name, value = header
-    if name == b"ngsild-results-count":
-        return True
-    return name == b"link" and (b'rel="next"' in value or b'rel="prev"' in value)
-
-
-def _page_link(exchange: Exchange, offset: int, relation: str, media_type: str) -> tuple[bytes, bytes]:
-    parameters = {**exchange.parameters, "offset": str(offset)}
-    query = "&".join(
-        f"{quote(name, safe='')}={quote(value, safe=':,')}" for name, value in parameters.items()
-    )
-    return b"link", f'<{exchange.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
-
-
 def wants_map(operation: Operation, exchange: Exchange) -> bool:
     """Say whether a query is to be answered by a map that it names, or wants to have made.
 
@@ -286,18 +221,8 @@ def wants_map(operation: Operation, exchange: Exchange) -> bool:
         return False
     if operation.name not in THROUGH_A_MAP:
         return False
-    return HEADER in exchange.headers or exchange.flag("entityMap") or _OPTION in _options(parameters)
-
-
-def _options(parameters: Mapping[str, str]) -> list[str]:
-    return parameters.get("options", "").split(",")
-
-
-def _for_the_query(parameters: Mapping[str, str]) -> dict[str, str]:
-    """Return the parameters without those that are about maps."""
-    plain: dict[str, str] = _without(parameters, MAP_PARAMETERS)
-    if _OPTION in _options(parameters):
-        plain["options"] = ",".join(one for one in _options(parameters) if one != _OPTION)
-        if not plain["options"]:
-            del plain["options"]
-    return plain
+    return (
+        HEADER in exchange.headers
+        or exchange.flag("entityMap")
+        or MAP_OPTION in parameters.get("options", "").split(",")
+    )

@@ -2,12 +2,12 @@
 
 A map (clauses 4.5.25, 5.2.39 and 5.5.14) lists the ids of all hits, each with the registrations whose sources
 told of it and `@none` where the broker has it itself. A query that names a map is answered from its ids, page
-by page, however entities change meanwhile; and of sources only what a page needs is asked for. A source that
-makes maps is asked by its own.
+by page, and entities that no longer answer it are removed from the map meanwhile (`entity_map_pages`); of
+sources only what a page needs is asked for. A source that makes maps is asked by its own.
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -54,20 +54,22 @@ class Listed:
 class EntityMap:
     """The ids of the entities that answer a query, in order, each with those that have it.
 
-    `linked` are the ids of the maps that sources made for the same query, by registration.
+    `linked` are the ids of the maps that sources made for the same query, by registration. `query` tells the
+    query from others.
     """
 
     id: str
     entities: Mapping[str, list[str]]
     expires_at: str
     linked: Mapping[str, str] = field(default_factory=dict)
+    query: str = ""
 
     def is_over(self, now_s: float) -> bool:
         """Say whether it has expired."""
         return has_expired(self.expires_at, now_s)
 
     def document(self) -> dict[str, Any]:
-        """Return the map as a reader gets it, and as it is kept."""
+        """Return the map as a reader gets it."""
         return {
             "id": self.id,
             "type": TYPE,
@@ -75,6 +77,10 @@ class EntityMap:
             "entityMap": self.entities,
             "linkedMaps": self.linked,
         }
+
+    def stored(self) -> bytes:
+        """Return the map as it is kept."""
+        return orjson.dumps({**self.document(), "query": self.query})
 
 
 class EntityMaps:
@@ -93,7 +99,11 @@ class EntityMaps:
         """Take up what was kept."""
         document = orjson.loads(body)
         self._all[document["id"]] = EntityMap(
-            document["id"], document["entityMap"], document["expiresAt"], document.get("linkedMaps", {})
+            document["id"],
+            document["entityMap"],
+            document["expiresAt"],
+            document.get("linkedMaps", {}),
+            document.get("query", ""),
         )
 
     def forget(self, map_id: str) -> None:
@@ -116,7 +126,7 @@ class EntityMaps:
         return found
 
     async def make(
-        self, entities: Mapping[str, list[str]], lifetime: str | None, linked: Mapping[str, str]
+        self, entities: Mapping[str, list[str]], lifetime: str | None, linked: Mapping[str, str], query: str
     ) -> EntityMap:
         """Keep a new map; raises a problem (403) if it has too many entities, `NotStored` if it cannot."""
         if len(entities) > MOST_ENTITIES:
@@ -129,6 +139,7 @@ class EntityMaps:
             entities,
             timestamp(datetime.fromtimestamp(expires_s, UTC)),
             linked,
+            query,
         )
         entries = self._entries(made)
         for gone in self._in_excess_of(len(entities)):
@@ -153,6 +164,14 @@ class EntityMaps:
         await self._commits.store(self._entries(changed))
         self._all[map_id] = changed
 
+    async def drop(self, map_id: str, gone: Collection[str]) -> None:
+        """Remove entities from a map that is still there; they are gone for readers at once."""
+        found = self._all.get(map_id)
+        if found is not None:
+            left = {one: who_has for one, who_has in found.entities.items() if one not in gone}
+            self._all[map_id] = changed = replace(found, entities=left)
+            await self._commits.store(self._entries(changed))
+
     async def delete(self, map_id: str) -> None:
         """Delete a map."""
         self.get(map_id)
@@ -160,7 +179,7 @@ class EntityMaps:
         self._all.pop(map_id, None)
 
     def _entries(self, one: EntityMap) -> Entries:
-        return Entries(documents={(Kind.ENTITY_MAP, self._tenant, one.id): orjson.dumps(one.document())})
+        return Entries(documents={(Kind.ENTITY_MAP, self._tenant, one.id): one.stored()})
 
     def _in_excess_of(self, more: int) -> list[str]:
         """Return the maps that have to go: those that are over, and the next to end if there are too many."""

@@ -186,7 +186,7 @@ class SnapshotOperations:
     async def _require_open(self, tenant: Tenant, document: Mapping[str, Any]) -> None:
         if document.get("endpoint") is not None:
             host = urlsplit(document["endpoint"]).hostname or ""
-            await tenant.notifier.outbound.destinations.require_open(host, '"endpoint"')
+            await tenant.notifier.outbound.policy.require_open(host, '"endpoint"')
 
 
 def _named(given: Any) -> str:

@@ -15,10 +15,10 @@ import orjson
 
 from handover.telemetry import get_logger
 from services.context_broker.api.words import tenant_headers, timestamp_now
+from services.context_broker.network.http_sender import SendError
 from services.context_broker.snapshots.snapshot import Snapshot
 from services.context_broker.storage.entries import DocumentKey, Entries, Kind
 from services.context_broker.subscriptions.couriers import GIVEN_UP
-from services.context_broker.subscriptions.http_sender import SendError
 
 if TYPE_CHECKING:
     from services.context_broker.storage.tenants import Tenants

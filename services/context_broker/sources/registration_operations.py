@@ -223,7 +223,7 @@ def with_context(document: dict[str, Any], media_type: str, context: Context) ->
 async def _require_open(tenant: Tenant, made: Registration) -> None:
     """Raise a problem (400) if the source is at an address that this broker sends nothing to."""
     host = urlsplit(made.endpoint).hostname or ""
-    await tenant.notifier.outbound.destinations.require_open(host, '"endpoint"')
+    await tenant.notifier.outbound.policy.require_open(host, '"endpoint"')
 
 
 def _existing(exchange: Exchange) -> Registration:

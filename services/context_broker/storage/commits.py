@@ -3,8 +3,9 @@
 So an acknowledgement costs its share of a disk flush, not a flush of its own. Where the disk is quick the
 event loop writes by itself, since to hand a group to a thread and back takes longer than the flush; else a
 thread writes. When the disk refuses, the whole group is refused, and with it everything that was queued
-behind it and may build on it. Where several brokers share a database, only those writes of a group are
-refused that another broker has overtaken.
+behind it and may build on it. Completion is guarded for each write by itself: one that raises fails alone.
+Where several brokers share a database, only those writes of a group are refused that another broker has
+overtaken.
 """
 
 import asyncio
@@ -27,7 +28,8 @@ from services.context_broker.storage.replica import News, Overtaken, Replica
 
 log = get_logger(__name__)
 
-Failed = Callable[[NotStored], None]
+Failed = Callable[[Exception], None]
+"""Takes `NotStored` when nothing of a write is kept, `NotCompleted` when it is, and what follows failed."""
 
 LARGEST_GROUP = 2000
 LOOK_AGAIN_S = 0.2
@@ -43,12 +45,19 @@ IDLE_S = 0.005
 RETRY_S = 1.0
 """How long bookkeeping that the disk refused waits for its next chance."""
 REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the disk did not take")
+NOT_COMPLETED = Counter(
+    "handover_broker_completions_failed_total", "Writes that are stored, and whose completion raised an error"
+)
 OVERTAKEN = Counter(
     "handover_broker_commits_overtaken_total", "Writes made again because another broker was quicker"
 )
 GROUPS = TalliedMetric(
     "handover_broker_commit_group", "Writes in one commit", (1, 2, 4, 8, 16, 32, 64, 256, 1024)
 )
+
+
+class NotCompleted(Exception):
+    """A write is stored, but what had to follow in memory failed; the log has the traceback."""
 
 
 @dataclass(slots=True, eq=False)
@@ -202,6 +211,9 @@ class CommitQueue:
             REFUSED.inc()
             self._on_failure(writes, error)
             return True
+        except Exception:
+            log.exception("a group of writes cannot be committed together", writes=len(writes))
+            return False  # the thread finds the write that is to blame
         GROUPS.tally.note(len(writes))
         self._tell_success(writes)
         return True
@@ -223,8 +235,9 @@ class CommitQueue:
     def _kept_for_later(self, later: Entries, failed: Failed) -> Failed:
         """Return what tells `failed`, and sees that `later` is written with another commit."""
 
-        def failed_and_kept(error: NotStored) -> None:
-            self.store_later(later, RETRY_S)
+        def failed_and_kept(error: Exception) -> None:
+            if isinstance(error, NotStored):
+                self.store_later(later, RETRY_S)
             failed(error)
 
         return failed_and_kept
@@ -275,9 +288,21 @@ class CommitQueue:
             if not firm:
                 self._look_again()
                 return
-            self._refused_era = max(write.era for write in firm)
-            REFUSED.inc()
-            self._tell_failure(firm, error)
+            self._refuse(firm, error)
+        except Exception as error:  # what ends this thread would let every later write wait for ever
+            log.exception("a group of writes cannot be committed", writes=len(firm))
+            if len(firm) > 1:
+                for write in firm:
+                    self._commit([write])
+            elif firm:
+                self._refuse(firm, NotStored(f"{type(error).__name__}: {error}"))
+            else:
+                self._look_again()
+
+    def _refuse(self, writes: list[Write], error: NotStored) -> None:
+        self._refused_era = max(write.era for write in writes)
+        REFUSED.inc()
+        self._tell_failure(writes, error)
 
     def _look_again(self) -> None:
         time.sleep(LOOK_AGAIN_S)
@@ -311,7 +336,12 @@ class CommitQueue:
     def _tell_success(self, writes: list[Write]) -> None:
         self._under_way -= len(writes)
         for write in writes:
-            write.done()
+            try:
+                write.done()
+            except Exception as error:
+                NOT_COMPLETED.inc()
+                log.exception("completion of a stored write failed")
+                _call_failed(write, NotCompleted(f"{type(error).__name__}: {error}"))
 
     def _arrive(self, function: Callable[..., None], *arguments: object) -> None:
         """Do what the thread wants done, in its order: what comes after news waits until these are taken."""
@@ -335,7 +365,7 @@ class CommitQueue:
     def _tell_overtaken(self, writes: list[Write]) -> None:
         self._under_way -= len(writes)
         for write in writes:
-            write.failed(Overtaken("another broker was quicker to change what it builds on"))
+            _call_failed(write, Overtaken("another broker was quicker to change what it builds on"))
 
     def _on_failure(self, writes: list[Write], error: NotStored) -> None:
         log.error("the disk does not take changes", error=str(error), writes=len(writes))
@@ -344,7 +374,15 @@ class CommitQueue:
             self._era += 1
             self._on_refusal()
         for write in writes:
-            write.failed(error)
+            _call_failed(write, error)
+
+
+def _call_failed(write: Write, error: Exception) -> None:
+    """Call `failed` of a write; what it raises concerns no other write of the group."""
+    try:
+        write.failed(error)
+    except Exception:
+        log.exception("handling of a failed write failed")
 
 
 def together(writes: list[Write]) -> Entries:
@@ -363,7 +401,7 @@ async def stored(commits: Commits, entries: Entries) -> None:
         if not fate.done():
             fate.set_result(None)
 
-    def failed(error: NotStored) -> None:
+    def failed(error: Exception) -> None:
         if not fate.done():
             fate.set_exception(error)
 

@@ -4,8 +4,8 @@ The SQL itself stands in the rooms that use it, once for both: parameters are `?
 names are written `{bytes}` and `{number}`. Nothing here knows of entities.
 """
 
+import os
 import re
-import shutil
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from handover.errors import UsageError
+from handover.sqlite_files import damage, require_sound
 
 Row = tuple[Any, ...]
 
@@ -42,11 +43,8 @@ class Database(Protocol):
     name: str
     """What the database is called in errors."""
 
-    def open(self, version: int, migrations: Sequence[str]) -> None:
-        """Make ready, and bring older content up to `version` (migration n leads to version n + 1).
-
-        Raises `UsageError` if that cannot be.
-        """
+    def open(self, version: int, script: str) -> None:
+        """Make ready; what is new is made by `script`. Raises `UsageError` for content of another version."""
 
     @contextmanager
     def transaction(self) -> Iterator[Writer]:
@@ -69,27 +67,36 @@ class SqliteDatabase:
     So neither `kill -9` nor a power cut takes back what was acknowledged.
     """
 
-    TYPES: Final = {"bytes": "BLOB", "number": "REAL"}
+    TYPES: Final = {"bytes": "BLOB", "number": "REAL", "keyed": "WITHOUT ROWID"}
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.name = path.name
         self.before_reading: Callable[[], None] = lambda: None
         """Is called before anything is read: what is not in the tables yet is put there."""
+        self.is_checked = False
+        """Whether the integrity check at the start was completed."""
         self._writer: sqlite3.Connection | None = None
         self._guard: sqlite3.Connection | None = None
 
-    def open(self, version: int, migrations: Sequence[str]) -> None:
-        """Open or make the file; a copy of an older one is kept beside it before it is changed."""
+    def open(self, version: int, script: str) -> None:
+        """Make the file, or open it if it is sound and of this version; else it is left as it is."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._keep_others_out()
-            self._bring_up_to_date(self._connected(), version, migrations)
-        except (sqlite3.Error, OSError) as error:
-            raise UsageError(
-                f"the broker cannot use {self.path}: {error}; "
-                "give it another HANDOVER_DATA_DIR, or make room there"
-            ) from None
+            self.keep_others_out()
+            if self.path.exists():
+                self.is_checked = require_sound(self.path)
+                self.require_version(version, script)
+            else:
+                require_sound(self.path)
+                self._make(version, script)
+                self.is_checked = True
+        except sqlite3.DatabaseError as error:
+            if isinstance(error, sqlite3.OperationalError):
+                raise unusable(self.path, error) from None
+            raise UsageError(damage(f"{self.path}: {error}")) from None
+        except OSError as error:
+            raise unusable(self.path, error) from None
 
     @contextmanager
     def transaction(self) -> Iterator[Writer]:
@@ -113,11 +120,20 @@ class SqliteDatabase:
     def scan(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
         """Yield the rows of a query, over a connection of its own."""
         self.before_reading()
+        yield from self.scan_tables(statement, parameters)
+
+    def scan_tables(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
+        """Yield the rows of a query as the tables are, without what is not in them yet."""
         try:
-            with closing(sqlite3.connect(self.path, isolation_level=None, timeout=5)) as reader:
+            with closing(self._reader()) as reader:
                 yield from reader.execute(statement, tuple(parameters))
         except sqlite3.Error as error:
             raise NotStored(f"{self.name} cannot be read: {error}") from error
+
+    def checkpoint(self) -> None:
+        """Move what SQLite's own log holds into the file: the loss of that log is noticed then."""
+        with suppress(sqlite3.Error):  # else it is moved later
+            self._connected().execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def close(self) -> None:
         """Close the file; what is in its log is moved into it."""
@@ -126,15 +142,18 @@ class SqliteDatabase:
                 connection.close()
         self._writer = self._guard = None
 
-    def _keep_others_out(self) -> None:
+    def keep_others_out(self) -> None:
         """Hold a lock for as long as the process lives: two brokers on one file would undo each other."""
         guard = sqlite3.connect(
             self.path.with_suffix(".lock"), isolation_level=None, check_same_thread=False, timeout=0
         )
         try:
+            guard.execute("PRAGMA journal_mode=MEMORY")  # a full disk has no room for another file
             guard.execute("BEGIN EXCLUSIVE")
-        except sqlite3.OperationalError:
+        except sqlite3.OperationalError as error:
             guard.close()
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
+                raise
             raise UsageError(
                 f"another broker is at work on {self.path}; "
                 "stop it, or give this one another HANDOVER_DATA_DIR"
@@ -152,30 +171,74 @@ class SqliteDatabase:
             self._writer = writer
         return self._writer
 
-    def _bring_up_to_date(self, writer: sqlite3.Connection, version: int, migrations: Sequence[str]) -> None:
-        (found,) = writer.execute("PRAGMA user_version").fetchone()
-        if found > version:
-            raise UsageError(f"{self.path} was written by a newer version of Handover; use that version")
-        if 0 < found < version:
-            self._back_up(writer, found)
-        for step in range(found, version):
-            script = migrations[step].format(**self.TYPES)
-            writer.executescript(f"BEGIN; {script} PRAGMA user_version = {step + 1}; COMMIT;")
+    def _reader(self) -> sqlite3.Connection:
+        """Return a connection for reading, also where there is no room for files beside the database."""
+        reader = sqlite3.connect(self.path, isolation_level=None, timeout=5)
+        try:
+            reader.execute("SELECT 1 FROM sqlite_master")
+        except sqlite3.OperationalError:
+            reader.close()
+            wal = self.path.with_name(f"{self.path.name}-wal")
+            if wal.exists() and wal.stat().st_size:
+                raise
+            return sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+        return reader
 
-    def _back_up(self, writer: sqlite3.Connection, version: int) -> None:
-        kept = self.path.with_suffix(f".v{version}.backup.db")
-        unfinished = kept.with_suffix(".unfinished")
-        with suppress(FileNotFoundError):
-            unfinished.unlink()
-        with closing(sqlite3.connect(unfinished)) as copy:
-            writer.backup(copy)
-        shutil.move(unfinished, kept)
+    def require_version(self, version: int, script: str) -> None:
+        """Raise `UsageError` unless the file is of this version, with the tables that `script` makes."""
+        with closing(self._reader()) as reader:
+            ((found,),) = reader.execute("PRAGMA user_version")
+            if found > version:
+                raise UsageError(f"{self.path} was written by a newer version of Handover; use that version")
+            if 0 < found < version:
+                raise UsageError(
+                    f"{self.path} has the format {found} of a version before the first release, which cannot "
+                    f"be read (this one reads {version}); move the data directory away to begin with none"
+                )
+            tables = set(reader.execute(_TABLES))
+        with closing(sqlite3.connect(":memory:")) as made:
+            made.executescript(script.format(**self.TYPES))
+            wanted = set(made.execute(_TABLES))
+        if missing := sorted(str(name) for name, _ in wanted - tables):
+            raise UsageError(damage(f"{self.path}: the table or index {missing[0]} is missing or altered"))
+
+    def _make(self, version: int, script: str) -> None:
+        """Make the file whole under another name first: one that is empty or without tables is damaged."""
+        unfinished = self.path.with_suffix(".new")
+        for left in (unfinished, unfinished.with_name(f"{unfinished.name}-journal")):
+            left.unlink(missing_ok=True)
+        with closing(sqlite3.connect(unfinished, isolation_level=None)) as made:
+            made.execute("PRAGMA synchronous=FULL")
+            script = script.format(**self.TYPES)
+            made.executescript(f"BEGIN; {script} PRAGMA user_version = {version}; COMMIT;")
+        unfinished.replace(self.path)
+        flush_folder(self.path.parent)
 
     def _start_over(self) -> None:
         """Leave a connection on which something failed; the next transaction makes a new one."""
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.close()
+
+
+_TABLES: Final = "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"
+
+
+def unusable(path: Path, error: Exception) -> UsageError:
+    """Return why the broker cannot use its file, for a reason outside of it."""
+    return UsageError(
+        f"the broker cannot use {path}: {error}; give it another HANDOVER_DATA_DIR, or make room there"
+    )
+
+
+def flush_folder(folder: Path) -> None:
+    """See that the name of a new file survives a power cut, where folders can be flushed."""
+    if os.name != "nt":
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 class _SqliteWriter:

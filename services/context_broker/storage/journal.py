@@ -6,61 +6,62 @@ has been is the history: a row for each change of an entity, and a row for each 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from typing import Final
+from typing import Any, Final
 
-from services.context_broker.storage.database import Database, NotStored, SqliteDatabase, Writer
+from handover.errors import UsageError
+from handover.sqlite_files import damage
+from services.context_broker.storage import checksums
+from services.context_broker.storage.checksums import require_row
+from services.context_broker.storage.database import Database, NotStored, Row, SqliteDatabase, Writer
 from services.context_broker.storage.entries import OVERHEAD_BYTES, Entries, Kind, Notice
 from services.context_broker.storage.filing import Filing
 from services.context_broker.temporal.archive import Archive, write_archive
 
 __all__ = ["Journal", "NotStored"]
 
-_MIGRATIONS: Final = (
-    """
-    CREATE TABLE entities (seq INTEGER PRIMARY KEY, body {bytes} NOT NULL);
-    CREATE TABLE subscriptions (id TEXT PRIMARY KEY, body {bytes} NOT NULL);
-    CREATE TABLE subscription_counts (id TEXT PRIMARY KEY, body {bytes} NOT NULL);
-    CREATE TABLE contexts (url TEXT PRIMARY KEY, body {bytes} NOT NULL);
-    CREATE TABLE outbox (
-        seq INTEGER PRIMARY KEY, subscription TEXT NOT NULL, entity TEXT NOT NULL, at {number} NOT NULL,
-        body {bytes}
+SCHEMA_VERSION: Final = 4
+"""Versions 1 to 3 were never released."""
+SCRIPT: Final = """
+    CREATE TABLE entities (
+        seq INTEGER PRIMARY KEY, tenant TEXT NOT NULL, body {bytes} NOT NULL, checksum INTEGER NOT NULL
     );
-    CREATE INDEX outbox_by_subscription ON outbox (subscription, seq);
-    """,
-    """
-    ALTER TABLE entities ADD COLUMN tenant TEXT NOT NULL DEFAULT '';
-    ALTER TABLE outbox ADD COLUMN tenant TEXT NOT NULL DEFAULT '';
-    ALTER TABLE outbox ADD COLUMN headers {bytes};
-    DROP INDEX outbox_by_subscription;
-    CREATE INDEX outbox_by_subscription ON outbox (tenant, subscription, seq);
     CREATE TABLE documents (
         kind TEXT NOT NULL, tenant TEXT NOT NULL, id TEXT NOT NULL, body {bytes} NOT NULL,
-        PRIMARY KEY (kind, tenant, id)
+        checksum INTEGER NOT NULL, PRIMARY KEY (kind, tenant, id)
+    ) {keyed};
+    CREATE TABLE outbox (
+        seq INTEGER PRIMARY KEY, tenant TEXT NOT NULL, subscription TEXT NOT NULL, entity TEXT NOT NULL,
+        at {number} NOT NULL, body {bytes}, headers {bytes}, checksum INTEGER NOT NULL
     );
-    INSERT INTO documents SELECT 'subscription', '', id, body FROM subscriptions;
-    INSERT INTO documents SELECT 'counts', '', id, body FROM subscription_counts;
-    INSERT INTO documents SELECT 'context', '', url, body FROM contexts;
-    DROP TABLE subscriptions;
-    DROP TABLE subscription_counts;
-    DROP TABLE contexts;
+    CREATE INDEX outbox_by_subscription ON outbox (tenant, subscription, seq);
     CREATE TABLE history (
         entity BIGINT NOT NULL, seq BIGINT NOT NULL, observed_from {number}, observed_to {number},
-        rewritten INTEGER NOT NULL, body {bytes} NOT NULL, PRIMARY KEY (entity, seq)
+        rewritten INTEGER NOT NULL, body {bytes} NOT NULL, checksum INTEGER NOT NULL,
+        PRIMARY KEY (entity, seq)
     );
     CREATE TABLE departed (
-        place BIGINT PRIMARY KEY, tenant TEXT NOT NULL, id TEXT NOT NULL, body {bytes} NOT NULL
+        place BIGINT PRIMARY KEY, tenant TEXT NOT NULL, id TEXT NOT NULL, body {bytes} NOT NULL,
+        checksum INTEGER NOT NULL
     );
     CREATE INDEX departed_by_id ON departed (tenant, id);
-    """,
-    """
-    CREATE TABLE log_state (opening TEXT NOT NULL, filed BIGINT NOT NULL);
-    INSERT INTO log_state VALUES ('', 0);
-    """,
-)
-SCHEMA_VERSION: Final = len(_MIGRATIONS)
+    CREATE TABLE log_state (
+        name TEXT PRIMARY KEY, identity TEXT NOT NULL, opening TEXT NOT NULL, filed BIGINT NOT NULL,
+        is_open INTEGER NOT NULL, checksum INTEGER NOT NULL
+    );
+    CREATE TABLE totals (name TEXT PRIMARY KEY, number BIGINT NOT NULL, checksum BIGINT NOT NULL);
+    INSERT INTO totals VALUES ('entities', 0, 0);
+    INSERT INTO totals VALUES ('documents', 0, 0);
+"""
+"""`totals` has the number of rows of a table and the sum of their checksums: a row that is missing, or is an
+older one, is noticed too. It is kept up on SQLite only, where one process writes."""
 
+_NOTICE: Final = "seq, tenant, subscription, entity, at, body, headers, checksum"
+_ORPHANS: Final = """
+    NOT EXISTS (SELECT 1 FROM documents s WHERE s.kind IN ({kinds}) AND s.tenant = {table}.tenant
+    AND s.id = {table}.{key})
+"""
 _SUBSCRIPTION_KINDS: Final = f"'{Kind.SUBSCRIPTION}', '{Kind.SOURCE_SUBSCRIPTION}'"
 
 
@@ -71,25 +72,35 @@ class Journal:
         self.name = database.name
         self.archive = Archive(database)
         self._database = database
-        self._filing = Filing(database, _write_tables) if isinstance(database, SqliteDatabase) else None
+        self._filing = (
+            Filing(database, _file, lambda writer: _tidy(writer, _file))
+            if isinstance(database, SqliteDatabase)
+            else None
+        )
         self._last_notice = 0
 
     def open(self) -> None:
-        """Make ready; bring older content up to date. Raises `UsageError` if that cannot be."""
-        self._database.open(SCHEMA_VERSION, _MIGRATIONS)
+        """Make ready. Raises `UsageError` if that cannot be, or if what is there is damaged.
+
+        Without room on the disk it is opened for reading; commits are refused until there is room.
+        """
         if self._filing is not None:
+            self._filing.require_database()
+        self._database.open(SCHEMA_VERSION, SCRIPT)
+        if self._filing is None:
+            with self._database.transaction() as writer:
+                _tidy(writer, _write_tables)
+            last: int = self._database.read("SELECT coalesce(max(seq), 0) FROM outbox")[0][0]
+        else:
             self._filing.open()
-        ((self._last_notice,),) = self._database.read("SELECT coalesce(max(seq), 0) FROM outbox")
-        with self._database.transaction() as writer:
-            # A change on its way while its subscription was deleted may have left something owed to it.
-            for orphaned in ("outbox WHERE", f"documents WHERE kind = '{Kind.COUNTS}' AND"):
-                key = "subscription" if orphaned.startswith("outbox") else "id"
-                table = orphaned.partition(" ")[0]
-                writer.run(
-                    f"DELETE FROM {orphaned} NOT EXISTS (SELECT 1 FROM documents s "  # noqa: S608 - ours
-                    f"WHERE s.kind IN ({_SUBSCRIPTION_KINDS}) AND s.tenant = {table}.tenant "
-                    f"AND s.id = {table}.{key})"
-                )
+            last = self._filing.last_of("SELECT coalesce(max(seq), 0) FROM outbox")
+            last = max(last, *(one.seq for left in self._filing.left for one in left.owed), 0)
+        self._last_notice = last
+
+    def require_room(self) -> None:
+        """Raise `NotStored` with the reason while the disk does not take what is committed."""
+        if self._filing is not None:
+            self._filing.require_room()
 
     def commit(self, entries: Entries) -> None:
         """Write all of `entries` or nothing, and return when it is safe. Raises `NotStored`."""
@@ -142,14 +153,67 @@ class Journal:
         self._database.close()
 
     def entities(self) -> Iterator[tuple[str, bytes]]:
-        """Yield the entities, each with its tenant, in the order of their creation."""
-        yield from self._database.scan("SELECT tenant, body FROM entities ORDER BY seq")
+        """Yield the entities, each with its tenant, in the order of their creation.
+
+        Raises `UsageError` where one is damaged, or missing.
+        """
+        left = self._left()
+        number = total = 0
+        for place, tenant, body, checksum in self._scan(
+            "SELECT seq, tenant, body, checksum FROM entities ORDER BY seq"
+        ):
+            require_row(checksums.of_entity, checksum, (place, tenant, body), self._damaged)
+            number, total = number + 1, total + checksum
+            row = left.entities.pop(place, None)
+            if row is None:
+                yield tenant, body
+            elif row.body is not None:
+                yield row.tenant, row.body
+        self._require_total("entities", number, total)
+        for _, row in sorted(left.entities.items()):
+            if row.body is not None:
+                yield row.tenant, row.body
 
     def documents(self, kind: Kind) -> Iterator[tuple[str, str, bytes]]:
-        """Yield tenant, id and body of all documents of a kind."""
-        yield from self._database.scan(
-            "SELECT tenant, id, body FROM documents WHERE kind = ? ORDER BY tenant, id", (kind.value,)
-        )
+        """Yield tenant, id and body of all documents of a kind. Raises `UsageError` where one is damaged."""
+        left = {key[1:]: body for key, body in self._left().documents.items() if key[0] is kind}
+        for tenant, name, body, checksum in self._scan(
+            "SELECT tenant, id, body, checksum FROM documents WHERE kind = ? ORDER BY tenant, id",
+            (kind.value,),
+        ):
+            require_row(checksums.of_document, checksum, (kind.value, tenant, name, body), self._damaged)
+            found = left.pop((tenant, name), body)
+            if found is not None:
+                yield tenant, name, found
+        for (tenant, name), changed in sorted(left.items()):
+            if changed is not None:
+                yield tenant, name, changed
+
+    def _left(self) -> Entries:
+        """Return what is committed and cannot be filed for want of room, as the start has found it."""
+        together = Entries()
+        for one in () if self._filing is None else self._filing.left:
+            together.add(one)
+        return together
+
+    def _scan(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
+        """Yield rows as they are in the tables if something cannot be filed, else with everything filed."""
+        if self._filing is not None and self._filing.left:
+            return self._filing.scan_tables(statement, parameters)
+        return self._database.scan(statement, parameters)
+
+    def _damaged(self, row: Sequence[Any]) -> UsageError:
+        where = self._database.path if isinstance(self._database, SqliteDatabase) else self.name
+        what = "an entity" if len(row) == 3 else f"the {row[0]} {row[2]}"
+        return UsageError(damage(f"{where}: {what} is not as it was written"))
+
+    def _require_total(self, table: str, number: int, total: int) -> None:
+        if self._filing is None:
+            return
+        ((wanted, checksum),) = self._scan("SELECT number, checksum FROM totals WHERE name = ?", (table,))
+        if (number, total) != (wanted, checksum):
+            fault = f"the table {table} has {number} rows, and not the {wanted} that were written"
+            raise UsageError(damage(f"{self._filing.path}: {fault}"))
 
     def owed(self, tenant: str, subscription: str, after: int, limit: int) -> list[Notice]:
         """Return the oldest notifications owed to a subscription after number `after`; from any thread.
@@ -157,11 +221,19 @@ class Journal:
         Raises `NotStored` when the disk cannot be read.
         """
         rows = self._database.read(
-            "SELECT tenant, subscription, entity, at, body, seq, headers FROM outbox "
+            f"SELECT {_NOTICE} FROM outbox "  # noqa: S608 - ours
             "WHERE tenant = ? AND subscription = ? AND seq > ? ORDER BY seq LIMIT ?",
             (tenant, subscription, after, limit),
         )
-        return [Notice(*row) for row in rows]
+        for *row, checksum in rows:
+            require_row(checksums.of_notice, checksum, row, self._damaged_notice)
+        return [
+            Notice(tenant, subscription, entity, at, body, seq, headers)
+            for seq, _, _, entity, at, body, headers, _ in rows
+        ]
+
+    def _damaged_notice(self, row: Sequence[Any]) -> NotStored:
+        return NotStored(damage(f"{self.name}: notification {row[0]} is not as it was written"))
 
     def owed_sizes(self, tenant: str, subscription: str, after: int, limit: int) -> list[tuple[int, int]]:
         """Return number and bytes of the oldest notifications owed after number `after`, as `owed`."""
@@ -183,14 +255,16 @@ class Journal:
 
     def owed_to(self, tenant: str) -> set[str]:
         """Return the subscriptions of a tenant to which anything is owed, as `owed`."""
-        rows = self._database.read("SELECT DISTINCT subscription FROM outbox WHERE tenant = ?", (tenant,))
-        return {subscription for (subscription,) in rows}
+        rows = self._scan("SELECT DISTINCT subscription FROM outbox WHERE tenant = ?", (tenant,))
+        left = {one.subscription for one in self._left().owed if one.tenant == tenant}
+        return left | {subscription for (subscription,) in rows}
 
     def last_place(self) -> int:
         """Return the highest place in the order of creation."""
-        ((last,),) = self._database.read("SELECT coalesce(max(seq), 0) FROM entities")
-        ((gone,),) = self._database.read("SELECT coalesce(max(place), 0) FROM departed")
-        return max(int(last), int(gone))
+        ((last,),) = self._scan("SELECT coalesce(max(seq), 0) FROM entities")
+        ((gone,),) = self._scan("SELECT coalesce(max(place), 0) FROM departed")
+        left = self._left()
+        return max(int(last), int(gone), *left.entities, *left.departed)
 
 
 def _number(entries: Entries, last_notice: int) -> None:
@@ -206,13 +280,79 @@ def _write_tables(writer: Writer, entries: Entries) -> None:
     write_archive(writer, entries.history, entries.cleared, entries.departed)
 
 
+def _file(writer: Writer, entries: Entries) -> None:
+    """Write tables of SQLite, and keep their totals up."""
+    places = list(entries.entities)
+    keys = [(kind.value, tenant, name) for kind, tenant, name in entries.documents]
+    before = [
+        _total(writer, "entities", "seq", places),
+        _total(writer, "documents", "kind, tenant, id", keys),
+    ]
+    _write_tables(writer, entries)
+    after = [_total(writer, "entities", "seq", places), _total(writer, "documents", "kind, tenant, id", keys)]
+    for table, (number, total), (was, was_total) in zip(
+        ("entities", "documents"), after, before, strict=True
+    ):
+        if (number, total) != (was, was_total):
+            writer.run(
+                "UPDATE totals SET number = number + ?, checksum = checksum + ? WHERE name = ?",
+                (number - was, total - was_total, table),
+            )
+
+
+def _total(writer: Writer, table: str, key: str, keys: Sequence[Any]) -> tuple[int, int]:
+    """Return how many of some rows there are, and the sum of their checksums."""
+    number = total = 0
+    for start in range(0, len(keys), _AT_ONCE):
+        some = keys[start : start + _AT_ONCE]
+        is_wide = isinstance(some[0], tuple)
+        statement = total_of(table, key, len(some))
+        ((found, sums),) = writer.run(statement, [part for one in some for part in one] if is_wide else some)
+        number, total = number + found, total + sums
+    return number, total
+
+
+def total_of(table: str, key: str, count: int) -> str:
+    """Return the query for the total of so many rows, each found by its key.
+
+    `WHERE (a, b) IN (VALUES …)` would read the whole table where there is more than one key.
+    """
+    width = key.count(",") + 1
+    row = f"({', '.join('?' * width)})"
+    wanted = ", ".join(f"wanted.column{number}" for number in range(1, width + 1))
+    return (
+        f"SELECT count(*), coalesce(sum(checksum), 0) FROM (VALUES {', '.join([row] * count)}) AS wanted "  # noqa: S608 - ours
+        f"CROSS JOIN {table} ON ({key}) = ({wanted})"
+    )
+
+
+_AT_ONCE: Final = 256
+
+
+def _tidy(writer: Writer, write: Callable[[Writer, Entries], None]) -> None:
+    """Delete what is owed to no subscription: a change on its way while one was deleted may have left it."""
+    kinds = _SUBSCRIPTION_KINDS
+    orphans = _ORPHANS.format(kinds=kinds, table="outbox", key="subscription")
+    writer.run(f"DELETE FROM outbox WHERE {orphans}")  # noqa: S608 - ours
+    orphans = _ORPHANS.format(kinds=kinds, table="documents", key="id")
+    counts = writer.run(
+        f"SELECT tenant, id FROM documents WHERE kind = '{Kind.COUNTS}' AND {orphans}"  # noqa: S608 - ours
+    )
+    if counts:
+        write(writer, Entries(documents={(Kind.COUNTS, tenant, name): None for tenant, name in counts}))
+
+
 def _write_entities(writer: Writer, entries: Entries) -> None:
     gone = [(seq,) for seq, row in entries.entities.items() if row.body is None]
-    kept = [(seq, row.tenant, row.body) for seq, row in entries.entities.items() if row.body is not None]
+    kept = [
+        (seq, row.tenant, row.body, checksums.of_entity(seq, row.tenant, row.body))
+        for seq, row in entries.entities.items()
+        if row.body is not None
+    ]
     if kept:
         writer.run_many(
-            "INSERT INTO entities (seq, tenant, body) VALUES (?, ?, ?) "
-            "ON CONFLICT (seq) DO UPDATE SET body = excluded.body",
+            "INSERT INTO entities (seq, tenant, body, checksum) VALUES (?, ?, ?, ?) "
+            "ON CONFLICT (seq) DO UPDATE SET body = excluded.body, checksum = excluded.checksum",
             kept,
         )
     if gone:
@@ -221,11 +361,15 @@ def _write_entities(writer: Writer, entries: Entries) -> None:
 
 def _write_documents(writer: Writer, entries: Entries) -> None:
     gone = [(kind.value, *of) for (kind, *of), body in entries.documents.items() if body is None]
-    kept = [(kind.value, *of, body) for (kind, *of), body in entries.documents.items() if body is not None]
+    kept = [
+        (kind.value, tenant, name, body, checksums.of_document(kind.value, tenant, name, body))
+        for (kind, tenant, name), body in entries.documents.items()
+        if body is not None
+    ]
     if kept:
         writer.run_many(
-            "INSERT INTO documents (kind, tenant, id, body) VALUES (?, ?, ?, ?) "
-            "ON CONFLICT (kind, tenant, id) DO UPDATE SET body = excluded.body",
+            "INSERT INTO documents (kind, tenant, id, body, checksum) VALUES (?, ?, ?, ?, ?) "
+            "ON CONFLICT (kind, tenant, id) DO UPDATE SET body = excluded.body, checksum = excluded.checksum",
             kept,
         )
     if gone:
@@ -237,13 +381,14 @@ def _write_documents(writer: Writer, entries: Entries) -> None:
 
 def _write_outbox(writer: Writer, entries: Entries) -> None:
     if entries.owed:
+        rows = [
+            (one.seq, one.tenant, one.subscription, one.entity, one.at, one.body, one.headers)
+            for one in entries.owed
+        ]
         writer.run_many(
-            "INSERT INTO outbox (seq, tenant, subscription, entity, at, body, headers) "
-            "VALUES (?, ?, ?, ?, ?, ?, ?)",
-            [
-                (one.seq, one.tenant, one.subscription, one.entity, one.at, one.body, one.headers)
-                for one in entries.owed
-            ],
+            "INSERT INTO outbox (seq, tenant, subscription, entity, at, body, headers, checksum) "
+            "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            [(*row, checksums.of_notice(*row)) for row in rows],
         )
     if entries.settled:
         writer.run_many("DELETE FROM outbox WHERE seq = ?", [(seq,) for seq in entries.settled])

@@ -1,23 +1,28 @@
-"""The log in front of an SQLite file: every commit is a frame, flushed before anybody hears that it is safe.
+"""The log in front of an SQLite file: a commit is a frame, flushed before its writers are answered.
 
 SQLite writes whole pages for a change of some hundred bytes, and calls back into the interpreter for each
 statement. A frame is one write, to space that the file has already: to flush a file that grows costs the
 disk four times as much. There are two files of one size, used by turns; what is in one is overwritten once it
 is filed in the tables. So the log stays small, and is read in no time after a crash.
 
-A frame begins on a page of its own, so that a write cut short by a power cut harms no earlier frame. Its head
-tells which opening of the broker wrote it: a log beside a database that was restored from elsewhere is of
-another opening, and is passed over.
+Damage must not look like a crash. Each file begins with a stamp: which database it belongs to, and which
+opening of the broker wrote it. A frame begins on a page of its own and is cut into sectors of 512 bytes, the
+unit in which disks write; each has a checksum and the number of the attempt that wrote it. A frame of which
+some sectors are new and the others old or empty is a write that was cut short by a power cut, and was never
+acknowledged. A sector that is neither is damage, as is a file that is missing, of another length or of
+another opening, and a log that ends before the last change that is filed.
 """
 
 import os
 import struct
 import time
-from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 from zlib import crc32
+
+from services.context_broker.storage.database import flush_folder
 
 PAGE: Final = 4096
 SIZE: Final = 512 * PAGE
@@ -25,16 +30,35 @@ SIZE: Final = 512 * PAGE
 
 TRIES: Final = 3
 
-_HEAD: Final = struct.Struct("<8s8sQII")
-"""Mark, opening, number, length of the record, and the checksum of all of these and the record."""
-_MARK: Final = b"HANDOVER"
-_SUM_AT: Final = _HEAD.size - 4
+_SECTOR: Final = 512
+_TAIL: Final = struct.Struct("<IH")
+"""At the end of a sector, before its checksum: the attempt that wrote it, and its place in the frame."""
+_SUM: Final = struct.Struct("<I")
+_PAYLOAD: Final = _SECTOR - _TAIL.size - _SUM.size
+_HEAD: Final = struct.Struct("<4sQI")
+"""At the beginning of a frame: whether it counts, its number, and the length of the record."""
+_COUNTS: Final = b"HFRM"
+_VOID: Final = b"HVOI"
+"""A frame that stands where one could not be written; its number is that of the last one that was."""
+_STAMP: Final = struct.Struct("<8s8s8sB")
+"""Mark with the version of the format, database, opening, and whether the log was closed in order."""
+_MARK: Final = b"HANDLOG2"
+_STAMP_PLACE: Final = 0xFFFF
+_EMPTY: Final = bytes(_SECTOR)
 _SYNCED: Final = getattr(os, "O_DSYNC", 0)
 """Where there is this, a write returns when it is safe, and needs no second call."""
 
 
 class Damaged(Exception):
-    """A frame that was acknowledged cannot be read."""
+    """What was acknowledged cannot be read, or cannot be told to be all there; the message names the file."""
+
+
+class Stamp(NamedTuple):
+    """What the first page of a file says: 8 bytes each for the database and its opening."""
+
+    database: bytes
+    opening: bytes
+    is_closed: bool
 
 
 class Log:
@@ -43,34 +67,65 @@ class Log:
     def __init__(self, path: Path) -> None:
         self._files = (_File(path.with_suffix(".log-1")), _File(path.with_suffix(".log-2")))
         self._active = 0
-        self._opening = b""
+        self._stamp = Stamp(bytes(8), bytes(8), is_closed=True)
         self._filed = 0
+        self._attempt = 0
         self.number = 0
         """Of the last frame."""
 
-    def read(self, opening: bytes, filed: int) -> list[bytes]:
-        """Return the records after number `filed` that an opening wrote.
+    @property
+    def paths(self) -> tuple[Path, Path]:
+        """Return where the files are."""
+        return self._files[0].path, self._files[1].path
 
-        A last one that was cut short is passed over, since nobody was told that it is safe. Raises `Damaged`
-        where one is missing before others, and OSError.
+    def exists(self) -> bool:
+        """Say whether any of the files is there and has content."""
+        return any(path.exists() and path.stat().st_size for path in self.paths)
+
+    def read(self, database: bytes, opening: bytes, filed: int) -> list[bytes]:
+        """Return the records after number `filed` that an opening of a database wrote.
+
+        A last one that was cut short is passed over, since it was never acknowledged. Raises `Damaged` where
+        one is missing, or may be, and OSError.
         """
-        found = dict(frame for file in self._files for frame in file.frames(opening))
-        missing = filed + 1
-        while missing in found:
-            missing += 1
+        contents = [file.content_of(database, opening) for file in self._files]
+        found: dict[int, bytes] = {}
+        for content in contents:
+            found.update(content.records)
+        following = filed + 1
+        while following in found:
+            following += 1
         last = max(found, default=0)
-        if last > missing:
+        if last > following:
+            raise Damaged(f"{self._names()}: change {following} cannot be read, and {last} is there")
+        for file, content in zip(self._files, contents, strict=True):
+            for at in content.damaged:
+                if content.numbers.get(at, following) >= following and at in {PAGE, content.ends.get(last)}:
+                    # The change after the last one may stand there: at the beginning, or right behind that.
+                    raise Damaged(f"{file.path}: change {following}, from byte {at} on, is damaged")
+        if max((number for content in contents for number in content.numbers.values()), default=0) < filed:
             raise Damaged(
-                f"change {missing} cannot be read, and {last} is there; to go on without the changes "
-                f"from {missing} on, move {' and '.join(str(file.path) for file in self._files)} away"
+                f"{self._names()}: an older copy, which ends before change {filed} that is in the tables"
             )
-        return [found[number] for number in range(filed + 1, missing)]
+        return [found[number] for number in range(filed + 1, following)]
 
-    def begin(self, opening: bytes) -> None:
-        """Begin anew for an opening (8 bytes that no other has); what is there is overwritten."""
-        self._opening = opening
-        self._active = self._filed = self.number = 0
-        self._files[0].prepare()
+    def foreign(self, database: bytes, opening: bytes) -> str | None:
+        """Return what another opening has left in the log that may be in no table; None if nothing."""
+        for file in self._files:
+            stamp = file.stamp()
+            if stamp is None or stamp.is_closed or stamp.opening == opening:
+                continue
+            if file.content().numbers:
+                whose = "this database, later" if stamp.database == database else "another database"
+                return f"{file.path} holds changes of {whose}"
+        return None
+
+    def begin(self, database: bytes, opening: bytes) -> None:
+        """Begin for an opening (8 bytes that no other has); what is there is overwritten."""
+        self._stamp = Stamp(database, opening, is_closed=False)
+        self._active = self._filed = self.number = self._attempt = 0
+        for file in self._files:
+            file.prepare(self._stamp)
 
     def tried_s(self) -> float:
         """Return how long it takes to write a frame; before the first one."""
@@ -88,7 +143,7 @@ class Log:
     @staticmethod
     def never_fits(record: bytes) -> bool:
         """Say whether a record is too long for a file."""
-        return _pages(len(record)) > SIZE
+        return _pages(len(record)) > SIZE - PAGE
 
     def append(self, record: bytes) -> None:
         """Write a record for which there is room and return when it is safe; raises OSError if it is not."""
@@ -96,36 +151,75 @@ class Log:
         assert room is not None  # noqa: S101 - whoever writes has asked for room
         file = self._files[room]
         number = self.number + 1
-        head = bytearray(_HEAD.pack(_MARK, self._opening, number, len(record), 0))
-        head[_SUM_AT:] = crc32(record, crc32(head)).to_bytes(4, "little")
-        start = 0 if file.last <= self._filed else file.end
-        frame = b"".join((head, record, bytes(_pages(len(record)) - _HEAD.size - len(record))))
+        start = PAGE if file.last <= self._filed else file.end
+        frame = self._frame(_COUNTS, number, record)
         try:
             file.write(start, frame)
         except OSError:
             with suppress(OSError):  # else it might be there after a crash, though it was refused
-                file.write(start, bytes(PAGE))
+                file.write(start, self._frame(_VOID, self.number, b""))
             raise
         file.end = start + len(frame)
         file.last = self.number = number
         self._active = room
 
+    def try_out(self) -> None:
+        """Write where the next frame will be, and raise OSError if the disk refuses that."""
+        room = self._roomy(PAGE)
+        if room is not None:
+            file = self._files[room]
+            file.write(PAGE if file.last <= self._filed else file.end, self._frame(_VOID, self.number, b""))
+
     def filed(self, number: int) -> None:
         """Note that the tables hold everything up to frame `number`."""
         self._filed = number
 
-    def close(self) -> None:
-        """Let go of the files."""
+    def close(self, *, in_order: bool = False) -> None:
+        """Let go of the files; after an orderly end they say that the tables hold everything."""
         for file in self._files:
+            if in_order:
+                with suppress(OSError):
+                    file.write(0, _stamp_page(self._stamp._replace(is_closed=True)))
             file.close()
+
+    def _frame(self, kind: bytes, number: int, record: bytes) -> bytes:
+        """Return a record in sectors, each with a checksum of its own, filled up to whole pages."""
+        self._attempt += 1
+        seed = _seed(self._stamp.opening)
+        body = b"".join((_HEAD.pack(kind, number, len(record)), record))
+        body += bytes(-len(body) % _PAYLOAD)
+        pieces: list[bytes] = []
+        for place, start in enumerate(range(0, len(body), _PAYLOAD)):
+            payload = body[start : start + _PAYLOAD]
+            tail = _TAIL.pack(self._attempt, place)
+            pieces += (payload, tail, _SUM.pack(crc32(tail, crc32(payload, seed))))
+        pieces.append(bytes(_pages(len(record)) - len(pieces) // 3 * _SECTOR))
+        return b"".join(pieces)
 
     def _roomy(self, length: int) -> int | None:
         """Return which file has room, the one in use before the other."""
         file = self._files[self._active]
-        taken = 0 if file.last <= self._filed else file.end
+        taken = PAGE if file.last <= self._filed else file.end
         if taken + length <= SIZE:
             return self._active
-        return None if self.is_tight or length > SIZE else 1 - self._active
+        return None if self.is_tight or length > SIZE - PAGE else 1 - self._active
+
+    def _names(self) -> str:
+        return " and ".join(str(path) for path in self.paths)
+
+
+@dataclass(slots=True)
+class _Content:
+    """What a file holds of one opening."""
+
+    records: dict[int, bytes] = field(default_factory=dict)
+    """By number, those that are whole."""
+    ends: dict[int, int] = field(default_factory=dict)
+    """By number, where the next frame may begin."""
+    numbers: dict[int, int] = field(default_factory=dict)
+    """By the place of a frame of which the first sector can be read, its number."""
+    damaged: list[int] = field(default_factory=list)
+    """Where frames begin, or may begin, that have sectors which are neither old nor new."""
 
 
 class _File:
@@ -133,58 +227,112 @@ class _File:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.end = 0
+        self.end = PAGE
         """Where the next frame begins."""
         self.last = 0
         """Number of the last frame."""
         self._file: BinaryIO | None = None
 
-    def frames(self, opening: bytes) -> Iterator[tuple[int, bytes]]:
-        """Yield number and record of every whole frame of an opening, whatever lies between them."""
+    def stamp(self) -> Stamp | None:
+        """Return what the first page says; None where it says nothing that can be read."""
         try:
-            content = self.path.read_bytes()
+            with self.path.open("rb") as file:
+                sector = file.read(_SECTOR)
         except FileNotFoundError:
-            return
-        at = 0
-        while at + _HEAD.size <= len(content):
-            mark, of, number, length, checksum = _HEAD.unpack_from(content, at)
-            record = content[at + _HEAD.size : at + _HEAD.size + length]
-            head = content[at : at + _SUM_AT]
-            if (mark, of) == (_MARK, opening) and crc32(record, crc32(head + bytes(4))) == checksum:
-                yield number, record
-                at += _pages(length)
-            else:
-                at += PAGE
+            return None
+        if len(sector) < _SECTOR or _written_by(sector, 0) != (0, _STAMP_PLACE):
+            return None
+        mark, database, opening, is_closed = _STAMP.unpack_from(sector)
+        return Stamp(database, opening, bool(is_closed)) if mark == _MARK else None
 
-    def prepare(self) -> None:
-        """Open the file, and make it as long as it is to be."""
-        self.end = self.last = 0
-        if self._file is not None:
-            return
-        file = open(  # noqa: SIM115 - it stays open
-            self.path, "r+b" if self.path.exists() else "w+b", buffering=0, opener=_open_synced
-        )
+    def content_of(self, database: bytes, opening: bytes) -> _Content:
+        """Return what the file holds of an opening that was not closed. Raises `Damaged`."""
+        if not self.path.exists():
+            raise Damaged(f"{self.path} is missing, which holds changes that are not in the tables yet")
+        if (size := self.path.stat().st_size) != SIZE:
+            raise Damaged(
+                f"{self.path} has {size} bytes instead of {SIZE}: it was cut, or is of another version"
+            )
+        stamp = self.stamp()
+        if stamp is None:
+            raise Damaged(f"{self.path}: its first page is damaged")
+        if stamp.database != database:
+            raise Damaged(f"{self.path} belongs to another database")
+        if stamp.opening != opening or stamp.is_closed:
+            raise Damaged(
+                f"{self.path} is not of the time when the database was last open: one of them is older"
+            )
+        return self.content()
+
+    def content(self) -> _Content:
+        """Return what the file holds of the opening that its stamp names."""
+        content, stamp, raw = _Content(), self.stamp(), self.path.read_bytes()
+        seed = _seed(b"" if stamp is None else stamp.opening)
+        at = PAGE
+        while at + PAGE <= len(raw):
+            sector = raw[at : at + _SECTOR]
+            written = _written_by(sector, seed)
+            length = 0
+            if written is None and sector != _EMPTY:
+                content.damaged.append(at)
+            elif written is not None and written[1] == 0:
+                length = self._read_frame(content, raw, at, written[0], seed)
+            at += length or PAGE
+        return content
+
+    @staticmethod
+    def _read_frame(content: _Content, raw: bytes, at: int, attempt: int, seed: int) -> int:
+        """Note the frame that begins at `at`; return its length, 0 if it is not whole."""
+        kind, number, length = _HEAD.unpack_from(raw, at)
+        content.numbers[at] = number
+        sectors = -(-(_HEAD.size + length) // _PAYLOAD)
+        payloads: list[bytes] = []
+        for place in range(sectors):
+            sector = raw[at + place * _SECTOR : at + (place + 1) * _SECTOR]
+            written = _written_by(sector, seed)
+            if written == (attempt, place):
+                payloads.append(sector[:_PAYLOAD])
+            elif written is None and sector != _EMPTY:
+                content.damaged.append(at)
+                return 0
+        if kind != _COUNTS or len(payloads) < sectors:
+            return 0
+        content.records[number] = b"".join(payloads)[_HEAD.size : _HEAD.size + length]
+        content.ends[number] = at + _pages(length)
+        return _pages(length)
+
+    def prepare(self, stamp: Stamp) -> None:
+        """Open the file, make it empty and as long as it is to be, and stamp it."""
+        self.end, self.last = PAGE, 0
+        if self._file is None:
+            self._file = open(  # noqa: SIM115 - it stays open
+                self.path, "r+b" if self.path.exists() else "w+b", buffering=0, opener=_open_synced
+            )
         try:
-            missing = SIZE - file.seek(0, os.SEEK_END)
-            if missing > 0:
-                _write(file, bytes(missing))
-                os.fsync(file.fileno())
+            content = self._file.read() if self._file.seek(0) == 0 else b""
+            used = SIZE if len(content) < SIZE else len(content.rstrip(b"\0"))
+            if used > PAGE:
+                self._file.seek(PAGE)
+                _write(self._file, bytes(used - PAGE))
+            if len(content) > SIZE:
+                self._file.truncate(SIZE)
+            self._file.seek(0)
+            _write(self._file, _stamp_page(stamp))
+            if not _SYNCED or len(content) != SIZE:
+                os.fsync(self._file.fileno())
+                flush_folder(self.path.parent)
         except OSError:
-            file.close()
+            self.close()
             raise
-        _flush_folder(self.path.parent)
-        self._file = file
 
     def tried_s(self) -> float:
         """Return how long it takes to write a page; nothing that is needed may be in the file."""
         began_s = time.perf_counter()
-        self.write(0, bytes(PAGE))
+        self.write(PAGE, bytes(PAGE))
         return time.perf_counter() - began_s
 
     def write(self, at: int, frame: bytes) -> None:
         """Write a frame and return when it is safe."""
-        if self._file is None:
-            self.prepare()
         file = self._file
         assert file is not None  # noqa: S101 - it has been prepared
         file.seek(at)
@@ -199,6 +347,26 @@ class _File:
             self._file = None
 
 
+def _written_by(sector: bytes, seed: int) -> tuple[int, int] | None:
+    """Return the attempt that wrote a sector, and its place in the frame; None if it cannot be read."""
+    (checksum,) = _SUM.unpack_from(sector, _SECTOR - _SUM.size)
+    if crc32(sector[_PAYLOAD : -_SUM.size], crc32(sector[:_PAYLOAD], seed)) != checksum:
+        return None
+    attempt, place = _TAIL.unpack_from(sector, _PAYLOAD)
+    return attempt, place
+
+
+def _stamp_page(stamp: Stamp) -> bytes:
+    payload = _STAMP.pack(_MARK, stamp.database, stamp.opening, stamp.is_closed).ljust(_PAYLOAD, b"\0")
+    tail = _TAIL.pack(0, _STAMP_PLACE)
+    return (payload + tail + _SUM.pack(crc32(tail, crc32(payload)))).ljust(PAGE, b"\0")
+
+
+def _seed(opening: bytes) -> int:
+    """Return what checksums of an opening begin with, so that a sector of another is none of its own."""
+    return crc32(opening)
+
+
 def _open_synced(path: str, flags: int) -> int:
     return os.open(path, flags | _SYNCED, 0o644)
 
@@ -209,16 +377,7 @@ def _write(file: BinaryIO, content: bytes) -> None:
         rest = rest[file.write(rest) :]
 
 
-def _flush_folder(folder: Path) -> None:
-    """See that the name of a new file survives a power cut, where folders can be flushed."""
-    if os.name != "nt":
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-
-
 def _pages(length: int) -> int:
     """Return the bytes that the frame of a record of so many takes: whole pages."""
-    return -(-(_HEAD.size + length) // PAGE) * PAGE
+    sectors = -(-(_HEAD.size + length) // _PAYLOAD)
+    return -(-sectors * _SECTOR // PAGE) * PAGE

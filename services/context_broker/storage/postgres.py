@@ -47,7 +47,7 @@ _VERSIONS: Final = "CREATE TABLE IF NOT EXISTS schema_version (version BIGINT NO
 class PostgresDatabase:
     """A database on a server; a connection that breaks refuses what it carried, and the next is a new one."""
 
-    TYPES: Final = {"bytes": "BYTEA", "number": "DOUBLE PRECISION"}
+    TYPES: Final = {"bytes": "BYTEA", "number": "DOUBLE PRECISION", "keyed": ""}
 
     def __init__(self, url: str) -> None:
         self.url = url
@@ -58,8 +58,8 @@ class PostgresDatabase:
         self._readers: list[psycopg.Connection] = []
         self._readers_lock = threading.Lock()
 
-    def open(self, version: int, migrations: Sequence[str]) -> None:
-        """Bring the tables up to `version`; an older one only while no broker of before is at work."""
+    def open(self, version: int, script: str) -> None:
+        """Make the tables with `script` where there are none; refuse those of another version."""
         import psycopg  # noqa: PLC0415 - takes time to load, and most brokers have a file
 
         self._version = version
@@ -75,17 +75,13 @@ class PostgresDatabase:
                     raise UsageError(
                         f"{self.name} was written by a newer version of Handover; use that version"
                     )
-                if 0 < found < version and not _one(
-                    connection, f"SELECT pg_try_advisory_xact_lock({_PRESENCE})"
-                ):
+                if 0 < found < version:
                     raise UsageError(
-                        f"brokers of an older version are at work on {self.name}; "
-                        "stop them all, then start this one"
+                        f"{self.name} has the tables {found} of a version before the first release, which "
+                        f"cannot be read (this one reads {version}); drop them to begin with none"
                     )
-                for step in range(found, version):
-                    connection.execute(_in_its_words(migrations[step], self.TYPES))
-                if found < version:
-                    connection.execute("DELETE FROM schema_version")
+                if not found:
+                    connection.execute(_in_its_words(script, self.TYPES))
                     connection.execute("INSERT INTO schema_version VALUES (%s)", (version,))
             self._connected()
         except (psycopg.Error, NotStored) as error:

@@ -11,7 +11,9 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.api.problems import bad_request_data, not_stored
+from handover.telemetry import get_logger
+from services.context_broker.api.nesting import too_deep
+from services.context_broker.api.problems import not_stored, went_wrong
 from services.context_broker.entities.census import Census
 from services.context_broker.entities.entity import Entity, Event
 from services.context_broker.entities.transient import Ends
@@ -26,6 +28,8 @@ from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.ranks import Ranks, in_order
 from services.context_broker.storage.replica import Overtaken
 from services.context_broker.temporal.history import Recorder
+
+log = get_logger(__name__)
 
 MOST_INDEXES: Final = 64
 """Attributes, and attributes with places, for which there is an index."""
@@ -54,10 +58,14 @@ class Staged:
         if not self.fate.done():
             self.fate.set_result(None)
 
-    def failed(self, error: NotStored) -> None:
-        """Say that the change was not stored."""
-        if not self.fate.done():
+    def failed(self, error: Exception) -> None:
+        """Report that the change was not stored, or that what followed failed."""
+        if self.fate.done():
+            return
+        if isinstance(error, NotStored):
             self.fate.set_exception(error if isinstance(error, Overtaken) else not_stored(str(error)))
+        else:
+            self.fate.set_exception(went_wrong(error, "completing a change that is stored"))
 
 
 Announce = Callable[[Event], list[Notice]]
@@ -199,7 +207,7 @@ class Store:
             if self._recorder is not None:
                 self._recorder.record(self.tenant, event, entries)
         except orjson.JSONEncodeError:
-            raise bad_request_data(f"entity {one.id} is nested too deep; 200 levels are safe") from None
+            raise too_deep() from None
         entries.owed = self._announce(event)
         fate = asyncio.get_running_loop().create_future()
         staged = self._staged[one.id] = Staged(self, event, entries.owed, fate)
@@ -213,9 +221,9 @@ class Store:
         assert one is not None  # noqa: S101 - a change has at least one end
         entity_id = one.id
         before = self._every.by_id.get(entity_id)
-        self._put(before, event.after, event.written if before is event.before else None)
         if self._staged.get(entity_id) is staged:
             del self._staged[entity_id]
+        self._put(before, event.after, event.written if before is event.before else None)
         if staged.notices:
             self._deliver(staged.notices)
 
@@ -250,16 +258,34 @@ class Store:
             self._every.remove(before.id)  # a new entity of the same id goes to the end of the order
         if after is not None:
             self._every.put(after)
-            if after.ends_at is not None and self._ends is not None:
+        try:
+            if after is not None and after.ends_at is not None and self._ends is not None:
                 self._ends.watch(self, after)
-        elif before is not None and before.ends_at is not None and self._ends is not None:
-            self._ends.forget(self, before.id)
-        self.census.note(before, after, written)
-        self._file_by_type(before, after)
-        for index in self._indexes.values():
-            index.refile(before, after)
-        for place_index in self._place_indexes.values():
-            place_index.refile(before, after)
+            elif (
+                after is None and before is not None and before.ends_at is not None and self._ends is not None
+            ):
+                self._ends.forget(self, before.id)
+            self.census.note(before, after, written)
+            self._file_by_type(before, after)
+            for index in self._indexes.values():
+                index.refile(before, after)
+            for place_index in self._place_indexes.values():
+                place_index.refile(before, after)
+        except Exception:
+            log.exception("indexes are rebuilt", entity=None if (one := after or before) is None else one.id)
+            self._derive()
+
+    def _derive(self) -> None:
+        """Compute from the entities what is derived from them; indexes follow when they are asked for.
+
+        The entities themselves are as on disk by then, whatever failed.
+        """
+        self._indexes.clear()
+        self._place_indexes.clear()
+        self.census, self._by_type = Census(), {}
+        for entity in self._every.all():
+            self.census.note(None, entity)
+            self._file_by_type(None, entity)
 
     def _file_by_type(self, before: Entity | None, after: Entity | None) -> None:
         if before is not None and (after is None or before.types != after.types or before.seq != after.seq):

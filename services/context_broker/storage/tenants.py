@@ -14,6 +14,7 @@ from services.context_broker.api.problems import bad_request_data, no_such_tenan
 from services.context_broker.api.words import LONGEST_TENANT, TENANT, inside, outside, shown
 from services.context_broker.entities.entity import Entity
 from services.context_broker.entities.transient import Ends
+from services.context_broker.network.http_sender import HttpSender
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots.entity_maps import EntityMaps
 from services.context_broker.snapshots.snapshot import Snapshot, restored
@@ -27,7 +28,6 @@ from services.context_broker.storage.leadership import Leadership
 from services.context_broker.storage.places import SLOTS, Places
 from services.context_broker.storage.replica import Overtaken, Replica
 from services.context_broker.storage.store import Store
-from services.context_broker.subscriptions.http_sender import HttpSender
 from services.context_broker.subscriptions.mqtt_sender import MqttSender
 from services.context_broker.subscriptions.notifier import Notifier
 from services.context_broker.subscriptions.outbound import Outbound
@@ -136,13 +136,13 @@ class Tenants:
         journal, settings = self._journal, self._settings
         kept = [body for _, _, body in journal.documents(Kind.IDENTITY)]
         self.identify(kept[0] if kept else uuid4().hex[:12].encode())
-        destinations, ca_file = settings.destinations(), settings.broker_notification_ca_file
+        policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
         self.places = Places(journal.last_place(), secrets.randbelow(SLOTS) if self._shares else None)
         self.outbound = Outbound(
             journal,
-            HttpSender(destinations, ca_file),
-            MqttSender(destinations, ca_file),
-            destinations,
+            HttpSender(policy, ca_file),
+            MqttSender(policy, ca_file),
+            policy,
             self.leadership,
             timeout_s=settings.broker_notification_timeout_s,
             keep_s=settings.broker_notification_keep_h * 3600,

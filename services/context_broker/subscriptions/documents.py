@@ -67,10 +67,19 @@ def kept_document(given: Any, context: Context, besides: frozenset[str] = frozen
 
 
 def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the document after a change: members are replaced, null deletes, `notification` is merged."""
+    """Return the document after a change: members are replaced, null deletes (clause 5.5.8).
+
+    Raises a problem (400) for a notification without an endpoint: what is sent has to meet the data type by
+    itself (clause 5.8.2.4), so that a part of a notification never stands for the whole.
+    """
+    notification = change.get("notification")
     after = {**before, **change, "id": before["id"]}
-    if isinstance(change.get("notification"), dict):
-        after["notification"] = _without_null({**before["notification"], **change["notification"]})
+    if isinstance(notification, dict):
+        if not isinstance(notification.get("endpoint"), dict):
+            raise bad_request_data(
+                'a change of "notification" replaces all of it and has an "endpoint"; send it complete'
+            )
+        after["notification"] = _without_null(notification)
     return _without_null(after)
 
 
@@ -106,7 +115,6 @@ def shown_document(one: Subscription, context: Context, now_s: float, *, sys_att
         notification["attributes"] = [compact(name) for name in notification["attributes"]]
     if (status := one.counts.status()) is not None:
         notification["status"] = status
-    document.setdefault("isActive", True)
     document["status"] = one.status(now_s)
     document["notification"] = notification
     named = one.context.link or (context_document if isinstance(context_document, str) else None)

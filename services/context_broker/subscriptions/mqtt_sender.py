@@ -1,17 +1,39 @@
 """Publishing notifications over MQTT: one connection for each server and identity, kept open (clause 7.2)."""
 
 import asyncio
+import socket
 import ssl
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
-from services.context_broker.subscriptions.destinations import Destinations, Refused
-from services.context_broker.subscriptions.http_sender import SendError, TooSlow, trusting
+from services.context_broker.network.http_sender import SendError, TooSlow
+from services.context_broker.network.outbound_policy import OutboundPolicy, Refused
 from services.context_broker.subscriptions.mqtt_address import MqttAddress
 
 GOODBYE_WITHIN_S: Final = 1.0
 """How long a server may take to hear that we leave."""
+
+
+class _NamedTls(ssl.SSLContext):
+    """TLS to a server whose certificate is checked by `name`, though the connection is made to an address.
+
+    The MQTT library knows one host alone: given the name it would look it up by itself, past the policy.
+    """
+
+    name: str
+
+    def __new__(cls, *_: Any) -> Self:
+        return super().__new__(cls, ssl.PROTOCOL_TLS_CLIENT)
+
+    def __init__(self, name: str, ca_file: Path | None) -> None:
+        self.name = name
+        self.load_default_certs()
+        if ca_file is not None:
+            self.load_verify_locations(ca_file)
+
+    def wrap_socket(self, sock: socket.socket, *args: Any, **kwargs: Any) -> ssl.SSLSocket:
+        return super().wrap_socket(sock, *args, **{**kwargs, "server_hostname": self.name})
 
 
 class _Connection:
@@ -63,20 +85,27 @@ class _Connection:
             await asyncio.wait(self._farewells, timeout=GOODBYE_WITHIN_S)
 
     async def _connect(self) -> Any:
-        from aiomqtt import Client, ProtocolVersion  # noqa: PLC0415 - see above
+        from aiomqtt import Client, MqttError, ProtocolVersion  # noqa: PLC0415 - see above
 
         where = self._where
-        addresses = await self._sender.destinations.resolved(where.host, where.port)
-        client = Client(
-            where.host if where.tls else addresses[0],  # over TLS the name is checked by its certificate
-            where.port,
-            username=where.username,
-            password=where.password,
-            protocol=ProtocolVersion.V5 if where.version == "5.0" else ProtocolVersion.V311,
-            tls_context=await self._sender.tls() if where.tls else None,
-        )
-        await client.__aenter__()
-        return client
+        tls = await asyncio.to_thread(_NamedTls, where.host, self._sender.ca_file) if where.tls else None
+        failure: MqttError | None = None
+        for one in await self._sender.policy.resolved(where.host, where.port):
+            client = Client(
+                one,
+                where.port,
+                username=where.username,
+                password=where.password,
+                protocol=ProtocolVersion.V5 if where.version == "5.0" else ProtocolVersion.V311,
+                tls_context=tls,
+            )
+            try:
+                await client.__aenter__()
+            except MqttError as error:
+                failure = error
+            else:
+                return client
+        raise failure or MqttError(f"{where.host} has no address")
 
     def _drop(self, connecting: "asyncio.Task[Any] | None") -> None:
         """Forget a connection that failed, unless there is a new one already."""
@@ -97,10 +126,9 @@ async def _say_goodbye(connecting: "asyncio.Task[Any]") -> None:
 class MqttSender:
     """Publishes to many servers. `ca_file` (PEM) names authorities trusted besides the system's."""
 
-    def __init__(self, destinations: Destinations, ca_file: Path | None = None) -> None:
-        self.destinations = destinations
-        self._ca_file = ca_file
-        self._tls: ssl.SSLContext | None = None
+    def __init__(self, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
+        self.policy = policy
+        self.ca_file = ca_file
         self._connections: dict[tuple[Any, ...], _Connection] = {}
 
     async def publish(self, where: MqttAddress, payload: bytes, timeout_s: float) -> None:
@@ -109,12 +137,6 @@ class MqttSender:
         if connection is None:
             connection = self._connections[where.connection] = _Connection(where, self)
         await connection.publish(where.topic, where.qos, payload, timeout_s)
-
-    async def tls(self) -> ssl.SSLContext:
-        """Return how certificates are checked."""
-        if self._tls is None:
-            self._tls = await asyncio.to_thread(trusting, self._ca_file)
-        return self._tls
 
     async def close(self) -> None:
         """Close all connections."""

@@ -221,8 +221,8 @@ class SubscriptionOperations:
 
     @staticmethod
     async def _require_open(tenant: Tenant, made: Subscription) -> None:
-        destinations = tenant.notifier.outbound.destinations
-        await destinations.require_open(made.endpoint.host, "notification.endpoint.uri")
+        policy = tenant.notifier.outbound.policy
+        await policy.require_open(made.endpoint.host, "notification.endpoint.uri")
 
     async def keep(self, tenant: Tenant, made: Subscription) -> None:
         """Write a new or a changed subscription, and heed it once it is safe."""

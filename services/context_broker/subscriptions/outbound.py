@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, field
 from weakref import WeakValueDictionary
 
+from services.context_broker.network.http_sender import HttpSender
+from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.leadership import Leadership
-from services.context_broker.subscriptions.destinations import Destinations
 from services.context_broker.subscriptions.endpoints import Endpoint
-from services.context_broker.subscriptions.http_sender import HttpSender
 from services.context_broker.subscriptions.lines import WAITING, Hold, Line, Waiting
 from services.context_broker.subscriptions.mqtt_sender import MqttSender
 from services.context_broker.subscriptions.notification import headers, mqtt_message
@@ -26,7 +26,7 @@ class Outbound:
     journal: Journal
     sender: HttpSender
     mqtt: MqttSender
-    destinations: Destinations
+    policy: OutboundPolicy
     leadership: Leadership
     _: KW_ONLY
     timeout_s: float

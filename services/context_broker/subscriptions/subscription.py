@@ -53,7 +53,9 @@ class Counts:
     last_failure: str | None = None
 
     def members(self) -> dict[str, Any]:
-        """Return the counts as members of `notification`."""
+        """Return the counts as members of `notification`; none before the first attempt."""
+        if not (self.sent or self.failed):
+            return {}
         told = {
             "timesSent": self.sent,
             "timesFailed": self.failed,

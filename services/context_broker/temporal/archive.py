@@ -8,10 +8,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from handover.sqlite_files import damage
+from services.context_broker.storage import checksums
+from services.context_broker.storage.checksums import require_row
 from services.context_broker.storage.database import Database, NotStored, Writer
 
 END_OF_TIME: Final = 2**62
 """Above the seq of every row of history."""
+
+
+_CHANGE: Final = "entity, seq, observed_from, observed_to, rewritten, body, checksum"
 
 
 class HistoryRow(NamedTuple):
@@ -52,11 +58,14 @@ class Archive:
 
     def departed(self, tenant: str, entity_id: str | None = None) -> Iterator[tuple[int, str, bytes]]:
         """Yield place, id and body of what is only history, all of it or that of one id; from any thread."""
-        asked = "SELECT place, id, body FROM departed WHERE tenant = ?"
+        asked = "SELECT place, id, body, checksum FROM departed WHERE tenant = ?"
         if entity_id is None:
-            yield from self._scan(f"{asked} ORDER BY place", (tenant,))
+            rows = self._scan(f"{asked} ORDER BY place", (tenant,))
         else:
-            yield from self._scan(f"{asked} AND id = ? ORDER BY place", (tenant, entity_id))
+            rows = self._scan(f"{asked} AND id = ? ORDER BY place", (tenant, entity_id))
+        for place, name, body, checksum in rows:
+            require_row(checksums.of_departed, checksum, (place, tenant, name, body), self._damaged)
+            yield place, name, body
 
     def history(
         self,
@@ -73,18 +82,21 @@ class Archive:
         marks = ", ".join("?" * len(places))
         narrowed = f" AND {condition}" if condition else ""
         order = "entity, seq DESC" if latest_first else "entity, seq"
-        asked = f"SELECT entity, seq, observed_from, body FROM history WHERE entity IN ({marks})"  # noqa: S608 - ours
-        yield from self._scan(f"{asked}{narrowed} ORDER BY {order}", (*places, *values))
+        asked = f"SELECT {_CHANGE} FROM history WHERE entity IN ({marks})"  # noqa: S608 - ours
+        for *row, checksum in self._scan(f"{asked}{narrowed} ORDER BY {order}", (*places, *values)):
+            require_row(checksums.of_change, checksum, row, self._damaged)
+            place, seq, observed_from, _, _, body = row
+            yield place, seq, observed_from, body
 
     def changes_after(self, place: int, after: int, most: int) -> list[tuple[int, bytes]]:
         """Return seq and body of the first `most` changes at `place` after the seq `after`."""
-        return [
-            (int(seq), body)
-            for seq, body in self._database.read(
-                "SELECT seq, body FROM history WHERE entity = ? AND seq > ? ORDER BY seq LIMIT ?",
-                (place, after, most),
-            )
-        ]
+        rows = self._database.read(
+            f"SELECT {_CHANGE} FROM history WHERE entity = ? AND seq > ? ORDER BY seq LIMIT ?",  # noqa: S608 - ours
+            (place, after, most),
+        )
+        for *row, checksum in rows:
+            require_row(checksums.of_change, checksum, row, self._damaged)
+        return [(int(row[1]), row[5]) for row in rows]
 
     def bound_of(self, place: int, most: int, before: int | None = None) -> int | None:
         """Return the seq after the first `most` changes at `place` (below `before`), None at their end."""
@@ -111,6 +123,11 @@ class Archive:
         )
         return (found[0][0], found[0][1]) if found else None
 
+    def _damaged(self, row: Sequence[Any]) -> NotStored:
+        return NotStored(
+            damage(f"{self._database.name}: the past at place {row[0]} is not as it was written")
+        )
+
     def _scan(self, statement: str, parameters: Sequence[Any]) -> Iterator[Any]:
         for row in self._database.scan(statement, parameters):
             if self._is_closed:
@@ -125,14 +142,14 @@ def write_archive(
     departed: Mapping[int, DepartedRow],
 ) -> None:
     """Write changes and departed entities as part of a commit, and forget those that are to be forgotten."""
-    kept = [row for row in history if row.body is not None]
+    kept = [(*row[:5], row.body) for row in history if row.body is not None]
     if kept:
         writer.run_many(
-            "INSERT INTO history (entity, seq, observed_from, observed_to, rewritten, body) "
-            "VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (entity, seq) DO UPDATE SET observed_from = "
+            "INSERT INTO history (entity, seq, observed_from, observed_to, rewritten, body, checksum) "
+            "VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (entity, seq) DO UPDATE SET observed_from = "
             "excluded.observed_from, observed_to = excluded.observed_to, rewritten = excluded.rewritten, "
-            "body = excluded.body",
-            kept,
+            "body = excluded.body, checksum = excluded.checksum",
+            [(*row, checksums.of_change(*row)) for row in kept],
         )
     gone = [(row.place, row.seq) for row in history if row.body is None]
     if gone:
@@ -147,9 +164,9 @@ def _write_departed(writer: Writer, departed: Mapping[int, DepartedRow]) -> None
     kept = [(place, row.tenant, row.id, row.body) for place, row in departed.items() if row.body is not None]
     if kept:
         writer.run_many(
-            "INSERT INTO departed (place, tenant, id, body) VALUES (?, ?, ?, ?) "
-            "ON CONFLICT (place) DO UPDATE SET body = excluded.body",
-            kept,
+            "INSERT INTO departed (place, tenant, id, body, checksum) VALUES (?, ?, ?, ?, ?) "
+            "ON CONFLICT (place) DO UPDATE SET body = excluded.body, checksum = excluded.checksum",
+            [(*row, checksums.of_departed(*row)) for row in kept],
         )
     gone = [(place,) for place, row in departed.items() if row.body is None]
     if gone:

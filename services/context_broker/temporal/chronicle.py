@@ -13,9 +13,10 @@ from typing import Any, Final
 from services.context_broker.api.problems import too_many_results
 from services.context_broker.api.words import has_expired
 from services.context_broker.entities.entity import SAYS, Entity, Instance
+from services.context_broker.queries.scope_query import ScopeQuery
 from services.context_broker.temporal.aggregation import Aggregation, Total, periods, totals
 from services.context_broker.temporal.archive import Archive
-from services.context_broker.temporal.history import SCOPE, Change, instance_id
+from services.context_broker.temporal.history import SCOPE, Change, instance_id, micros_of
 from services.context_broker.temporal.query import TemporalQuery
 from services.context_broker.temporal.subjects import Subject
 
@@ -31,6 +32,7 @@ CHUNK: Final = 100
 """Entities whose history is read with one question to the database."""
 
 Predicate = Callable[[Entity], bool]
+Scopes = Sequence[str]
 Point = tuple[int, int, Any]
 """A time in microseconds since 1970, the seq of the change, and an instance or what it says."""
 
@@ -116,6 +118,8 @@ class Question:
     requires: frozenset[str] | None = None
     datasets: frozenset[str | None] | None = None
     wants: Predicate | None = None
+    scopes: ScopeQuery | None = None
+    """Which scopes a subject must have had at some time of the window."""
 
 
 @dataclass(slots=True)
@@ -144,7 +148,10 @@ def tell(
     Raises `NotStored` when the disk cannot be read.
     """
     found = Found()
-    for run in _runs(subjects):
+    for subjects_of_run in _runs(subjects):
+        run = _in_scope(archive, subjects_of_run, question)
+        if not run:
+            continue
         for evolution in _read(archive, run, question):
             if not evolution.is_hit or not (question.wants is None or question.wants(evolution.as_entity())):
                 continue
@@ -157,6 +164,55 @@ def tell(
                 if not count:
                     return found
     return found
+
+
+def _in_scope(archive: Archive, run: list[Subject], question: Question) -> list[Subject]:
+    """Return those subjects of a run that had the scopes asked for at some time of the window (4.19)."""
+    wanted = question.scopes
+    if wanted is None:
+        return run
+    # Scopes that were only told of the past, without a time, hold for all of it.
+    timeless = {place for subject in run if subject.is_hearsay for place in subject.places}
+    changes: dict[int, list[tuple[int, Scopes]]] = {}
+    for place, seq, _, body in archive.history([place for subject in run for place in subject.places]):
+        if not Change.may_set_scopes(body):
+            continue
+        for name, _, instance in Change.restored(body).instances(seq):
+            if name == SCOPE:
+                observed, value = instance.get("observedAt"), instance["value"]
+                at = micros_of(observed) if observed is not None else 0 if place in timeless else seq
+                changes.setdefault(place, []).append((at, (value,) if isinstance(value, str) else value))
+    return [
+        subject
+        for subject in run
+        if any(
+            wanted.wants(scopes)
+            for scopes in _scopes_of_window(
+                [change for place in subject.places for change in changes.get(place, ())],
+                subject.scopes,
+                question.query,
+            )
+        )
+    ]
+
+
+def _scopes_of_window(
+    changes: list[tuple[int, Scopes]], present: Scopes, query: TemporalQuery
+) -> Iterator[Scopes]:
+    """Yield the scopes at the start of the window, and after each change within it.
+
+    History knows of no change where all that is kept is younger than the scopes: they were `present` then.
+    """
+    current: Scopes = () if changes else present
+    changes.sort(key=itemgetter(0))
+    for at, scopes in changes:
+        if query.end is not None and at >= query.end:
+            break
+        if query.start is not None and at <= query.start:
+            current = scopes
+        else:
+            yield scopes
+    yield current
 
 
 def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
@@ -198,7 +254,7 @@ def _read(archive: Archive, run: Sequence[Subject], question: Question) -> Itera
         if edge is not None and query.is_later(edge, seq, observed_from):
             continue  # an answer ends at the same time for all attributes
         for name, position, instance in Change.restored(body).instances(seq):
-            at = query.time_of(instance)
+            at = query.time_of(instance, is_scope=name == SCOPE)
             # Of an attribute of a current entity it is the end that is told: its past stays (clause 4.22).
             if evolution.subject.is_hearsay and has_expired(instance.get("expiresAt"), now_s):
                 continue

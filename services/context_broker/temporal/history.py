@@ -57,6 +57,11 @@ class Change:
         """Return the change that `stored` had been."""
         return cls(*orjson.loads(stored))
 
+    @staticmethod
+    def may_set_scopes(stored: bytes) -> bool:
+        """Say quickly whether `stored` may set scopes: those after a change are last, others have a name."""
+        return stored.endswith(b"]]") or b'"scope":' in stored
+
     def is_empty(self) -> bool:
         """Say whether nothing is left of it."""
         lists: Iterable[list[Any]] = (*self.attributes.values(), *self.deleted.values())
@@ -306,5 +311,5 @@ def _scope_instance(scopes: list[str], at: str) -> Instance:
     return {
         "type": "Property",
         "value": value,
-        **dict.fromkeys(("createdAt", "modifiedAt", "observedAt"), at),
+        **dict.fromkeys(("createdAt", "modifiedAt"), at),
     }

@@ -143,14 +143,15 @@ class TemporalOperations:
             raise bad_request_data(
                 "q follows a link to another entity, whose past is not looked at; leave it out"
             )
-        narrowing = replace(selection, attributes=None, query=None, places=None)
+        narrowing = replace(selection, attributes=None, query=None, places=None, scopes=None)
         by_values = selection.query is not None or selection.places is not None
         question = Question(
             wish.query,
             wish.view.wants,
             selection.attributes,
             wish.view.view.datasets,
-            selection.wants if by_values else None,
+            replace(selection, scopes=None).wants if by_values else None,
+            selection.scopes,
         )
         live = exchange.tenant.store.candidates(selection.ids, selection.types)
         name = exchange.tenant.name

@@ -49,13 +49,12 @@ _OPTIONS: Final = frozenset({*_TELLINGS, "sysAttrs", "count"})
 class TemporalQuery:
     """The time that is asked for. Times are in microseconds since 1970.
 
-    From `start` on, or later than it if `after`; before `end`. `time_property` is None where the asker wants
-    all there is and named none: each instance then counts with its observedAt, or its modifiedAt if it was
-    never said when it was observed.
+    From `start` on, before `end`. `time_property` is None where the asker wants all there is and named none:
+    each instance then counts with its observedAt, or with its modifiedAt if it has no observedAt.
 
-    Where the standard leaves it open: `between` holds its start and not its end, so that windows side by side
-    hold everything once; what was deleted is told of by deletedAt alone; the `last` instances, too, are told
-    oldest first, as all others are.
+    `after` and `between` include their start (clause 4.11 as of 1.9.1; up to 1.8.1 `after` excluded it).
+    Where the standard leaves it open: `between` excludes its end, so that windows side by side hold
+    everything once; deletions count by deletedAt alone; the `last` instances, too, come oldest first.
     """
 
     relation: str | None = None
@@ -65,8 +64,11 @@ class TemporalQuery:
     last: int | None = None
     aggregation: Aggregation | None = None
 
-    def time_of(self, instance: Instance) -> int | None:
-        """Return the time of an instance that counts, None if it is outside of the time asked for."""
+    def time_of(self, instance: Instance, *, is_scope: bool = False) -> int | None:
+        """Return the time of an instance that counts, None if it is outside of the time asked for.
+
+        Scopes are not observed (clause 4.18): where observedAt counts, their modifiedAt does.
+        """
         name = self.time_property
         if name is None:
             if "deletedAt" in instance and OBSERVED not in instance:
@@ -74,6 +76,8 @@ class TemporalQuery:
             text = instance.get(OBSERVED) or instance.get("modifiedAt")
         else:
             text = instance.get(name)
+            if text is None and is_scope and name == OBSERVED:
+                text = instance.get("modifiedAt")
         if text is None:
             return None
         try:
@@ -83,7 +87,7 @@ class TemporalQuery:
             if at_s is None:
                 return None
             at = round(at_s * MICROS)
-        if self.start is not None and (at < self.start or (at == self.start and self.relation == "after")):
+        if self.start is not None and at < self.start:
             return None
         return None if self.end is not None and at >= self.end else at
 

@@ -47,6 +47,11 @@ def told(evolution: Evolution, query: TemporalQuery, view: TemporalView, terms: 
             continue
         if view.telling in {Telling.NORMALIZED, Telling.CONCISE}:
             result[key] = [_instance(point, query, view, terms) for series in many for point in series.points]
+            if name == SCOPE:  # not observed (clause 4.18), so that nothing else tells when it was so
+                points = (point for series in many for point in series.points)
+                for shown, point in zip(result[key], points, strict=True):
+                    if "observedAt" not in shown and "modifiedAt" in point[-1]:
+                        shown["modifiedAt"] = point[-1]["modifiedAt"]
         else:
             pairs = [_pairs(series, query, view, terms) for series in many]
             result[key] = pairs[0] if len(pairs) == 1 else pairs
@@ -87,8 +92,9 @@ def _pairs(series: Series, query: TemporalQuery, view: TemporalView, terms: Term
 def content_range(found: Found, query: TemporalQuery) -> bytes | None:
     """Return the Content-Range of an answer that holds less than was asked for, None for one that holds all.
 
-    Clause 6.3.10: from where to where it tells, backwards if the last instances were asked for, so that who
-    asks on begins at its end.
+    Clause 6.3.10: from where to where it tells, backwards if the last instances were asked for. The next
+    request begins at its end. Since a window includes its start, instances of that instant come again, which
+    their instanceIds tell.
     """
     if found.edge is None:
         return None
@@ -100,6 +106,6 @@ def content_range(found: Found, query: TemporalQuery) -> bytes | None:
         start = query.end if query.end is not None else max(times, default=found.edge)
         size = str(query.last)
     end = found.edge
-    if query.aggregation is not None and query.relation != "between":
-        end -= 1  # where a period begins that is left out: who asks for what is after this gets all of it
+    if query.aggregation is None and end == start and query.last is None:
+        end += 1  # all of this instant was told: the next request must not begin with it again
     return f"date-time {written_time(start)}-{written_time(end)}/{size}".encode()

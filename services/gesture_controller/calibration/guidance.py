@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from handover.errors import Problem
+from handover.messages import message, text_of
 from handover.telemetry import get_logger
 from services.gesture_controller.calibration.doubts import Doubt, doubts_about, lasting_doubts
 from services.gesture_controller.calibration.fitting import OFFERED, SAMPLES, calibration_from, learnt_from
@@ -85,10 +86,24 @@ class Guidance:
         One that is on its way begins anew.
         """
         if not glove.connected:
-            raise Problem(409, "Glove away", f"{glove.name} is not connected; put it on and switch it on")
+            raise Problem(
+                409,
+                "Glove away",
+                message(
+                    "calibration.glove_away",
+                    "{glove} is not connected; put it on and switch it on",
+                    glove=glove.name,
+                ),
+            )
         if glove.examination is not None:
             raise Problem(
-                409, "Test on its way", f"an accuracy test is on its way with {glove.name}; stop it first"
+                409,
+                "Test on its way",
+                message(
+                    "calibration.test_running",
+                    "an accuracy test is on its way with {glove}; stop it first",
+                    glove=glove.name,
+                ),
             )
         code = None
         if gesture is not None:
@@ -126,7 +141,15 @@ class Guidance:
             thresholds = M2O2P_THRESHOLDS.with_changes(offered.get("thresholds", {}))
             calibration = calibration_from(offered, thresholds)
         if calibration is None:
-            raise Problem(409, "Nothing offered", f"no calibration of {glove.name} waits to be accepted")
+            raise Problem(
+                409,
+                "Nothing offered",
+                message(
+                    "calibration.nothing_offered",
+                    "no calibration of {glove} waits to be accepted",
+                    glove=glove.name,
+                ),
+            )
         await self._gloves.keep_calibration(glove, calibration)
 
     async def sample(self, glove: Glove, gesture: str, frames: Sequence[Sequence[float]]) -> Calibration:
@@ -135,7 +158,7 @@ class Guidance:
         try:
             sampled = with_sample(calibration, sample_of(code, frames, calibration.levels))
         except CalibrationFailed as error:
-            raise Problem(422, "Sample failed", str(error)) from None
+            raise Problem(422, "Sample failed", text_of(error)) from None
         await self._keep_samples(glove, sampled)
         return sampled
 
@@ -144,7 +167,16 @@ class Guidance:
         code, calibration = self._code_of(glove, gesture), self._calibration_of(glove)
         others = tuple(sample for sample in calibration.samples if sample.code != code)
         if len(others) == len(calibration.samples):
-            raise Problem(404, "No sample", f'there is no sample of "{gesture}" for {glove.name}')
+            raise Problem(
+                404,
+                "No sample",
+                message(
+                    "calibration.no_sample",
+                    'there is no sample of "{gesture}" for {glove}',
+                    gesture=gesture,
+                    glove=glove.name,
+                ),
+            )
         await self._keep_samples(glove, replace(calibration, samples=others))
 
     async def choose(self, glove: Glove, recognizer: str) -> None:
@@ -152,7 +184,7 @@ class Guidance:
         try:
             maker_of(recognizer)
         except UnknownRecognizer as error:
-            raise Problem(422, "Unknown recognizer", str(error)) from None
+            raise Problem(422, "Unknown recognizer", text_of(error)) from None
         await self._gloves.keep_fit(glove, replace(self._gloves.fit_of(glove), recognizer=recognizer))
         self._gloves.fit_again(glove)
 
@@ -228,9 +260,19 @@ class Guidance:
     async def _outcome(self, guided: Guided) -> dict[str, Any]:
         glove, guide = guided.glove, guided.guide
         if guide.phase is Phase.GIVEN_UP:
-            raise Problem(409, "Given up", "the hand was never still; begin again when you are ready")
+            raise Problem(
+                409,
+                "Given up",
+                message(
+                    "calibration.hand_not_still", "the hand was never still; begin again when you are ready"
+                ),
+            )
         if glove.person != guided.person:
-            raise Problem(409, "Somebody else", "somebody else wears the glove by now; begin again")
+            raise Problem(
+                409,
+                "Somebody else",
+                message("calibration.wearer_changed", "somebody else wears the glove by now; begin again"),
+            )
         if guided.gesture is not None:
             await self.sample(glove, guided.gesture, guide.captured[0])
             return {"applied": True, "problem": None, "doubts": []}
@@ -261,7 +303,14 @@ class Guidance:
         code = gestures.codes.get(name or "")
         if code is None:
             raise Problem(
-                422, "Unknown gesture", f'there is no gesture "{gesture}"; {gestures.like(gesture)}'
+                422,
+                "Unknown gesture",
+                message(
+                    "calibration.unknown_gesture",
+                    'there is no gesture "{gesture}"; {hint}',
+                    gesture=gesture,
+                    hint=gestures.like(gesture),
+                ),
             )
         return code
 
@@ -271,8 +320,12 @@ class Guidance:
             raise Problem(
                 409,
                 "Not calibrated",
-                f"{glove.name} knows no fist and open hand of {glove.person or 'who wears it'} yet; "
-                "calibrate it with them first",
+                message(
+                    "calibration.not_calibrated",
+                    "{glove} knows no fist and open hand of {person} yet; calibrate it with them first",
+                    glove=glove.name,
+                    person=glove.person or "who wears it",
+                ),
             )
         return calibration
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from handover.messages import message
 from services.gesture_controller.thresholds import FINGERS, Threshold, Thresholds
 
 BENT_BELOW = (0.45, 0.55, 0.55, 0.55, 0.50)
@@ -84,18 +85,29 @@ def calibrate(fist: Sequence[Sequence[float]], open_hand: Sequence[Sequence[floa
     for what, frames in (("fist", fist), ("open hand", open_hand)):
         if len(frames) < LEAST_FRAMES:
             raise CalibrationFailed(
-                f"{len(frames)} frames of the {what} are too few; hold it until there are "
-                f"{LEAST_FRAMES} or more"
+                message(
+                    "calibration.too_few_frames",
+                    "{frames} frames of the {what} are too few; hold it until there are {least} or more",
+                    frames=len(frames),
+                    what=what,
+                    least=LEAST_FRAMES,
+                )
             )
         if any(len(frame) != len(FINGERS) for frame in frames):
-            raise CalibrationFailed(f"a frame of the {what} has not five values, one a finger, thumb first")
+            raise CalibrationFailed(
+                message(
+                    "calibration.frame_incomplete",
+                    "a frame of the {what} has not five values, one a finger, thumb first",
+                    what=what,
+                )
+            )
     made = [
         _finger(finger, [frame[place] for frame in fist], [frame[place] for frame in open_hand])
         for place, finger in enumerate(FINGERS)
     ]
     doubts = list(_doubts(made))
     if doubts:
-        raise CalibrationFailed("; ".join(doubts))
+        raise CalibrationFailed(doubts[0] if len(doubts) == 1 else "; ".join(doubts))
     return Calibration(Thresholds(tuple(one.threshold for one in made)), tuple(one.levels for one in made))
 
 
@@ -130,19 +142,36 @@ def _noise(values: Sequence[float]) -> float:
 def _doubts(made: Sequence[_Finger]) -> Iterator[str]:
     for finger in made:
         levels = finger.levels
-        seen = f"{levels.fist:g} in the fist, {levels.open:g} in the open hand, noise {levels.noise:g}"
+        fist, opened, noise = f"{levels.fist:g}", f"{levels.open:g}", f"{levels.noise:g}"
         if levels.span <= 0:
-            yield (
-                f"{finger.name}: the sensor does not rise when the hand opens ({seen}); check that fist and "
-                f"open hand are not exchanged and that the sensor lies along the finger, then calibrate again"
+            yield message(
+                "calibration.sensor_does_not_rise",
+                "{finger}: the sensor does not rise when the hand opens ({fist} in the fist, {open} in the "
+                "open hand, noise {noise}); check that fist and open hand are not exchanged and that the "
+                "sensor lies along the finger, then calibrate again",
+                finger=finger.name,
+                fist=fist,
+                open=opened,
+                noise=noise,
             )
         elif finger.bent_share < READ_RIGHT:
-            yield (
-                f"{finger.name}: cannot be told bent from straight in the fist ({seen}); bend the "
-                f"{finger.name} fully, keep it still, and calibrate again"
+            yield message(
+                "calibration.fist_unclear",
+                "{finger}: cannot be told bent from straight in the fist ({fist} in the fist, {open} in the "
+                "open hand, noise {noise}); bend the {finger} fully, keep it still, and calibrate again",
+                finger=finger.name,
+                fist=fist,
+                open=opened,
+                noise=noise,
             )
         elif finger.straight_share < READ_RIGHT:
-            yield (
-                f"{finger.name}: cannot be told straight from bent in the open hand ({seen}); stretch the "
-                f"{finger.name} fully, keep it still, and calibrate again"
+            yield message(
+                "calibration.open_hand_unclear",
+                "{finger}: cannot be told straight from bent in the open hand ({fist} in the fist, {open} in "
+                "the open hand, noise {noise}); stretch the {finger} fully, keep it still, and calibrate "
+                "again",
+                finger=finger.name,
+                fist=fist,
+                open=opened,
+                noise=noise,
             )

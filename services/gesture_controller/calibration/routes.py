@@ -5,10 +5,23 @@ from typing import Annotated, Any
 from fastapi import FastAPI
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
+from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.messages import message
 from services.gesture_controller.calibration.guidance import Guidance
 from services.gesture_controller.gloves import Gloves
 from services.gesture_controller.recognition.registry import recognizers
+
+MAX_CALIBRATION_FRAMES = 4_000
+"""Of one hand shape: 20 s at 200 Hz."""
+MAX_VALUES_A_FRAME = 16
+"""More than the five that count: what is wrong with a frame is said when it is read."""
+MAX_FRAMES_BYTES = 512 * 1024
+
+Frames = Annotated[
+    list[Annotated[list[FiniteFloat], Field(max_length=MAX_VALUES_A_FRAME, fail_fast=True)]],
+    Field(max_length=MAX_CALIBRATION_FRAMES, fail_fast=True),
+]
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -29,7 +42,7 @@ class NewSample(_Body):
     """Frames of a gesture (its name or code), five raw values each, thumb first."""
 
     gesture: Name
-    frames: Annotated[list[list[FiniteFloat]], Field(max_length=20_000)]
+    frames: Frames
 
 
 class Choice(_Body):
@@ -58,7 +71,15 @@ def add_calibration(app: FastAPI, guidance: Guidance, gloves: Gloves) -> None:
         known = gloves.named(glove)
         seen, reader = known.sight.recognition, known.senses.reader
         if seen is None:
-            raise Problem(409, "Nothing seen", f"{glove} has sent no frame yet; put it on and switch it on")
+            raise Problem(
+                409,
+                "Nothing seen",
+                message(
+                    "calibration.nothing_seen",
+                    "{glove} has sent no frame yet; put it on and switch it on",
+                    glove=glove,
+                ),
+            )
         return {
             "recognizer": known.senses.recognizer,
             "missing": known.senses.missing,
@@ -102,6 +123,7 @@ def add_calibration(app: FastAPI, guidance: Guidance, gloves: Gloves) -> None:
         return guidance.summary(gloves.named(glove))
 
     @app.post("/gloves/{glove}/samples", status_code=201, tags=["calibration"])
+    @max_body(MAX_FRAMES_BYTES)
     async def sample(glove: str, new: NewSample) -> dict[str, Any]:
         """Take frames for a sample of a gesture, in place of an older one."""
         await guidance.sample(gloves.named(glove), new.gesture, new.frames)

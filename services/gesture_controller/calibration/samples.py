@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from statistics import median
 
+from handover.messages import message
 from services.gesture_controller.calibration.levels import (
     LEAST_FRAMES,
     Calibration,
@@ -26,10 +27,20 @@ def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[Fin
     """
     if len(frames) < LEAST_FRAMES:
         raise CalibrationFailed(
-            f"{len(frames)} frames of the gesture are too few; hold it until there are {LEAST_FRAMES} or more"
+            message(
+                "calibration.too_few_gesture_frames",
+                "{frames} frames of the gesture are too few; hold it until there are {least} or more",
+                frames=len(frames),
+                least=LEAST_FRAMES,
+            )
         )
     if any(len(frame) != len(FINGERS) for frame in frames):
-        raise CalibrationFailed("a frame of the gesture has not five values, one a finger, thumb first")
+        raise CalibrationFailed(
+            message(
+                "calibration.gesture_frame_incomplete",
+                "a frame of the gesture has not five values, one a finger, thumb first",
+            )
+        )
     shares, noise = [], []
     for place, (finger, level) in enumerate(zip(FINGERS, levels, strict=True)):
         stands = [(frame[place] - level.fist) / level.span for frame in frames]
@@ -37,8 +48,12 @@ def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[Fin
         unrest = _MAD_TO_SIGMA * median(abs(stand - usual) for stand in stands)
         if unrest > RESTLESS:
             raise CalibrationFailed(
-                f"{finger}: moved while the gesture was shown; keep the {finger} still for a second, and "
-                "show it again"
+                message(
+                    "calibration.finger_moved",
+                    "{finger}: moved while the gesture was shown; keep the {finger} still for a "
+                    "second, and show it again",
+                    finger=finger,
+                )
             )
         shares.append(round(usual, 4))
         noise.append(round(unrest, 4))

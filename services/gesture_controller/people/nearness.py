@@ -10,7 +10,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from handover.messages import message
 from services.gesture_controller.finger_states import STRAIGHT
+from services.gesture_controller.gestures import RESTING
 from services.gesture_controller.people.person import Sample
 from services.gesture_controller.thresholds import FINGERS, Thresholds
 
@@ -18,8 +20,6 @@ SURE_SIGMAS = 4.0
 """A recorded gesture less than so many times the noise away from another is too near."""
 LEAST_NOISE = 0.5
 """Raw units: a sensor that reads whole numbers is never surer than that."""
-RESTING = {"00000": "the open hand", "22222": "the fist"}
-"""Shapes in which a hand rests or carries: they would be made without being meant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,22 +76,49 @@ def too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) 
     """Return why a gesture with `code` cannot be; None if it can. `doubtful` are fingers."""
     if code in RESTING:
         return Doubted(
-            f"{RESTING[code]} is how a hand rests or carries and would be shown unmeant; take another, or "
-            "use it as a part of a gesture of both hands or of a sequence",
+            message(
+                "gesture.resting",
+                "{shape} is how a hand rests or carries and would be shown unmeant; take another, or use it "
+                "as a part of a gesture of both hands or of a sequence",
+                shape=RESTING[code],
+            )
         )
     for one in near:
         if one.distance == 0:
-            return Doubted(f'it is "{one.name}" (code {code}, {one}); use that one, or take another', one)
+            return Doubted(
+                message(
+                    "gesture.the_same",
+                    'it is "{other}" (code {code}, {distance}); use that one, or take another',
+                    other=one.name,
+                    code=code,
+                    distance=str(one),
+                ),
+                one,
+            )
         if one.distance == 1 and one.fingers[0] in doubtful:
             return Doubted(
-                f'it is too near "{one.name}" (code {one.code}, {one}): the sensor of the {one.fingers[0]} '
-                "hardly tells bent from straight; calibrate it, or take a gesture that differs elsewhere too",
+                message(
+                    "gesture.near_by_a_doubtful_finger",
+                    'it is too near "{other}" (code {code}, {distance}): the sensor of the {finger} hardly '
+                    "tells bent from straight; calibrate it, or take a gesture that differs elsewhere too",
+                    other=one.name,
+                    code=one.code,
+                    distance=str(one),
+                    finger=one.fingers[0],
+                ),
                 one,
             )
         if one.sigmas is not None and one.sigmas < SURE_SIGMAS:
             return Doubted(
-                f'it is too near "{one.name}" (code {one.code}, {one}; {SURE_SIGMAS:g} are needed); record '
-                "it again with the fingers fully bent or stretched, or calibrate the glove",
+                message(
+                    "gesture.near_by_noise",
+                    'it is too near "{other}" (code {code}, {distance}; {needed} are needed); record it '
+                    "again with the fingers fully bent or stretched, or calibrate the glove",
+                    other=one.name,
+                    code=one.code,
+                    distance=str(one),
+                    needed=f"{SURE_SIGMAS:g}",
+                ),
                 one,
             )
     return None

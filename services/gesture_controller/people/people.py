@@ -8,13 +8,14 @@ from typing import Any, TypeVar
 from sqlalchemy.exc import SQLAlchemyError
 
 from handover.errors import Problem
+from handover.messages import message, text_of
 from handover.telemetry import get_logger
 from services.gesture_controller.configuration import Configuration
 from services.gesture_controller.frames import is_glove_name
 from services.gesture_controller.gestures import Commands, Gestures, WrongGesture, is_code
 from services.gesture_controller.people.nearness import Neighbour, neighbours, too_near
 from services.gesture_controller.people.person import (
-    PERSON_RULE,
+    MAX_OWN_GESTURES,
     OwnGesture,
     Person,
     WrongCommand,
@@ -30,8 +31,6 @@ log = get_logger(__name__)
 T = TypeVar("T")
 
 LONGEST_NAME = 100
-MOST_GESTURES = 100
-"""Gestures of a person's own at most: none can be told apart from so many, and screens list them all."""
 
 
 class People:
@@ -65,8 +64,12 @@ class People:
         raise Problem(
             404,
             "Unknown person",
-            f'there is nobody called "{name}"; known: {", ".join(known) or "nobody yet"}. '
-            f"Add them with PUT /people/{name}",
+            message(
+                "people.unknown_person",
+                'there is nobody called "{name}"; known: {known}. Add them with PUT /people/{name}',
+                name=name,
+                known=", ".join(known) or "nobody yet",
+            ),
         )
 
     def gestures_of(self, name: str | None) -> Gestures:
@@ -113,7 +116,16 @@ class People:
         async with self.changing:
             person = self.named(name)
             if command not in person.commands:
-                raise Problem(404, "Not their own", f"{name} gives the command {command} as the site has it")
+                raise Problem(
+                    404,
+                    "Not their own",
+                    message(
+                        "people.command_of_site",
+                        "{name} gives the command {command} as the site has it",
+                        name=name,
+                        command=command,
+                    ),
+                )
             left = {one: gesture for one, gesture in person.commands.items() if one != command}
             await self._give_commands(person, left)
 
@@ -146,11 +158,16 @@ class People:
         others = replace(
             person, gestures={key: one for key, one in person.gestures.items() if key != gesture}
         )
-        if len(others.gestures) >= MOST_GESTURES:
+        if len(others.gestures) >= MAX_OWN_GESTURES:
             raise Problem(
                 409,
                 "Too many gestures",
-                f"{name} has {MOST_GESTURES} gestures of their own; delete one first",
+                message(
+                    "people.too_many_gestures",
+                    "{name} has {limit} gestures of their own; delete one first",
+                    name=name,
+                    limit=MAX_OWN_GESTURES,
+                ),
             )
         known, _, _ = what_works(others, self.site.gestures, self._base_commands(name))
         nearest = None
@@ -166,15 +183,25 @@ class People:
             doubted = too_near(own.shape.code, near, doubtful)
             if doubted is not None:
                 extra = {"nearest": neighbour_view(doubted.other)} if doubted.other else None
-                raise Problem(409, "Too near", f'"{gesture}" cannot be kept: {doubted.why}', extra=extra)
+                raise Problem(
+                    409,
+                    "Too near",
+                    message(
+                        "people.too_near",
+                        '"{gesture}" cannot be kept: {why}',
+                        gesture=gesture,
+                        why=doubted.why,
+                    ),
+                    extra=extra,
+                )
         changed = replace(others, gestures={**others.gestures, gesture: own})
         try:
             gestures = gestures_of(changed, self.site.gestures)
             commands_of(changed, self._base_commands(name), gestures)
         except WrongGesture as error:
-            raise Problem(422, "Wrong gesture", str(error)) from None
+            raise Problem(422, "Wrong gesture", text_of(error)) from None
         except WrongCommand as error:
-            raise Problem(409, "In use", str(error)) from None
+            raise Problem(409, "In use", text_of(error)) from None
         await self._keep(changed)
         return gesture not in person.gestures, nearest
 
@@ -191,7 +218,15 @@ class People:
         if gesture not in person.gestures:
             own = ", ".join(person.gestures) or "none"
             raise Problem(
-                404, "Not their own", f'"{gesture}" is no gesture of {name}\'s own; those are: {own}'
+                404,
+                "Not their own",
+                message(
+                    "people.not_their_own",
+                    '"{gesture}" is no gesture of {name}\'s own; those are: {own}',
+                    gesture=gesture,
+                    name=name,
+                    own=own,
+                ),
             )
         left = {key: one for key, one in person.gestures.items() if key != gesture}
         freed = [command for command, shown in person.commands.items() if shown == gesture]
@@ -201,7 +236,14 @@ class People:
             commands_of(changed, self._base_commands(name), gestures_of(changed, self.site.gestures))
         except (WrongGesture, WrongCommand) as error:
             raise Problem(
-                409, "In use", f'"{gesture}" cannot be deleted: {error}; change or delete that first'
+                409,
+                "In use",
+                message(
+                    "people.in_use",
+                    '"{gesture}" cannot be deleted: {error}; change or delete that first',
+                    gesture=gesture,
+                    error=text_of(error),
+                ),
             ) from None
         await self._keep(changed)
         return freed
@@ -221,7 +263,7 @@ class People:
         try:
             commands_of(changed, self._base_commands(person.name), gestures)
         except WrongCommand as error:
-            raise Problem(422, "Wrong command", str(error)) from None
+            raise Problem(422, "Wrong command", text_of(error)) from None
         await self._keep(changed)
 
     async def _keep(self, person: Person) -> None:
@@ -255,7 +297,16 @@ def neighbour_view(neighbour: Neighbour | None) -> dict[str, Any] | None:
 def require_person_name(name: str) -> None:
     """Raise `Problem` 422 if a person cannot be called `name`: it becomes part of entity ids and URLs."""
     if not is_glove_name(name):
-        raise Problem(422, "Wrong name", f'a person cannot be called "{name[:LONGEST_NAME]}"; {PERSON_RULE}')
+        raise Problem(
+            422,
+            "Wrong name",
+            message(
+                "people.wrong_name",
+                'a person cannot be called "{name}"; a name is 1 to 64 letters, digits, ".", "_" or "-"; '
+                "what people call them is the title",
+                name=name[:LONGEST_NAME],
+            ),
+        )
 
 
 def _require_gesture_name(name: str) -> None:
@@ -263,8 +314,13 @@ def _require_gesture_name(name: str) -> None:
         raise Problem(
             422,
             "Wrong name",
-            f'a gesture cannot be called "{name[:LONGEST_NAME]}"; give it 1 to {LONGEST_NAME} characters '
-            "that can be read, without a slash, and no bare code",
+            message(
+                "people.wrong_gesture_name",
+                'a gesture cannot be called "{name}"; give it 1 to {limit} characters '
+                "that can be read, without a slash, and no bare code",
+                name=name[:LONGEST_NAME],
+                limit=LONGEST_NAME,
+            ),
         )
 
 
@@ -276,5 +332,11 @@ async def on_disk(action: Callable[[], T]) -> T:
         log.exception("the database cannot be written")
         reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
         raise Problem(
-            503, "Database away", f"nothing was changed: the database cannot be written ({reason}); try again"
+            503,
+            "Database away",
+            message(
+                "people.database_away",
+                "nothing was changed: the database cannot be written ({reason}); try again",
+                reason=reason,
+            ),
         ) from None

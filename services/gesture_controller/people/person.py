@@ -6,6 +6,8 @@ from typing import Any
 
 from services.gesture_controller.gestures import Commands, Gestures, Shape, WrongGesture
 
+MAX_OWN_GESTURES = 100
+"""Nobody tells so many apart, and screens list them all."""
 PERSON_RULE = 'a name is 1 to 64 letters, digits, ".", "_" or "-"; what people call them is the title'
 
 

@@ -18,14 +18,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import orjson
 import yaml
+from yaml.constructor import SafeConstructor
 
+from services.gesture_controller.calibration.fitting import SAMPLES
 from services.gesture_controller.configuration import Configuration, Reader
 from services.gesture_controller.frames import is_glove_name
 from services.gesture_controller.gestures import Gestures, WrongGesture
 from services.gesture_controller.glove_store import Fit
 from services.gesture_controller.lined_yaml import Entry, WrongFile, is_empty, line_of
 from services.gesture_controller.people.person import (
+    MAX_OWN_GESTURES,
     PERSON_RULE,
     OwnGesture,
     Person,
@@ -35,6 +39,8 @@ from services.gesture_controller.people.person import (
 )
 from services.gesture_controller.thresholds import FINGERS
 
+MAX_VALUES = 20_000
+MAX_SAMPLES = 3 ** len(FINGERS)
 SECTIONS = ("person", "title", "commands", "gestures", "gloves")
 
 
@@ -76,6 +82,7 @@ def read(text: str, site: Configuration, name: str = "profile.yaml", person: str
 
 class _ProfileReader(Reader):
     mistake = WrongProfile
+    max_values = MAX_VALUES
 
     def profile(self, root: yaml.Node | None, site: Configuration, whose: str | None) -> Profile:
         if root is None:
@@ -115,6 +122,8 @@ class _ProfileReader(Reader):
     def _own_gestures(self, section: Entry | None, known: Gestures) -> tuple[Gestures, dict[str, OwnGesture]]:
         """Return all gestures, those `known` included, and the person's own."""
         entries = self.entries(section.value, "gestures") if section else []
+        if section is not None and len(entries) > MAX_OWN_GESTURES:
+            raise self.wrong(section.line, f"a person has {MAX_OWN_GESTURES} gestures of their own at most")
         gestures = {entry.key: self._gesture(entry) for entry in entries}
         for entry in sorted(entries, key=lambda one: gestures[one.key].shape.code is None):
             try:
@@ -173,9 +182,14 @@ class _ProfileReader(Reader):
     def _learnt(self, entry: Entry) -> dict[str, Any]:
         self.entries(entry.value, "learnt")
         try:
-            learnt = yaml.safe_load(yaml.serialize(entry.value))
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
+            learnt = SafeConstructor().construct_document(entry.value)
+            orjson.dumps(learnt)
+        except (yaml.YAMLError, ValueError, TypeError) as error:
             raise self.wrong(entry.line, f"what was learnt cannot be read: {error}") from None
+        if len(learnt.get(SAMPLES) or ()) > MAX_SAMPLES:
+            raise self.wrong(
+                entry.line, f"{MAX_SAMPLES} samples are allowed, one for each way to hold a hand"
+            )
         return {str(topic): taught for topic, taught in learnt.items()}
 
 

@@ -5,10 +5,15 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Annotated, Any, Self
 
+import orjson
 from fastapi import FastAPI, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from handover.body_limit import max_body
 from handover.errors import Problem
+from handover.messages import message, text_of
+from handover.offload import Offload, OffloadFailed
+from handover.service import YAML_TYPES, accepts
 from services.gesture_controller.calibration.doubts import lasting_doubts
 from services.gesture_controller.gestures import Shape, listed
 from services.gesture_controller.glove import Glove
@@ -24,7 +29,10 @@ from services.gesture_controller.people.sample import UnclearSample, read_sample
 YAML = "application/yaml"
 LONGEST_PROFILE = 1_000_000
 """Bytes of a profile at most."""
+MAX_READ_IN_PLACE = 4_096
+"""A longer profile is read and written by a process of its own: it could hold up every glove."""
 MOST_FRAMES = 2_000
+MAX_RECORDING_BYTES = 256 * 1024
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 GestureName = Annotated[str, Field(min_length=1, max_length=100)]
@@ -68,7 +76,7 @@ class Recording(_Body):
     frames: (
         Annotated[
             list[Annotated[list[FiniteFloat], Field(min_length=5, max_length=5)]],
-            Field(max_length=MOST_FRAMES),
+            Field(max_length=MOST_FRAMES, fail_fast=True),
         ]
         | None
     ) = None
@@ -107,6 +115,9 @@ def add_people(app: FastAPI, people: People, gloves: Gloves) -> None:
         worn = gloves.named(glove)
         if wearer.person is not None:
             people.named(wearer.person)
+        if wearer.person != worn.person:
+            gloves.require_free(glove=worn.name, person=worn.person)
+            gloves.require_free(person=wearer.person)
         await gloves.wear(worn, wearer.person)
         return {"glove": worn.name, "hand": worn.hand, "person": worn.person}
 
@@ -134,6 +145,7 @@ def _add_persons(app: FastAPI, people: People, gloves: Gloves) -> None:
     async def remove(person: str) -> Response:
         """Forget what is a person's own, how gloves fit them included; gloves they wear are nobody's."""
         people.named(person)
+        gloves.require_free(person=person)
         for glove in gloves.worn_by(person):
             await gloves.wear(glove, None)
         await people.remove(person)
@@ -145,30 +157,35 @@ def _add_commands(app: FastAPI, people: People, gloves: Gloves) -> None:
     @app.put("/people/{person}/commands", tags=["people"])
     async def commands(person: str, given: Mapping[CommandId, GestureName | None]) -> dict[str, Any]:
         """Set all commands that a person gives otherwise than the site: `{"3": "Horns", "8": null}`."""
+        gloves.require_free(person=person)
         await people.give_commands(person, given, whole=True)
         return _view(person, people, gloves)
 
     @app.patch("/people/{person}/commands", tags=["people"])
     async def some_commands(person: str, given: Mapping[CommandId, GestureName | None]) -> dict[str, Any]:
         """Set some of them; the others stay. Two gestures are exchanged by giving both commands at once."""
+        gloves.require_free(person=person)
         await people.give_commands(person, given, whole=False)
         return _view(person, people, gloves)
 
     @app.put("/people/{person}/commands/{command}", tags=["people"])
     async def command(person: str, command: CommandId, given: CommandGesture) -> dict[str, Any]:
         """Set the gesture that a person likes for one command."""
+        gloves.require_free(person=person)
         await people.give_commands(person, {command: given.gesture}, whole=False)
         return _view(person, people, gloves)
 
     @app.delete("/people/{person}/commands/{command}", tags=["people"])
     async def take_back(person: str, command: CommandId) -> dict[str, Any]:
         """Give a command as the site has it again."""
+        gloves.require_free(person=person)
         await people.take_command_back(person, command)
         return _view(person, people, gloves)
 
 
 def _add_gestures(app: FastAPI, people: People, gloves: Gloves) -> None:
     @app.put("/people/{person}/gestures/{gesture}", tags=["people"])
+    @max_body(MAX_RECORDING_BYTES)
     async def define(person: str, gesture: str, given: Recording, response: Response) -> dict[str, Any]:
         """Define a gesture of a person's own: 201, or 200 in place of the one of that name.
 
@@ -176,6 +193,7 @@ def _add_gestures(app: FastAPI, people: People, gloves: Gloves) -> None:
         which a finger is neither bent nor straight, are refused with the finger's name.
         """
         people.named(person)
+        gloves.require_free(person=person)
         glove = None if given.glove is None else gloves.named(given.glove)
         own = await _own(given, glove)
         thresholds = glove.senses.thresholds if glove and own.sample else None
@@ -187,33 +205,56 @@ def _add_gestures(app: FastAPI, people: People, gloves: Gloves) -> None:
     @app.delete("/people/{person}/gestures/{gesture}", tags=["people"])
     async def drop(person: str, gesture: str) -> dict[str, Any]:
         """Delete a gesture of a person's own; commands shown with it are shown as the site has them again."""
+        gloves.require_free(person=person)
         freed = await people.drop_gesture(person, gesture)
         return {**_view(person, people, gloves), "givenAsBefore": freed}
 
 
 def _add_profiles(app: FastAPI, people: People, gloves: Gloves) -> None:
+    offload = Offload()
+
     @app.get("/people/{person}/profile.yaml", tags=["people"], response_class=Response)
     async def profile(person: str) -> Response:
         """Return all that is kept of a person as a file, to be imported here or at another site."""
         known = people.named(person)
-        text = profile_file.written(Profile(known, gloves.fits_of(known.name)))
+        kept = Profile(known, gloves.fits_of(known.name))
+        learnt = [fit.learnt for fit in kept.fits.values()]
+        if len(orjson.dumps(learnt)) + 200 * len(known.gestures) <= MAX_READ_IN_PLACE:
+            text = profile_file.written(kept)
+        else:
+            text = await offload.run(profile_file.written, kept)
         name = f'attachment; filename="{known.name}.yaml"'
         return Response(text, media_type=YAML, headers={"Content-Disposition": name})
 
     @app.put("/people/{person}/profile.yaml", tags=["people"])
+    @accepts(*YAML_TYPES)
+    @max_body(2 * LONGEST_PROFILE)
     async def take_in(person: str, request: Request) -> dict[str, Any]:
         """Import a profile, in place of all that was this person's own; all of it or nothing.
 
         422 names the line, the rule and the way out. The name in the address counts.
         """
         require_person_name(person)
+        gloves.require_free(person=person)
         body = bytearray()
         async for chunk in request.stream():
             body += chunk
             if len(body) > LONGEST_PROFILE:
-                raise Problem(413, "Too long", f"a profile has {LONGEST_PROFILE} bytes at most")
+                raise Problem(
+                    413,
+                    "Too long",
+                    message(
+                        "people.profile_too_long",
+                        "a profile has {limit} bytes at most",
+                        limit=LONGEST_PROFILE,
+                    ),
+                )
         with _said_plainly():
-            given = profile_file.read(body.decode("utf-8"), people.site, person=person)
+            text = body.decode("utf-8")
+            if len(body) <= MAX_READ_IN_PLACE:
+                given = profile_file.read(text, people.site, person=person)
+            else:
+                given = await offload.run(profile_file.read, text, people.site, person=person)
         await gloves.take_in(given.person, given.fits)
         return _view(person, people, gloves)
 
@@ -223,9 +264,23 @@ def _said_plainly() -> Iterator[None]:
     try:
         yield
     except UnicodeDecodeError:
-        raise Problem(422, "Wrong profile", "profile.yaml: not UTF-8 text; save it as UTF-8") from None
+        raise Problem(
+            422,
+            "Wrong profile",
+            message("people.profile_not_utf8", "profile.yaml: not UTF-8 text; save it as UTF-8"),
+        ) from None
     except WrongFile as error:
-        raise Problem(422, "Wrong profile", str(error)) from None
+        raise Problem(422, "Wrong profile", text_of(error)) from None
+    except OffloadFailed as error:
+        raise Problem(
+            422,
+            "Wrong profile",
+            message(
+                "people.profile_not_read",
+                "profile.yaml cannot be read ({error}); make it smaller",
+                error=text_of(error),
+            ),
+        ) from None
 
 
 async def _own(given: Recording, glove: Glove | None) -> OwnGesture:
@@ -239,7 +294,7 @@ async def _own(given: Recording, glove: Glove | None) -> OwnGesture:
     try:
         code, sample = read_sample(glove.name, frames, glove.senses.thresholds)
     except UnclearSample as error:
-        raise Problem(422, "Unclear gesture", str(error)) from None
+        raise Problem(422, "Unclear gesture", text_of(error)) from None
     return OwnGesture(Shape(code), sample)
 
 
@@ -263,7 +318,12 @@ async def _recorded(glove: Glove, for_ms: int) -> list[list[float]]:
         raise Problem(
             409,
             "Glove silent",
-            f"{glove.name} has sent nothing for {for_ms / 1000:g} s; put it on and switch it on first",
+            message(
+                "people.glove_silent",
+                "{glove} has sent nothing for {seconds} s; put it on and switch it on first",
+                glove=glove.name,
+                seconds=f"{for_ms / 1000:g}",
+            ),
         )
     return frames
 

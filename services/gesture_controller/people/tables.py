@@ -1,8 +1,8 @@
 """The tables of people and gloves in the database of the gesture controller."""
 
-from sqlalchemy import Boolean, Column, Integer, MetaData, String, Table, Text
+from sqlalchemy import Boolean, Column, Connection, Integer, MetaData, String, Table, Text
 
-VERSION = 1
+VERSION = 2
 
 tables = MetaData()
 gloves = Table(
@@ -24,6 +24,12 @@ fits = Table(
     Column("learnt", Text, nullable=False),
     Column("changed_at", String(40), nullable=False),
 )
+tokens = Table(
+    "controller_glove_tokens",
+    tables,
+    Column("glove", String(64), primary_key=True),
+    Column("sha256", String(64), nullable=False),
+)
 people = Table(
     "controller_people",
     tables,
@@ -44,3 +50,11 @@ gestures = Table(
     Column("name", String(200), primary_key=True),
     Column("shape", Text, nullable=False),
 )
+
+
+def _add_tokens(connection: Connection) -> None:
+    tokens.create(connection)
+
+
+STEPS = {1: _add_tokens}
+"""By version, what leads to the next one."""

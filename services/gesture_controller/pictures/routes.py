@@ -10,6 +10,7 @@ from urllib.parse import quote
 from fastapi import FastAPI, Header, Response
 
 from handover.errors import Problem
+from handover.messages import message
 from services.gesture_controller.gestures import Gestures, TwoHanded
 from services.gesture_controller.pictures.motion import Hand, Motion, Pose
 from services.gesture_controller.pictures.svg import svg_of
@@ -70,8 +71,13 @@ def _poses_of(name: str, gestures: Gestures, hand: Hand) -> tuple[str, tuple[Pos
         raise Problem(
             404,
             "Unknown gesture",
-            f'there is no gesture "{name}"; {gestures.like(name)}, or give five states, thumb first, '
-            "such as 02222 (0 straight, 1 between, 2 bent)",
+            message(
+                "gesture.unknown_gesture",
+                'there is no gesture "{name}"; {hint}, or give five states, thumb first, such as '
+                "02222 (0 straight, 1 between, 2 bent)",
+                name=name,
+                hint=gestures.like(name),
+            ),
         )
     parts = gestures.parts_of(known)
     if isinstance(gestures.composed.get(known), TwoHanded):

@@ -11,6 +11,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from handover.errors import UsageError
+from handover.messages import message, text_of
 from services.gesture_controller.recognition.recognizer import Maker
 
 GROUP = "handover.recognizers"
@@ -41,19 +42,37 @@ def maker_of(name: str) -> Maker:
     point = EntryPoint(name, where, GROUP) if where else _theirs().get(name)
     if point is None:
         raise UnknownRecognizer(
-            f'there is no recognizer "{name}"; there are {", ".join(recognizers())}. '
-            f"Another comes with a package that has an entry point in {GROUP}"
+            message(
+                "recognition.unknown",
+                'there is no recognizer "{name}"; there are {known}. Another comes with a '
+                "package that has an entry point in {group}",
+                name=name,
+                known=", ".join(recognizers()),
+                group=GROUP,
+            )
         )
     try:
         made: Maker = point.load()
     except Exception as error:  # a stranger's package may fail in any way when it is imported
         raise UnknownRecognizer(
-            f'the recognizer "{name}" ({point.value}) cannot be loaded: {type(error).__name__}: {error}; '
-            "mend or remove the package that brings it"
+            message(
+                "recognition.not_loadable",
+                'the recognizer "{name}" ({entry_point}) cannot be loaded: {kind}: {error}; mend or '
+                "remove the package that brings it",
+                name=name,
+                entry_point=point.value,
+                kind=type(error).__name__,
+                error=text_of(error),
+            )
         ) from error
     if not callable(made):
         raise UnknownRecognizer(
-            f'the recognizer "{name}" ({point.value}) cannot be called; name what makes it'
+            message(
+                "recognition.not_callable",
+                'the recognizer "{name}" ({entry_point}) cannot be called; name what makes it',
+                name=name,
+                entry_point=point.value,
+            )
         )
     return made
 

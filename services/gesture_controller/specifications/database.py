@@ -79,7 +79,7 @@ class SpecificationDatabase:
         try:
             if self._is_absent():
                 return State("absent", f"there is no specification database at {self.shown}")
-            engine = connect(self._url, setting=SETTING, answers_within_s=ANSWERS_WITHIN_S)
+            engine = connect(self._url, setting=SETTING, answers_within_s=ANSWERS_WITHIN_S, is_own=False)
         except UsageError as error:
             return State("away", str(error))
         except OSError as error:

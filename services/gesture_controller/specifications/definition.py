@@ -13,6 +13,8 @@ class Definition:
     description: str | None = None
     gesture: Any = None
     command_id: Any = None
+    handles_outcomes: Any = None
+    """Only the broker's TaskDefinition says it."""
 
     @property
     def asks(self) -> bool:
@@ -32,6 +34,7 @@ class Definition:
             self.description or other.description,
             gesture,
             other.command_id if self.command_id is None else self.command_id,
+            self.handles_outcomes,
         )
 
 

@@ -2,7 +2,7 @@
 
 import asyncio
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Self
 from uuid import uuid4
@@ -15,7 +15,6 @@ from services.gesture_controller.study.protocol import (
     FINISHED,
     STEPS,
     Answer,
-    Condition,
     Language,
     Session,
     checked,
@@ -29,19 +28,26 @@ DECLINED = "declined"
 class Conduct:
     """All sessions of all studies; an asynchronous context manager while it is on duty.
 
-    `show_given(glove, True)` has a glove asked for the site's gestures, False for its wearer's own.
+    `apply(session, is_restart)` has the participant asked for the gestures that the present step is about;
+    `is_restart` is True for a session that an earlier run of the service has begun. `release(id)` ends that
+    for a session that is over or deleted.
     """
 
-    def __init__(self, store: StudyStore, show_given: Callable[[str, bool], None]) -> None:
+    def __init__(
+        self,
+        store: StudyStore,
+        apply: Callable[[Session, bool], Awaitable[None]],
+        release: Callable[[str], None],
+    ) -> None:
         self._store = store
-        self._show_given = show_given
+        self._apply = apply
+        self._release = release
         self._answering = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
         await asyncio.to_thread(self._store.prepare)
         for session in await self.sessions(None):
-            if session.step != FINISHED:
-                self._set_gestures(session)
+            await self._set_gestures(session, is_restart=True)
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -55,6 +61,7 @@ class Conduct:
             name = pseudonym or await self._next_pseudonym(study)
             session = Session(str(uuid4()), study, name, language, iso(datetime.now(UTC)), glove, person)
             await self._do(self._store.add, session)
+            await self._set_gestures(session)
         return session
 
     async def answer(self, session_id: str, step: str, given: Mapping[str, Any]) -> Session | None:
@@ -81,21 +88,21 @@ class Conduct:
                     )
                 if not content["agreed"]:
                     await self._do(self._store.delete, session_id)
+                    self._release(session_id)
                     return None
             answer = Answer(content, session.language, session.last_at, iso(datetime.now(UTC)))
             lot = random.random()  # noqa: S311 - who comes next is no secret
             await self._do(self._store.answer, session, step, answer, lot)
             moved = await self.one(session_id)
-            self._set_gestures(moved)
+            await self._set_gestures(moved)
             return moved
 
     async def delete(self, session_id: str) -> None:
         """Delete a session beyond recovery; `Problem` 404 if there is none."""
         async with self._answering:
-            session = await self.one(session_id)
+            await self.one(session_id)
             await self._do(self._store.delete, session_id)
-            if session.glove is not None:
-                self._show_given(session.glove, False)
+            self._release(session_id)
 
     async def one(self, session_id: str) -> Session:
         """Return a session; `Problem` 404 if there is none."""
@@ -109,10 +116,12 @@ class Conduct:
         found: list[Session] = await self._do(self._store.sessions, study)
         return found
 
-    def _set_gestures(self, session: Session) -> None:
-        """Have the glove of the session asked for the gestures that the present step is about."""
-        if session.glove is not None:
-            self._show_given(session.glove, session.condition is Condition.PREDEFINED)
+    async def _set_gestures(self, session: Session, *, is_restart: bool = False) -> None:
+        """Have the participant asked for the gestures that the present step is about."""
+        if session.step == FINISHED:
+            self._release(session.id)
+        elif session.glove is not None or session.person is not None:
+            await self._apply(session, is_restart)
 
     async def _next_pseudonym(self, study: str) -> str:
         taken = {session.pseudonym for session in await self.sessions(study)}

@@ -1,12 +1,16 @@
 """The study over REST: sessions step by step, the wording, the analysis, and both to take home."""
 
 import asyncio
+import hashlib
+import pickle
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
 from fastapi import Body, FastAPI, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from handover.errors import Problem
+from handover.offload import Offload, OffloadFailed
 from services.gesture_controller.study.conduct import DECLINED, Conduct
 from services.gesture_controller.study.protocol import FINISHED, STEPS, Language, Session
 from services.gesture_controller.study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
@@ -16,6 +20,7 @@ Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w .-]+$")]
 Study = Annotated[str, Query(min_length=1, max_length=64)]
 
 DEFAULT_STUDY = "gestures"
+MAX_ANALYSES_KEPT = 8
 
 
 class NewSession(BaseModel):
@@ -32,6 +37,7 @@ class NewSession(BaseModel):
 
 def add_study(app: FastAPI, conduct: Conduct) -> None:
     """Add the routes of the study."""
+    analyses = _Analyses(conduct)
 
     @app.get("/study/wording", tags=["study"])
     async def words(language: Language = "en") -> dict[str, Any]:
@@ -81,7 +87,7 @@ def add_study(app: FastAPI, conduct: Conduct) -> None:
     @app.get("/study/analysis", tags=["study"])
     async def analysis(study: Study = DEFAULT_STUDY) -> dict[str, Any]:
         """Return what the answers of a study say: SUS, NASA-TLX by condition, tests, numbers of box plots."""
-        return {"study": study, **await _analysed(conduct, study)}
+        return {"study": study, **await analyses.of(study)}
 
     @app.get("/study/answers.csv", tags=["study"], response_class=Response)
     async def as_csv(study: Study = DEFAULT_STUDY) -> Response:
@@ -96,7 +102,7 @@ def add_study(app: FastAPI, conduct: Conduct) -> None:
         """Return the report of a study on A4."""
         from services.gesture_controller.study.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
 
-        found = await _analysed(conduct, study)
+        found = await analyses.of(study)
         today = datetime.now(UTC).date().isoformat()
         pdf = await asyncio.to_thread(pdf_of, found, study, language, today)
         return _file(pdf, "application/pdf", study, "pdf")
@@ -125,10 +131,33 @@ def view_of(session: Session) -> dict[str, Any]:
     }
 
 
-async def _analysed(conduct: Conduct, study: str) -> dict[str, Any]:
-    from services.gesture_controller.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
+class _Analyses:
+    """Analyses studies in a process of its own, since loading SciPy alone would hold this one for a second.
 
-    return await asyncio.to_thread(analysis_of, await conduct.sessions(study))
+    What was found is kept for as long as the answers are the same.
+    """
+
+    def __init__(self, conduct: Conduct) -> None:
+        self._conduct = conduct
+        self._offload = Offload()
+        self._kept: dict[bytes, dict[str, Any]] = {}
+
+    async def of(self, study: str) -> dict[str, Any]:
+        """Return what the answers of `study` say."""
+        from services.gesture_controller.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
+
+        sessions = await self._conduct.sessions(study)
+        key = hashlib.sha256(pickle.dumps(sessions)).digest()
+        found = self._kept.pop(key, None)
+        if found is None:
+            try:
+                found = await self._offload.run(analysis_of, sessions)
+            except OffloadFailed as error:
+                raise Problem(503, "Cannot be analysed", f"{error}; try again later") from None
+        self._kept[key] = found
+        while len(self._kept) > MAX_ANALYSES_KEPT:
+            del self._kept[next(iter(self._kept))]
+        return found
 
 
 def _file(content: bytes, media_type: str, study: str, kind: str) -> Response:

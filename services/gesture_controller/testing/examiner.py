@@ -16,6 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from datamodels.times import iso
 from handover.errors import Problem
+from handover.messages import message, text_of
 from handover.telemetry import get_logger
 from services.gesture_controller.gestures import Gestures
 from services.gesture_controller.glove import Glove
@@ -124,10 +125,22 @@ class Examiner:
             raise Problem(
                 422,
                 "Too long",
-                f"{len(codes)} gestures in {rounds} rounds are more than {MOST_TRIALS} trials",
+                message(
+                    "accuracy_test.too_long",
+                    "{gestures} gestures in {rounds} rounds are more than {limit} trials",
+                    gestures=len(codes),
+                    rounds=rounds,
+                    limit=MOST_TRIALS,
+                ),
             )
         if hold_ms >= limit_ms:
-            raise Problem(422, "Too short", "the time limit must be longer than a gesture has to be kept")
+            raise Problem(
+                422,
+                "Too short",
+                message(
+                    "accuracy_test.too_short", "the time limit must be longer than a gesture has to be kept"
+                ),
+            )
         drawn_by = secrets.randbelow(MOST_SEED) if seed is None else seed
         gap_ms = glove.senses.timing.gap_ms
         plan = Plan(codes, drawn(codes, rounds, drawn_by), drawn_by, hold_ms, limit_ms, gap_ms, breaks)
@@ -144,14 +157,26 @@ class Examiner:
         if running is None:
             test = await self._stored(test_id)
             if test.phase.is_over:
-                raise Problem(409, "Over", f"this test is {test.phase.value}; begin another")
+                raise Problem(
+                    409,
+                    "Over",
+                    message(
+                        "accuracy_test.ended", "this test is {phase}; begin another", phase=test.phase.value
+                    ),
+                )
             glove = self._gloves.named(test.glove)
             self._refuse_two_with(glove)
             done = len(await asyncio.to_thread(self._store.trials, test_id))
             running = Running(test, glove, Progress(done, Phase.INTERRUPTED))
         if not running.progress.phase.waits_for_word:
             raise Problem(
-                409, "Is on its way", f"this test waits for nothing: {running.progress.phase.value}"
+                409,
+                "Is on its way",
+                message(
+                    "accuracy_test.not_waiting",
+                    "this test waits for nothing: {phase}",
+                    phase=running.progress.phase.value,
+                ),
             )
         self._refuse_two_with(running.glove, but=test_id)
         await self._keep(test_id, Phase.REST, "")
@@ -281,7 +306,15 @@ class Examiner:
         try:
             return await asyncio.to_thread(act, *what)
         except SQLAlchemyError as error:
-            raise Problem(503, "Database away", f"nothing was changed: {error}; try again later") from None
+            raise Problem(
+                503,
+                "Database away",
+                message(
+                    "accuracy_test.database_away",
+                    "nothing was changed: {error}; try again later",
+                    error=text_of(error),
+                ),
+            ) from None
 
     async def _stored(self, test_id: str) -> StoredTest:
         test = await asyncio.to_thread(self._store.test, test_id)
@@ -314,15 +347,27 @@ class Examiner:
             known = self._gestures.find(name)
             if known is None:
                 raise Problem(
-                    422, "Unknown gesture", f'there is no gesture "{name}"; {self._gestures.like(name)}'
+                    422,
+                    "Unknown gesture",
+                    message(
+                        "accuracy_test.unknown_gesture",
+                        'there is no gesture "{name}"; {hint}',
+                        name=name,
+                        hint=self._gestures.like(name),
+                    ),
                 )
             if known in self._gestures.composed:
                 parts = " and ".join(f'"{part.gesture}"' for part in self._gestures.parts_of(known))
                 raise Problem(
                     422,
                     "Composed gesture",
-                    f'"{known}" is composed of {parts}; an accuracy test asks for one shape of one hand at a '
-                    "time, so test those instead",
+                    message(
+                        "accuracy_test.composed_gesture",
+                        '"{known}" is composed of {parts}; an accuracy test asks for one shape of one '
+                        "hand at a time, so test those instead",
+                        known=known,
+                        parts=parts,
+                    ),
                 )
             codes[known] = self._gestures.codes[known]
         return codes
@@ -333,11 +378,22 @@ class Examiner:
             raise Problem(
                 409,
                 "Is being tested",
-                f"{glove.name} is in the middle of the test {other.test.id}; finish or stop that first",
+                message(
+                    "accuracy_test.glove_in_test",
+                    "{glove} is in the middle of the test {test}; finish or stop that first",
+                    glove=glove.name,
+                    test=other.test.id,
+                ),
             )
 
 
 def _unknown(test_id: str) -> Problem:
     return Problem(
-        404, "Unknown test", f'there is no accuracy test "{test_id}"; /tests lists those there are'
+        404,
+        "Unknown test",
+        message(
+            "accuracy_test.unknown_test",
+            'there is no accuracy test "{test_id}"; /tests lists those there are',
+            test_id=test_id,
+        ),
     )

@@ -50,6 +50,8 @@ class BrokerProcess:
     port: int = field(default_factory=free_port)
     extra: dict[str, str] = field(default_factory=dict)
     process: subprocess.Popen[bytes] | None = None
+    log_dir: Path | None = None
+    """Where its log goes, if not into the data directory."""
 
     @property
     def url(self) -> str:
@@ -60,12 +62,12 @@ class BrokerProcess:
         return f"{self.url}/ngsi-ld/v1"
 
     def log(self) -> str:
-        return (self.data_dir / "log").read_text(errors="replace")
+        return ((self.log_dir or self.data_dir) / "log").read_text(errors="replace")
 
     def spawn(self) -> subprocess.Popen[bytes]:
         environment = {name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")}
         environment |= {"HANDOVER_BROKER_PORT": str(self.port), "HANDOVER_DATA_DIR": str(self.data_dir)}
-        with (self.data_dir / "log").open("ab") as log:
+        with ((self.log_dir or self.data_dir) / "log").open("ab") as log:
             return subprocess.Popen(
                 [sys.executable, "-m", "services.context_broker"],
                 env=environment | lifeline.TOLD | self.extra,
@@ -87,6 +89,20 @@ class BrokerProcess:
 
         wait_for(ready, 30, "the broker is not ready")
         return self
+
+    def start_unready(self) -> httpx.Response:
+        """Start a broker that will not be ready, and return what it says of that."""
+        process = self.process = self.spawn()
+
+        def answer() -> httpx.Response | None:
+            assert process.poll() is None, f"the broker ended: {self.log()[-3000:]}"
+            try:
+                return httpx.get(f"{self.url}/readyz", timeout=5, trust_env=False)
+            except httpx.TransportError:
+                return None
+
+        found: httpx.Response = wait_for(answer, 30, "the broker does not answer")
+        return found
 
     def kill(self) -> None:
         assert self.process is not None
@@ -167,6 +183,20 @@ def own_broker(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Broke
     broker = BrokerProcess(tmp_path, extra=on(request))
     yield broker
     broker.stop()
+
+
+@pytest.fixture
+def broker_on() -> Iterator[Callable[[Path], BrokerProcess]]:
+    """Return a broker in a given folder; not started yet."""
+    made: list[BrokerProcess] = []
+
+    def on_folder(folder: Path) -> BrokerProcess:
+        made.append(BrokerProcess(folder, log_dir=folder.parent))
+        return made[-1]
+
+    yield on_folder
+    for broker in made:
+        broker.stop()
 
 
 class Subscriber:

@@ -126,3 +126,28 @@ def test_a_batch_merge_deletes_what_is_null_and_leaves_the_rest(http: httpx.Clie
     answer = post(http, "create", [lamp("never", a=null)])
     assert answer.status_code == 207
     assert answer.json()["success"] == []
+
+
+def test_what_is_wrong_in_itself_is_said_before_that_it_is_not_there(http: httpx.Client) -> None:
+    wrong = {"id": "urn:ngsi-ld:Lamp:demo:absent", "type": "Lamp", "on": {"type": "Nonsense", "value": 1}}
+    for operation in ("update", "merge"):
+        (error,) = post(http, operation, [wrong]).json()["errors"]
+        assert error["entityId"] == wrong["id"]
+        assert error["error"]["type"].endswith("BadRequestData"), operation
+    absent = {**wrong, "on": {"type": "Property", "value": 1}}
+    for operation in ("update", "merge"):
+        (error,) = post(http, operation, [absent]).json()["errors"]
+        assert error["error"]["type"].endswith("ResourceNotFound"), operation
+
+
+def test_a_link_header_beside_a_context_in_the_body_is_one_fault_of_the_request(http: httpx.Client) -> None:
+    link = '<https://a.example/c>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
+    headers = {"Content-Type": "application/ld+json", "Link": link}
+    context = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context-v1.8.jsonld"
+    entities = [{**lamp(name), "@context": context} for name in ("linked-1", "linked-2")]
+    for operation in ("create", "upsert", "update", "merge"):
+        answer = http.post(f"/entityOperations/{operation}", json=entities, headers=headers)
+        assert answer.status_code == 400, operation
+        assert answer.json()["type"].endswith("BadRequestData")
+        assert "Link" in answer.json()["detail"]
+    assert http.get(f"/entities/{entities[0]['id']}").status_code == 404

@@ -54,12 +54,12 @@ def line(shared_broker: BrokerProcess) -> Iterator[Line]:
 
 
 def get(path: str, *headers: str) -> bytes:
-    return "\r\n".join([f"GET {path} HTTP/1.1", "Host: x", *headers, "", ""]).encode()
+    return "\r\n".join([f"GET {path} HTTP/1.1", "Host: 127.0.0.1", *headers, "", ""]).encode()
 
 
 def post(entity_id: str, *headers: str, value: Any = 1) -> bytes:
     body = json.dumps({"id": entity_id, "type": "Wire", "a": {"type": "Property", "value": value}}).encode()
-    head = ["POST /ngsi-ld/v1/entities HTTP/1.1", "Host: x", "Content-Type: application/json"]
+    head = ["POST /ngsi-ld/v1/entities HTTP/1.1", "Host: 127.0.0.1", "Content-Type: application/json"]
     return "\r\n".join([*head, f"Content-Length: {len(body)}", *headers, "", ""]).encode() + body
 
 
@@ -107,14 +107,15 @@ def test_who_waits_for_a_go_ahead_gets_one(line: Line) -> None:
 
 
 def test_what_is_refused_by_its_head_needs_no_body(line: Line) -> None:
-    head = b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+    head = b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
     line.send(head + b"Content-Length: 99999999999\r\nExpect: 100-continue\r\n\r\n")
     assert line.answer()[0] == 413, "and no go-ahead before"
 
 
 def test_after_a_refused_body_the_connection_goes_on(line: Line) -> None:
     line.send(
-        b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n"
+        b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n"
+        b"5\r\nhello\r\n"
     )
     assert line.answer()[0] == 411
     line.send(b"5\r\nworld\r\n0\r\n\r\n", get("/ngsi-ld/v1/types"))

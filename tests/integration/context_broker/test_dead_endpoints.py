@@ -82,7 +82,7 @@ def test_one_that_is_not_taken_does_not_hold_up_others_at_the_same_endpoint(
     bad = subscribe(http, "poison", subscriber.url, "Poison")
     subscribe(http, "wholesome", subscriber.url, "Wholesome")
     create(http, "Poison", n=0)
-    eventually(lambda: http.get(bad).json()["notification"]["timesFailed"] >= 2)
+    eventually(lambda: http.get(bad).json()["notification"].get("timesFailed", 0) >= 2)
     entity = create(http, "Wholesome", n=0)
     for number in range(1, 50):
         assert http.patch(f"/entities/{entity}/attrs", json={"n": number}).status_code == 204
@@ -97,10 +97,10 @@ def test_after_a_failure_the_endpoint_has_the_rest_that_was_asked_for(
 ) -> None:
     path = subscribe(http, "cooling", closing.url, "Cooling", cooldown=3_600_000)
     entity = create(http, "Cooling", n=0)
-    eventually(lambda: http.get(path).json()["notification"]["timesFailed"] == 1)
+    eventually(lambda: http.get(path).json()["notification"].get("timesFailed", 0) == 1)
     for number in range(1, 20):
         http.patch(f"/entities/{entity}/attrs", json={"n": number})
-    assert http.get(path).json()["notification"]["timesFailed"] == 1
+    assert http.get(path).json()["notification"].get("timesFailed", 0) == 1
     assert closing.connections == 1
 
 
@@ -117,7 +117,7 @@ def test_what_is_owed_to_a_subscription_that_ends_is_given_up(
     eventually(lambda: shared_broker.metric(given_up) == 3)
     told = http.get(path).json()
     assert told["status"] == "expired"
-    assert told["notification"]["timesFailed"] >= 3
+    assert told["notification"].get("timesFailed", 0) >= 3
     assert http.patch(path, json={"expiresAt": "2999-01-01T00:00:00Z"}).status_code == 204
     assert http.get(path).json()["status"] == "active"
 
@@ -130,18 +130,18 @@ def test_counts_are_true_after_a_power_cut(
         good = subscribe(http, "good", subscriber.url, "Counted")
         bad = subscribe(http, "bad", closing.url, "Counted", cooldown=3_600_000)
         create(http, "Counted", n=0)
-        eventually(lambda: http.get(good).json()["notification"]["timesSent"] == 1)
+        eventually(lambda: http.get(good).json()["notification"].get("timesSent", 0) == 1)
         before = eventually(
-            lambda: (found := http.get(bad).json()["notification"])["timesFailed"] == 1 and found
+            lambda: (found := http.get(bad).json()["notification"]).get("timesFailed", 0) == 1 and found
         )
         for _ in range(20):  # each is a commit, and takes the counts along
             create(http, f"Other{_}", n=0)
         own_broker.kill()
         own_broker.start()
         told = http.get(good).json()["notification"]
-        assert (told["timesSent"], told["timesFailed"], told["status"]) == (1, 0, "ok")
+        assert (told.get("timesSent", 0), told.get("timesFailed", 0), told["status"]) == (1, 0, "ok")
         after = http.get(bad).json()["notification"]
-        assert after["timesFailed"] >= before["timesFailed"]
+        assert after.get("timesFailed", 0) >= before.get("timesFailed", 0)
         assert after["lastFailure"] >= before["lastFailure"]
         assert len(subscriber.received) == 1
 
@@ -186,7 +186,7 @@ def test_what_a_dead_endpoint_is_owed_fills_neither_memory_nor_disk(
             batch = [{**change, "n": start + number} for number in range(100)]
             answer = http.post("/entityOperations/upsert", params={"options": "update"}, json=batch)
             assert answer.status_code in {201, 204}, answer.text
-        eventually(lambda: http.get(path).json()["notification"]["timesFailed"] > 11_500)
+        eventually(lambda: http.get(path).json()["notification"].get("timesFailed", 0) > 11_500)
         given_up = own_broker.metric(r'handover_broker_notifications_given_up_total\{reason="too many"\}')
         assert given_up > 11_500
         eventually(lambda: waiting(own_broker, "disk") + waiting(own_broker, "memory") < 400)

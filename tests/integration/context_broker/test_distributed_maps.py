@@ -144,15 +144,13 @@ def test_maps_are_linked_all_the_way_down_a_chain(chain: list[httpx.Client], kin
     assert {"n", "deep"} <= next(one for one in seen if one["id"] == ids[0]).keys()
 
 
-def test_conditions_and_orders_hold_for_linked_maps_too(chain: list[httpx.Client], kind: str) -> None:
+def test_conditions_hold_for_linked_maps_too(chain: list[httpx.Client], kind: str) -> None:
     made = chain[0].get("/entities", params={"type": kind, "q": "n>0", "entityMap": "true", "limit": 3})
     assert made.status_code == 201, made.text
     rest = chain[0].get(
         "/entities", params={"type": kind, "q": "n>0", "offset": 3}, headers={MAP: made.headers[MAP]}
     )
     assert sorted(one["n"]["value"] for one in made.json() + rest.json()) == [1, 10, 11, 20, 21]
-    ordered = chain[0].get("/entities", params={"type": kind, "orderBy": "n;desc", "entityMap": "true"})
-    assert [one["n"]["value"] for one in ordered.json()] == [21, 20, 11, 10, 1, 0]
     split = {"type": kind, "q": "n>5|deep==1", "splitEntities": "true"}
     document = chain[0].get("/entityMaps", params=split).json()
     assert len(document["linkedMaps"]) == 1
@@ -187,8 +185,54 @@ def test_a_page_is_asked_for_by_the_map_of_the_source(
     source.answers["GET", "/ngsi-ld/v1/entities"] = 404, None
     source.asked.clear()
     near.get("/entities", params={"type": kind, "limit": 1}, headers={MAP: made.headers[MAP]})
-    assert ["ngsild-entitymap" in each[3] for each in source.asked] == [True, False]
+    assert ["ngsild-entitymap" in each[3] for each in source.asked][:2] == [True, False]
+    at = f"/entityMaps/{made.json()['id']}"
+    assert list(near.get(at).json()["entityMap"]) == [], "what the source has no more leaves the map"
     near.delete(other)
+
+
+def test_pages_are_filled_when_entities_of_a_source_are_gone(
+    near: httpx.Client, far: httpx.Client, kind: str
+) -> None:
+    register(near, str(far.base_url), {"type": kind}, operations=["federationOps"])
+    ids = [put((near, far)[number % 2], f"urn:ngsi-ld:{kind}:{number}", kind, n=1) for number in range(8)]
+    asked = {"type": kind, "q": "n>0", "limit": "3", "count": "true"}
+    made = near.get("/entities", params={**asked, "entityMap": "true"})
+    at = made.headers[MAP].removeprefix("/ngsi-ld/v1")
+    listed = list(near.get(at).json()["entityMap"])
+    assert sorted(listed) == ids
+
+    def holder(one: str) -> httpx.Client:
+        return (near, far)[int(one[-1]) % 2]
+
+    for one in listed[3:5]:
+        assert holder(one).delete(f"/entities/{one}?local=true").status_code == 204
+    changed = holder(listed[6]).patch(f"/entities/{listed[6]}/attrs?local=true", json={"n": 0})
+    assert changed.status_code == 204
+    page = near.get("/entities", params={**asked, "offset": "3"}, headers={MAP: made.headers[MAP]})
+    assert sorted(one["id"] for one in page.json()) == sorted([listed[5], listed[7]])
+    assert page.headers["ngsild-results-count"] == "5"
+    assert list(near.get(at).json()["entityMap"]) == [*listed[:3], listed[5], listed[7]]
+
+
+def test_nothing_leaves_a_map_while_a_source_does_not_answer(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    register(near, source.url, {"type": kind}, operations=["queryEntity"], management={"timeout": 300})
+    own = put(near, f"urn:ngsi-ld:{kind}:1", kind, n=1)
+    theirs = f"urn:ngsi-ld:{kind}:2"
+    source.answers["GET", "/ngsi-ld/v1/entities"] = 200, [{"id": theirs, "type": kind}]
+    made = near.get("/entityMaps", params={"type": kind})
+    assert made.json()["entityMap"].keys() == {own, theirs}
+    source.go_on.clear()
+    asked = {"type": kind, "count": "true"}
+    page = near.get("/entities", params=asked, headers={MAP: made.headers[MAP]})
+    assert [one["id"] for one in page.json()] == [own]
+    assert page.headers["ngsild-warning"].startswith("199")
+    source.go_on.set()
+    page = near.get("/entities", params=asked, headers={MAP: made.headers[MAP]})
+    assert {one["id"] for one in page.json()} == {own, theirs}
+    assert page.headers["ngsild-results-count"] == "2"
 
 
 @pytest.mark.parametrize("answer", [(404, None), (501, {}), (200, []), (200, b"<html>"), (200, {"id": 1})])

@@ -332,7 +332,7 @@ def test_a_source_is_read_page_by_page_in_pages_that_it_likes(
     assert [one[2].get("offset") for one in source.asked] == [None, None, "100", "200"]
 
 
-def test_places_order_scopes_and_forms_are_those_of_whole_entities(
+def test_places_scopes_and_forms_are_those_of_whole_entities(
     near: httpx.Client, far: httpx.Client, kind: str
 ) -> None:
     def place(east: float) -> dict[str, Any]:
@@ -348,14 +348,60 @@ def test_places_order_scopes_and_forms_are_those_of_whole_entities(
         assert answer.status_code == 200, answer.text
         return [one["id"][-1:] for one in answer.json()]
 
-    assert ask(orderBy="n") == ["2", "3", "1"]
     by_place = {"georel": "near;maxDistance==1000", "geometry": "Point", "coordinates": "[24.0,60.0]"}
     assert sorted(ask(**by_place)) == ["1", "2"]
     assert (ask(scopeQ="/hall/a"), ask(scopeQ="/hall,/yard")) == (["2"], ["1", "3"])
     answer = near.get("/entities", params={"type": kind}, headers={"Accept": "application/geo+json"})
     assert answer.json()["type"] == "FeatureCollection"
     assert len(answer.json()["features"]) == 3
-    simple = near.get(
-        "/entities", params={"type": kind, "options": "keyValues", "pick": "id,n", "orderBy": "n"}
-    )
-    assert [one["n"] for one in simple.json()] == [1, 2, 3]
+    simple = near.get("/entities", params={"type": kind, "options": "keyValues", "pick": "id,n"})
+    assert sorted(one["n"] for one in simple.json()) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("mode", ["inclusive", "auxiliary"])
+def test_no_order_is_made_across_sources(near: httpx.Client, far: httpx.Client, kind: str, mode: str) -> None:
+    for number, value in enumerate((3, 1, 2)):
+        put(near, f"urn:ngsi-ld:{kind}:{number}", kind, n=value)
+    path = register(near, str(far.base_url), {"type": kind}, mode=mode, operations=["retrieveOps"])
+    document = {"type": "Query", "entities": [{"type": kind}], "ordering": {"orderBy": ["n"]}}
+    asked = {"type": kind, "orderBy": "n"}
+    for answer in (
+        near.get("/entities", params=asked),
+        near.get("/entities", params={**asked, "entityMap": "true"}),
+        near.get("/entityMaps", params=asked),
+        near.post("/entityMaps", json=document),
+        near.post("/entityOperations/query", json=document),
+    ):
+        assert (answer.status_code, answer.json()["type"].rpartition("/")[2]) == (400, "BadRequestData")
+        assert path.rpartition("/")[2] in answer.json()["detail"]
+        assert "local=true" in answer.json()["detail"]
+    for answer in (
+        near.get("/entities", params={**asked, "local": "true"}),
+        near.post("/entityOperations/query", params={"local": "true"}, json=document),
+    ):
+        assert [one["n"]["value"] for one in answer.json()] == [1, 2, 3], answer.text
+    near.delete(path)
+    assert [one["n"]["value"] for one in near.get("/entities", params=asked).json()] == [1, 2, 3]
+
+
+def test_an_order_is_made_where_no_registration_matches(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    put(near, f"urn:ngsi-ld:{kind}:1", kind, n=2)
+    put(near, f"urn:ngsi-ld:{kind}:2", kind, n=1)
+    register(near, source.url, {"type": f"{kind}Other"})
+    answer = near.get("/entities", params={"type": kind, "orderBy": "n"})
+    assert [one["n"]["value"] for one in answer.json()] == [1, 2], answer.text
+    assert source.asked == []
+
+
+@pytest.mark.parametrize("path", ["/temporal/entities", "/temporal/entityMaps"])
+def test_no_order_of_the_past_is_made_across_sources(
+    near: httpx.Client, source: ScriptedSource, kind: str, path: str
+) -> None:
+    register(near, source.url, {"type": kind}, operations=["queryTemporal"])
+    asked = {"type": kind, "timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "orderBy": "id"}
+    answer = near.get(path, params=asked)
+    assert (answer.status_code, "local=true" in answer.json()["detail"]) == (400, True)
+    assert source.asked == []
+    assert near.get("/temporal/entities", params={**asked, "local": "true"}).status_code == 200

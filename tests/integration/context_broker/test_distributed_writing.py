@@ -246,6 +246,36 @@ def test_the_only_one_concerned_is_silent(near: httpx.Client, source: ScriptedSo
     assert merge(near, f"urn:ngsi-ld:{kind}:1", kind).status_code == 504
 
 
+@pytest.mark.parametrize(("cooldown", "status"), [(None, 204), (60_000, 207)])
+def test_after_a_timeout_a_source_is_left_alone_only_if_its_registration_says_so(
+    near: httpx.Client, source: ScriptedSource, kind: str, cooldown: int | None, status: int
+) -> None:
+    management = {"timeout": 300} if cooldown is None else {"timeout": 300, "cooldown": cooldown}
+    register(near, source.url, {"type": kind}, management=management)
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    path = f"/ngsi-ld/v1/entities/{entity_id}/attrs"
+    source.answers["PATCH", path] = 204, None
+    source.go_on.clear()
+    assert near.get(f"/entities/{entity_id}").headers["ngsild-warning"].startswith("199")
+    source.go_on.set()
+    answer = near.patch(f"/entities/{entity_id}/attrs", json={"a": 2})
+    assert answer.status_code == status, answer.text
+    assert any(one[:2] == ("PATCH", path) for one in source.asked) is (cooldown is None)
+
+
+def test_one_request_waits_for_a_source_that_hangs_once(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    management = {"timeout": 300}
+    register(near, source.url, {"type": kind}, operations=["deleteEntity"], management=management)
+    ids = [put(near, f"urn:ngsi-ld:{kind}:{number}", kind) for number in range(100)]
+    source.go_on.clear()
+    answer = near.post("/entityOperations/delete", json=ids)
+    assert answer.status_code == 207
+    assert {one["entityId"] for one in answer.json()["errors"]} == set(ids)
+    assert len(source.asked) < len(ids)
+
+
 def test_a_part_that_fails_is_told(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
     path = register(near, source.url, {"type": kind, "id": entity_id}, ["b"], mode="exclusive")
@@ -267,9 +297,89 @@ def test_a_part_that_fails_is_told(near: httpx.Client, source: ScriptedSource, k
 def test_what_the_broker_refuses_goes_nowhere(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
     register(near, source.url, {"type": kind})
-    assert create(near, entity_id, kind).status_code == 409
     assert near.patch(f"/entities/{entity_id}", json={"a": {"type": "Nonsense"}}).status_code == 400
     assert source.asked == []
+
+
+@pytest.mark.parametrize(("there", "status"), [(False, 207), (True, 409)], ids=["new there", "there too"])
+def test_an_entity_that_is_here_already_is_created_at_inclusive_sources_all_the_same(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, *, there: bool, status: int
+) -> None:
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    if there:
+        put(far, entity_id, kind, b=1)
+    register(near, brokers[1].url, {"type": kind})
+    answer = create(near, entity_id, kind)
+    assert answer.status_code == status, answer.text
+    said = answer.json()
+    if there:
+        assert said["type"].endswith("/AlreadyExists")
+        assert [one["status"] for one in said["errors"]] == [409], "the source has it too"
+    else:
+        assert said["success"] == [entity_id]
+        (error,) = said["errors"]
+        assert error["error"]["type"].endswith("/AlreadyExists")
+        assert "registrationId" not in error, "the failed part is the broker's own"
+    assert held(near, entity_id) == {"a": 1}
+    assert held(far, entity_id) == ({"b": 1} if there else {"a": 2, "b": 2})
+
+
+def test_in_a_batch_too_an_entity_that_is_here_is_created_at_inclusive_sources(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
+) -> None:
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    register(near, brokers[1].url, {"type": kind}, operations=["redirectionOps", "createBatch"])
+    new = f"urn:ngsi-ld:{kind}:2"
+    entities = [{"id": one, "type": kind, "a": 2} for one in (entity_id, new)]
+    answer = near.post("/entityOperations/create", json=entities)
+    assert answer.status_code == 207, answer.text
+    assert answer.json()["success"] == [entity_id, new]
+    (error,) = answer.json()["errors"]
+    assert (error["entityId"], error["error"]["status"]) == (entity_id, 409)
+    assert held(near, entity_id) == {"a": 1}
+    assert held(far, entity_id) == {"a": 2}
+
+
+def test_a_source_that_fails_does_not_hide_that_an_entity_is_here_already(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    register(near, source.url, {"type": kind})
+    source.answers["POST", "/ngsi-ld/v1/entities"] = 500, {}
+    answer = create(near, entity_id, kind)
+    assert answer.status_code == 409, answer.text
+    assert answer.json()["type"].endswith("/AlreadyExists")
+    assert [one["status"] for one in answer.json()["errors"]] == [500]
+
+
+@pytest.mark.parametrize("act", [update_one, replace_one, delete_one])
+def test_a_local_part_that_fails_is_told_beside_a_source_that_succeeds(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, act: Act
+) -> None:
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    put(far, entity_id, kind, b=1)
+    register(near, brokers[1].url, {"type": kind})
+    answer = act(near, entity_id, kind)
+    assert answer.status_code == 207, answer.text
+    assert answer.json()["updated"] == [DEFAULT + "b"]
+    (left,) = answer.json()["notUpdated"]
+    assert left["attributeName"] == DEFAULT + "b"
+    assert "has no attribute" in left["reason"]
+    assert "registrationId" not in left, "the failed part is the broker's own"
+    assert held(far, entity_id) == ({} if act is delete_one else {"b": 2})
+    near.delete(f"/entities/{entity_id}?local=true")
+    assert act(near, entity_id, kind).status_code == (404 if act is delete_one else 204), "nothing is here"
+
+
+@pytest.mark.parametrize("act", [update_one, replace_one, delete_one])
+def test_an_attribute_that_nobody_has_is_not_found(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, act: Act
+) -> None:
+    entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
+    put(far, entity_id, kind, a=1)
+    register(near, brokers[1].url, {"type": kind})
+    answer = act(near, entity_id, kind)
+    assert (answer.status_code, answer.json()["type"].rpartition("/")[2]) == (404, "ResourceNotFound")
 
 
 def test_a_local_change_goes_nowhere(near: httpx.Client, source: ScriptedSource, kind: str) -> None:

@@ -1,11 +1,17 @@
 """Entity maps: made from queries, used for pages that stay the same, changed, ended, kept."""
 
+import asyncio
 import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+
+from services.context_broker.app import create_broker
+from services.context_broker.settings import BrokerSettings
+from services.context_broker.snapshots import entity_map_pages
 
 from .conftest import BrokerProcess
 
@@ -72,6 +78,98 @@ def test_pages_of_a_map_stay_the_same_while_entities_come_and_go(http: httpx.Cli
     over = http.get("/entities", params={"type": "Walked", "offset": "100"}, headers=named)
     assert (over.status_code, over.json()) == (200, [])
     assert over.headers[MAP] == named[MAP]
+
+
+def link_of(answer: httpx.Response, relation: str) -> str:
+    """Return the path of another page, empty if there is none."""
+    found = re.search(rf'<([^>]*)>; rel="{relation}"', answer.headers.get("link", ""))
+    return "" if found is None else found[1].removeprefix("/ngsi-ld/v1")
+
+
+@pytest.mark.parametrize("look", [{}, {"pick": "speed"}, {"options": "keyValues"}, {"join": "flat"}])
+def test_pages_are_filled_after_deletions_and_the_count_is_that_of_now(
+    http: httpx.Client, look: dict[str, str]
+) -> None:
+    kind = f"Filled{''.join(look)}"
+    ids = make(http, kind, *range(1, 11))
+
+    def shown(answer: httpx.Response) -> list[int]:
+        told = [one["speed"] for one in answer.json()]
+        return [one["value"] if isinstance(one, dict) else one for one in told]
+
+    asked = {"type": kind, "q": "speed>0", "limit": "3", "count": "true", **look}
+    first = http.get("/entities", params={**asked, "entityMap": "true"})
+    assert (shown(first), first.headers["ngsild-results-count"]) == ([1, 2, 3], "10")
+    named = {MAP: first.headers[MAP]}
+    for gone in (ids[0], ids[4], ids[9]):
+        assert http.delete(f"/entities/{gone}").status_code == 204
+    assert http.patch(f"/entities/{ids[5]}/attrs", json={"speed": -1}).status_code == 204
+    second = http.get(link_of(first, "next"), headers=named)
+    assert (shown(second), second.headers["ngsild-results-count"]) == ([4, 7, 8], "6")
+    at = first.headers[MAP].removeprefix("/ngsi-ld/v1")
+    assert list(http.get(at).json()["entityMap"]) == [*ids[1:4], *ids[6:9]], "the others have left the map"
+    third = http.get(link_of(second, "next"), headers=named)
+    assert (shown(third), third.headers["ngsild-results-count"]) == ([9], "6")
+    assert link_of(third, "next") == ""
+    before = http.get(link_of(third, "prev"), headers=named)
+    assert shown(before) == [4, 7, 8]
+    assert shown(http.get(link_of(before, "prev"), headers=named)) == [2, 3, 4], "one before it is gone"
+    counted = http.get("/entities", params={**asked, "limit": "0"}, headers=named)
+    assert (counted.json(), counted.headers["ngsild-results-count"]) == ([], "6")
+
+
+def test_without_a_count_pages_are_filled_too_and_a_walk_sees_everything_once(http: httpx.Client) -> None:
+    ids = make(http, "Thinned", *range(400))
+    made = http.get("/entityMaps", params={"type": "Thinned"})
+    named = {MAP: made.headers[MAP]}
+    kept = ids[::7]
+    for one in set(ids) - set(kept):
+        assert http.delete(f"/entities/{one}").status_code == 204
+    pages = list(walk(http, "/entities?type=Thinned&limit=10", named))
+    assert [one for page in pages for one in page] == kept
+    assert [len(page) for page in pages] == [10] * (len(kept) // 10) + [len(kept) % 10]
+
+
+def test_another_query_leaves_a_map_as_it_is(http: httpx.Client) -> None:
+    ids = make(http, "Kept", 1, 2, 3, 4, 5)
+    made = http.get("/entityMaps", params={"type": "Kept"})
+    named = {MAP: made.headers[MAP]}
+    asked = {"type": "Kept", "q": "speed!=2", "limit": "2", "count": "true"}
+    first = http.get("/entities", params=asked, headers=named)
+    assert [one["id"] for one in first.json()] == [ids[0], ids[2]]
+    assert first.headers["ngsild-results-count"] == "4"
+    second = http.get(link_of(first, "next"), headers=named)
+    assert [one["id"] for one in second.json()] == ids[3:]
+    assert list(http.get(f"/entityMaps/{made.json()['id']}").json()["entityMap"]) == ids
+
+
+def test_pages_of_a_query_by_document_are_filled(http: httpx.Client) -> None:
+    ids = make(http, "Document", 1, 2, 3, 4, 5)
+    query = {"type": "Query", "entities": [{"type": "Document"}], "q": "speed>0", "pick": ["speed"]}
+    made = http.post("/entityMaps", json=query)
+    named = {MAP: made.headers[MAP]}
+    http.delete(f"/entities/{ids[1]}")
+    at = "/entityOperations/query"
+    page = http.post(at, json=query, params={"limit": "2", "count": "true"}, headers=named)
+    assert [one["speed"]["value"] for one in page.json()] == [1, 3]
+    assert page.headers["ngsild-results-count"] == "4"
+    rest = http.post(at, json=query, params={"limit": "2", "offset": "2"}, headers=named)
+    assert [one["speed"]["value"] for one in rest.json()] == [4, 5]
+
+
+def test_pages_of_the_past_are_filled(http: httpx.Client) -> None:
+    ids = make(http, "Forgotten", 1, 2, 3, 4, 5)
+    since = {"timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "timeproperty": "modifiedAt"}
+    asked = {"type": "Forgotten", **since, "limit": "2"}
+    made = http.get("/temporal/entities", params={**asked, "entityMap": "true"})
+    assert [one["id"] for one in made.json()] == ids[:2]
+    for one in ids[2:4]:
+        assert http.delete(f"/entities/{one}").status_code == 204
+        assert http.delete(f"/temporal/entities/{one}").status_code == 204
+    window = {"offset": "2", "count": "true"}
+    rest = http.get("/temporal/entities", params={**asked, **window}, headers={MAP: made.headers[MAP]})
+    assert [one["id"] for one in rest.json()] == [ids[4]]
+    assert rest.headers["ngsild-results-count"] == "3"
 
 
 def test_a_map_keeps_the_order_that_was_asked_for(http: httpx.Client) -> None:
@@ -180,3 +278,32 @@ def test_one_entity_is_retrieved_by_a_map_too(http: httpx.Client, path: str) -> 
     assert absent.status_code == 404
     assert MAP not in absent.headers
     assert http.get(f"{path}/{one}", params={**asked, "entityMapLifetime": "soon"}).status_code == 400
+
+
+async def test_others_are_served_while_a_large_map_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(entity_map_pages, "CHECKED_AT_ONCE", 2)
+    broker = create_broker(BrokerSettings(data_dir=tmp_path))
+    await broker._broker.start()
+    transport = httpx.ASGITransport(broker)
+    async with httpx.AsyncClient(transport=transport, base_url="http://localhost/ngsi-ld/v1") as client:
+        made = [{"id": f"urn:ngsi-ld:Many:{number}", "type": "Many"} for number in range(100)]
+        assert (await client.post("/entityOperations/create", json=made)).status_code == 201
+        query = {"type": "Many", "limit": "1"}
+        first = await client.get("/entities", params={**query, "entityMap": "true"})
+        headers = {MAP: first.headers[MAP].rpartition("/")[2]}
+
+        async def turns_during(parameters: dict[str, str]) -> int:
+            """How often others had a turn of the event loop while a page was made."""
+            page = asyncio.create_task(client.get("/entities", params=parameters, headers=headers))
+            turns = 0
+            while not page.done():
+                await asyncio.sleep(0)
+                turns += 1
+            assert page.result().status_code == 200
+            return turns
+
+        plain = await turns_during(query)
+        assert await turns_during({**query, "count": "true"}) >= plain + 50
+    await broker._broker.stop()

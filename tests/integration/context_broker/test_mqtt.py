@@ -1,5 +1,7 @@
 """Notifications over MQTT, to a real Mosquitto (clause 7.2)."""
 
+import asyncio
+import gc
 import getpass
 import json
 import shutil
@@ -15,6 +17,10 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from services.context_broker.network.http_sender import SendError
+from services.context_broker.network.outbound_policy import OutboundPolicy
+from services.context_broker.subscriptions.mqtt_address import mqtt_address
+from services.context_broker.subscriptions.mqtt_sender import MqttSender
 from tests.integration.context_broker import acts
 
 Eventually = Callable[..., Any]
@@ -185,3 +191,29 @@ def test_over_tls_the_server_is_checked_and_we_say_who_we_are(
         eventually(lambda: http.get(bad).json()["notification"].get("status") == "failed")
         assert PASSWORD not in own_broker.log()
         assert "wrong@" not in own_broker.log()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_over_tls_too_the_connection_goes_to_the_address_that_was_judged(
+    mosquitto: Mosquitto, certificate: tuple[Path, Path]
+) -> None:
+    """Only the policy can resolve the name, by which the certificate (of another name) is checked."""
+
+    async def publish() -> None:
+        loop = asyncio.get_running_loop()
+        genuine = loop.getaddrinfo
+
+        async def resolving(host: Any, *args: Any, **kwargs: Any) -> Any:
+            return await genuine("127.0.0.1" if host == "cell.invalid" else host, *args, **kwargs)
+
+        loop.getaddrinfo = resolving  # type: ignore[method-assign]  # stands for the name server
+        sender = MqttSender(OutboundPolicy(), certificate[0])
+        uri = f"mqtts://cell:{PASSWORD}@cell.invalid:{mosquitto.safe_port}/cell/named"
+        try:
+            await sender.publish(mqtt_address(uri, ()), b"{}", 20)
+        finally:
+            await sender.close()
+
+    with pytest.raises(SendError, match=r"certificate is not valid for .*cell\.invalid"):
+        asyncio.run(publish())
+    gc.collect()  # the library leaves the socket of a failed handshake to it, which warns

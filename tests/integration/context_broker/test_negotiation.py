@@ -162,7 +162,7 @@ def test_what_is_not_read_is_refused_without_a_word(http: httpx.Client, media_ty
 
 
 def test_nesting_without_end_is_refused(http: httpx.Client) -> None:
-    for depth, status in ((100, 201), (240, 201), (300, 400), (900, 400), (5000, 400)):
+    for depth, status in ((100, 201), (190, 201), (201, 400), (900, 400), (5000, 400)):
         entity = f'{{"id":"urn:x:depth{depth}","type":"Deep","a":{{"value":{"[" * depth}{"]" * depth}}}}}'
         assert post(http, entity.encode(), JSON).status_code == status, depth
     nested: dict[str, Any] = {"value": 1}
@@ -245,7 +245,9 @@ def test_a_body_without_a_length_is_refused_without_a_word(http: httpx.Client) -
 
 def test_a_percent_sign_stands_before_two_digits(shared_broker: Any) -> None:
     with socket.create_connection(("127.0.0.1", shared_broker.port), timeout=10) as line:
-        line.sendall(b"GET /ngsi-ld/v1/entities/urn:x:%zz HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
+        line.sendall(
+            b"GET /ngsi-ld/v1/entities/urn:x:%zz HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
+        )
         text = b"".join(iter(lambda: line.recv(4096), b"")).decode()
     assert text.startswith("HTTP/1.1 400")
     assert "%25" in text
@@ -310,7 +312,7 @@ def test_who_hangs_up_in_the_middle_disturbs_nobody(shared_broker: Any, http: ht
     for _ in range(50):
         with socket.create_connection(("127.0.0.1", shared_broker.port)) as rude:
             rude.sendall(
-                b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+                b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
                 b"Content-Length: 500\r\n\r\n{"
             )
     with socket.create_connection(("127.0.0.1", shared_broker.port)) as garbage:
@@ -325,7 +327,9 @@ def test_headers_and_queries_without_end_are_refused(shared_broker: Any, http: h
         assert answer.status_code == 400
         assert next(iter(headers)) in answer.json()["detail"]
     with socket.create_connection(("127.0.0.1", shared_broker.port), timeout=10) as line:
-        line.sendall(b"GET /ngsi-ld/v1/entities?type=" + b"A" * 65_500 + b" HTTP/1.1\r\nHost: x\r\n\r\n")
+        line.sendall(
+            b"GET /ngsi-ld/v1/entities?type=" + b"A" * 65_500 + b" HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+        )
         assert line.recv(100).startswith(b"HTTP/1.1 4")
 
 

@@ -10,6 +10,12 @@ import pytest
 from tests.integration.context_broker.acts import Eventually, create, patch, subscribe
 
 
+def told_of(http: httpx.Client, subscription: str) -> dict[str, Any]:
+    """What the broker tells of a subscription's notifications: no counts before the first attempt."""
+    told: dict[str, Any] = http.get(f"/subscriptions/{subscription}").json()["notification"]
+    return told
+
+
 def test_a_notification_tells_how_the_entity_is_now(
     http: httpx.Client, subscriber: Any, eventually: Eventually
 ) -> None:
@@ -135,10 +141,7 @@ def test_the_order_is_kept_and_the_counts_are_true(
     eventually(lambda: len(subscriber.received) == 300)
     assert [one["n"]["value"] for one in subscriber.entities()] == list(range(300))
     notification = eventually(
-        lambda: (
-            (found := http.get(f"/subscriptions/{subscription}").json()["notification"])["timesSent"] == 300
-            and found
-        )
+        lambda: (found := told_of(http, subscription)).get("timesSent", 0) == 300 and found
     )
     assert notification["status"] == "ok"
     assert notification["lastSuccess"] == notification["lastNotification"]
@@ -178,7 +181,7 @@ def test_a_dead_and_a_hanging_subscriber_delay_nobody_else(
     assert hanging.received == []
     told = http.get(f"/subscriptions/{dead}").json()["notification"]
     assert told["status"] == "failed"
-    assert told["timesFailed"] >= 1
+    assert told.get("timesFailed", 0) >= 1
     hanging.go_on.set()
     eventually(lambda: len({one["n"]["value"] for one in hanging.entities()}) == 100, within_s=30)
     first_told = list(dict.fromkeys(one["n"]["value"] for one in hanging.entities()))
@@ -192,18 +195,18 @@ def test_what_could_not_be_delivered_comes_when_the_subscriber_is_back(
     subscription = subscribe(http, "Back", subscriber.url)
     entity = create(http, "Back", n=0)
     patch(http, entity, n=1)
-    eventually(lambda: http.get(f"/subscriptions/{subscription}").json()["notification"]["timesFailed"] >= 2)
+    eventually(lambda: told_of(http, subscription).get("timesFailed", 0) >= 2)
     subscriber.status = 204
     eventually(lambda: len(subscriber.received) == 2)
     assert [one["n"]["value"] for one in subscriber.entities()] == [0, 1]
     sent_again = eventually(
         lambda: (
             (found := http.get(f"/subscriptions/{subscription}").json()["notification"])["status"] == "ok"
-            and found["timesSent"] == 2
+            and found.get("timesSent", 0) == 2
             and found
         )
     )
-    assert sent_again["timesFailed"] >= 2  # each attempt; sent is what was told, however often it took
+    assert sent_again.get("timesFailed", 0) >= 2  # each attempt; sent is what was told, however often it took
 
 
 def test_a_notification_that_is_refused_for_good_makes_way_for_the_next(
@@ -212,8 +215,8 @@ def test_a_notification_that_is_refused_for_good_makes_way_for_the_next(
     subscriber.status = 400
     subscription = subscribe(http, "Refuse", subscriber.url)
     entity = create(http, "Refuse", n=0)
-    eventually(lambda: http.get(f"/subscriptions/{subscription}").json()["notification"]["timesFailed"] == 1)
-    assert http.get(f"/subscriptions/{subscription}").json()["notification"]["timesSent"] == 1
+    eventually(lambda: told_of(http, subscription).get("timesFailed", 0) == 1)
+    assert http.get(f"/subscriptions/{subscription}").json()["notification"].get("timesSent", 0) == 1
     subscriber.status = 200
     patch(http, entity, n=1)
     eventually(lambda: subscriber.received)
@@ -242,7 +245,7 @@ def test_a_changed_endpoint_counts_at_once_also_for_what_waits(
     subscription = subscribe(http, "Moved", "http://127.0.0.1:9/moved")
     create(http, "Moved", n=0)
     path = f"/subscriptions/{subscription}"
-    eventually(lambda: http.get(path).json()["notification"]["timesFailed"] >= 4)
+    eventually(lambda: http.get(path).json()["notification"].get("timesFailed", 0) >= 4)
     http.patch(path, json={"notification": {"endpoint": {"uri": subscriber.url}}})
     eventually(lambda: subscriber.received)
     assert subscriber.entities()[0]["n"]["value"] == 0
@@ -265,6 +268,6 @@ def test_an_answer_that_is_no_http_is_a_failure_like_any_other(
         subscription = subscribe(http, "Gibberish", f"http://127.0.0.1:{server.server_address[1]}/")
         create(http, "Gibberish", n=0)
         path = f"/subscriptions/{subscription}"
-        eventually(lambda: http.get(path).json()["notification"]["timesFailed"] >= 2)
+        eventually(lambda: http.get(path).json()["notification"].get("timesFailed", 0) >= 2)
         assert http.delete(path).status_code == 204
         server.shutdown()

@@ -176,6 +176,12 @@ def test_limit_zero_only_counts(http: httpx.Client, stocked: None) -> None:
     [
         ({}, 400, "too broad"),
         ({"limit": "5"}, 400, "too broad"),
+        ({"id": "urn:ngsi-ld:Room:1"}, 400, "too broad"),
+        ({"idPattern": ".*"}, 400, "too broad"),
+        ({"type": "Room", "local": "foo"}, 400, "local is true or false"),
+        ({"type": "Room", "count": "1"}, 400, "count is true or false"),
+        ({"type": "Room", "entityMap": ""}, 400, "entityMap is true or false"),
+        ({"type": "Room", "splitEntities": "True"}, 400, "splitEntities is true or false"),
         ({"type": TYPE, "limit": "-1"}, 400, "limit"),
         ({"type": TYPE, "limit": "0"}, 400, "count=true"),
         ({"type": TYPE, "limit": "100000"}, 403, "1000"),

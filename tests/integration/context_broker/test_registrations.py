@@ -177,7 +177,7 @@ def test_link_local_sources_are_refused(http: httpx.Client) -> None:
     document = {"endpoint": "http://169.254.169.254", "information": of_type("Closed")}
     answer = http.post(PATH, json=document)
     assert answer.status_code == 400
-    assert "link-local" in answer.json()["detail"]
+    assert "metadata service" in answer.json()["detail"]
     one = register(http, "open", information=of_type("Closed"))
     assert http.patch(f"{PATH}/{one}", json={"endpoint": "http://[fe80::1]"}).status_code == 400
 

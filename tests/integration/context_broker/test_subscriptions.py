@@ -68,8 +68,6 @@ def test_a_subscription_is_read_back_as_it_was(http: httpx.Client) -> None:
     assert answer.headers["location"] == f"/ngsi-ld/v1/subscriptions/{given['id']}"
     kept = http.get(f"/subscriptions/{given['id']}").json()
     assert kept.pop("status") == "active"
-    assert kept["notification"].pop("timesSent") == 0
-    assert kept["notification"].pop("timesFailed") == 0
     kept.pop("jsonldContext")
     assert kept == given
 
@@ -121,9 +119,33 @@ def test_an_id_that_is_taken_is_refused(http: httpx.Client) -> None:
     assert answer.json()["type"].endswith("AlreadyExists")
 
 
-def test_a_change_replaces_members_merges_the_notification_and_null_deletes(http: httpx.Client) -> None:
+def test_before_the_first_attempt_a_subscription_holds_what_was_given_and_its_status(
+    http: httpx.Client,
+) -> None:
+    shown = http.get(made(http, "plain")).json()
+    assert shown["status"] == "active"
+    assert shown.keys().isdisjoint({"isActive", "notificationTrigger"})
+    assert shown["notification"] == {"endpoint": ENDPOINT}
+
+
+@pytest.mark.parametrize("part", [{"attributes": ["b"]}, {"format": "concise"}, {"endpoint": None}, {}])
+def test_a_change_with_an_incomplete_notification_is_refused(
+    http: httpx.Client, part: dict[str, Any]
+) -> None:
+    name = f"incomplete-{'-'.join(part) or None}"
+    path = made(http, name, notification={"endpoint": ENDPOINT, "attributes": ["a"]})
+    before = http.get(path).json()
+    answer = http.patch(path, json={"notification": part})
+    assert answer.status_code == 400
+    assert answer.json()["type"].endswith("BadRequestData")
+    assert "endpoint" in answer.json()["detail"]
+    assert http.get(path).json() == before
+
+
+def test_a_change_replaces_members_and_null_deletes(http: httpx.Client) -> None:
     path = made(http, "change", q="n>1", notification={"endpoint": ENDPOINT, "attributes": ["a"]})
-    change = {"q": None, "isActive": False, "notification": {"format": "concise", "attributes": None}}
+    notification = {"endpoint": ENDPOINT, "format": "concise"}
+    change = {"q": None, "isActive": False, "notification": notification}
     assert http.patch(path, json=change).status_code == 204
     kept = http.get(path, params={"options": "sysAttrs"}).json()
     assert "q" not in kept
@@ -214,8 +236,8 @@ def test_subscriptions_are_listed_page_by_page(http: httpx.Client) -> None:
         ({"notification": {"endpoint": {"uri": "ftp://a.example/x"}}}, 400, "http"),
         ({"notification": {"endpoint": {"uri": "http://:80/x"}}}, 400, "http"),
         ({"notification": {"endpoint": {"uri": "http://a.example:99999/"}}}, 400, "http"),
-        ({"notification": {"endpoint": {"uri": "http://169.254.169.254/latest"}}}, 400, "LINK_LOCAL"),
-        ({"notification": {"endpoint": {"uri": "mqtt://169.254.169.254/topic"}}}, 400, "LINK_LOCAL"),
+        ({"notification": {"endpoint": {"uri": "http://169.254.169.254/latest"}}}, 400, "OUTBOUND_ALLOW"),
+        ({"notification": {"endpoint": {"uri": "mqtt://169.254.169.254/topic"}}}, 400, "OUTBOUND_ALLOW"),
         ({"notification": {"endpoint": {"uri": "mqtt://a.example"}}}, 400, "topic"),
         ({"notification": {"endpoint": {"uri": "mqtt://a.example/cell/#"}}}, 400, "reading"),
         ({"notification": {"endpoint": mqtt("MQTT-QoS", "3")}}, 400, "MQTT-QoS"),

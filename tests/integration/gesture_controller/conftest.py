@@ -21,7 +21,7 @@ class Bench:
     def __init__(self, cell: Any, broker: BrokerClient) -> None:
         self.cell = cell
         self.broker = broker
-        self.screen = httpx.Client(base_url=cell.url("gesture_controller"), timeout=10, trust_env=False)
+        self.screen = httpx.Client(base_url=cell.url("gesture_controller"), timeout=60, trust_env=False)
 
     async def put(
         self, name: str, resource: str = GLOVE, involves: Sequence[str] = (), **parameters: Any
@@ -99,8 +99,8 @@ def put_on(running_cell: Any) -> Iterator[Callable[..., TcpGlove]]:
     """Put on a glove."""
     with ExitStack() as stack:
 
-        def wear(name: str = "glove-1", hand: str = "right") -> TcpGlove:
-            glove = TcpGlove(running_cell.ports["glove"], name, hand)
+        def wear(name: str = "glove-1", hand: str = "right", token: str = "") -> TcpGlove:
+            glove = TcpGlove(running_cell.ports["glove"], name, hand, token)
             stack.callback(glove.close)
             return glove
 

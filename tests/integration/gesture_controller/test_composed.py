@@ -70,6 +70,7 @@ async def test_both_hands_complete_a_task_also_when_the_second_glove_comes_later
         "commandId": 2,
         "heldMs": 1500,
         "by": "gesture",
+        "outcome": "ok",
     }
 
     async def both_devices_say_so() -> bool:

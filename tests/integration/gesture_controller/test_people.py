@@ -141,14 +141,25 @@ async def test_a_profile_goes_out_and_comes_in_under_another_name(bench: Any) ->
     put("/gloves/glove-1/thresholds", json={"ring": {"upper": 950.5}}).raise_for_status()
     text = get("/people/anna/profile.yaml").text
     assert get("/people/anna/profile.yaml").headers["content-type"].startswith("application/yaml")
-    took = put("/people/ben/profile.yaml", content=text.encode())
+    took = put(
+        "/people/ben/profile.yaml", content=text.encode(), headers={"Content-Type": "application/yaml"}
+    )
     assert took.is_success
     assert took.json()["commands"]["3"] == "Wave off"
     assert get("/people/ben/profile.yaml").text == text.replace("person: anna", "person: ben")
-    wrong = put("/people/ben/profile.yaml", content=b"person: ben\ncommands:\n  3: Wave")
+    wrong = put(
+        "/people/ben/profile.yaml",
+        content=b"person: ben\ncommands:\n  3: Wave",
+        headers={"Content-Type": "application/yaml"},
+    )
     assert wrong.status_code == 422
     assert wrong.json()["detail"].startswith("profile.yaml:3: command 3 has the unknown gesture")
-    assert put("/people/ben/profile.yaml", content=b"\xff").status_code == 422
+    assert (
+        put(
+            "/people/ben/profile.yaml", content=b"\xff", headers={"Content-Type": "application/yaml"}
+        ).status_code
+        == 422
+    )
     assert get("/people/ben/profile.yaml").text == text.replace("person: anna", "person: ben")
     assert bench.screen.delete("/people/anna").status_code == 204
     assert bench.view()["person"] is None

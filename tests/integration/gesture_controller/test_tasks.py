@@ -60,6 +60,10 @@ async def test_a_held_gesture_completes_its_task_and_keeps_the_device_current(
         "commandId": 3,
         "parts": [],
         "status": "inProgress",
+        "answers": [
+            {"outcome": outcome, "gesture": None, "code": None, "parts": []}
+            for outcome in ("notGood", "problem")
+        ],
     }
     assert view["deviceState"] == "busy"
     glove.show(HORNS, 3)  # a wrong one, twice as long as confirms
@@ -74,7 +78,13 @@ async def test_a_held_gesture_completes_its_task_and_keeps_the_device_current(
     glove.show(UP, 1.6)
     await ends(bench, task, "completed")
     outputs = await bench.outputs(task)
-    assert outputs == {"gesture": "Thumbs up", "commandId": 3, "heldMs": 1500, "by": "gesture"}
+    assert outputs == {
+        "gesture": "Thumbs up",
+        "commandId": 3,
+        "heldMs": 1500,
+        "by": "gesture",
+        "outcome": "ok",
+    }
 
     async def device_is_current() -> bool:
         device = await bench.device()
@@ -162,6 +172,7 @@ async def test_without_a_glove_the_screen_says_so_and_completes_the_task(bench: 
         "heldMs": 0,
         "by": "screen",
         "operator": "Anna",
+        "outcome": "ok",
     }
     assert bench.press("complete", by="Anna").status_code == 409
 
@@ -351,7 +362,14 @@ async def test_wrong_requests_are_told_what_is_wrong(bench: Any) -> None:
     put = bench.screen.put
     assert put("/gloves/glove-1/modes", json={"testing": True, "colour": 1}).status_code == 422
     assert put("/gloves/glove-1/thresholds", json={"pinky": {"upper": 1}}).status_code == 422
-    assert put("/gloves/glove-1/thresholds", content=b'{"ring": {"upper": NaN}}').status_code == 422
+    assert (
+        put(
+            "/gloves/glove-1/thresholds",
+            content=b'{"ring": {"upper": NaN}}',
+            headers={"Content-Type": "application/json"},
+        ).status_code
+        == 422
+    )
     assert put("/gloves/a%20b", json={}).status_code == 422
     assert put("/gloves/glove-2", json={"hand": "left"}).status_code == 201
     assert put("/gloves/glove-2", json={}).status_code == 200

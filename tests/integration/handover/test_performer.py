@@ -207,13 +207,66 @@ async def test_notifications_that_cannot_be_read_are_refused_and_nothing_stops(
 ) -> None:
     notifications = f"{cell.url('lamp')}/notifications"
     async with httpx.AsyncClient() as http:
+        keyed = await key_of(broker)
         for body in (b"not JSON", b"[]", b'{"data": 3}', b"\xff\xfe", b'{"data": [3]}'):
-            answer = await http.post(notifications, content=body)
+            headers = keyed | {"Content-Type": "application/json"}
+            answer = await http.post(notifications, content=body, headers=headers)
             assert answer.status_code == 400
             assert answer.headers["content-type"] == "application/problem+json"
-        assert (await http.post(notifications, json={"data": [{"type": "Task"}]})).status_code == 204
+        read = await http.post(notifications, json={"data": [{"type": "Task"}]}, headers=keyed)
+        assert read.status_code == 204
         assert "handover_notifications_refused_total" in (await http.get(f"{cell.url('lamp')}/metrics")).text
     task = a_task("still-working", steps=1)
+    await broker.create(task)
+    await comes_to(broker, task, TaskStatus.COMPLETED)
+
+
+async def key_of(broker: BrokerClient) -> dict[str, str]:
+    """The header that the lamp's subscription has the broker send."""
+    (subscription,) = await broker.subscriptions()
+    (pair,) = subscription["notification"]["endpoint"]["receiverInfo"]
+    return {pair["key"]: pair["value"]}
+
+
+async def test_a_notification_neither_begins_nor_cancels_a_task_the_broker_does(
+    broker: BrokerClient, cell: Cell
+) -> None:
+    running = a_task("not-cancelled", steps=200)
+    await broker.create(running)
+    await comes_to(broker, running, TaskStatus.IN_PROGRESS)
+    invented = a_task("invented", steps=1).to_normalized()
+    cancelled = {
+        **running.to_normalized(),
+        "requestedStatus": {"type": "Property", "value": "cancelled", "observedAt": "2030-01-01T12:00:00Z"},
+    }
+    async with httpx.AsyncClient() as http:
+        notifications = f"{cell.url('lamp')}/notifications"
+        forged = {"data": [invented, cancelled]}
+        assert (await http.post(notifications, json=forged)).status_code == 403
+        answer = await http.post(notifications, json=forged, headers=await key_of(broker))
+        assert answer.status_code == 204
+    await comes_to(broker, running, TaskStatus.COMPLETED)
+    with pytest.raises(NotFound):
+        await broker.retrieve(invented["id"])
+
+
+async def test_the_key_is_kept_and_a_subscription_with_another_gets_it(
+    broker: BrokerClient, cell: Cell, lamp: LampProcess
+) -> None:
+    keyed = await key_of(broker)
+    (file,) = cell.data_dir.glob("*.notification-key")
+    assert file.read_text() in keyed.values()
+    assert file.stat().st_mode & 0o777 == 0o600
+    lamp.kill()
+    (subscription,) = await broker.subscriptions()
+    old = {"uri": f"{cell.url('lamp')}/notifications", "accept": "application/json"}
+    names = ("id", "type", "entities", "watchedAttributes")
+    made = {name: subscription[name] for name in names} | {"notification": {"endpoint": old}}
+    await broker.ensure_subscription(made)
+    assert "receiverInfo" not in (await broker.subscriptions())[0]["notification"]["endpoint"]
+    lamp.start()
+    assert await key_of(broker) == keyed
+    task = a_task("after-the-key", steps=1)
     await broker.create(task)
     await comes_to(broker, task, TaskStatus.COMPLETED)
 

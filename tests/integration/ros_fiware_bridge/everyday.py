@@ -15,6 +15,13 @@ ros_to_ngsild:
     entity: Device:r1
     dead_band: 0.5
     attributes: {level: data}
+  sensor: {topic: /sensor, type: std_msgs/Float64, entity: Device:r1, attributes: {sensor: data}}
+  latched: {topic: /latched, type: std_msgs/Float64, entity: Device:r1, attributes: {latched: data}}
+  fleet:
+    topic: /{robot}/charge
+    type: std_msgs/Float64
+    entity: Device:{robot}
+    attributes: {charge: data}
   untyped:
     topic: /words
     entity: Device:r1
@@ -64,6 +71,12 @@ actions:
     goal: {order: {attribute: upTo, required: true}}
     feedback: {sequence: sequence}
     outputs: {sequence: sequence}
+  hasty:
+    action: /arm/count
+    type: example_interfaces/Fibonacci
+    task: hasty
+    resource: Device:arm
+    result_timeout_s: 1
   once:
     action: /arm/count
     type: example_interfaces/Fibonacci

@@ -51,10 +51,11 @@ class Arm:
         self.grips: list[float] = []
         self.part_between_fingers = False
         self.fault = ""
+        self.dead = False
 
     async def tell(self, graph: Any) -> None:
         states = await graph.publisher("/joint_states", "sensor_msgs/msg/JointState", SENSOR_DATA)
-        while True:
+        while not self.dead:
             now_ns = time.time_ns()
             states.publish(
                 {
@@ -78,6 +79,8 @@ class Arm:
         way = [[self.at[name] for name in names]] + [list(one["positions"]) for one in points]
         began_s = time.monotonic()
         while (now_s := time.monotonic() - began_s) < times[-1]:
+            if self.dead:
+                await asyncio.Event().wait()
             if goal.cancel_requested:
                 self.turning = dict.fromkeys(self.turning, 0.0)
                 raise GoalEnded(GoalStatus.CANCELED)
@@ -142,12 +145,12 @@ async def wish(shop: Shop, task_id: str, wanted: str) -> None:
     await shop.broker.append(task_id, {"requestedStatus": written})
 
 
-async def comes_to(shop: Shop, task_id: str, *wanted: TaskStatus) -> dict[str, Any]:
+async def comes_to(shop: Shop, task_id: str, *wanted: TaskStatus, within_s: float = 30.0) -> dict[str, Any]:
     async def there() -> Task | None:
         found: Task = await shop.broker.get(task_id, Task)
         return found if found.status.value in wanted else None
 
-    task = await shop.until(there, 30.0, f"{task_id} never became {wanted}")
+    task = await shop.until(there, within_s, f"{task_id} never became {wanted}")
     outputs = dict(task.output_parameters.value) if task.output_parameters else {}
     return {"status": task.status.value, **outputs}
 
@@ -211,6 +214,22 @@ async def test_what_the_controller_says_against_it_is_the_reason_of_the_task(sho
     ended = await comes_to(shop, await ask(shop, "moveTo", joints=AWAY), TaskStatus.FAILED)
     assert "gave up: path tolerance violated at elbow_joint" in ended["reason"]
     assert ended["reason"].startswith("the robot cannot move: ")
+
+
+async def test_a_task_neither_progresses_nor_completes_while_the_arm_is_dead(shop: Shop, arm: Arm) -> None:
+    async def progress() -> float:
+        task: Task = await shop.broker.get(task_id, Task)
+        told = task.output_parameters.value.get("progress") if task.output_parameters else None
+        return float(told or 0.0)
+
+    task_id = await ask(shop, "moveTo", joints=AWAY, speed=0.1)
+    await shop.until(lambda: arm.at[JOINTS[0]] > 0.1, 30.0, "the arm never moved")
+    arm.dead = True
+    way = (arm.at[JOINTS[0]] - HOME[0]) / (AWAY[0] - HOME[0])
+    ended = await comes_to(shop, task_id, TaskStatus.FAILED, TaskStatus.COMPLETED, within_s=90.0)
+    assert ended["status"] is TaskStatus.FAILED
+    assert "have not been reported for" in ended["reason"]
+    assert await progress() <= way + 0.1
 
 
 async def test_the_gripper_says_whether_it_holds_something(shop: Shop, arm: Arm) -> None:

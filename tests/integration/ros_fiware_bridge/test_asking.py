@@ -79,7 +79,8 @@ async def test_a_task_for_a_service_that_nobody_serves_fails_with_the_reason(sho
     assert "/arm/reset" in outputs["reason"]
     status, outputs = await end_of(shop, await ask(shop, "dance"))
     assert (
-        outputs["reason"] == f'no rule of the ROS bridge does "dance" for {ARM}; they do reset, count, once'
+        outputs["reason"]
+        == f'no rule of the ROS bridge does "dance" for {ARM}; they do reset, count, hasty, once'
     )
 
 
@@ -118,6 +119,23 @@ async def test_a_task_sends_a_goal_and_tells_how_it_goes(shop: Any) -> None:
         await shop.broker.append(task_id, {"requestedStatus": prop("cancelled")})
         status, outputs = await end_of(shop, task_id)
         assert (status, outputs["reason"]) == ("failed", "cancelled")
+    finally:
+        await served.close()
+
+
+async def test_a_goal_that_takes_too_long_is_cancelled_when_its_task_fails(shop: Any) -> None:
+    cancelled = asyncio.Event()
+
+    async def count(goal: Any) -> Message:
+        await goal.wait_cancel_requested()
+        cancelled.set()
+        raise GoalEnded(GoalStatus.CANCELED)
+
+    served = await shop.robot.serve_action("/arm/count", "example_interfaces/action/Fibonacci", count)
+    try:
+        status, outputs = await end_of(shop, await ask(shop, "hasty"))
+        assert (status, "did not end within 1" in outputs["reason"]) == ("failed", True)
+        await shop.until(cancelled.is_set, why="the robot goes on")
     finally:
         await served.close()
 

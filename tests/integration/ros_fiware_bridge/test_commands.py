@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from handover.cli.main import main
-from ros_fiware_bridge.graph.qos import SENSOR_DATA
+from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
+from tests.integration.ros_fiware_bridge.graph.test_genuine_cyclone import genuine
 
 pytestmark = pytest.mark.slow
 
@@ -72,6 +74,26 @@ def test_a_shell_gets_the_code_and_one_line(tmp_path: Path) -> None:
     assert len(ended.stderr.splitlines()) == 1
 
 
+def test_what_a_command_logs_is_not_in_its_standard_output(tmp_path: Path) -> None:
+    # Every logger of the bridge is a structlog logger; this one logs what the others may.
+    script = (
+        "import sys, structlog\nfrom handover.cli.main import main\n"
+        "from ros_fiware_bridge.graph.cyclone.domain import log\n"
+        "from ros_fiware_bridge.types import type_store\n"
+        "read = type_store.TypeStore.resolve\n"
+        "def resolve(*given):\n    log.warning('a line of the log')\n    return read(*given)\n"
+        "type_store.TypeStore.resolve = resolve\n"
+        "sys.argv = ['handover', 'bridge', 'scaffold', '/joint_states', '--type', 'sensor_msgs/JointState']\n"
+        "main()\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=90
+    )
+    assert "a line of the log" in ended.stderr
+    (rule,) = yaml.safe_load(ended.stdout)["ros_to_ngsild"].values()
+    assert rule["type"] == "sensor_msgs/msg/JointState"
+
+
 async def test_a_topic_that_exists_is_seen_and_gets_a_mapping_that_can_work(
     own_shop: Any, handover: Handover
 ) -> None:
@@ -94,3 +116,53 @@ async def test_a_topic_that_exists_is_seen_and_gets_a_mapping_that_can_work(
     code, _, wrong = await handover("scaffold", "/nothing", "--wait", "0.2")
     assert code == 2
     assert "nobody publishes /nothing" in wrong
+
+
+CALLS = """
+ngsild_to_ros:
+  speed: {entity: Device:belt, topic: /speed, type: std_msgs/Float64, fields: {data: speed}}
+services:
+  trigger: {service: /trigger, type: std_srvs/Trigger, task: trigger, resource: Device:robot}
+  other: {service: /other, type: std_srvs/Trigger, task: other, resource: Device:robot}
+  absent: {service: /absent, type: std_srvs/Trigger, task: absent, resource: Device:robot}
+actions:
+  count: {action: /fibonacci, type: example_interfaces/Fibonacci, task: count, resource: Device:robot}
+"""
+
+
+async def test_a_check_on_the_graph_names_calls_and_messages_that_will_not_work(
+    own_shop: Any, handover: Handover
+) -> None:
+    async def answer(_: dict[str, Any]) -> dict[str, Any]:
+        return {}
+
+    def hear(_: Any) -> None:
+        pass
+
+    await own_shop.robot.serve("/other", "std_srvs/srv/SetBool", answer)
+    await own_shop.robot.subscribe("/speed", "std_msgs/msg/Float64", hear, LATCHED)
+    (own_shop.cell.data_dir / "calls.yaml").write_text(CALLS)
+    with genuine(own_shop.domain, "0" * 64):
+        code, live, wrong = await handover("check", "calls.yaml", "--live", *LOOK)
+    assert code == 0, wrong
+    assert "trigger: /trigger: a node serves std_srvs/srv/Trigger with the type hash RIHS01_0000" in live
+    assert "other: /other has the type std_srvs/srv/SetBool, not std_srvs/srv/Trigger" in live
+    assert "absent: nobody serves /absent now" in live
+    assert "count: /fibonacci has the type test_msgs/action/Fibonacci, not example_interfaces" in live
+    assert "speed: /robot will not hear it: the reader wants transient_local" in live
+
+
+async def test_the_graph_is_that_of_the_domain_asked_for_also_beside_a_bridge_in_another(
+    own_shop: Any, handover: Handover, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await asyncio.to_thread(own_shop.begin, "")
+    for name, value in own_shop.cell.environment.items():
+        monkeypatch.setenv(name, value)
+    _, seen, _ = await handover("graph", *LOOK)
+    assert "node      /handover_bridge (cyclonedds) - the bridge" in seen
+    assert "/robot" in seen
+    other = own_shop.domain % 100 + 1
+    monkeypatch.setenv("HANDOVER_ROS_DOMAIN_ID", str(other))
+    _, seen, said = await handover("graph", *LOOK)
+    assert "/robot" not in seen
+    assert f"the ROS bridge that runs here is in ROS domain {own_shop.domain}" in said

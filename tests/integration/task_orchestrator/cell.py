@@ -98,7 +98,13 @@ class Member:
 class Cell:
     """The broker, the orchestrator and a performer that writes down each time it does something."""
 
-    def __init__(self, folder: Path, free_port: FreePort, database_url: str | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        free_port: FreePort,
+        database_url: str | None = None,
+        extra: Mapping[str, str] | None = None,
+    ) -> None:
         broker, orchestrator, performer = free_port(), free_port(), free_port()
         self.done_file = folder / "done.txt"
         self.script_file = folder / "script.json"
@@ -111,6 +117,7 @@ class Cell:
             "HANDOVER_BROKER_URL": f"http://127.0.0.1:{broker}",
             "HANDOVER_ORCHESTRATOR_PORT": str(orchestrator),
             "HANDOVER_RECONCILE_S": "0.5",
+            **(extra or {}),
         }
         of_orchestrator = dict(environment)
         if database_url:
@@ -204,9 +211,14 @@ def _is_of(entity_id: str, process: str) -> bool:
 
 
 @contextmanager
-def cell(folder: Path, free_port: FreePort, database_url: str | None = None) -> Iterator[Cell]:
-    """Run a cell with all its members up."""
-    running = Cell(folder, free_port, database_url)
+def cell(
+    folder: Path,
+    free_port: FreePort,
+    database_url: str | None = None,
+    extra: Mapping[str, str] | None = None,
+) -> Iterator[Cell]:
+    """Run a cell with all its members up; `extra` are settings of all of them."""
+    running = Cell(folder, free_port, database_url, extra)
     try:
         for member in running.members:
             member.start()

@@ -1,14 +1,21 @@
-"""The orchestrator's HTTP interface while the broker is away: everything is taken in, nothing is lost."""
+"""The orchestrator's HTTP interface, while the broker is away and beside a real one."""
 
-from collections.abc import AsyncIterator
+import asyncio
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+import uvicorn
 
 from datamodels.times import iso
+from handover.broker import BrokerClient
+from handover.notifications import KEY_HEADER
+from services.context_broker.app import create_broker
+from services.context_broker.settings import BrokerSettings
 from services.task_orchestrator.app import make_app
 from services.task_orchestrator.orchestrator import utc_now
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -17,10 +24,12 @@ from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, en
 NOBODY = "http://127.0.0.1:9"
 """The discard port: no broker answers there."""
 XML = {"Content-Type": "application/xml"}
+KEYED = {KEY_HEADER: "what-the-broker-sends"}
 
 
 def settings_in(folder: Path, **more: Any) -> OrchestratorSettings:
-    return OrchestratorSettings(_env_file=None, data_dir=folder, broker_url=NOBODY, **more)
+    given = {"broker_url": NOBODY, "notification_key": KEYED[KEY_HEADER], **more}
+    return OrchestratorSettings(_env_file=None, data_dir=folder, **given)
 
 
 @asynccontextmanager
@@ -43,24 +52,68 @@ async def deployed(api: httpx.AsyncClient, body: str = ONE_STEP) -> None:
     assert (await api.post("/definitions", content=drawing(body), headers=XML)).status_code == 201
 
 
-async def notify(api: httpx.AsyncClient, task: str, status: str, **outputs: Any) -> httpx.Response:
-    entity = {
+@pytest.fixture
+async def broker(tmp_path: Path, free_port: Callable[[], int]) -> AsyncIterator[BrokerClient]:
+    """A real broker, in this process."""
+    port = free_port()
+    settings = BrokerSettings(_env_file=None, data_dir=tmp_path, broker_url=f"http://127.0.0.1:{port}")
+    app = create_broker(settings)
+    server = uvicorn.Server(uvicorn.Config(app, port=port, log_config=None, timeout_graceful_shutdown=1))
+    serving = asyncio.create_task(server.serve())
+    while not server.started:
+        await asyncio.sleep(0.01)
+    try:
+        async with BrokerClient(settings) as client:
+            yield client
+    finally:
+        server.should_exit = True
+        await serving
+
+
+@pytest.fixture
+def at_broker(tmp_path: Path, broker: BrokerClient, free_port: Callable[[], int]) -> OrchestratorSettings:
+    """The settings of an orchestrator that works with the real broker; no notification reaches it."""
+    return settings_in(tmp_path, broker_url=broker.url, orchestrator_port=free_port())
+
+
+@pytest.fixture
+async def joined(at_broker: OrchestratorSettings) -> AsyncIterator[httpx.AsyncClient]:
+    async with service(at_broker) as client:
+        yield client
+
+
+def a_task(task: str, status: str, **outputs: Any) -> dict[str, Any]:
+    return {
         "id": task,
         "type": "Task",
         "isDefinedBy": {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"},
         "status": {"type": "Property", "value": status, "observedAt": iso(utc_now())},
         "outputParameters": {"type": "Property", "value": outputs},
     }
-    return await api.post("/notifications", json={"type": "Notification", "data": [entity]})
+
+
+async def notify(api: httpx.AsyncClient, *entities: Any, **headers: str) -> httpx.Response:
+    """Notify the orchestrator as the broker does."""
+    body = {"type": "Notification", "data": entities}
+    return await api.post("/notifications", json=body, headers=KEYED | headers)
+
+
+async def moved(
+    api: httpx.AsyncClient, broker: BrokerClient, task: str, status: str, **outputs: Any
+) -> httpx.Response:
+    """Move a Task in the broker, and notify the orchestrator of it."""
+    entity = a_task(task, status, **outputs)
+    await broker.upsert([entity])
+    return await notify(api, entity)
 
 
 async def test_the_same_file_twice_changes_nothing_and_a_changed_one_is_a_new_version(
     api: httpx.AsyncClient,
 ) -> None:
-    first = await api.post("/definitions", content=drawing(ONE_STEP))
-    again = await api.post("/definitions", content=drawing(ONE_STEP))
-    changed = await api.post("/definitions", content=drawing(parameters(x="1") + ONE_STEP))
-    back = await api.post("/definitions", content=drawing(ONE_STEP))
+    first = await api.post("/definitions", content=drawing(ONE_STEP), headers=XML)
+    again = await api.post("/definitions", content=drawing(ONE_STEP), headers=XML)
+    changed = await api.post("/definitions", content=drawing(parameters(x="1") + ONE_STEP), headers=XML)
+    back = await api.post("/definitions", content=drawing(ONE_STEP), headers=XML)
     assert [answer.status_code for answer in (first, again, changed, back)] == [201, 200, 201, 201]
     assert [answer.json()["version"] for answer in (first, again, changed, back)] == [1, 1, 2, 3]
     assert changed.json()["parameters"] == [{"name": "x", "required": False, "default": 1}]
@@ -71,11 +124,14 @@ async def test_the_same_file_twice_changes_nothing_and_a_changed_one_is_a_new_ve
     assert {each["name"] for each in (await api.get("/definitions")).json()} == {"bin-picking", "p"}
 
 
-async def test_a_running_process_keeps_the_version_it_was_started_with(api: httpx.AsyncClient) -> None:
+async def test_a_running_process_keeps_the_version_it_was_started_with(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    api = joined
     await deployed(api)
     process = (await api.post("/processes", json={"definition": "p"})).json()
     await deployed(api, ONE_STEP.replace("work", "other"))
-    await notify(api, process["tasks"][0]["id"], "completed")
+    await moved(api, broker, process["tasks"][0]["id"], "completed")
     seen = (await api.get(f"/processes/{process['id']}")).json()
     assert (seen["version"], seen["status"]) == (1, "completed")
     later = (await api.post("/processes", json={"definition": "p"})).json()
@@ -83,29 +139,32 @@ async def test_a_running_process_keeps_the_version_it_was_started_with(api: http
 
 
 async def test_a_wrong_file_is_answered_with_every_fault(api: httpx.AsyncClient) -> None:
-    answer = await api.post("/definitions", content=drawing("<bpmn:callActivity id='c'/>"))
+    answer = await api.post("/definitions", content=drawing("<bpmn:callActivity id='c'/>"), headers=XML)
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
     assert {error["element"] for error in answer.json()["faults"]} == {"p", "c"}
     for fault in answer.json()["faults"]:
-        assert set(fault) == {"element", "line", "message"}
-    assert (await api.post("/definitions", content=b"x" * 1_048_577)).status_code == 422
+        assert set(fault) - {"messageCode", "messageParameters"} == {"element", "line", "message"}
+    assert (await api.post("/definitions", content=b"x" * 1_048_577, headers=XML)).status_code == 422
 
 
 async def test_a_file_can_be_tried_out_without_deploying_it(api: httpx.AsyncClient) -> None:
     dry = {"dry": "true"}
-    tried = await api.post("/definitions", content=drawing(ONE_STEP), params=dry)
+    tried = await api.post("/definitions", content=drawing(ONE_STEP), params=dry, headers=XML)
     assert tried.status_code == 200
     assert tried.json() == {"name": "p", "version": 1, "title": "p", "created": True}
     assert (await api.get("/definitions/p")).status_code == 404
     await deployed(api)
-    again = await api.post("/definitions", content=drawing(ONE_STEP), params=dry)
+    again = await api.post("/definitions", content=drawing(ONE_STEP), params=dry, headers=XML)
     assert (again.json()["version"], again.json()["created"]) == (1, False)
-    wrong = await api.post("/definitions", content=drawing(""), params=dry)
+    wrong = await api.post("/definitions", content=drawing(""), params=dry, headers=XML)
     assert (wrong.status_code, wrong.json()["faults"][0]["element"]) == (422, "p")
 
 
-async def test_a_process_is_shown_with_its_tasks_and_their_times(api: httpx.AsyncClient) -> None:
+async def test_a_process_is_shown_with_its_tasks_and_their_times(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    api = joined
     await deployed(api, parameters(bin="bin-1") + ONE_STEP)
     answer = await api.post("/processes", json={"definition": "p", "parameters": {"bin": "bin-2"}})
     assert answer.status_code == 201
@@ -115,7 +174,7 @@ async def test_a_process_is_shown_with_its_tasks_and_their_times(api: httpx.Asyn
     assert process["waiting"] == ["work"]
     (task,) = process["tasks"]
     for status in ("assigned", "inProgress", "completed"):
-        assert (await notify(api, task["id"], status, grip=3)).status_code == 204
+        assert (await moved(api, broker, task["id"], status, grip=3)).status_code == 204
     seen = (await api.get(f"/processes/{process['id']}")).json()
     assert seen == (await api.get(f"/processes/{process['entity']}")).json()
     assert seen["status"] == "completed"
@@ -127,7 +186,10 @@ async def test_a_process_is_shown_with_its_tasks_and_their_times(api: httpx.Asyn
     assert (await api.get("/processes", params={"status": "failed"})).json() == []
 
 
-async def test_a_process_says_how_far_it_is_and_what_comes_next(api: httpx.AsyncClient) -> None:
+async def test_a_process_says_how_far_it_is_and_what_comes_next(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    api = joined
     inner = '<handover:involves expression="helper"/><handover:parameter name="description" value="Do it"/>'
     body = start() + activity("work", inner) + activity("rest", inner) + end()
     body += path("start", "work", "rest", "end")
@@ -142,7 +204,7 @@ async def test_a_process_says_how_far_it_is_and_what_comes_next(api: httpx.Async
     (task,) = process["tasks"]
     assert (task["name"], task["description"], task["involves"]) == ("work", "Do it", people)
     assert task["workParameters"] == {"description": "Do it"}
-    await notify(api, task["id"], "completed")
+    await moved(api, broker, task["id"], "completed")
     seen = (await api.get(f"/processes/{process['id']}")).json()
     assert (seen["done"], seen["next"], seen["elements"]["work"]["completed"]) == (1, [], 1)
     assert seen["elements"]["work"]["lastMs"] == seen["elements"]["work"]["medianMs"] >= 0
@@ -167,16 +229,59 @@ async def test_processes_are_listed_page_by_page(api: httpx.AsyncClient) -> None
     assert (await api.get("/processes", params={"before": "nobody"})).status_code == 404
 
 
-async def failed(api: httpx.AsyncClient) -> dict[str, Any]:
+async def test_processes_are_filtered_by_key_version_and_person(api: httpx.AsyncClient) -> None:
+    inner = '<handover:involves expression="helper"/>'
+    body = start() + activity("work", inner) + end() + path("start", "work", "end")
+    await deployed(api, parameters(helper="Person:ann") + body)
+
+    async def begun(key: str, helper: str) -> str:
+        asked = {"definition": "p", "key": key, "parameters": {"helper": helper}}
+        return str((await api.post("/processes", json=asked)).json()["id"])
+
+    async def found(**filters: Any) -> list[str]:
+        return [row["id"] for row in (await api.get("/processes", params=filters)).json()]
+
+    first, second = await begun("Order 66%", "Person:ann"), await begun("order 7", "Person:bob")
+    assert await found(search="order") == [second, first]
+    assert await found(search="66%") == [first], "what LIKE takes for a pattern is searched as it is"
+    assert await found(search="_") == []
+    assert await found(search=second[-8:]) == [second]
+    assert await found(involves="urn:ngsi-ld:Person:demo:ann") == [first]
+    assert await found(involves="urn:ngsi-ld:Person:demo:an") == []
+    assert (await found(version=1), await found(version=2)) == ([second, first], [])
+    assert (await api.get("/processes", params={"version": "9" * 20})).status_code == 422
+
+
+async def test_the_counts_of_a_day_tell_what_ended_and_how_long_it_took(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    api = joined
+    await deployed(api)
+    began = datetime.now(UTC).isoformat()
+    ids = [(await api.post("/processes", json={"definition": "p"})).json() for _ in range(4)]
+    for process, status in zip(ids, ("completed", "completed", "failed"), strict=False):
+        await moved(api, broker, process["tasks"][0]["id"], status)
+    counts = (await api.get("/statistics", params={"since": began})).json()
+    assert (counts["running"], counts["completed"], counts["failed"]) == (1, 2, 1)
+    assert counts["medianMs"] >= 0
+    later = (await api.get("/statistics", params={"since": "2999-01-01T00:00:00Z"})).json()
+    assert later == {"running": 1, "completed": 0, "failed": 0, "medianMs": None}
+    assert (await api.get("/statistics", params={"since": "yesterday"})).status_code == 422
+
+
+async def failed(api: httpx.AsyncClient, broker: BrokerClient) -> dict[str, Any]:
     process = (await api.post("/processes", json={"definition": "p"})).json()
-    await notify(api, process["tasks"][0]["id"], "failed", reason="the part slipped")
+    await moved(api, broker, process["tasks"][0]["id"], "failed", reason="the part slipped")
     seen: dict[str, Any] = (await api.get(f"/processes/{process['id']}")).json()
     return seen
 
 
-async def test_a_failed_task_is_retried_and_it_is_kept_who_wanted_it(api: httpx.AsyncClient) -> None:
+async def test_a_failed_task_is_retried_and_it_is_kept_who_wanted_it(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    api = joined
     await deployed(api)
-    process = await failed(api)
+    process = await failed(api, broker)
     task = process["tasks"][0]
     assert (process["status"], process["retry"], task["reason"]) == (
         "failed",
@@ -195,15 +300,17 @@ async def test_a_failed_task_is_retried_and_it_is_kept_who_wanted_it(api: httpx.
     (act,) = seen["acts"]
     assert (act["by"], act["act"], act["task"]) == ("Anna", "retry", task["id"])
     assert seen["elements"]["work"]["failed"] == 1
-    await notify(api, seen["tasks"][1]["id"], "completed")
+    await moved(api, broker, seen["tasks"][1]["id"], "completed")
     assert (await api.get(f"/processes/{process['id']}")).json()["status"] == "completed"
 
 
-async def test_a_process_that_failed_before_a_restart_can_be_retried_after_it(tmp_path: Path) -> None:
-    settings = settings_in(tmp_path)
+async def test_a_process_that_failed_before_a_restart_can_be_retried_after_it(
+    at_broker: OrchestratorSettings, broker: BrokerClient
+) -> None:
+    settings = at_broker
     async with service(settings) as api:
         await deployed(api)
-        process = await failed(api)
+        process = await failed(api, broker)
     async with service(settings) as api:
         short = process["retry"].removeprefix("urn:ngsi-ld:Task:demo:")
         answer = await api.post(f"/processes/{process['id']}/tasks/{short}/retry", json={"by": "Anna"})
@@ -227,13 +334,16 @@ async def test_a_retry_that_cannot_be_says_why(api: httpx.AsyncClient) -> None:
         assert (await api.post(url, json=nobody)).status_code == 422
 
 
-async def test_the_same_key_never_starts_a_second_process(api: httpx.AsyncClient) -> None:
+async def test_the_same_key_never_starts_a_second_process(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    api = joined
     await deployed(api)
     order = {"definition": "p", "key": "order 7"}
     first, second = await api.post("/processes", json=order), await api.post("/processes", json=order)
     assert (first.status_code, second.status_code) == (201, 200)
     assert first.json()["id"] == second.json()["id"]
-    await notify(api, first.json()["tasks"][0]["id"], "completed")
+    await moved(api, broker, first.json()["tasks"][0]["id"], "completed")
     assert (await api.post("/processes", json=order)).json()["status"] == "completed"
 
 
@@ -280,7 +390,8 @@ async def test_a_notification_that_cannot_be_read_is_refused_and_counted(
     api: httpx.AsyncClient, body: bytes
 ) -> None:
     before = refused(await api.get("/metrics"))
-    assert (await api.post("/notifications", content=body)).status_code == 400
+    headers = KEYED | {"Content-Type": "application/json"}
+    assert (await api.post("/notifications", content=body, headers=headers)).status_code == 400
     assert refused(await api.get("/metrics")) == before + 1
 
 
@@ -292,25 +403,94 @@ def refused(metrics: httpx.Response) -> float:
     )
 
 
-async def test_news_of_tasks_that_are_not_ours_or_do_not_fit_disturb_nothing(api: httpx.AsyncClient) -> None:
-    await deployed(api)
-    process = (await api.post("/processes", json={"definition": "p"})).json()
+async def test_news_of_tasks_that_are_not_ours_or_do_not_fit_disturb_nothing(
+    joined: httpx.AsyncClient,
+) -> None:
+    await deployed(joined)
+    process = (await joined.post("/processes", json={"definition": "p"})).json()
     task = process["tasks"][0]["id"]
-    assert (await notify(api, "urn:ngsi-ld:Task:demo:other", "completed")).status_code == 204
-    assert (await notify(api, task, "exploded")).status_code == 204
-    garbage = {"data": [{"id": task, "type": "Task"}, {"id": None}, {}]}
-    assert (await api.post("/notifications", json=garbage)).status_code == 204
-    assert (await api.get(f"/processes/{process['id']}")).json()["status"] == "inProgress"
+    other = a_task("urn:ngsi-ld:Task:demo:other", "completed")
+    assert (await notify(joined, other, a_task(task, "exploded"))).status_code == 204
+    assert (await notify(joined, {"id": task, "type": "Task"}, {"id": None}, {})).status_code == 204
+    assert (await joined.get(f"/processes/{process['id']}")).json()["status"] == "inProgress"
 
 
-async def test_everything_is_there_again_after_a_restart(tmp_path: Path) -> None:
-    settings = settings_in(tmp_path)
+async def test_a_notification_never_moves_a_process_the_broker_does(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    await deployed(joined)
+    process = (await joined.post("/processes", json={"definition": "p"})).json()
+    task = process["tasks"][0]["id"]
+    await broker.upsert([a_task(task, "pending")])
+    assert (await notify(joined, a_task(task, "completed"))).status_code == 204
+    seen = (await joined.get(f"/processes/{process['id']}")).json()
+    assert (seen["status"], seen["tasks"][0]["status"]) == ("inProgress", "pending")
+    await broker.upsert([a_task(task, "completed")])
+    assert (await notify(joined, a_task(task, "assigned"))).status_code == 204
+    assert (await joined.get(f"/processes/{process['id']}")).json()["status"] == "completed"
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 403),
+        ({KEY_HEADER: "guessed"}, 403),
+        ({KEY_HEADER: "gr\xfc\xdfe"}, 403),
+        (KEYED | {"Origin": "http://orchestrator"}, 403),
+        (KEYED | {"Content-Type": "text/plain"}, 415),
+        (KEYED | {"Content-Type": "application/ld+json; charset=utf-8"}, 204),
+    ],
+)
+async def test_only_the_broker_notifies(api: httpx.AsyncClient, headers: dict[str, str], status: int) -> None:
+    before = refused(await api.get("/metrics"))
+    sent = [(name.encode(), value.encode("latin-1")) for name, value in headers.items()]
+    answer = await api.post("/notifications", json={"data": []}, headers=sent)
+    assert answer.status_code == status
+    assert refused(await api.get("/metrics")) == before + (status == 403)
+    if status != 204:
+        assert answer.headers["content-type"] == "application/problem+json"
+
+
+async def test_many_notifications_at_once_cost_few_queries(
+    joined: httpx.AsyncClient, broker: BrokerClient
+) -> None:
+    await deployed(joined)
+    tasks = [
+        (await joined.post("/processes", json={"definition": "p"})).json()["tasks"][0]["id"]
+        for _ in range(30)
+    ]
+    done = [a_task(task, "completed") for task in tasks]
+    await broker.upsert(done)
+    assert len(await broker.query(type="Task", q='status=="completed"')) == len(tasks)
+    before = await queries(broker)
+    assert before > 0
+    answers = await asyncio.gather(*(notify(joined, entity) for entity in done))
+    assert {answer.status_code for answer in answers} == {204}
+    assert await queries(broker) - before < len(tasks) / 2
+    assert len((await joined.get("/processes", params={"status": "completed"})).json()) == len(tasks)
+
+
+async def queries(broker: BrokerClient) -> float:
+    """How many queries for entities the broker has answered."""
+    async with httpx.AsyncClient(trust_env=False) as http:
+        text = (await http.get(f"{broker.url}/metrics")).text
+    return sum(
+        float(line.split()[-1])
+        for line in text.splitlines()
+        if "requests_total{" in line and 'operation="GET entities"' in line
+    )
+
+
+async def test_everything_is_there_again_after_a_restart(
+    at_broker: OrchestratorSettings, broker: BrokerClient
+) -> None:
+    settings = at_broker
     async with service(settings) as api:
         await deployed(api)
         before = (await api.post("/processes", json={"definition": "p", "key": "k"})).json()
     async with service(settings) as api:
         assert (await api.get(f"/processes/{before['id']}")).json() == before
-        assert (await notify(api, before["tasks"][0]["id"], "completed")).status_code == 204
+        assert (await moved(api, broker, before["tasks"][0]["id"], "completed")).status_code == 204
         assert (await api.get(f"/processes/{before['id']}")).json()["status"] == "completed"
         versions = {each["name"]: each["version"] for each in (await api.get("/definitions")).json()}
         assert versions == {"bin-picking": 1, "p": 1}

@@ -87,6 +87,15 @@ async def test_one_that_cannot_be_written_does_not_hold_up_the_others(
     assert await orchestrator.hear([completed(task_of(processes[2]))]) == 1
 
 
+@pytest.mark.parametrize("status", [["done"], {"code": 1}, 7, None])
+async def test_a_foreign_task_with_a_status_of_another_type_does_not_keep_out_the_others(
+    orchestrator: Orchestrator, status: Any
+) -> None:
+    process, _ = await orchestrator.begin("p", {})
+    foreign = {"id": "urn:x:foreign", "type": "Task", "status": {"type": "Property", "value": status}}
+    assert await orchestrator.hear([foreign, completed(task_of(process))]) == 1
+
+
 async def test_a_process_whose_start_could_not_be_written_does_not_exist(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
@@ -152,8 +161,8 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
             await before.hear([completed(task_of(ended))])
             running, _ = await before.begin("p", {})
 
-        async def kept(days: float) -> set[str]:
-            at_work = settings.model_copy(update={"keep_days": days})
+        async def kept(days: float, retention_h: float = 0) -> set[str]:
+            at_work = settings.model_copy(update={"keep_days": days, "retention_h": retention_h})
             later = utc_now() + timedelta(days=100)
             async with Orchestrator(at_work, broker, clock=lambda: later) as orchestrator:
                 await orchestrator.on_disk(orchestrator.store.probe)
@@ -162,6 +171,7 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
 
         assert await kept(0) == {ended, running}
         assert await kept(101) == {ended, running}
+        assert await kept(99, retention_h=24) == {ended, running}, "its entities have not left the broker"
         assert await kept(99) == {running}
 
 

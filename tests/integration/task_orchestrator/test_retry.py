@@ -30,7 +30,9 @@ def play(running: Cell, **script: Any) -> None:
 
 
 def deploy(running: Cell, body: str) -> None:
-    assert running.api.post("/definitions", content=drawing(body)).is_success
+    assert running.api.post(
+        "/definitions", content=drawing(body), headers={"Content-Type": "application/xml"}
+    ).is_success
 
 
 def steps(running: Cell, process: str) -> list[str]:

@@ -55,7 +55,9 @@ def steps(running: Cell, process: str) -> list[str]:
 
 
 def deploy(running: Cell, body: str) -> None:
-    answer = running.api.post("/definitions", content=drawing(body))
+    answer = running.api.post(
+        "/definitions", content=drawing(body), headers={"Content-Type": "application/xml"}
+    )
     assert answer.is_success, answer.text
 
 

@@ -1,6 +1,7 @@
-"""Alerts on the page: they stand, somebody says that they know, they are over."""
+"""Alerts for pages: raised, acknowledged, shelved, returned to normal, one and five hundred."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Any
 
 import httpx
@@ -13,6 +14,28 @@ from handover.settings import Settings
 pytestmark = pytest.mark.slow
 
 GLOVE = "urn:ngsi-ld:Device:demo:glove-1"
+MANY = 500
+
+
+def foreign(number: int, severity: str = "critical") -> dict[str, Any]:
+    """An Alert as another component writes it: without our attributes."""
+    return {
+        "id": f"urn:ngsi-ld:Alert:plant:{number}",
+        "type": "Alert",
+        "category": {"type": "Property", "value": "traffic"},
+        "severity": {"type": "Property", "value": severity},
+        "description": {"type": "Property", "value": f"conveyor {number} is blocked"},
+        "dateIssued": {
+            "type": "Property",
+            "value": {"@type": "DateTime", "@value": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"},
+        },
+        "alertSource": {"type": "Relationship", "object": "urn:ngsi-ld:Device:plant:conveyor"},
+    }
+
+
+def topic_of(number: int) -> str:
+    """The topic of a foreign Alert."""
+    return f"alert/{foreign(number)['id']}"
 
 
 async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
@@ -44,6 +67,8 @@ async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
         assert written["value"] is True
         assert written["by"]["value"] == "Aino"
         assert written["observedAt"]
+        stored = await broker.retrieve(urn)
+        assert (stored["alertState"]["value"], stored["acknowledgedBy"]["value"]) == ("acknowledged", "Aino")
 
         twice = browser.post(f"/api/alerts/{urn}/acknowledge", json={"by": "Ville"})
         assert twice.status_code == 409
@@ -57,6 +82,10 @@ async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
         await raise_alert(broker, settings, **about)
         viewer.read_until(lambda: viewer.topics[topic]["validTo"] is None)
         assert viewer.topics[topic]["acknowledged"] is None
+        assert viewer.topics[topic]["state"] == "new"
+        stored = await broker.retrieve(urn)
+        assert stored["alertState"]["value"] == "new"
+        assert not {"acknowledgedBy", "humanVerified", "validTo"} & stored.keys()
         moves = ["alert.raised", "alert.acknowledged", "alert.over", "alert.raised"]
         viewer.read_until(lambda: len(viewer.happened("alert.")) == len(moves))
         assert viewer.happened("alert.") == moves
@@ -67,3 +96,113 @@ async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
     cell.kill("context_broker")
     away = browser.post(f"/api/alerts/{urn}/acknowledge", json={"by": "Ville"})
     assert away.status_code == 503
+
+
+async def test_many_are_acknowledged_at_once_and_each_failure_is_reported(
+    cell: Any, look: Callable[[], Any], browser: httpx.Client
+) -> None:
+    cell.start("context_broker", "webui")
+    viewer = look()
+    settings = Settings.load(broker_url=cell.url("context_broker"))
+    async with BrokerClient(settings) as broker:
+        await broker.upsert([foreign(number) for number in range(MANY)])
+        batches = len(viewer.kinds)
+        viewer.read_until(lambda: all(topic_of(number) in viewer.topics for number in range(MANY)))
+        assert len(viewer.kinds) - batches < MANY / 2, "pages get batches, not a message for each Alert"
+        assert viewer.topics[topic_of(7)]["state"] == "new"
+        assert viewer.topics[topic_of(7)]["priority"] == "critical"
+
+        ids = [foreign(number)["id"] for number in range(MANY)]
+        assert browser.post(f"/api/alerts/{ids[3]}/acknowledge", json={"by": "Ville"}).status_code == 200
+        await broker.delete(ids[4])
+        answer = browser.post("/api/alerts/acknowledge", json={"alerts": ids, "by": "Aino"}, timeout=60)
+        assert answer.status_code == 200
+        assert set(answer.json()["done"]) == set(ids) - {ids[3], ids[4]}
+        failed = {one["alert"]: one for one in answer.json()["failed"]}
+        assert (failed[ids[3]]["status"], failed[ids[4]]["status"]) == (409, 404)
+        assert "Ville" in failed[ids[3]]["detail"]
+        viewer.read_until(lambda: viewer.topics[topic_of(MANY - 1)]["state"] == "acknowledged")
+        assert (await broker.retrieve(ids[9]))["acknowledgedBy"]["value"] == "Aino"
+
+    long_ids = [f"urn:ngsi-ld:Alert:plant:{number}-{'x' * 150}" for number in range(1001)]
+    too_many = {"alerts": long_ids, "by": "Aino"}  # their number is refused, not how long they are
+    assert browser.post("/api/alerts/acknowledge", json=too_many).status_code == 422
+    assert browser.post("/api/alerts/acknowledge", json={"alerts": [], "by": "Aino"}).status_code == 422
+
+
+async def test_a_shelved_alert_returns_by_itself_after_a_restart_too(
+    cell: Any, look: Callable[[], Any], browser: httpx.Client
+) -> None:
+    cell.start("context_broker", "webui")
+    viewer = look()
+    settings = Settings.load(broker_url=cell.url("context_broker"))
+    first, second, third = (foreign(number)["id"] for number in (1, 2, 3))
+    async with BrokerClient(settings) as broker:
+        await broker.upsert([foreign(number) for number in (1, 2, 3)])
+        viewer.read_until(lambda: all(topic_of(number) in viewer.topics for number in (1, 2, 3)))
+
+        def shelve(alerts: list[str], minutes: float) -> httpx.Response:
+            return browser.post(
+                "/api/alerts/shelve", json={"alerts": alerts, "by": "Aino", "minutes": minutes}
+            )
+
+        for minutes in (0, -1, 60 * 24 * 365):
+            assert shelve([first], minutes).status_code == 422
+        assert shelve([first], 600).json()["done"] == [first]
+        viewer.read_until(lambda: viewer.topics[topic_of(1)]["state"] == "shelved")
+        assert viewer.topics[topic_of(1)]["shelvedBy"] == "Aino"
+        assert viewer.topics[topic_of(1)]["shelvedUntil"] > f"{datetime.now(UTC):%Y-%m-%dT%H:%M}"
+        undone = browser.post("/api/alerts/unshelve", json={"alerts": [first, second], "by": "Ville"})
+        assert undone.json()["done"] == [first]
+        assert [one["status"] for one in undone.json()["failed"]] == [409]
+        viewer.read_until(lambda: viewer.topics[topic_of(1)]["state"] == "new")
+
+        assert browser.post(f"/api/alerts/{second}/acknowledge", json={"by": "Ville"}).status_code == 200
+        shelve([first, second], 0.05)
+        shelve([third], 600)
+        viewer.read_until(lambda: viewer.topics[topic_of(3)]["state"] == "shelved")
+        cell.kill("webui")
+        cell.start("webui")
+        viewer = look()
+        viewer.read_until(
+            lambda: (
+                [viewer.topics.get(topic_of(number), {}).get("state") for number in (1, 2, 3)]
+                == ["new", "acknowledged", "shelved"]
+            )
+        )
+        viewer.read_until(lambda: viewer.happened("alert.unshelved"))
+        while (await broker.retrieve(first))["alertState"]["value"] == "shelved":
+            viewer.read()
+        assert (await broker.retrieve(second))["alertState"]["value"] == "acknowledged"
+
+
+async def test_an_alert_that_is_shelved_stays_so_when_it_is_raised_again(
+    cell: Any, browser: httpx.Client
+) -> None:
+    cell.start("context_broker", "webui")
+    settings = Settings.load(broker_url=cell.url("context_broker"))
+    async with BrokerClient(settings) as broker:
+
+        async def again() -> dict[str, Any]:
+            await clear_alert(broker, settings, key="chatter")
+            await raise_alert(broker, settings, key="chatter", source=GLOVE, category="x", description="x")
+            return await broker.retrieve(urn)
+
+        urn = await raise_alert(
+            broker, settings, key="chatter", source=GLOVE, category="x", description="x", severity="critical"
+        )
+        assert (await broker.retrieve(urn))["priority"]["value"] == "critical"
+        browser.post("/api/alerts/shelve", json={"alerts": [urn], "by": "Aino", "minutes": 600})
+        assert (await again())["alertState"]["value"] == "shelved"
+        browser.post("/api/alerts/unshelve", json={"alerts": [urn], "by": "Aino"})
+        assert (await again())["alertState"]["value"] == "new"
+
+
+@pytest.mark.parametrize("mark", ["after", "before"])
+def test_a_seq_beyond_every_integer_is_refused(cell: Any, browser: httpx.Client, mark: str) -> None:
+    cell.start("context_broker", "webui")
+    for digits in ("9" * 20, "9" * 400):
+        refused = browser.get(f"/api/events?{mark}={digits}")
+        assert refused.status_code == 422
+        assert mark in refused.json()["detail"]
+    assert browser.get(f"/api/events?{mark}={2**53 - 1}").status_code == 200

@@ -1,6 +1,7 @@
 """The doors: REST of the services through the one address, and what is said when one is away."""
 
 import json
+from http.client import HTTPConnection
 
 import httpx
 import pytest
@@ -20,7 +21,11 @@ def test_what_the_services_answer_comes_through_as_it_is(cell: Cell, browser: ht
     cell.run("context_broker", "task_orchestrator", "webui")
     deployed = browser.get("/api/task-orchestrator/definitions/bin-picking/bpmn")
     assert deployed.headers["content-type"] == "application/xml"
-    again = browser.post("/api/task-orchestrator/definitions", content=deployed.content)
+    again = browser.post(
+        "/api/task-orchestrator/definitions",
+        content=deployed.content,
+        headers={"Content-Type": "application/xml"},
+    )
     assert again.status_code == 200
 
     changed = deployed.content.replace(b"</", b"<!-- another --></", 1)
@@ -32,11 +37,19 @@ def test_what_the_services_answer_comes_through_as_it_is(cell: Cell, browser: ht
     assert uploaded.status_code == 201, uploaded.text
     assert uploaded.json()["version"] == 2
 
-    bad = browser.post("/api/task-orchestrator/definitions", content=b"<no-bpmn/>")
+    bad = browser.post(
+        "/api/task-orchestrator/definitions",
+        content=b"<no-bpmn/>",
+        headers={"Content-Type": "application/xml"},
+    )
     assert bad.status_code >= 400
     assert bad.headers["content-type"] == "application/problem+json"
     assert bad.headers["x-content-type-options"] == "nosniff"
-    too_large = browser.post("/api/task-orchestrator/definitions", content=b" " * 12_000_000)
+    too_large = browser.post(
+        "/api/task-orchestrator/definitions",
+        content=b" " * 12_000_000,
+        headers={"Content-Type": "application/xml"},
+    )
     assert 400 <= too_large.status_code < 500
 
     started = browser.post("/api/task-orchestrator/processes", json={"definition": "bin-picking", "key": "k"})
@@ -74,10 +87,26 @@ def test_a_service_that_is_away_is_named(cell: Cell, browser: httpx.Client) -> N
 
 def test_nobody_rings_the_brokers_bell_from_here(cell: Cell, browser: httpx.Client) -> None:
     cell.run("context_broker", "gesture_controller", "webui")
-    for path in ("notifications", "%6eotifications"):
-        rung = browser.post(f"/api/gesture-controller/{path}", json={"data": []})
-        assert rung.status_code == 404
-    assert browser.post("/notifications/guessed", json={"data": []}).status_code == 404
+    host, port = browser.base_url.host, browser.base_url.port
+    for path, status in (
+        ("notifications", 404),
+        ("%6eotifications", 404),
+        ("notifications/", 404),
+        ("./notifications", 400),
+        ("%2e/notifications", 400),
+        ("x/../notifications", 400),
+        ("x/%2E%2e/notifications", 400),
+        ("x%2f..%2fnotifications", 400),
+        ("/notifications", 400),
+        (".%5cnotifications", 400),
+        (".\\notifications", 400),
+    ):
+        asked = HTTPConnection(host, port, timeout=20)  # it sends a path as it is
+        headers = {"Content-Type": "application/json"}
+        asked.request("POST", f"/api/gesture-controller/{path}", json.dumps({"data": []}), headers)
+        assert asked.getresponse().status == status, path
+        asked.close()
+    assert browser.post("/notifications", json={"data": []}).status_code == 403
 
 
 def test_a_page_of_another_site_changes_nothing(cell: Cell, browser: httpx.Client) -> None:

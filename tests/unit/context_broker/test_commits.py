@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.context_broker.storage import commits
-from services.context_broker.storage.commits import CommitQueue
+from services.context_broker.storage.commits import CommitQueue, NotCompleted
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries
 from services.context_broker.storage.filing import QUICK_BYTES
@@ -148,3 +148,48 @@ def test_what_the_disk_refuses_is_refused_and_then_it_goes_on(tmp_path: Path, is
     run(tmp_path, steps).close()
     assert len(failures) == 1
     assert "no such table" in failures[0]
+
+
+@pytest.mark.parametrize("is_quick", [True, False])
+def test_a_completion_that_raises_fails_alone(tmp_path: Path, is_quick: bool) -> None:
+    """The whole group is on disk by then: the others are completed, and the queue goes on."""
+    completed: list[int] = []
+    failures: list[Exception] = []
+
+    def raises() -> None:
+        raise ZeroDivisionError("in the completion of one write")
+
+    async def steps(journal: OnDisks, queue: CommitQueue) -> None:
+        journal.took_s = QUICK if is_quick else SLOW
+        for place in range(1, 6):
+            done = raises if place == 2 else lambda place=place: completed.append(place)  # type: ignore[misc]
+            queue.submit(entity(place), done, failures.append)
+        await queue.store(entity(6))
+        assert completed == [1, 3, 4, 5]
+        await queue.store(entity(7))
+        assert journal.last_place() == 7
+
+    run(tmp_path, steps)
+    (failure,) = failures
+    assert isinstance(failure, NotCompleted)
+    assert "ZeroDivisionError" in str(failure)
+
+
+@pytest.mark.parametrize("is_quick", [True, False])
+def test_a_write_that_cannot_be_encoded_ends_nothing_else(tmp_path: Path, is_quick: bool) -> None:
+    failures: list[Exception] = []
+    completed: list[str] = []
+
+    async def steps(journal: OnDisks, queue: CommitQueue) -> None:
+        journal.took_s = QUICK if is_quick else SLOW
+        queue.submit(entity(1), lambda: completed.append("before"), failures.append)
+        unencodable = Entries(entities={2: EntityRow("", "\ud800", b"x")})
+        queue.submit(unencodable, lambda: completed.append("never"), failures.append)
+        while len(failures) + len(completed) < 2:
+            await asyncio.sleep(0.01)
+        await queue.store(entity(3))
+
+    journal = run(tmp_path, steps)
+    assert completed == ["before"]
+    assert len(failures) == 1
+    assert sorted(journal.entities()) == [("", b"x" * 20)] * 2

@@ -19,8 +19,8 @@ from services.context_broker.contexts.fetching import (
     kept_for_s,
 )
 from services.context_broker.contexts.own_address import OwnAddress
+from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.storage.entries import DocumentKey, Kind
-from services.context_broker.subscriptions.destinations import Destinations
 
 URL = "https://a.example/context.jsonld"
 
@@ -29,7 +29,7 @@ class Published(Fetcher):
     """What is published, without a network; `kept_s` below zero is over as soon as it is fetched."""
 
     def __init__(self, document: Mapping[str, Any] | None, kept_s: float) -> None:
-        super().__init__(1.0, Destinations())
+        super().__init__(1.0, OutboundPolicy())
         self.document, self.kept_s, self.asked = document, kept_s, 0
 
     async def fetch(self, url: str, *, again: bool = False) -> Fetched:

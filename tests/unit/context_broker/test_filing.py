@@ -13,7 +13,7 @@ from handover.errors import UsageError
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries, Kind, Notice
 from services.context_broker.storage.filing import lots
-from services.context_broker.storage.journal import Journal
+from services.context_broker.storage.journal import SCRIPT, Journal, total_of
 from services.context_broker.storage.log import SIZE
 from services.context_broker.storage.records import decoded, encoded
 from services.context_broker.temporal.archive import DepartedRow, HistoryRow
@@ -207,12 +207,26 @@ def test_a_damaged_log_is_refused_with_what_to_do(tmp_path: Path) -> None:
             journal.commit(Entries(entities={place: EntityRow("", "urn:e", b"body")}))
         copy = tmp_path / "copy"
         copy.mkdir()
-        for name in ("broker.db", "broker.log-1", "broker.db-wal"):
+        for name in ("broker.db", "broker.log-1", "broker.log-2", "broker.db-wal"):
             (copy / name).write_bytes((tmp_path / name).read_bytes())
         other.execute("ROLLBACK")
     journal.close()
     content = bytearray((copy / "broker.log-1").read_bytes())
-    content[4096 + 50] ^= 1
+    content[2 * 4096 + 50] ^= 1
     (copy / "broker.log-1").write_bytes(content)
-    with pytest.raises(UsageError, match=r"is damaged: change 2 cannot be read, and 3 is there; to go on"):
+    with pytest.raises(
+        UsageError, match=r"damaged data: .*broker\.log-1.* change 2 cannot be read, and 3 is there; restore"
+    ):
         opened(copy / "broker.db")
+
+
+@pytest.mark.parametrize(("table", "key"), [("entities", "seq"), ("documents", "kind, tenant, id")])
+@pytest.mark.parametrize("count", [1, 2, 256])
+def test_totals_are_kept_up_without_reading_the_whole_table(table: str, key: str, count: int) -> None:
+    with closing(sqlite3.connect(":memory:")) as database:
+        database.executescript(SCRIPT.format(**SqliteDatabase.TYPES))
+        keys = [None] * count * (key.count(",") + 1)
+        plan = database.execute(f"EXPLAIN QUERY PLAN {total_of(table, key, count)}", keys).fetchall()
+    steps = [step for *_, step in plan]
+    assert any(step.startswith(f"SEARCH {table} USING") for step in steps), steps
+    assert not any(step.startswith(f"SCAN {table}") for step in steps), steps

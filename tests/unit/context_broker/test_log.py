@@ -12,17 +12,17 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from services.context_broker.storage.log import PAGE, SIZE, Damaged, Log
 
-OPENING = b"opening1"
+DATABASE, OPENING = b"database", b"opening1"
 
 
 def begun(folder: Path) -> Log:
     log = Log(folder / "broker.db")
-    log.begin(OPENING)
+    log.begin(DATABASE, OPENING)
     return log
 
 
 def read(folder: Path, filed: int = 0, opening: bytes = OPENING) -> list[bytes]:
-    return Log(folder / "broker.db").read(opening, filed)
+    return Log(folder / "broker.db").read(DATABASE, opening, filed)
 
 
 class Writing(RuleBasedStateMachine):
@@ -41,8 +41,8 @@ class Writing(RuleBasedStateMachine):
     @rule(
         length=st.one_of(
             st.integers(0, 3 * PAGE),
-            st.integers(SIZE // 3, SIZE - 100),
-            st.sampled_from([PAGE - 32, PAGE - 31]),
+            st.integers(SIZE // 3, SIZE - PAGE - 45_000),
+            st.sampled_from([8 * 502 - 16, 8 * 502 - 15, 502 - 16, 502 - 15]),
         ),
         filler=st.binary(min_size=1, max_size=3),
     )
@@ -111,36 +111,128 @@ def test_a_frame_that_was_acknowledged_and_cannot_be_read_is_named(tmp_path: Pat
     for number in range(4):
         log.append(b"change %d" % number)
     log.close()
-    file = tmp_path / "broker.log-1"
-    content = bytearray(file.read_bytes())
-    content[2 * PAGE + 35] ^= 1
-    file.write_bytes(content)
-    with pytest.raises(Damaged, match=r"change 3 cannot be read, and 4 is there; .*broker\.log-1"):
+    flip(tmp_path / "broker.log-1", 3 * PAGE + 35)
+    with pytest.raises(Damaged, match=r"broker\.log-1.*: change 3 cannot be read, and 4 is there"):
         read(tmp_path)
     assert read(tmp_path, 3) == [b"change 3"]
 
 
-def test_the_log_of_another_opening_is_passed_over(tmp_path: Path) -> None:
+def flip(file: Path, at: int, bit: int = 0) -> None:
+    content = bytearray(file.read_bytes())
+    content[at] ^= 1 << bit
+    file.write_bytes(content)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    lengths=st.lists(st.integers(0, 9000), min_size=1, max_size=4),
+    share=st.floats(0, 1, exclude_max=True),
+    bit=st.integers(0, 7),
+)
+def test_a_bit_that_flips_in_the_last_frame_is_no_write_cut_short(
+    tmp_path_factory: pytest.TempPathFactory, lengths: list[int], share: float, bit: int
+) -> None:
+    """Nothing comes after it that would betray it: the checksums of its sectors do."""
+    folder = tmp_path_factory.mktemp("flip")
+    log = begun(folder)
+    records = [os.urandom(length) for length in lengths]
+    for record in records[:-1]:
+        log.append(record)
+    start = log._files[0].end
+    log.append(records[-1])
+    sectors = -(-(16 + lengths[-1]) // 502)
+    log.close()
+    flip(folder / "broker.log-1", start + int(sectors * 512 * share), bit)
+    with pytest.raises(Damaged, match=r"broker\.log-1: change \d+, from byte \d+ on, is damaged"):
+        read(folder)
+
+
+def test_what_is_filed_may_be_damaged_where_nothing_can_follow(tmp_path: Path) -> None:
+    log = begun(tmp_path)
+    for number in range(4):
+        log.append(b"change %d" % number)
+    log.close()
+    flip(tmp_path / "broker.log-1", 2 * PAGE + 35)
+    assert read(tmp_path, 2) == [b"change 2", b"change 3"]
+
+
+@pytest.mark.parametrize("name", ["broker.log-1", "broker.log-2"])
+@pytest.mark.parametrize("size", [None, 0, 1, PAGE, SIZE // 2, SIZE - 1, SIZE + 1])
+def test_a_log_that_is_missing_or_cut_is_named(tmp_path: Path, name: str, size: int | None) -> None:
+    log = begun(tmp_path)
+    log.append(b"change")
+    log.close()
+    if size is None:
+        (tmp_path / name).unlink()
+    else:
+        os.truncate(tmp_path / name, size)
+    with pytest.raises(Damaged, match=name + " (is missing|has)"):
+        read(tmp_path)
+
+
+def test_an_older_copy_of_the_log_is_noticed(tmp_path: Path) -> None:
+    log = begun(tmp_path)
+    log.append(b"change 1")
+    old = (tmp_path / "broker.log-1").read_bytes()
+    for number in (2, 3):
+        log.append(b"change %d" % number)
+    log.filed(3)
+    log.close()
+    (tmp_path / "broker.log-1").write_bytes(old)
+    with pytest.raises(Damaged, match="an older copy"):
+        read(tmp_path, 3)
+
+
+def test_the_log_of_another_opening_or_database_is_noticed(tmp_path: Path) -> None:
     log = begun(tmp_path)
     log.append(b"of another time")
     log.close()
-    assert read(tmp_path, opening=b"opening2") == []
+    with pytest.raises(Damaged, match="one of them is older"):
+        read(tmp_path, opening=b"opening2")
     again = Log(tmp_path / "broker.db")
-    again.begin(b"opening2")
+    with pytest.raises(Damaged, match="another database"):
+        again.read(b"stranger", OPENING, 0)
+    assert "another database" in str(again.foreign(b"stranger", b"opening2"))
+    assert "this database, later" in str(again.foreign(DATABASE, b"opening2"))
+    assert again.foreign(DATABASE, OPENING) is None
+    again.begin(DATABASE, b"opening2")
     again.append(b"of this time")
-    again.close()
     assert read(tmp_path, opening=b"opening2") == [b"of this time"]
+    again.close(in_order=True)
+    assert again.foreign(DATABASE, b"opening3") is None, "what was closed in order is all in the tables"
 
 
-def test_where_there_is_no_log_there_is_nothing_to_read(tmp_path: Path) -> None:
-    assert read(tmp_path) == []
+def test_a_write_that_the_disk_refuses_leaves_no_trace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = begun(tmp_path)
+    log.append(b"kept")
+    write, refuses = log._files[0].write, True
+
+    def fails_half_way(at: int, frame: bytes) -> None:
+        nonlocal refuses
+        if not refuses:
+            write(at, frame)
+            return
+        refuses = False
+        write(at, frame)
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(log._files[0], "write", fails_half_way)
+    with pytest.raises(OSError, match="no space"):
+        log.append(os.urandom(9000))
+    assert read(tmp_path) == [b"kept"]
+    assert read(tmp_path, 1) == []
+    log.append(b"after it")
+    assert read(tmp_path) == [b"kept", b"after it"]
+    log.close()
 
 
 def test_what_is_longer_than_a_file_never_fits(tmp_path: Path) -> None:
     log = begun(tmp_path)
     assert log.never_fits(bytes(SIZE))
     assert not log.has_room(bytes(SIZE))
-    assert not log.never_fits(bytes(SIZE - 100))
+    assert not log.never_fits(bytes(SIZE - PAGE - 45_000))
     log.close()
 
 

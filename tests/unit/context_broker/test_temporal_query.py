@@ -117,7 +117,7 @@ def test_each_instance_of_a_list_is_one_and_a_list_of_values_is_one() -> None:
 
 @pytest.mark.parametrize(
     ("relation", "inside"),
-    [("before", [0, 9]), ("after", [11, 19, 20, 21]), ("between", [10, 11, 19])],
+    [("before", [0, 9]), ("after", [10, 11, 19, 20, 21]), ("between", [10, 11, 19])],
 )
 def test_where_a_window_begins_and_ends(relation: str, inside: list[int]) -> None:
     start, end = {"before": (None, 10), "after": (10, None), "between": (10, 20)}[relation]

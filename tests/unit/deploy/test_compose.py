@@ -13,6 +13,7 @@ from handover.cli.glove import bridge_words
 from handover.cli.services import BESIDES
 from handover.cli.services import SERVICES as USUAL
 from handover.settings import origins
+from services.context_broker.settings import BrokerSettings
 
 REPOSITORY = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((REPOSITORY / "docker-compose.yml").read_text())
@@ -24,6 +25,8 @@ OURS = {
     for name, each in CONTAINERS.items()
     if each["image"].startswith(("handover:", "handover-ros:"))
 }
+ONE_SHOT = "secrets"
+"""Ends once the secrets are made."""
 THIRD_PARTY = {name: each for name, each in CONTAINERS.items() if name not in OURS}
 CHOSEN = {name for name in ENV["COMPOSE_PROFILES"].split(",") if name}
 VARIABLE = re.compile(r"\$\{([A-Z_]+)(?::-([^}]*))?\}")
@@ -45,10 +48,50 @@ def test_every_service_of_the_command_line_has_a_container_of_its_name() -> None
     assert run == {service.name: ["handover", "run", service.name] for service in SERVICES}
 
 
+def test_the_simulated_operator_is_not_there_unless_it_is_chosen() -> None:
+    assert OURS["simulated-operator"]["profiles"] == ["simulated-operator"]
+    assert "simulated-operator" not in CHOSEN
+
+
+def test_no_secret_is_printed_in_the_repository() -> None:
+    for text in (*texts(COMPOSE), *ENV.values()):
+        assert "public-until-changed" not in text
+    for name in ("CELL_GLOVE_TOKEN", "CELL_DATABASE_PASSWORD"):
+        assert ENV[name] == ""
+    assert "POSTGRES_PASSWORD" not in CONTAINERS["postgres"]["environment"]
+
+
+def test_who_needs_a_secret_reads_it_from_a_file_and_depends_on_no_container_that_ends() -> None:
+    for name, each in CONTAINERS.items():
+        assert ONE_SHOT not in each.get("depends_on", {}), "podman would never restart it"
+        mounts = [mount for mount in each.get("volumes", []) if mount.startswith("secrets:")]
+        said = each.get("environment", {})
+        if name == ONE_SHOT:
+            assert mounts == ["secrets:/secrets"]
+        elif {"HANDOVER_GLOVE_TOKEN", "HANDOVER_DATABASE_PASSWORD"} & set(said):
+            assert (mounts, said["HANDOVER_SECRETS_DIR"]) == (["secrets:/secrets:ro"], "/secrets")
+            assert each["command"][:2] in (["handover", "run"], ["handover", "glove"]), "these wait for it"
+        elif name == "postgres":
+            assert mounts == ["secrets:/secrets:ro"]
+            assert "/secrets/HANDOVER_DATABASE_PASSWORD" in each["entrypoint"][2]
+        else:
+            assert mounts == [], name
+
+
+def test_the_one_shot_makes_the_secrets_as_the_user_of_the_image() -> None:
+    each = OURS[ONE_SHOT]
+    assert (each["entrypoint"], each["command"]) == (["handover", "secrets"], ["make"])
+    assert each["restart"] == "no"
+    assert "profiles" not in each
+    assert next(iter(CONTAINERS)) == ONE_SHOT, "podman gives an empty volume to the first user of it"
+    dockerfile = (REPOSITORY / "Dockerfile").read_text()
+    assert re.search(r"install -d -o handover -g handover -m 0700 .*/secrets\s", dockerfile)
+
+
 def test_the_only_other_container_of_ours_is_an_operator_whom_the_bridge_understands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    (other,) = set(OURS) - {service.name for service in SERVICES}
+    (other,) = set(OURS) - {service.name for service in SERVICES} - {ONE_SHOT}
     for name, value in OURS[other]["environment"].items():
         monkeypatch.setenv(name, VARIABLE.sub(lambda met: ENV.get(met[1], met[2] or ""), value))
     words = OURS[other]["command"]
@@ -58,7 +101,7 @@ def test_the_only_other_container_of_ours_is_an_operator_whom_the_bridge_underst
     assert asked.controller == "http://gesture-controller:54210"
 
 
-@every_one_of_ours
+@pytest.mark.parametrize("name", sorted(set(OURS) - {ONE_SHOT}))
 def test_the_health_check_asks_where_the_service_listens(name: str) -> None:
     test = OURS[name]["healthcheck"]["test"]
     assert test[:4] == ["CMD", "python", "-m", "handover.health"]
@@ -78,6 +121,17 @@ def test_the_addresses_by_which_services_find_each_other_lead_to_containers() ->
         url = OURS[service.name]["environment"][service.port_setting.replace("_PORT", "_URL")]
         assert url == f"http://{service.name}:{service.settings.model_fields[service.port_field].default}"
     assert ENV["CELL_BROKER_URL"] == "http://context-broker:1026"
+
+
+@pytest.mark.parametrize("more", ["", "192.168.7.0/24,scada.example"])
+def test_the_broker_may_connect_to_every_service_of_the_cell(more: str) -> None:
+    given = OURS["context-broker"]["environment"]["HANDOVER_BROKER_OUTBOUND_ALLOW"]
+    allowed = VARIABLE.sub(lambda met: {"CELL_BROKER_OUTBOUND_ALLOW": more}[met[1]], given)
+    policy = BrokerSettings.load(host="0.0.0.0", broker_outbound_allow=allowed).outbound_policy()
+    assert policy.listens_beyond_loopback
+    others = {service.name for service in SERVICES if service.name != "context-broker"}
+    assert policy.hosts == others | ({"scada.example"} if more else set())
+    assert len(policy.networks) == bool(more)
 
 
 @every_one_of_ours
@@ -100,11 +154,12 @@ def test_two_ports_are_published_and_on_this_machine_alone() -> None:
 @every_container
 def test_a_container_is_watched_limited_and_comes_back(name: str) -> None:
     each = CONTAINERS[name]
-    assert each["restart"] == "unless-stopped"
     assert each["init"] is True
     assert each["security_opt"] == ["no-new-privileges:true"]
-    assert each["healthcheck"]["test"][0] == "CMD"
-    assert {"interval", "timeout", "retries", "start_period"} < set(each["healthcheck"])
+    if name != ONE_SHOT:
+        assert each["restart"] == "unless-stopped"
+        assert each["healthcheck"]["test"][0] == "CMD"
+        assert {"interval", "timeout", "retries", "start_period"} < set(each["healthcheck"])
     assert set(each["deploy"]["resources"]["limits"]) == {"cpus", "memory", "pids"}
     assert each["logging"]["options"] == {"max-size": "10m", "max-file": "3"}
     assert each["networks"] == ["cell"]
@@ -156,7 +211,7 @@ def test_nobody_waits_for_what_may_not_be_there(name: str) -> None:
 
 
 def test_nothing_of_others_starts_unless_it_is_chosen() -> None:
-    assert sorted(CHOSEN) == ["embedded-broker", "simulated-operator"]
+    assert sorted(CHOSEN) == ["embedded-broker"]
     for name, each in THIRD_PARTY.items():
         assert each["profiles"], name
         assert not CHOSEN & set(each["profiles"])
@@ -198,7 +253,7 @@ def test_every_volume_is_declared_and_used() -> None:
     }
     assert mounted == set(COMPOSE["volumes"])
     keeping = {name for name, each in OURS.items() if each.get("volumes")}
-    assert keeping == {service.name for service in SERVICES}
+    assert keeping == {service.name for service in SERVICES} | {ONE_SHOT, "simulated-operator"}
 
 
 def test_every_file_that_is_mounted_is_there() -> None:

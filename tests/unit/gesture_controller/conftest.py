@@ -1,7 +1,7 @@
 """A glove without network: hands that show gestures, Tasks that wait, and a notebook of what happened."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,14 @@ import uvloop
 from sqlalchemy import Engine
 
 from datamodels.entities import Task
+from datamodels.states import Outcome
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.job import Job
 from services.gesture_controller.configuration import built_in
 from services.gesture_controller.errand import Asked, Errand
 from services.gesture_controller.frames import Frame, Hello
-from services.gesture_controller.gestures import M2O2P_GESTURES
+from services.gesture_controller.gestures import M2O2P_GESTURES, Part
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.hold import HoldTiming
 from services.gesture_controller.pipeline import Senses
@@ -165,9 +166,10 @@ async def make_job() -> AsyncIterator[Callable[..., Job]]:
 def ask(glove: Glove, make_job: Callable[..., Job]) -> Callable[..., Errand]:
     """Ask the wearer of the glove for a gesture."""
 
-    def begin(gesture: str, name: str = "t1") -> Errand:
+    def begin(gesture: str, name: str = "t1", answers: Mapping[Outcome, str] | None = None) -> Errand:
         job = make_job(name)
-        asked = Asked(job.task.id, "Confirm", gesture, M2O2P_GESTURES[gesture], 3)
+        others = {outcome: Part(shown, M2O2P_GESTURES[shown]) for outcome, shown in (answers or {}).items()}
+        asked = Asked(job.task.id, "Confirm", gesture, M2O2P_GESTURES[gesture], 3, answers=others)
         errand = Errand(asked, job, asyncio.get_running_loop().create_future())
         glove.begin(errand)
         glove.listen()

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from datamodels.states import Outcome
 from services.gesture_controller.configuration import (
     WrongConfiguration,
     built_in,
@@ -26,6 +27,8 @@ commands:
   5: Wave off
 persons:
   anna: {3: Ring straight}
+answers:
+  problem: ring straight
 gloves:
   glove-1:
     hand: left
@@ -50,6 +53,7 @@ def test_a_whole_file_is_read() -> None:
         5: "Wave off",
     }
     assert site.commands_of(None) == site.commands_of("ben") == site.commands
+    assert site.answers == {Outcome.PROBLEM: "Ring straight"}
     first, second = site.gloves
     assert (first.name, first.hand, first.person) == ("glove-1", "left", "anna")
     assert first.thresholds.fingers[0] == Threshold(990, 790.5)
@@ -70,7 +74,7 @@ def test_own_gestures_keep_those_default_commands_that_they_have() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("gloves: [", "x.yaml:1: not YAML"),
+        ("gloves: [", "x.yaml:2: not YAML"),
         ("a\tb: [\n-", "not YAML"),
         ("just words", "x.yaml:1: the file must be names with values"),
         ("- 1", "x.yaml:1: the file must be names with values"),
@@ -151,3 +155,30 @@ def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(WrongConfiguration, match="cannot be read"):
         load(path)
+
+
+@pytest.mark.parametrize(
+    ("answers", "wrong"),
+    [
+        ("{ok: Horns}", 'unknown answer "ok"'),
+        ("{notGood: Hornes}", 'the answer notGood has the unknown gesture "Hornes"; did you mean "Horns"'),
+        ("{notGood: Horns, problem: horns}", '"Horns" stands for both notGood and problem'),
+        ("{problem: Wave}", '"Wave", which takes two hands or two steps'),
+        ("{problem: Fist}", '"Fist", which is how a hand rests or carries'),
+    ],
+)
+def test_a_wrong_answer_gesture_is_refused_with_the_way_out(answers: str, wrong: str) -> None:
+    gestures = "gestures: {Horns: 20220, Fist: 22222, Wave: {sequence: [Horns, Fist]}}"
+    with pytest.raises(WrongConfiguration) as refused:
+        parse(f"{gestures}\nanswers: {answers}\ncommands: {{1: Horns}}\n")
+    assert "gestures.yaml:2: " in str(refused.value)
+    assert wrong in str(refused.value)
+
+
+def test_an_answer_gesture_that_is_also_a_commands_is_said_when_the_file_is_read() -> None:
+    site = parse("answers: {notGood: Horns}\npersons: {anna: {3: Horns, 8: Thumbs up}}\n")
+    assert [line.split(":")[0] for line in site.restricted_answers()] == [
+        '"Horns" is the gesture of the answer notGood and of the command 8',
+        '"Horns" is the gesture of the answer notGood and of the command 3 of anna',
+    ]
+    assert built_in().restricted_answers() == []

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from datamodels.states import Outcome
 from handover.job import Wants
 from services.gesture_controller.errand import CannotComplete
 from services.gesture_controller.frames import Hello
@@ -25,6 +26,7 @@ async def test_the_asked_gesture_held_1500_ms_answers_the_task(glove: Glove, han
         "commandId": 3,
         "heldMs": 1500,
         "by": "gesture",
+        "outcome": "ok",
     }
     assert glove.command is not None
     assert glove.command[0] == 3
@@ -43,6 +45,7 @@ async def test_the_asked_gesture_is_announced_at_500_ms(glove: Glove, hand: Any,
         "announceMs": 500,
         "confirmMs": 1500,
         "spent": False,
+        "outcome": "ok",
     }
 
 
@@ -55,7 +58,7 @@ async def test_another_gesture_never_answers_and_is_told_which_finger_differs(
     assert not errand.answer.done()
     assert view["differs"] == ["little"]
     assert view["message"]["text"] == (
-        "Thumb and little straight is not the gesture this Task asks for: bend your little finger."
+        "That is Thumb and little straight, not the requested gesture: bend your little finger."
     )
     assert glove.command is None
 
@@ -86,7 +89,7 @@ async def test_one_hold_answers_one_task(glove: Glove, hand: Any, ask: Ask) -> N
     hand.show("Thumbs up", 5)
     assert not second.answer.done()
     view = view_of(glove, hand.now_s)
-    assert view["message"]["text"] == "This counted already. Let go, then show Thumbs up again."
+    assert view["message"]["text"] == "Already counted. Let go, then show Thumbs up again."
     assert view["hold"]["heldMs"] == 0
     hand.show(None, 0.3)
     hand.show("Thumbs up", 1.6)
@@ -102,7 +105,7 @@ async def test_in_testing_mode_nothing_answers_but_all_is_shown(glove: Glove, ha
     assert glove.command is None
     assert (view["states"], view["gesture"], view["testing"]) == ("02222", "Thumbs up", True)
     assert view["bend"] == [700.0, 300.0, 300.0, 300.0, 300.0]
-    assert view["message"]["text"] == "Testing, nothing is sent. This is Thumbs up."
+    assert view["message"]["text"] == "Test mode: nothing is sent. This is Thumbs up."
     with pytest.raises(CannotComplete, match="switch testing off, then complete"):
         glove.complete_on_screen("Anna", hand.now_s)
     glove.switch(testing=False, filtering=None)
@@ -170,7 +173,7 @@ async def test_a_glove_silent_for_2_s_in_a_task_holds_it_until_it_is_back(
     assert errand.job.wants is Wants.PAUSE
     assert notebook.silent == ["glove-1"]
     assert glove.device_state == "error"
-    assert "glove-1 is silent" in view_of(glove, hand.now_s)["message"]["text"]
+    assert "No data from glove-1" in view_of(glove, hand.now_s)["message"]["text"]
     assert view_of(glove, hand.now_s)["connected"] is False
     hand.be_silent(60)
     assert notebook.silent == ["glove-1"]
@@ -194,6 +197,7 @@ async def test_a_silent_gloves_task_can_be_completed_on_the_screen(glove: Glove,
         "heldMs": 0,
         "by": "screen",
         "operator": "Anna",
+        "outcome": "ok",
     }
 
 
@@ -242,10 +246,10 @@ async def test_a_press_that_was_meant_for_another_task_answers_none(
     assert errand.answer.result().by == "screen"
 
 
-async def test_the_newest_connection_of_a_glove_wins(glove: Glove, hand: Any) -> None:
+async def test_a_new_connection_takes_the_place_of_a_silent_one(glove: Glove, hand: Any) -> None:
     newer = type(hand.wire)()
-    glove.connect(newer, Hello("glove-1", "left"), hand.now_s)
-    assert hand.wire.ended == ["glove-1 has connected anew from elsewhere; only its newest connection counts"]
+    glove.connect(newer, Hello("glove-1", "left"), hand.now_s + 3)
+    assert hand.wire.ended == ["glove-1 has connected again, since this connection was silent"]
     glove.disconnect(hand.wire)
     assert glove.link is newer
     assert glove.hand == "left"
@@ -256,6 +260,7 @@ async def test_the_newest_connection_of_a_glove_wins(glove: Glove, hand: Any) ->
 async def test_a_hold_does_not_go_on_over_a_new_connection(glove: Glove, hand: Any, ask: Ask) -> None:
     errand = ask("Thumbs up")
     hand.show("Thumbs up", 1.4)
+    glove.disconnect(hand.wire)
     glove.connect(type(hand.wire)(), Hello("glove-1"), hand.now_s)
     hand.show("Thumbs up", 1.4)
     assert not errand.answer.done()
@@ -291,7 +296,7 @@ async def test_thanks_are_said_for_a_while(glove: Glove, hand: Any, ask: Ask) ->
     hand.show("Thumbs up", 1.6)
     glove.end()
     assert view_of(glove, hand.now_s)["message"]["text"] == "Confirmed: Thumbs up."
-    assert view_of(glove, hand.now_s + 6)["message"]["text"] == "No Task for you at the moment."
+    assert view_of(glove, hand.now_s + 6)["message"]["text"] == "No task for you."
 
 
 async def test_the_last_answer_stays_in_view_when_the_next_task_is_there_at_once(
@@ -310,6 +315,8 @@ async def test_the_last_answer_stays_in_view_when_the_next_task_is_there_at_once
         "gesture": "Thumbs up",
         "by": "gesture",
         "operator": None,
+        "outcome": "ok",
+        "note": None,
     }
     assert view["hold"]["spent"] is True
     glove.complete_on_screen("Anna", hand.now_s)
@@ -322,3 +329,79 @@ async def test_a_lost_glove_is_seen_to_be_lost(glove: Glove, hand: Any, ask: Ask
     assert view_of(glove, hand.now_s)["lost"] is False
     hand.be_silent(2.2)
     assert view_of(glove, hand.now_s)["lost"] is True
+
+
+async def test_an_answer_gesture_answers_with_its_outcome_and_gives_no_command(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    errand = ask("Thumbs up", answers={Outcome.NOT_GOOD: "Horns", Outcome.PROBLEM: "Ring straight"})
+    hand.show("Horns", 0.6)
+    view = view_of(glove, hand.now_s)
+    assert view["message"]["key"] == "holdOnNotGood"
+    assert (view["hold"]["gesture"], view["hold"]["outcome"]) == ("Horns", "notGood")
+    assert not errand.answer.done()
+    hand.show("Horns", 1.0)
+    assert errand.answer.result().outputs() == {
+        "gesture": "Horns",
+        "heldMs": 1500,
+        "by": "gesture",
+        "outcome": "notGood",
+    }
+    assert glove.command is None, "a command of the process must not be given by somebody who says no"
+    glove.end()
+    view = view_of(glove, hand.now_s)
+    assert view["message"]["key"] == "answeredNotGood"
+    assert (view["answered"]["outcome"], view["answered"]["gesture"]) == ("notGood", "Horns")
+
+
+async def test_the_view_lists_the_other_answers_with_the_gesture_of_each(glove: Glove, ask: Ask) -> None:
+    ask("Thumbs up", answers={Outcome.PROBLEM: "Ring straight"})
+    assert view_of(glove, 0)["task"]["answers"] == [
+        {"outcome": "notGood", "gesture": None, "code": None, "parts": []},
+        {"outcome": "problem", "gesture": "Ring straight", "code": "22202", "parts": []},
+    ]
+
+
+async def test_an_answer_gesture_held_for_one_task_does_not_answer_the_next(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    answers = {Outcome.NOT_GOOD: "Horns"}
+    ask("Thumbs up", answers=answers)
+    hand.show("Horns", 1.6)
+    glove.end()
+    again = ask("Thumbs up", "t2", answers=answers)
+    hand.show("Horns", 3)
+    assert not again.answer.done()
+    hand.show(None, 0.2)
+    hand.show("Horns", 1.6)
+    assert again.answer.result().outcome is Outcome.NOT_GOOD
+
+
+async def test_an_answer_gesture_counts_as_little_as_any_while_paused_or_testing(
+    glove: Glove, hand: Any, ask: Ask
+) -> None:
+    errand = ask("Thumbs up", answers={Outcome.PROBLEM: "Horns"})
+    glove.pause()
+    hand.show("Horns", 2)
+    glove.resume()
+    hand.show(None, 0.2)
+    glove.switch(testing=True, filtering=None)
+    hand.show("Horns", 2)
+    assert not errand.answer.done()
+
+
+async def test_an_outcome_on_the_screen_is_kept_with_its_note(glove: Glove, hand: Any, ask: Ask) -> None:
+    errand = ask("Thumbs up")
+    glove.complete_on_screen("Anna", hand.now_s, outcome=Outcome.PROBLEM, note="oil on the floor")
+    answer = errand.answer.result()
+    outputs = {
+        "heldMs": 0,
+        "by": "screen",
+        "operator": "Anna",
+        "outcome": "problem",
+        "note": "oil on the floor",
+    }
+    assert answer.outputs() == outputs
+    assert answer.failure().reason == 'answered "problem": oil on the floor'
+    assert answer.failure().outputs == {**outputs, "errorCode": "problem"}
+    assert glove.command is None

@@ -13,6 +13,7 @@ import pytest
 from sqlalchemy import Engine
 
 from handover.errors import UsageError
+from services.gesture_controller import glove as glove_module
 from services.gesture_controller.configuration import built_in
 from services.gesture_controller.frames import MAX_LINE_BYTES
 from services.gesture_controller.glove_server import WAITING_ROOM, GloveServer
@@ -262,16 +263,81 @@ async def test_a_wrong_token_is_refused(open_site: OpenSite) -> None:
     assert (await line.hear() or {})["type"] == "ack"
 
 
-async def test_a_second_connection_of_a_glove_takes_its_place(open_site: OpenSite) -> None:
+async def test_a_connection_in_use_keeps_its_glove(
+    open_site: OpenSite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(glove_module, "TAKEOVER_AFTER_S", 1e9)  # else a slow machine would count as silence
+    site = await open_site()
+    older, newer = await site.connect(HELLO), await site.connect(HELLO)
+    await older.hear()
+    refused = await newer.hear() or {}
+    assert "another connection of glove-1 is in use; end it, or connect again" in refused["reason"]
+    assert refused["retry"] is True
+    assert await newer.hear() is None
+    await older.say(FRAME % 1.0)
+    await site.until(lambda: site.gloves.named("glove-1").frames == 1)
+
+
+async def test_a_connection_that_was_silent_gives_way(
+    open_site: OpenSite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(glove_module, "TAKEOVER_AFTER_S", 0.0)
     site = await open_site()
     older, newer = await site.connect(HELLO), await site.connect()
     await older.hear()
     await newer.say(HELLO)
     assert (await newer.hear() or {})["type"] == "ack"
-    assert "connected anew from elsewhere" in (await older.hear() or {})["reason"]
+    assert "since this connection was silent" in (await older.hear() or {})["reason"]
     assert await older.hear() is None
     await newer.say(FRAME % 1.0)
     await site.until(lambda: site.gloves.named("glove-1").frames == 1)
+
+
+async def test_a_glove_with_a_token_of_its_own_connects_with_it_only(open_site: OpenSite) -> None:
+    site = await open_site(glove_token="open sesame")
+    before = await site.connect({**HELLO, "token": "open sesame"})
+    assert (await before.hear() or {})["type"] == "ack"
+    token = await site.gloves.set_token("glove-1")
+    assert "the token of glove-1 was changed" in (await before.hear() or {})["reason"]
+    assert await before.hear() is None
+    await site.until(lambda: site.gloves.named("glove-1").link is None)
+    for wrong in ("open sesame", "", token + "x"):
+        line = await site.connect({**HELLO, "token": wrong})
+        answer = await line.hear() or {}
+        assert "glove-1 has a token of its own" in answer["reason"]
+        assert "handover glove token glove-1" in answer["reason"]
+        assert answer["retry"] is False
+        assert token not in answer["reason"]
+    line = await site.connect({**HELLO, "token": token})
+    assert (await line.hear() or {})["type"] == "ack"
+    other = await site.connect({**HELLO, "glove": "other", "token": "open sesame"})
+    assert (await other.hear() or {})["type"] == "ack"
+
+
+async def test_beyond_loopback_every_glove_needs_a_token(open_site: OpenSite) -> None:
+    site = await open_site(glove_host="0.0.0.0")
+    line = await site.connect(HELLO)
+    answer = await line.hear() or {}
+    assert "glove-1 has no token, and others can reach this port; make one with" in answer["reason"]
+    assert answer["retry"] is False
+    token = await site.gloves.set_token("glove-1")
+    line = await site.connect({**HELLO, "token": token})
+    assert (await line.hear() or {})["type"] == "ack"
+
+
+async def test_invented_names_leave_slots_to_gloves_that_are_known(open_site: OpenSite) -> None:
+    site = await open_site(max_undeclared_gloves=2, max_gloves=5)
+    for name in ("a", "b"):
+        line = await site.connect({**HELLO, "glove": name})
+        assert (await line.hear() or {})["type"] == "ack"
+    refused = await site.connect({**HELLO, "glove": "c"})
+    answer = await refused.hear() or {}
+    assert "2 gloves that nobody declared are known already" in answer["reason"]
+    assert "handover glove token c" in answer["reason"]
+    token = await site.gloves.set_token("c")
+    for hello in ({**HELLO, "glove": "c", "token": token}, HELLO):
+        line = await site.connect(hello)
+        assert (await line.hear() or {})["type"] == "ack"
 
 
 async def test_there_is_an_end_to_new_gloves_but_not_to_known_ones(open_site: OpenSite) -> None:
@@ -299,16 +365,6 @@ async def test_a_port_that_is_taken_is_one_line(open_site: OpenSite) -> None:
     with pytest.raises(UsageError, match="set HANDOVER_GLOVE_HOST and HANDOVER_GLOVE_PORT"):
         async with GloveServer(site.settings, site.gloves):
             raise AssertionError("two servers on one port")
-
-
-def test_an_open_address_without_a_token_is_refused_at_once(
-    tmp_path: Path, database: Engine, notebook: Any, free_port: Callable[[], int]
-) -> None:
-    settings = ControllerSettings.load(glove_host="0.0.0.0", glove_port=free_port(), data_dir=tmp_path)
-    people = People(built_in(), PeopleStore(database))
-    gloves = Gloves(settings, GloveStore(database), people, notebook, lambda _: None)
-    with pytest.raises(UsageError, match="HANDOVER_GLOVE_TOKEN"):
-        GloveServer(settings, gloves)
 
 
 @asynccontextmanager

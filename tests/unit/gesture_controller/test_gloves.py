@@ -1,21 +1,25 @@
 """Gloves are known from the file, by declaration and by hello; their thresholds survive a restart."""
 
 import asyncio
+import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
 
 from handover.errors import Problem
+from services.gesture_controller.admission import NotAdmitted
 from services.gesture_controller.configuration import Configuration, built_in, parse
-from services.gesture_controller.frames import Hello
+from services.gesture_controller.errand import Asked, Errand
+from services.gesture_controller.frames import Frame, Hello
 from services.gesture_controller.gestures import Shape
 from services.gesture_controller.glove import Glove
 from services.gesture_controller.glove_store import Fit, GloveStore
 from services.gesture_controller.gloves import Gloves, TooManyGloves
+from services.gesture_controller.people import tables
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.person import OwnGesture, Person
 from services.gesture_controller.people.store import PeopleStore
@@ -249,3 +253,73 @@ async def test_a_profile_that_is_taken_in_applies_at_once(open_gloves: Open) -> 
         assert known.named("glove-1").senses.thresholds.fingers[3].upper == 999
         assert sorted(known.fits_of("operator-1")) == ["glove-1", "glove-7"]
         assert known.fits_of("operator-1")["glove-1"].learnt == {"levels": {}}
+
+
+def test_a_connection_gives_way_only_when_it_has_been_silent(glove: Glove, link: Any) -> None:
+    first, second = link(), link()
+    glove.connect(first, Hello("glove-1"), 100.0)
+    glove.take(Frame(1.0, [700.0] * 5), b"", 101.0)
+    with pytest.raises(NotAdmitted, match=r"another connection of glove-1 is in use.* for 3 s"):
+        glove.connect(second, Hello("glove-1"), 103.9)
+    assert glove.link is first
+    assert first.ended == []
+    glove.connect(second, Hello("glove-1"), 104.0)
+    assert glove.link is second
+    assert len(first.ended) == 1
+
+
+async def test_a_token_is_kept_as_a_hash_and_survives_a_restart(
+    open_gloves: Open, database: Engine, link: Any
+) -> None:
+    gloves = open_gloves()
+    first = await gloves.set_token("new")
+    token = await gloves.set_token("new")
+    with database.connect() as connection:
+        (row,) = connection.execute(select(tables.tokens)).all()
+    assert row == ("new", hashlib.sha256(token.encode()).hexdigest())
+    gloves = open_gloves()
+    assert gloves.named("new").hand == "right"
+    for wrong in (first, ""):
+        with pytest.raises(NotAdmitted, match="new has a token of its own"):
+            gloves.connect(Hello("new", token=wrong), link(), 1.0)
+    gloves.connect(Hello("new", token=token), link(), 1.0)
+    await gloves.remove_token(gloves.named("new"))
+    with pytest.raises(Problem, match="new has no token of its own"):
+        await gloves.remove_token(gloves.named("new"))
+    open_gloves().connect(Hello("new"), link(), 1.0)
+
+
+async def test_a_glove_that_is_just_being_declared_is_not_taken_for_absent(open_gloves: Open) -> None:
+    gloves = open_gloves()
+    declaring = asyncio.create_task(gloves.set_token("new"))
+    while not declaring.done():
+        assert gloves.absent(1e9) == []
+        await asyncio.sleep(0)
+    assert await declaring
+
+
+async def test_gloves_that_nobody_declared_are_forgotten_when_they_have_been_away(
+    open_gloves: Open, link: Any, make_job: Any
+) -> None:
+    gloves = open_gloves(max_undeclared_gloves=4, glove_forget_s=60)
+    lines = {name: link() for name in ("glove-1", "there", "away", "busy", "paused")}
+    for name, line in lines.items():
+        gloves.connect(Hello(name), line, 100.0)
+    await gloves.declare("declared", None, None)
+    with pytest.raises(NotAdmitted, match="nobody declared"):
+        gloves.connect(Hello("one-more"), link(), 100.0)
+    for name, line in lines.items():
+        if name != "there":
+            gloves.named(name).disconnect(line)
+    job = make_job()
+    asked = Asked(job.task.id, "Confirm", "Horns", "20220", 3)
+    gloves.named("busy").begin(Errand(asked, job, asyncio.get_running_loop().create_future()))
+    gloves.named("paused").pause()
+    assert gloves.absent(159.0) == []
+    (absent,) = gloves.absent(160.0)
+    assert absent.name == "away"
+    gloves.forget(absent)
+    assert absent.forgotten.is_set()
+    with pytest.raises(Problem, match="there is no glove"):
+        gloves.named("away")
+    gloves.connect(Hello("one-more"), link(), 161.0)

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from datamodels.entities import Task
+from datamodels.states import Outcome
 from handover.job import TaskFailed
 from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures, default_commands
 from services.gesture_controller.inquiry import what_is_asked
@@ -79,3 +80,14 @@ def test_a_task_that_cannot_be_shown_fails_with_the_reason(parameters: dict[str,
     with pytest.raises(TaskFailed) as failed:
         asked(parameters)
     assert words in failed.value.reason
+
+
+def test_answers_are_offered_but_for_the_gesture_that_the_task_asks_for() -> None:
+    answers = {Outcome.NOT_GOOD: "Horns", Outcome.PROBLEM: "Ring straight"}
+
+    def offered(gesture: str) -> dict[str, str]:
+        one = what_is_asked(TASK, {"gesture": gesture}, Definition(), GESTURES, COMMANDS, answers=answers)
+        return {outcome.value: part.gesture for outcome, part in one.answers.items()}
+
+    assert offered("Thumbs up") == {"notGood": "Horns", "problem": "Ring straight"}
+    assert offered("Horns") == {"problem": "Ring straight"}

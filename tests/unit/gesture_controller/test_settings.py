@@ -6,18 +6,15 @@ from handover.errors import UsageError
 from services.gesture_controller.settings import ControllerSettings
 
 
-def test_a_glove_port_open_to_others_needs_a_token() -> None:
-    for host in ("0.0.0.0", "::", "192.168.1.5", "cell-3.example.org"):
-        with pytest.raises(UsageError, match="HANDOVER_GLOVE_TOKEN is not set"):
-            ControllerSettings.load(glove_host=host).require_token_beyond_loopback()
-        with pytest.raises(UsageError, match="HANDOVER_GLOVE_TOKEN"):
-            ControllerSettings.load(glove_host=host, glove_token="").require_token_beyond_loopback()
-        ControllerSettings.load(glove_host=host, glove_token="secret").require_token_beyond_loopback()
-
-
-def test_a_glove_port_on_this_machine_needs_none() -> None:
-    for host in ("127.0.0.1", "::1", "localhost", "127.1.2.3"):
-        ControllerSettings.load(glove_host=host).require_token_beyond_loopback()
+@pytest.mark.parametrize(
+    ("host", "local"),
+    [
+        *((host, False) for host in ("0.0.0.0", "::", "192.168.1.5", "cell-3.example.org")),
+        *((host, True) for host in ("127.0.0.1", "::1", "localhost", "127.1.2.3")),
+    ],
+)
+def test_an_address_is_local_if_only_this_machine_reaches_it(host: str, local: bool) -> None:
+    assert ControllerSettings.load(glove_host=host).is_local is local
 
 
 def test_a_gesture_is_announced_before_it_counts() -> None:

@@ -1,6 +1,12 @@
 """The database: SQLite or PostgreSQL, and a readable word for anything else."""
 
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -46,5 +52,140 @@ def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_database_is_named_with_its_setting(tmp_path: Path) -> None:
     (tmp_path / "lamp.db").write_text("a letter, not a database\n" * 50)
-    with pytest.raises(UsageError, match=r"lamp\.db cannot be used: file is not a database; .*HANDOVER_LAMP"):
+    with pytest.raises(UsageError, match=r"lamp\.db: file is not a database; restore .*HANDOVER_LAMP"):
         connect(f"sqlite:///{tmp_path / 'lamp.db'}", setting="HANDOVER_LAMP")
+
+
+def filled(folder: Path, name: str = "lamp") -> Path:
+    """A database of a service that has stopped."""
+    file = folder / f"{name}.db"
+    engine = connect(f"sqlite:///{file}")
+    with engine.begin() as connection:
+        connection.execute(text("CREATE TABLE lamps (id INTEGER PRIMARY KEY, name TEXT UNIQUE)"))
+        for number in range(500):
+            connection.execute(
+                text("INSERT INTO lamps VALUES (:id, :name)"), {"id": number, "name": f"lamp {number}"}
+            )
+    engine.dispose()
+    return file
+
+
+def test_a_sound_database_is_opened_again(tmp_path: Path) -> None:
+    file = filled(tmp_path)
+    engine = connect(f"sqlite:///{file}")
+    with engine.connect() as connection:
+        assert connection.execute(text("SELECT count(*) FROM lamps")).scalar() == 500
+    engine.dispose()
+
+
+def deleted(file: Path) -> None:
+    file.unlink()
+
+
+def emptied(file: Path) -> None:
+    os.truncate(file, 0)
+
+
+def replaced_by_an_empty_one(file: Path) -> None:
+    file.unlink()
+    with closing(sqlite3.connect(file)) as database:
+        database.execute("VACUUM")
+
+
+def replaced_by_another(file: Path) -> None:
+    shutil.copy(filled(file.parent, "other"), file)
+
+
+def cut(file: Path) -> None:
+    os.truncate(file, file.stat().st_size // 2)
+
+
+def overwritten(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[8192:12288] = bytes(reversed(content[8192:12288]))
+    file.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    "harm", [deleted, emptied, replaced_by_an_empty_one, replaced_by_another, cut, overwritten]
+)
+def test_a_damaged_database_is_refused_in_one_line_with_the_remedy(
+    tmp_path: Path, harm: Callable[[Path], None]
+) -> None:
+    file = filled(tmp_path)
+    harm(file)
+    before = file.read_bytes() if file.exists() else None
+    with pytest.raises(UsageError, match=r"damaged data: .*lamp\.db.*; restore .*deploy/restore") as refused:
+        connect(f"sqlite:///{file}")
+    assert "\n" not in str(refused.value)
+    assert (file.read_bytes() if file.exists() else None) == before
+
+
+def test_a_database_whose_log_alone_is_left_is_refused(tmp_path: Path) -> None:
+    file = filled(tmp_path)
+    file.with_name("lamp.db.stamp").unlink()
+    file.rename(file.with_name("lamp.db-wal"))
+    with pytest.raises(UsageError, match=r"lamp\.db is missing, while lamp\.db-wal beside it holds changes"):
+        connect(f"sqlite:///{file}")
+
+
+def test_another_database_is_taken_once_the_stamp_is_deleted_as_the_error_says(tmp_path: Path) -> None:
+    file = filled(tmp_path)
+    replaced_by_another(file)
+    with pytest.raises(UsageError, match=r"of lamp\.db\.stamp \(delete that if this database is the right"):
+        connect(f"sqlite:///{file}")
+    file.with_name("lamp.db.stamp").unlink()
+    connect(f"sqlite:///{file}").dispose()
+
+
+def test_a_database_restored_without_its_stamp_is_taken(tmp_path: Path) -> None:
+    file = filled(tmp_path)
+    stamp = file.with_name("lamp.db.stamp")
+    said = stamp.read_text()
+    stamp.unlink()
+    connect(f"sqlite:///{file}").dispose()
+    assert stamp.read_text() == said
+
+
+MAKES_A_TABLE = """
+import sys
+from sqlalchemy import text
+from handover.database import connect
+url, table = sys.argv[1:]
+print("ready", flush=True)
+sys.stdin.readline()
+with connect(url).begin() as connection:
+    connection.execute(text(f"CREATE TABLE {table} (id INTEGER PRIMARY KEY)"))
+"""
+
+
+@pytest.mark.parametrize("is_new", [True, False])
+def test_services_that_share_a_database_make_it_at_the_same_time(tmp_path: Path, is_new: bool) -> None:
+    tables = ["lamps", "doors", "belts"]
+    files = [tmp_path / f"shared-{number}.db" for number in range(3)]
+    for file in files:
+        if not is_new:  # of a version that made no stamps
+            with closing(sqlite3.connect(file)) as database:
+                database.execute("PRAGMA journal_mode=WAL")
+                database.execute("VACUUM")
+        services = [
+            subprocess.Popen(
+                [sys.executable, "-c", MAKES_A_TABLE, f"sqlite:///{file}", table],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            for table in tables
+        ]
+        for service in services:
+            assert service.stdout is not None
+            assert service.stdout.readline() == "ready\n"
+        for service in services:
+            assert service.stdin is not None
+            service.stdin.write("\n")
+            service.stdin.flush()
+        assert [service.communicate()[1] for service in services] == ["", "", ""]
+        with connect(f"sqlite:///{file}").begin() as connection:
+            found = connection.execute(text("SELECT name FROM sqlite_master WHERE type = 'table'")).scalars()
+            assert set(found) == set(tables)

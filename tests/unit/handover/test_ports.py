@@ -5,11 +5,15 @@ import contextlib
 import socket
 import struct
 from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from handover import ports
 from handover.errors import UsageError
-from handover.ports import PortLeaving, held, hold, require_free
+from handover.ports import PortLeaving, held, hold, hold_when_free, require_free, unreserved
+from tests.conftest import NO_IPV6
 
 HERE = "127.0.0.1"
 SETTING = "HANDOVER_LAMP_PORT"
@@ -23,6 +27,12 @@ def connection() -> Iterator[socket.socket]:
         incoming, _ = server.accept()
         with outgoing, incoming:
             yield outgoing
+
+
+def reset(connection: socket.socket) -> None:
+    """End a connection by a reset, so that the system forgets it at once."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
 
 
 def test_a_taken_port_is_named_with_the_way_out() -> None:
@@ -48,9 +58,8 @@ async def test_a_port_that_a_leaving_connection_holds_is_waited_for(connection: 
         while not told:
             await asyncio.sleep(0)
     assert f"port {port}" in told[0]
-    # A reset instead of a goodbye, so that the system forgets the connection at once.
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    connection.close()
+    assert "is held by a connection to " in told[0]  # maybe another one, with the same local port
+    reset(connection)
     (await asyncio.wait_for(waiting, 10)).close()
     assert len(told) == 1
 
@@ -64,3 +73,68 @@ def test_a_server_can_listen_on_a_held_port_and_no_connection_gets_it() -> None:
             pytest.fail("the port was given away")
         with socket.create_server((HERE, port)), pytest.raises(UsageError, match="taken"):
             hold(HERE, port, SETTING)
+
+
+def test_a_connection_that_lasts_is_waited_for_as_long_as_it_does(
+    connection: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+    waits: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        nonlocal now_s
+        now_s += seconds
+        waits.append(seconds)
+        if now_s > 300 and connection.fileno() >= 0:
+            reset(connection)
+
+    monkeypatch.setattr(ports, "time", SimpleNamespace(monotonic=lambda: now_s, sleep=sleep))
+    told: list[str] = []
+    hold_when_free(HERE, connection.getsockname()[1], SETTING, say=told.append).close()
+    assert now_s > 300
+    assert max(waits) == ports.LAST_LOOK_S
+    assert 5 <= len(told) <= now_s / ports.SAY_AGAIN_S + 1, "once a minute"
+
+
+def test_a_program_that_listens_on_another_of_our_addresses_is_not_waited_for() -> None:
+    with socket.create_server(("127.0.0.2", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UsageError, match=rf"port {port} .* taken"):
+            hold_when_free("0.0.0.0", port, SETTING, say=pytest.fail)
+        hold_when_free(HERE, port, SETTING, say=pytest.fail).close()
+
+
+def test_a_port_of_ipv6_names_its_holder_too() -> None:
+    try:
+        listening = socket.create_server(("::1", 0), family=socket.AF_INET6)
+    except OSError:
+        pytest.skip(NO_IPV6)
+    with (
+        listening as server,
+        socket.create_connection(server.getsockname()[:2]) as outgoing,
+        pytest.raises(PortLeaving, match=rf"connection .* to ::1:{server.getsockname()[1]}"),
+    ):
+        hold("::1", outgoing.getsockname()[1], SETTING)
+
+
+async def test_a_program_that_listens_on_ipv4_alone_does_not_keep_a_server_from_ipv6() -> None:
+    if not socket.has_dualstack_ipv6():
+        pytest.skip("there is no IPv6 here")
+    with socket.create_server((HERE, 0)) as other:
+        port = other.getsockname()[1]
+        with hold_when_free("::", port, SETTING, say=pytest.fail):
+            server = await asyncio.get_running_loop().create_server(asyncio.Protocol, "::", port)
+            server.close()
+            await server.wait_closed()
+
+
+def test_what_is_not_reserved_in_the_range_of_outgoing_connections_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ports, "_SYSCTL", tmp_path)
+    assert unreserved([54200]) == [], "another system"
+    (tmp_path / "ip_local_port_range").write_text("32768\t60999\n")
+    (tmp_path / "ip_local_reserved_ports").write_text("\n")
+    assert unreserved([1026, 54200, 54000]) == [54000, 54200]
+    (tmp_path / "ip_local_reserved_ports").write_text("54000,54100-54300\n")
+    assert unreserved([1026, 54400, 54200, 54000]) == [54400]

@@ -47,6 +47,24 @@ def test_a_broker_url_is_taken_with_or_without_its_path(url: str) -> None:
     assert Settings.load(broker_url=url).broker_url == "http://broker:1026"
 
 
+def test_names_are_listed_with_commas(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDOVER_ALLOWED_HOSTS", "panel-3, panel-3.hall.example ,")
+    assert Settings.load().allowed_hosts == ("panel-3", "panel-3.hall.example")
+    assert Settings.load(allowed_hosts=()).allowed_hosts == ()
+
+
+@pytest.mark.parametrize("origin", ["panel.example", "ftp://panel.example", "https://panel.example/work"])
+def test_what_is_no_origin_is_refused_in_one_line(origin: str) -> None:
+    with pytest.raises(UsageError, match=r"^setting HANDOVER_ALLOWED_ORIGINS: .*is no origin"):
+        Settings.load(allowed_origins=(origin,))
+
+
+@pytest.mark.parametrize("key", ["short", "with spaces in the middle of it", "umläute-umläute-umläute"])
+def test_a_notification_key_can_be_a_header(key: str) -> None:
+    with pytest.raises(UsageError, match=r"^setting HANDOVER_NOTIFICATION_KEY: .*16 to 200"):
+        Settings.load(notification_key=key)
+
+
 def test_a_name_becomes_an_id_of_this_factory_and_an_id_stays() -> None:
     settings = Settings.load(factory="plant")
     assert settings.entity_id("Device", "ur10-1") == "urn:ngsi-ld:Device:plant:ur10-1"

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handover.errors import HandoverError
 from ros_fiware_bridge.mapping import load
 from ros_fiware_bridge.mapping.document import SHIPPED
 from ros_fiware_bridge.rules import plan
@@ -41,7 +42,10 @@ def test_a_shipped_mapping_can_work(name: str) -> None:
 
 def test_there_are_those_that_the_documentation_names() -> None:
     names = {file.stem for file in SHIPPED.glob("*.yaml")}
-    assert names >= {"arm", "m2o2p", "joint-states", "joint-trajectory", "battery", "odom", "diagnostics"}
+    assert names >= {"arm", "m2o2p", "joint-states", "joint-trajectory", "battery", "odom", "diagnostics"} | {
+        "nav2",
+        "moveit",
+    }
 
 
 def test_m2o2ps_fingers_and_commands_reach_the_glove() -> None:
@@ -109,3 +113,27 @@ def test_a_warning_is_an_alert_and_the_device_knows() -> None:
     (device,) = harvest("diagnostics", "diagnostics-devices", said).updates
     assert device.entity_id == "urn:ngsi-ld:Device:demo:arm-1"
     assert device.values["deviceState"] == "error"
+
+
+def goal(mapping: str, rule: str, parameters: dict[str, Any]) -> dict[str, Any]:
+    (found,) = (one for one in planned(mapping).asks if one.name == rule)
+    made = found.request.message(Scope(parameters))
+    TYPES.check(f"{found.rule.type}_Goal", made)
+    return TYPES.decode(f"{found.rule.type}_Goal", TYPES.encode(f"{found.rule.type}_Goal", made))
+
+
+def test_nav2_is_sent_to_a_pose_on_the_map() -> None:
+    pose = goal("nav2", "go-to", {"x": 2, "y": 1.5})["pose"]
+    assert pose["header"]["frame_id"] == "map"
+    assert (pose["pose"]["position"]["x"], pose["pose"]["position"]["y"]) == (2.0, 1.5)
+    assert pose["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    with pytest.raises(HandoverError):
+        goal("nav2", "go-to", {"x": 2})
+
+
+def test_moveit_executes_the_trajectory_of_a_task() -> None:
+    points = [{"positions": [0.1, 0.2], "time_from_start": {"sec": 1}}]
+    made = goal("moveit", "execute-trajectory", {"jointNames": ["a", "b"], "points": points})
+    trajectory = made["trajectory"]["joint_trajectory"]
+    assert list(trajectory["joint_names"]) == ["a", "b"]
+    assert trajectory["points"][0]["positions"].tolist() == [0.1, 0.2]

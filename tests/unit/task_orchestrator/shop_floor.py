@@ -18,10 +18,10 @@ DEFINED_BY = {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo
 class Floor:
     """A process and the last step it made."""
 
-    def __init__(self, body: str, **parameters: Any) -> None:
+    def __init__(self, body: str, *, beside: str = "", **parameters: Any) -> None:
         self.now = NOW
         self.step = Step(1)
-        plan = Plan(read_runnable(drawing(body)))
+        plan = Plan(read_runnable(drawing(body, beside=beside)))
         record = ProcessRecord(
             id="p-1",
             definition="p",

@@ -50,7 +50,9 @@ def after(definition: Definition, *waiting: str, **variables: Any) -> list[str]:
 @pytest.mark.parametrize(
     ("waiting", "ahead"),
     [
-        (["confirm_clear"], ["home_before"]),
+        (["confirm_clear"], ["home_before", "confirm_clear"]),
+        (["confirm_pick"], ["pick", "stir_bin"]),
+        (["confirm_grip"], ["place", "free_part"]),
         (["scan"], ["confirm_pick", "stir_bin"]),
         (["stir_bin"], ["scan"]),
         (["pick", "pick_failed"], ["confirm_grip", "free_part"]),

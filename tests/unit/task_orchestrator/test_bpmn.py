@@ -1,14 +1,17 @@
 """Reading BPMN: what a file says, and every way in which it can be wrong."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import services.task_orchestrator
 from services.gesture_controller.gestures import DEFAULT_COMMANDS
 from services.task_orchestrator.bpmn import read_bpmn
-from services.task_orchestrator.definition import BadBpmn, Definition
+from services.task_orchestrator.definition import MAX_FAULTS_LISTED, BadBpmn, Definition
+from services.task_orchestrator.entities import definition_entities
 from services.task_orchestrator.library import read_runnable
+from services.task_orchestrator.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
     activity,
@@ -31,7 +34,9 @@ def faults(body: str, **more: str) -> list[str]:
         read_runnable(drawing(body, **more))
     assert bad.value.status == 422
     listed = bad.value.body()["faults"]
-    assert [set(error) for error in listed] == [{"element", "line", "message"}] * len(listed)
+    code = {"messageCode", "messageParameters"}
+    for error in listed:
+        assert set(error) - (code if code <= set(error) else set()) == {"element", "line", "message"}
     return [str(fault) for fault in bad.value.faults]
 
 
@@ -346,3 +351,43 @@ def test_an_external_entity_is_never_read(tmp_path: Path) -> None:
 def test_elements_called_like_the_engines_own_do_not_disturb_it() -> None:
     body = start("Start") + activity("Root") + end("End") + path("Start", "Root", "End")
     assert set(read_runnable(drawing(body)).nodes) == {"Start", "Root", "End"}
+
+
+def test_handles_outcomes_is_true_or_false_and_goes_into_the_task_definition() -> None:
+    def definition(attributes: str) -> dict[str, Any]:
+        body = start() + activity("work", attributes=attributes) + end() + path("start", "work", "end")
+        read = read_runnable(drawing(body))
+        return definition_entities(OrchestratorSettings(_env_file=None), read, 1, "http://here/bpmn")[1]
+
+    assert definition('handlesOutcomes="true"')["handlesOutcomes"] == {"type": "Property", "value": True}
+    assert "handlesOutcomes" not in definition('handlesOutcomes="false"')
+    body = (
+        start() + activity("work", attributes='handlesOutcomes="yes"') + end() + path("start", "work", "end")
+    )
+    assert faults(body) == ['line 1, "work": handlesOutcomes="yes" is neither true nor false']
+
+
+def test_bin_picking_has_a_way_for_every_answer_to_what_allows_the_robot_to_move() -> None:
+    read = bin_picking()
+    allow = ["confirm_clear", "confirm_pick", "confirm_grip", "confirm_placed"]
+    assert [one.id for one in read.activities.values() if one.handles_outcomes] == allow
+
+
+def test_a_file_that_would_take_long_is_refused_by_its_size() -> None:
+    many = start() + activity("work", '<handover:parameter name="p" value="1"/>' * 20_000)
+    assert faults(many + end() + path("start", "work", "end")) == [
+        "the file: a BPMN file has at most 20000 elements, not 20010"
+    ]
+    flows = "".join(
+        f'<bpmn:sequenceFlow id="f{nth}" sourceRef="start" targetRef="end"/>' for nth in range(1501)
+    )
+    assert faults(start() + end() + flows) == [
+        'line 1, "p": a process has at most 1500 sequence flows, not 1501; cut it in two'
+    ]
+
+
+def test_of_very_many_faults_the_answer_lists_the_first() -> None:
+    with pytest.raises(BadBpmn) as bad:
+        read_runnable(drawing("<bpmn:strange/>" * 500))
+    assert len(bad.value.faults) == 502
+    assert len(bad.value.body()["faults"]) == MAX_FAULTS_LISTED

@@ -123,7 +123,9 @@ def test_a_failed_task_fails_the_process_with_an_alert() -> None:
     assert alert["category"] == "processFailed"
     assert alert["source"] == "urn:ngsi-ld:Process:demo:p-1"
     assert processes(floor.step)[-1]["outputParameters"]["value"] == {
-        "reason": '"work" failed: the part slipped'
+        "reason": '"work" failed: the part slipped',
+        "reasonCode": "process.task_failed",
+        "reasonParameters": {"task": "work", "reason": "the part slipped"},
     }
 
 
@@ -284,3 +286,88 @@ def test_one_step_counts_as_one_revision_however_much_happens_in_it() -> None:
     floor.process.hear(floor.seen("first-1", "completed"), step, NOW)
     assert floor.process.record.revision == 2
     assert step.processes["p-1"].revision == 2
+
+
+HANDLED = (
+    start()
+    + activity("look", attributes='handlesOutcomes="true"')
+    + gateway("good", default="good_repair")
+    + activity("move")
+    + activity("repair")
+    + end()
+    + path("start", "look", "good", "repair", "end")
+    + flow("good", "move", "look.outcome == 'ok'")
+    + path("move", "end")
+)
+
+
+def test_an_activity_that_handles_outcomes_says_so_to_its_performer_and_a_gateway_reads_the_outcome() -> None:
+    for answered, follows in (
+        ({"outcome": "notGood"}, "repair-1"),
+        ({"outcome": "ok"}, "move-1"),
+        ({}, "move-1"),
+    ):
+        floor = Floor(HANDLED)
+        (posted,) = [message.body for message in floor.step.messages if message.saying is Saying.CREATE]
+        assert posted["workParameters"]["value"] == {"handlesOutcomes": True}
+        floor.hear("look-1", "completed", **answered)
+        assert floor.open == [follows]
+
+
+@pytest.mark.parametrize(("outcome", "said"), [("notGood", "not good"), ("problem", "problem")])
+def test_a_completed_task_with_an_outcome_that_nobody_handles_counts_as_failed(
+    outcome: str, said: str
+) -> None:
+    floor = Floor(TWO_STEPS)
+    floor.hear("first-1", "completed", outcome=outcome, note="oil")
+    assert floor.process.over
+    assert floor.process.record.reason == f'"first" failed: answered "{said}": oil'
+    assert floor.process.record.failed_by == task_id("first-1")
+    assert created(floor.step) == []
+
+
+@pytest.mark.parametrize("outcome", [["dented", "wet"], {"grade": 3}, 3])
+def test_an_outcome_of_any_type_that_nobody_handles_counts_as_failed(outcome: object) -> None:
+    floor = Floor(TWO_STEPS)
+    floor.hear("first-1", "completed", outcome=outcome)
+    assert floor.process.record.failed_by == task_id("first-1")
+    assert created(floor.step) == []
+
+
+def test_an_error_boundary_catches_an_outcome_by_its_name() -> None:
+    caught = '<bpmn:errorEventDefinition errorRef="no"/>'
+    body = (
+        start()
+        + activity("look")
+        + boundary("refused", "look", caught)
+        + activity("move")
+        + activity("repair")
+        + end()
+        + path("start", "look", "move", "end")
+        + path("refused", "repair", "end")
+    )
+    beside = '<bpmn:error id="no" errorCode="notGood"/>'
+    floor = Floor(body, beside=beside)
+    floor.hear("look-1", "failed", outcome="notGood", reason="notGood", errorCode="notGood")
+    assert floor.open == ["repair-1"]
+    floor = Floor(body, beside=beside)
+    floor.hear("look-1", "failed", outcome="problem", reason="problem", errorCode="problem")
+    assert floor.process.over
+
+
+def test_no_said_to_a_task_that_was_called_back_does_not_count_as_done_when_it_is_retried() -> None:
+    body = (
+        start()
+        + gateway("fork", "parallel")
+        + activity("a")
+        + activity("look")
+        + gateway("join", "parallel")
+        + end()
+        + path("start", "fork", "a", "join", "end")
+        + path("fork", "look", "join")
+    )
+    floor = Floor(body)
+    floor.hear("a-1", "failed", reason="the part slipped")
+    floor.hear("look-1", "completed", outcome="notGood")
+    floor.process.retry(task_id("a-1"), "Ann", floor.next_step(), floor.now)
+    assert floor.open == ["a-2", "look-2"]

@@ -118,7 +118,7 @@ def test_a_database_of_a_later_release_is_refused_in_one_line_and_left_alone(eng
         connection.execute(text("UPDATE orchestrator_schema SET version = 99"))
         connection.execute(text("DROP TABLE orchestrator_timers"))
     before = tables(engine)
-    with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 2; install [^\n]*$"):
+    with pytest.raises(UsageError, match=r"^the database .* version 99, newer than 3; install [^\n]*$"):
         schema.migrate(engine)
     assert tables(engine) == before
 
@@ -134,10 +134,14 @@ def test_postgresql_is_brought_forward_too(new_database: Callable[[], str]) -> N
             "processes DROP COLUMN failed_by",
             "processes DROP COLUMN acts",
             "tasks DROP took_ms",
+            "processes DROP COLUMN archived_at CASCADE",
+            "processes DROP COLUMN reason_message",
         ):
             connection.execute(text(f"ALTER TABLE orchestrator_{column}"))
-        for index in ("started", "definition"):
-            connection.execute(text(f"DROP INDEX orchestrator_processes_{index}"))
+        later = ("status_started", "definition_started", "ended", "to_archive")
+        for index in ("started", "definition", *later):
+            connection.execute(text(f"DROP INDEX IF EXISTS orchestrator_processes_{index}"))
+        connection.execute(text("DROP INDEX orchestrator_tasks_unfinished"))
         task = {"id": "t", "process": "p", "element": "work", "token": "x", "status": "completed"}
         times = {"created_at": NOW.isoformat(), "deadline": NOW.isoformat()}
         values = {**task, **times, "ended_at": "2026-05-04T08:00:01.500000+00:00"}

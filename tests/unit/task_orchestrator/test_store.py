@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import text
+from sqlalchemy import event, text
 
 from datamodels.entities import TaskStatus
 from handover.database import connect
@@ -208,3 +208,67 @@ def test_what_ended_long_ago_is_forgotten_with_all_that_belongs_to_it(store: Sto
     assert store.forget(NOW + timedelta(days=1), 1) == 1
     with store._engine.connect() as connection:
         assert connection.execute(text("SELECT count(*) FROM orchestrator_inbox")).scalar() == 0
+
+
+def test_only_a_process_of_which_nothing_is_open_can_be_archived(store: Store) -> None:
+    names = ("p-told", "p-untold", "p-busy", "p-young", "p-archived")
+    ended = {name: NOW + timedelta(minutes=1 if name == "p-young" else 0) for name in names}
+    records = [started(name, 0, ended_at=moment) for name, moment in ended.items()]
+    records[4] = replace(records[4], archived_at=NOW)
+    tasks = [replace(TASK, id=f"t-{name}", process=name, ended_at=NOW) for name in names]
+    tasks[2] = replace(tasks[2], ended_at=None)
+    kept(store, *records, started("p-runs", 0), tasks=tasks)
+    waiting = Step(1)
+    waiting.say("p-untold", Saying.UPSERT, "urn:p-untold", [])
+    store.write(waiting)
+    found = store.to_archive(NOW + timedelta(seconds=1), 10)
+    assert [(each.process.id, each.tasks) for each in found] == [("p-told", ("t-p-told",))]
+    step = Step(2, archived=[replace(found[0].process, archived_at=NOW, revision=2)])
+    step.say("p-told", Saying.DELETE, "urn:p-told", ["t-p-told", "urn:p-told"])
+    store.write(step)
+    assert store.to_archive(NOW + timedelta(seconds=1), 10) == []
+    (record,) = store.processes(["p-told"])
+    assert (record.archived_at, record.revision, record.state) == (NOW, 2, PROCESS.state)
+    assert store.archived(["t-p-told", "t-p-busy", "no"], ["p-archived", "p-young"]) == {
+        "t-p-told": "p-told",
+        "p-archived": "p-archived",
+    }
+    assert {each.task.id: each.archived for each in store.ended_tasks([task.id for task in tasks])} == {
+        "t-p-told": True,
+        "t-p-untold": False,
+        "t-p-young": False,
+        "t-p-archived": True,
+    }
+    assert [each.process.id for each in store.ended_processes(["p-runs", "p-young"])] == ["p-young"]
+    assert store.forget(NOW + timedelta(days=1), 10, archived_only=True) == 2
+    assert store.processes(["p-told", "p-archived"]) == []
+
+
+def test_a_process_that_was_retried_meanwhile_is_not_archived(store: Store) -> None:
+    kept(store, started("p-1", 0, ended_at=NOW))
+    (found,) = store.to_archive(NOW + timedelta(seconds=1), 10)
+    store.write(Step(1, processes={"p-1": started("p-1", 0, revision=2)}))
+    archived = replace(found.process, archived_at=NOW, revision=found.process.revision + 1)
+    with pytest.raises(Conflict, match="meanwhile"):
+        store.write(Step(1, archived=[archived]))
+    assert store.processes(["p-1"])[0].archived_at is None
+
+
+@pytest.mark.parametrize("filters", [{}, {"status": "completed"}, {"definition": "p"}])
+def test_a_page_of_many_processes_is_read_along_an_index(tmp_path: Path, filters: dict[str, str]) -> None:
+    store = Store(connect(f"sqlite:///{tmp_path / 'orchestrator.db'}"))
+    store.migrate()
+    kept(store, started("p-0", 0))
+    plans: list[str] = []
+
+    def explain(connection: Any, cursor: Any, statement: str, parameters: Any, *_: Any) -> None:
+        if statement.startswith("SELECT") and "ORDER BY" in statement:
+            cursor.execute(f"EXPLAIN QUERY PLAN {statement}", parameters)
+            plans.extend(str(row[3]) for row in cursor.fetchall())
+
+    event.listen(store._engine, "before_cursor_execute", explain)
+    assert store.page(**filters, before="p-0", limit=100) == []
+    assert store.to_archive(NOW, 10) == []
+    store.close()
+    assert any("INDEX orchestrator_processes" in step for step in plans)
+    assert not [step for step in plans if "TEMP B-TREE" in step or step == "SCAN orchestrator_processes"]

@@ -1,18 +1,21 @@
 """Tasks, Devices and Alerts: what the page is shown of them, and what of it is an event."""
 
 from collections.abc import AsyncIterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
+from datamodels.entities import Alert
+from datamodels.times import iso
 from handover.broker import BrokerClient
 from handover.database import connect
 from webui.events import EventLog
 from webui.settings import WebuiSettings
 from webui.sources import alerts as alerts_module
-from webui.sources.alerts import Alerts
+from webui.sources.alerts import Alerts, view_of
 from webui.sources.devices import Devices
 from webui.sources.services import Services
 from webui.sources.tasks import Tasks
@@ -141,7 +144,7 @@ async def test_an_alert_is_raised_known_over_and_raised_anew(floor: Floor) -> No
     for entity in (
         alert(1),
         alert(1, humanVerified=known),
-        alert(1, humanVerified=known, validTo=moment(3)),
+        alert(1, humanVerified=known, validTo=prop({"@type": "DateTime", "@value": iso(datetime.now(UTC))})),
         alert(4),
     ):
         floor.alerts.take(entity)
@@ -159,6 +162,80 @@ async def test_only_so_many_alerts_that_are_over_are_shown(
     monkeypatch.setattr(alerts_module, "KEPT_PAST", 3)
     floor.alerts.take(alert(1))
     for number in (9, 2, 8, 3, 7, 2):
-        floor.alerts.take({**alert(1, validTo=moment(number)), "id": f"urn:ngsi-ld:Alert:demo:past-{number}"})
+        over = prop({"@type": "DateTime", "@value": f"2020-01-01T00:00:{number:02d}Z"})
+        floor.alerts.take({**alert(1, validTo=over), "id": f"urn:ngsi-ld:Alert:demo:past-{number}"})
     shown = {topic.rsplit(":", 1)[-1] for topic in floor.world.names("alert")}
     assert shown == {"glove-1-silent", "past-9", "past-8", "past-7"}
+
+
+NOW = datetime(2026, 3, 2, 12, 0, tzinfo=UTC)
+
+
+def time_of(minutes: float) -> dict[str, Any]:
+    return prop({"@type": "DateTime", "@value": iso(NOW + timedelta(minutes=minutes))})
+
+
+@pytest.mark.parametrize(
+    ("attributes", "state", "priority"),
+    [
+        ({}, "new", "high"),
+        ({"severity": prop("informational")}, "new", "low"),
+        ({"severity": prop("low"), "priority": prop("critical")}, "new", "critical"),
+        ({"humanVerified": prop(True)}, "acknowledged", "high"),
+        ({"humanVerified": prop(False)}, "new", "high"),
+        ({"acknowledgedBy": prop("Aino")}, "acknowledged", "high"),
+        ({"validTo": time_of(-1)}, "returnedToNormal", "high"),
+        ({"validTo": time_of(1)}, "new", "high"),
+        ({"alertState": prop("returnedToNormal")}, "returnedToNormal", "high"),
+        ({"alertState": prop("shelved"), "shelvedUntil": time_of(1)}, "shelved", "high"),
+        ({"alertState": prop("shelved"), "shelvedUntil": time_of(-1)}, "new", "high"),
+        (
+            {"alertState": prop("shelved"), "shelvedUntil": time_of(-1), "humanVerified": prop(True)},
+            "acknowledged",
+            "high",
+        ),
+        (
+            {"alertState": prop("shelved"), "shelvedUntil": time_of(1), "validTo": time_of(-1)},
+            "returnedToNormal",
+            "high",
+        ),
+    ],
+)
+def test_the_state_of_an_alert_is_derived_where_it_is_not_stated(
+    attributes: dict[str, Any], state: str, priority: str
+) -> None:
+    view = view_of(Alert.from_ngsild(alert(1, **attributes)), NOW)
+    assert (view["state"], view["priority"]) == (state, priority)
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {"priority": prop(1)},
+        {"alertState": prop("open"), "acknowledgedBy": prop({"name": "Aino"})},
+        {"shelvedUntil": prop("tomorrow"), "descriptionCode": prop(7), "descriptionParameters": prop([])},
+    ],
+)
+async def test_an_alert_that_uses_our_names_for_something_else_is_shown(
+    floor: Floor, attributes: dict[str, Any]
+) -> None:
+    floor.alerts.take(alert(1, severity=prop("low"), humanVerified=prop(True), **attributes))
+    shown = floor.world.value(f"alert/{ALERT}")
+    assert (shown["severity"], shown["priority"], shown["state"]) == ("low", "low", "acknowledged")
+
+
+async def test_only_the_attributes_that_do_not_fit_are_left_out(floor: Floor) -> None:
+    floor.alerts.take(alert(1, priority=prop(1), alertState=prop("acknowledged")))
+    assert floor.world.value(f"alert/{ALERT}")["state"] == "acknowledged"
+
+
+async def test_an_alert_that_has_not_changed_is_not_validated_again(
+    floor: Floor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    floor.alerts.take(alert(1))
+    validated: list[str] = []
+    monkeypatch.setattr(alerts_module, "view_of", lambda read: validated.append(read.id) or view_of(read))
+    floor.alerts.take(alert(1))
+    assert validated == []
+    floor.alerts.take(alert(2))
+    assert validated

@@ -11,12 +11,6 @@ def _no_settings_of_this_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: obje
     monkeypatch.chdir(str(tmp_path))
 
 
-def test_names_are_listed_with_commas(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HANDOVER_WEBUI_HOSTS", "panel-3, panel-3.hall.example ,")
-    assert WebuiSettings.load().webui_hosts == ("panel-3", "panel-3.hall.example")
-    assert WebuiSettings.load(webui_hosts=()).webui_hosts == ()
-
-
 @pytest.mark.parametrize(
     ("glove_host", "controller_url", "reached_at"),
     [

@@ -1,5 +1,5 @@
 /** The pages and where they are. Each page but the first loads when it is opened. */
-import { lazy } from "react";
+import { lazy, Suspense } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, Route, Switch, useLocation } from "wouter";
 import { RouterProvider } from "react-aria-components";
@@ -7,6 +7,7 @@ import { Empty } from "~/design/Empty";
 import { Shell } from "~/shell/Shell";
 import { Stumble } from "~/shell/Stumble";
 import StartPage from "~/start/StartPage";
+import { useParticipantMode } from "~/study/participantMode";
 
 const WorkPage = lazy(() => import("~/work/WorkPage"));
 const ProcessesPage = lazy(() => import("~/processes/ProcessesPage"));
@@ -14,10 +15,23 @@ const SystemPage = lazy(() => import("~/system/SystemPage"));
 const PeoplePage = lazy(() => import("~/people/PeoplePage"));
 const CalibratePage = lazy(() => import("~/calibrate/CalibratePage"));
 const TestPage = lazy(() => import("~/test/TestPage"));
+const ParticipantFrame = lazy(() => import("~/study/ParticipantFrame"));
 const StudyPage = lazy(() => import("~/study/StudyPage"));
 
 export function App() {
   const [path, go] = useLocation();
+  const participant = useParticipantMode();
+  if (participant !== null) {
+    return (
+      <RouterProvider navigate={go}>
+        <Suspense fallback={null}>
+          <ParticipantFrame mode={participant}>
+            <Stumble key={path}>{path === "/work" ? <WorkPage /> : <StudyPage />}</Stumble>
+          </ParticipantFrame>
+        </Suspense>
+      </RouterProvider>
+    );
+  }
   return (
     <RouterProvider navigate={go}>
       <Shell>

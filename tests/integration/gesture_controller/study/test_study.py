@@ -138,3 +138,103 @@ async def test_the_glove_is_asked_for_the_gestures_that_the_step_is_about(
         bench.press("complete", by="test").raise_for_status()
         eventually(lambda: bench.view()["task"] is None)
     assert asked == {"personal": "Horns", "predefined": "Thumbs up"}
+
+
+async def test_a_shipped_task_that_names_its_gesture_is_asked_in_the_gestures_of_the_condition(
+    bench: Any, put_on: Any, eventually: Any
+) -> None:
+    put_on()
+    screen = bench.screen
+    screen.put("/people/P01", json={}).raise_for_status()
+    screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).raise_for_status()
+    participant = Participant(bench, glove="glove-1", person="P01")
+    assert bench.view()["person"] == "P01", "who takes part wears the glove of the session"
+    asked: dict[str, list[str]] = {}
+    for step in ("interaction1", "interaction2"):
+        participant.go_to(step)
+        condition = participant.seen()["condition"]
+        named = {"both": {"commandId": 3, "gesture": "Thumbs up"}, "gesture": {"gesture": "Thumbs up"}}
+        for nth, parameters in named.items():
+            await bench.put(f"{step}-{nth}", **parameters)
+            eventually(lambda: bench.view()["task"] is not None)
+            asked.setdefault(condition, []).append(bench.view()["task"]["gesture"])
+            bench.press("complete", by="test").raise_for_status()
+            eventually(lambda: bench.view()["task"] is None)
+    assert asked == {"personal": ["Horns"] * 2, "predefined": ["Thumbs up"] * 2}
+
+
+async def test_a_condition_holds_for_the_person_whatever_glove_they_wear(
+    bench: Any, put_on: Any, eventually: Any
+) -> None:
+    put_on()
+    screen = bench.screen
+    screen.put("/people/P01", json={}).raise_for_status()
+    screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).raise_for_status()
+    left = {"hand": "left", "person": "P01"}
+    screen.put("/gloves/left-1", json=left).raise_for_status()
+    participant = Participant(bench, glove="glove-1", person="P01")
+    for step in ("interaction1", "interaction2"):
+        participant.go_to(step)
+        await bench.put(step, "urn:ngsi-ld:Device:demo:left-1", commandId=3)
+        eventually(lambda: bench.view("left-1")["task"] is not None)
+        wanted = {"personal": "Horns", "predefined": "Thumbs up"}[participant.seen()["condition"]]
+        assert bench.view("left-1")["task"]["gesture"] == wanted
+        bench.press("complete", "left-1", by="test").raise_for_status()
+        eventually(lambda: bench.view("left-1")["task"] is None)
+
+
+async def test_conditions_cannot_be_changed_while_they_are_tried(bench: Any) -> None:
+    screen = bench.screen
+    screen.put("/people/P01", json={}).raise_for_status()
+    screen.put("/people/P02", json={}).raise_for_status()
+    participant = Participant(bench, glove="glove-1", person="P01")
+    assert screen.put("/people/P01/commands", json={"3": "Horns", "8": None}).status_code == 200
+    participant.go_to("interaction1")
+    changes = [
+        screen.put("/people/P01/commands", json={}),
+        screen.patch("/people/P01/commands", json={"3": "Horns"}),
+        screen.put("/people/P01/commands/3", json={"gesture": "Horns"}),
+        screen.delete("/people/P01/commands/3"),
+        screen.put("/people/P01/gestures/Mine", json={"code": "20002"}),
+        screen.put("/gloves/glove-1/person", json={"person": "P02"}),
+        screen.delete("/people/P01"),
+    ]
+    assert [one.status_code for one in changes] == [409] * len(changes)
+    assert "P01 tries gestures in a study" in changes[0].json()["detail"]
+    assert screen.put("/people/P02/commands", json={"3": "Horns", "8": None}).status_code == 200
+    assert screen.delete(participant.path).status_code == 204
+    assert screen.put("/people/P01/commands", json={}).status_code == 200
+
+
+async def test_a_session_that_was_left_does_not_decide_for_the_next_participant(
+    bench: Any, put_on: Any, eventually: Any
+) -> None:
+    put_on()
+    screen = bench.screen
+    for name in ("P01", "P02"):
+        screen.put(f"/people/{name}", json={}).raise_for_status()
+        screen.put(f"/people/{name}/commands", json={"3": "Horns", "8": None}).raise_for_status()
+    left = Participant(bench, glove="glove-1", person="P01")
+    while left.seen()["condition"] != "predefined":
+        left.go_to("interaction1" if left.seen()["step"] == "consent" else "interaction2")
+    Participant(bench, glove="glove-1", person="P02")
+    for lifetime in range(2):
+        await bench.put(f"t{lifetime}", commandId=3)
+        eventually(lambda: bench.view()["task"] is not None)
+        assert bench.view()["task"]["gesture"] == "Horns"
+        bench.press("complete", by="test").raise_for_status()
+        eventually(lambda: bench.view()["task"] is None)
+        bench.cell.kill("gesture_controller")
+        bench.cell.start("gesture_controller")
+
+
+async def test_a_session_that_was_left_does_not_put_the_glove_on_again_after_a_restart(bench: Any) -> None:
+    screen = bench.screen
+    for name in ("P01", "Anna"):
+        screen.put(f"/people/{name}", json={}).raise_for_status()
+    Participant(bench, glove="glove-1", person="P01").go_to("introduction")
+    assert bench.view()["person"] == "P01"
+    screen.put("/gloves/glove-1/person", json={"person": "Anna"}).raise_for_status()
+    bench.cell.kill("gesture_controller")
+    bench.cell.start("gesture_controller")
+    assert bench.view()["person"] == "Anna"

@@ -6,10 +6,13 @@ from typing import Any
 
 import pytest
 
+from ros_fiware_bridge import explaining
 from ros_fiware_bridge.errors import IncompatibleQos, VendorNotShared
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
+from ros_fiware_bridge.mapping import parse
+from ros_fiware_bridge.rules import plan
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.conftest import NO_ROS
 from tests.integration.ros_fiware_bridge.graph.conftest import running_peer, true
@@ -29,7 +32,8 @@ def robot(domain_id: int) -> Iterator[None]:
 
 @pytest.fixture
 async def graph(store: TypeStore, domain_id: int) -> AsyncIterator[RosGraph]:
-    opened = await join(store, JoinSettings(node="bridge", domain_id=domain_id, interfaces=("127.0.0.1",)))
+    settings = JoinSettings(node="bridge", domain_id=domain_id, interfaces=("127.0.0.1",))
+    opened = await join(store, settings, Adapter.CYCLONE)
     yield opened
     await opened.close()
 
@@ -105,3 +109,16 @@ async def test_a_genuine_node_sees_us_as_a_node_with_topics_and_hashes(
         assert str(publisher.qos).startswith("reliable, transient_local")
     finally:
         await other.close()
+
+
+async def test_a_check_names_the_services_and_actions_that_fast_dds_carries(
+    graph: RosGraph, store: TypeStore
+) -> None:
+    mapping = """
+services: {repeat: {service: /repeat, type: rcl_interfaces/ListParameters, task: a, resource: Device:r}}
+actions: {count: {action: /fibonacci, type: test_msgs/Fibonacci, task: b, resource: Device:r}}
+"""
+    await true(lambda: "/repeat" in {one.name for one in graph.services()} and graph.actions())
+    said = list(explaining.against(plan.make(parse(mapping), store, "demo"), graph))
+    assert [one.partition(":")[0] for one in said] == ["repeat", "count"]
+    assert all("serves it with fastdds, whose services cannot be reached" in one for one in said)

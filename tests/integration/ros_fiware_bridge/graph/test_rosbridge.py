@@ -111,10 +111,10 @@ async def test_services_answer_both_ways_and_say_why_not(graph: RosGraph, robot:
     served = await robot.serve("/lamp", "std_srvs/srv/SetBool", set_to)
     await robot.serve("/slow", "std_srvs/srv/Trigger", ponder)
     await true(lambda: "/lamp" in {one.name for one in graph.services()})
-    answers = await asyncio.gather(*(graph.call("/lamp", "std_srvs/SetBool", {}) for _ in range(5)))
+    answers = await asyncio.gather(*(graph.call("/lamp", "std_srvs/SetBool", {}, 60) for _ in range(5)))
     assert answers == [{"success": True, "message": "off"}] * 5
     with pytest.raises(ServiceUnavailable, match="RuntimeError: it is stuck"):
-        await graph.call("/lamp", "std_srvs/srv/SetBool", {"data": True})
+        await graph.call("/lamp", "std_srvs/srv/SetBool", {"data": True}, 60)
     assert (served.calls, served.failed) == (6, 1)
     with pytest.raises(ServiceUnavailable, match="Service /subtract does not exist"):
         await graph.call("/subtract", "std_srvs/srv/Trigger", {})

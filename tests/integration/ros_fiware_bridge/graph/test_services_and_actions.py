@@ -152,3 +152,28 @@ async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
         with running_peer(adapter, elsewhere):
             ended = await (await action.send_goal({"order": 4}, timeout_s=10)).result(10)
             assert ended.status is GoalStatus.SUCCEEDED
+
+
+@pytest.mark.usefixtures("only_cyclone")
+async def test_a_goal_ends_when_another_server_has_taken_the_place_of_its_own(
+    graph: RosGraph, joined: Joined
+) -> None:
+    async def work(_: ServedGoal) -> dict[str, Any]:
+        await asyncio.Event().wait()
+        return {}
+
+    action = await graph.action_client("/replaced", FIBONACCI)
+    async with joined(node="first") as first:
+        await first.serve_action("/replaced", FIBONACCI, work)
+        goal = await action.send_goal({"order": 1}, timeout_s=20)
+        waiting = asyncio.ensure_future(goal.result())
+        async with joined(node="second") as second:
+            await second.serve_action("/replaced", FIBONACCI, work)
+            await true(
+                lambda: len(next(one for one in graph.actions() if one.name == "/replaced").servers) == 2
+            )
+            # It goes as a process does that is killed: its goals are not ended.
+            first._opened.clear()  # type: ignore[attr-defined]
+            await first.close()
+            with pytest.raises(ServiceUnavailable, match="went away before it answered"):
+                await asyncio.wait_for(waiting, 40)

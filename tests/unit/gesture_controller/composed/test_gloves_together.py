@@ -60,6 +60,7 @@ async def test_both_hands_answer_and_both_pages_are_told_what_to_do(pair: Pair, 
         "commandId": 3,
         "heldMs": 1500,
         "by": "gesture",
+        "outcome": "ok",
     }
     assert pair.left.command is not None
     assert pair.right.command is not None
@@ -86,7 +87,7 @@ async def test_without_the_other_glove_the_page_says_so_and_the_screen_still_com
     errand = begin("Cross")
     pair.show(OPEN, OPEN, 0.2)
     assert told(pair)["message"]["text"].startswith(
-        "Cross takes both hands. Put on the left glove too and choose that anna wears it"
+        "Cross needs both hands. Also put on the left glove and assign it to anna"
     )
     pair.show(HORNS, FIST, 3)
     assert not errand.answer.done()
@@ -168,7 +169,7 @@ async def test_a_part_alone_neither_answers_nor_gives_its_own_command(pair: Pair
 async def test_without_filtering_composed_gestures_are_commands_and_their_parts_are_not(pair: Pair) -> None:
     for glove in (pair.left, pair.right):
         glove.switch(testing=None, filtering=False)
-    assert told(pair)["warning"]["text"].startswith("Filtering is off: every gesture that has a command")
+    assert told(pair)["warning"]["text"].startswith("Filtering is off: every gesture with a command")
     pair.show(UP, UP, 3)
     assert [glove.command and glove.command[0] for glove in (pair.left, pair.right)] == [3, 3]
     pair.show(OPEN, OPEN, 0.3)

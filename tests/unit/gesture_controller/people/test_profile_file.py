@@ -99,7 +99,7 @@ def test_the_name_in_the_address_counts() -> None:
     ("text", "words"),
     [
         ("", "p.yaml:1: the profile is empty"),
-        ("person: [", "p.yaml:1: not YAML"),
+        ("person: [", "p.yaml:2: not YAML"),
         ("commands: {3: Horns}", "p.yaml:1: nobody is named"),
         ("person: An na", 'p.yaml:1: person "An na": a name is 1 to 64 letters'),
         ("person: anna\nglove: {}", 'p.yaml:2: unknown section "glove"; the sections are person, title'),
@@ -147,3 +147,43 @@ def test_a_mistake_is_one_clear_line(text: str, words: str) -> None:
     message = str(wrong.value)
     assert words in message
     assert message.startswith("p.yaml:")
+
+
+LEARNT = "person: anna\ngloves:\n  glove-1:\n    learnt:\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            LEARNT + "      x: &x [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
+            "      y: &y [*x, *x, *x, *x, *x, *x, *x, *x, *x, *x]\n"
+            "      z: &z [*y, *y, *y, *y, *y, *y, *y, *y, *y, *y]\n"
+            "      w: &w [*z, *z, *z, *z, *z, *z, *z, *z, *z, *z]\n"
+            "      v: [*w, *w, *w, *w, *w, *w, *w, *w, *w, *w]\n",
+            r"profile.yaml:9: too many values; 20000 are allowed, aliases counted in full",
+        ),
+        (LEARNT + "      x: &x [1, *x]\n", r"\*x stands within itself"),
+        (LEARNT + "      x: " + "[" * 400_000, "nested too deeply; 50 levels are allowed"),
+        (LEARNT + "      x: [" + "1, " * 300_000 + "1]\n", "too many values"),
+        (LEARNT + "      x: !!set {a, b}\n", "what was learnt cannot be read"),
+        (
+            "person: anna\ngestures:\n"
+            + "".join(f"  G{nth}: {{left: Horns, right: Horns}}\n" for nth in range(101)),
+            "a person has 100 gestures of their own at most",
+        ),
+        (
+            LEARNT + "      samples: {" + ", ".join(f"'{nth}': 1" for nth in range(244)) + "}\n",
+            "243 samples are allowed",
+        ),
+    ],
+    ids=["laughs", "itself", "deep", "long", "no JSON", "gestures", "samples"],
+)
+def test_a_profile_that_would_grow_without_bound_is_refused(text: str, words: str) -> None:
+    with pytest.raises(WrongProfile, match=words):
+        read(text, SITE)
+
+
+def test_an_alias_within_bounds_stands_for_its_value() -> None:
+    text = LEARNT + "      x: &x [1, 2]\n      y: *x\n"
+    assert read(text, SITE).fits["glove-1"].learnt == {"x": [1, 2], "y": [1, 2]}

@@ -11,6 +11,7 @@ from handover.service import create_app
 from services.gesture_controller.configuration import built_in
 from services.gesture_controller.glove_store import GloveStore
 from services.gesture_controller.gloves import Gloves
+from services.gesture_controller.people import profile_file
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.routes import add_people
 from services.gesture_controller.people.store import PeopleStore
@@ -126,5 +127,28 @@ async def test_a_title_is_given_changed_and_taken_away(screen: httpx.AsyncClient
 
 
 async def test_a_profile_that_is_too_long_is_not_read_to_its_end(screen: httpx.AsyncClient) -> None:
-    answer = await screen.put("/people/anna/profile.yaml", content=b"#" * 1_100_000)
+    answer = await screen.put(
+        "/people/anna/profile.yaml", content=b"#" * 1_100_000, headers={"Content-Type": "application/yaml"}
+    )
     assert answer.status_code == 413
+
+
+async def test_a_large_profile_is_read_and_written_by_another_process(
+    screen: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("it runs on the event loop")
+
+    monkeypatch.setattr(profile_file._ProfileReader, "compose", never)
+    monkeypatch.setattr(profile_file.yaml, "safe_dump", never)
+    rows = "".join(f"        - [{nth}, {nth}, {nth}]\n" for nth in range(2_000))
+    large = f"person: anna\ngloves:\n  glove-1:\n    learnt:\n      rows:\n{rows}"
+    yaml_type = {"Content-Type": "application/yaml"}
+    taken = await screen.put("/people/anna/profile.yaml", content=large, headers=yaml_type)
+    assert taken.is_success, taken.text
+    kept = await screen.get("/people/anna/profile.yaml")
+    assert "- [1999, 1999, 1999]" in kept.text
+    too_large = large + "".join(f"        - [{nth}, 1, 1]\n" for nth in range(20_000))
+    refused = await screen.put("/people/anna/profile.yaml", content=too_large, headers=yaml_type)
+    assert refused.status_code == 422
+    assert "too many values; 20000 are allowed" in refused.json()["detail"]

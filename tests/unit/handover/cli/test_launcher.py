@@ -1,13 +1,19 @@
-"""The launcher looks before it starts anything."""
+"""The launcher looks before it starts anything, and lets the broker notify services on this machine."""
 
+import asyncio
 import shutil
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-from handover.cli.launcher import make_room
+from handover.cli.launcher import Launcher, make_room
+from handover.cli.services import SERVICES, Service
 from handover.errors import UsageError
+from handover.settings import Settings
+from services.context_broker.settings import BrokerSettings
 
 
 class Usage(NamedTuple):
@@ -34,3 +40,46 @@ def test_a_directory_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 def test_a_new_directory_is_made_and_left_clean(tmp_path: Path) -> None:
     make_room(tmp_path / "a" / "b")
     assert list((tmp_path / "a" / "b").iterdir()) == []
+
+
+@pytest.mark.parametrize("own", [None, "10.0.0.0/8,scada.example"])
+def test_the_broker_may_connect_to_this_machine_and_to_what_is_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HANDOVER_BROKER_OUTBOUND_ALLOW", raising=False)
+    if own is not None:
+        (tmp_path / ".env").write_text(f"HANDOVER_BROKER_OUTBOUND_ALLOW={own}\n")
+    allowed = asyncio.run(allowed_by_the_launcher(tmp_path, []))
+    policy = BrokerSettings.load(host="0.0.0.0", broker_outbound_allow=allowed).outbound_policy()
+    assert [policy.fault_of(one) for one in ("127.0.0.1", "127.8.8.8", "::1")] == [None] * 3
+    assert "localhost" in policy.hosts
+    assert (policy.fault_of("10.1.2.3") is None, "scada.example" in policy.hosts) == (bool(own), bool(own))
+
+
+async def allowed_by_the_launcher(data_dir: Path, services: Sequence[Service]) -> str:
+    """What a process of the launcher finds in HANDOVER_BROKER_OUTBOUND_ALLOW."""
+    script = "import os; print(os.environ['HANDOVER_BROKER_OUTBOUND_ALLOW'])"
+    launcher = Launcher(services, Settings.load(data_dir=data_dir), lambda _: None)
+    await launcher.add("asked", [sys.executable, "-c", script])
+    log = data_dir / "logs" / "asked.log"
+    async with asyncio.timeout(60):
+        while not (said := log.read_text().strip()):
+            await asyncio.sleep(0.01)
+    await launcher.stop()
+    return said
+
+
+@pytest.mark.parametrize("host", ["192.168.7.5", "fd00::7:5", "cell-3.factory.example"])
+def test_the_broker_may_notify_services_that_listen_on_an_address_of_the_network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, host: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HANDOVER_HOST", host)
+    monkeypatch.setenv("HANDOVER_ORCHESTRATOR_URL", "http://10.0.0.3:54200")
+    allowed = asyncio.run(allowed_by_the_launcher(tmp_path, SERVICES))
+    policy = BrokerSettings.load(broker_outbound_allow=allowed).outbound_policy()
+    assert policy.listens_beyond_loopback
+    assert host in policy.hosts or policy.fault_of(host) is None
+    assert policy.fault_of("10.0.0.3") is None
+    assert policy.fault_of("10.0.0.4") is not None

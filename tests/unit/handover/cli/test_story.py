@@ -73,3 +73,17 @@ def test_a_failure_is_told_with_its_reason_and_the_sum_counts_both_hands() -> No
     assert story.summary() == (
         "2 Tasks: 1 by the operator with 1 different gestures in 3.0 s, 1 by the robot in 2.0 s"
     )
+
+
+def test_an_answer_other_than_ok_is_told_with_its_note() -> None:
+    lines: list[str] = []
+    story = Story(BEGAN, lines.append)
+    shown = {"gesture": "Horns", "heldMs": 1520, "by": "gesture", "outcome": "notGood"}
+    pressed = {"heldMs": 0, "by": "screen", "operator": "Anna", "outcome": "problem", "note": "oil"}
+    story.tell([seen("a", "pending", 0, CONFIRM), seen("b", "pending", 0, CONFIRM)])
+    story.tell([seen("a", "completed", 3, CONFIRM, shown), seen("b", "failed", 4, CONFIRM, pressed)])
+    assert [line.split("glove-1   ")[1] for line in lines[2:]] == [
+        'answered "not good" with Horns after 3.0 s',
+        'answered "problem" on the screen after 4.0 s: oil',
+    ]
+    assert story.summary().startswith("2 Tasks: 2 by the operator with 1 different gestures")

@@ -12,7 +12,7 @@ pytest.importorskip("cyclonedds")
 def test_without_a_word_both_the_network_and_this_machine_are_reached() -> None:
     first, without_network = DomainSettings().configurations()
     assert 'autodetermine="true"/>' in first
-    assert 'address="127.0.0.1" multicast="false"/>' in first
+    assert 'address="127.0.0.1" priority="0" multicast="false"/>' in first
     assert "autodetermine" not in without_network
     for one in (first, without_network):
         assert '<Peer Address="127.0.0.1"/>' in one

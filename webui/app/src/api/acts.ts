@@ -1,6 +1,6 @@
 /** The acts that more than one page offers. */
 import type { LiveEvent, ProcessView } from "~/live/messages";
-import { call, callService } from "./http";
+import { call, callService, type ProblemDetails } from "./http";
 
 export function startProcess(definition: string, parameters: Record<string, unknown> = {}, key?: string): Promise<ProcessView> {
   const json = { definition, parameters, ...(key === undefined ? {} : { key }) };
@@ -29,8 +29,22 @@ export function declareGlove(glove: string, hand: "left" | "right" = "right"): P
   return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}`, { method: "PUT", json: { hand } });
 }
 
-export function acknowledge(alert: string, by: string): Promise<unknown> {
-  return call(`alerts/${encodeURIComponent(alert)}/acknowledge`, { method: "POST", json: { by } });
+/** What became of an act on many Alerts. */
+export interface Outcome {
+  done: string[];
+  failed: ({ alert: string } & ProblemDetails)[];
+}
+
+export function acknowledge(alerts: readonly string[], by: string): Promise<Outcome> {
+  return call("alerts/acknowledge", { method: "POST", json: { alerts, by } });
+}
+
+export function shelve(alerts: readonly string[], by: string, minutes: number): Promise<Outcome> {
+  return call("alerts/shelve", { method: "POST", json: { alerts, by, minutes } });
+}
+
+export function unshelve(alerts: readonly string[], by: string): Promise<Outcome> {
+  return call("alerts/unshelve", { method: "POST", json: { alerts, by } });
 }
 
 export function eventsAfter(after: number, limit = 500): Promise<LiveEvent[]> {

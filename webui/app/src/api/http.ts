@@ -1,4 +1,5 @@
 /** REST through the one door: `/api/<service>/<path>`. What is refused comes as a `Refusal` in plain words. */
+import { wordsIn } from "~/i18n/server";
 
 export type Service = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool" | "ros-bridge";
 
@@ -28,7 +29,9 @@ export class Unreachable extends Error {
   }
 }
 
+/** Say what went wrong, in the language of the page where the server gave a code. */
 export function describe(error: unknown): string {
+  if (error instanceof Refusal) return wordsIn(error.problem, "detail") ?? error.message;
   return error instanceof Error ? error.message : String(error);
 }
 

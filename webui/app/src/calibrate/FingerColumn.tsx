@@ -3,6 +3,7 @@ import { Minus, Plus } from "lucide-react";
 import { useId, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
+import { number, typedNumber } from "~/design/numbers";
 import { fingers } from "~/hand/geometry";
 import { usePick } from "~/live/hooks";
 import type { Finger } from "~/live/messages";
@@ -47,7 +48,7 @@ export function FingerColumn({ glove, finger, isChosen, saved, thresholds, step,
 }
 
 function Gauge({ glove, finger, thresholds, top }: { glove: string; finger: Finger; thresholds: Thresholds[Finger]; top: number }) {
-  const { t } = useTranslation(["calibrate", "hand"]);
+  const { t, i18n } = useTranslation(["calibrate", "hand"]);
   const place = fingers.indexOf(finger);
   const bend = usePick(`glove/${glove}`, (view) => view?.bend?.[place] ?? null);
   const share = (value: number) => `${Math.min(Math.max(value / top, 0), 1) * 100}%`;
@@ -61,7 +62,7 @@ function Gauge({ glove, finger, thresholds, top }: { glove: string; finger: Fing
       </div>
       <p className="calibrate__says">
         <strong>{state === null ? t("unseen") : t(`state.${state}`)}</strong>
-        <span className="quiet">{bend === null ? "–" : Math.round(bend)}</span>
+        <span className="quiet">{bend === null ? "–" : number(Math.round(bend), i18n.language)}</span>
       </p>
     </div>
   );
@@ -77,13 +78,13 @@ interface StepperProps {
 }
 
 function Stepper({ name, label, value, isChanged, step, onMove }: StepperProps) {
-  const { t } = useTranslation("calibrate");
+  const { t, i18n } = useTranslation("calibrate");
   const id = useId();
   /** What is being typed; it counts once the field is left. */
   const [typed, setTyped] = useState<string | null>(null);
   const commit = () => {
-    const to = Number(typed);
-    if (typed !== null && typed.trim() !== "" && Number.isFinite(to)) onMove(to);
+    const to = typedNumber(typed ?? "", i18n.language);
+    if (to !== null) onMove(to);
     setTyped(null);
   };
   const move = (by: number) => {
@@ -99,7 +100,7 @@ function Stepper({ name, label, value, isChanged, step, onMove }: StepperProps) 
           id={id}
           aria-label={name}
           inputMode="numeric"
-          value={typed ?? String(value)}
+          value={typed ?? number(value, i18n.language)}
           onChange={(event) => setTyped(event.target.value)}
           onBlur={commit}
           onKeyDown={(event) => {

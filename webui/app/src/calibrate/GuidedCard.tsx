@@ -7,10 +7,10 @@ import { useAsked } from "~/api/useAsked";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
 import { Choice } from "~/design/Choice";
-import { Pick } from "~/design/Pick";
 import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
 import { Hand, useGestureName } from "~/hand/Hand";
+import { GesturePicker } from "~/hand/GesturePicker";
 import { usePick } from "~/live/hooks";
 import type { GuideView } from "~/live/messages";
 
@@ -128,13 +128,17 @@ function Learnt({ glove, onUse }: { glove: string; onUse: () => void }) {
 /** A second of any gesture: what a person's own way of making it looks like. */
 function Sample({ isDisabled, onShow }: { isDisabled: boolean; onShow: (gesture: string) => void }) {
   const { t } = useTranslation("calibrate");
-  const gestureName = useGestureName();
   const gestures = (useAsked<Gesture[]>(SERVICE, "gestures").value ?? []).filter((one) => one.code !== undefined);
   const [chosen, choose] = useState("");
   const gesture = chosen || (gestures[0]?.name ?? "");
   return (
     <div className="guided__sample">
-      <Pick label={t("guided.sharpen")} value={gesture} options={gestures.map(({ name }) => ({ value: name, name: gestureName(name) }))} onChange={choose} />
+      <GesturePicker
+        label={t("guided.sharpen")}
+        value={gesture}
+        options={gestures.map(({ name, code }) => ({ value: name, hands: [{ code: code ?? "", side: "right" as const }] }))}
+        onChange={choose}
+      />
       <Button isDisabled={isDisabled || gesture === ""} onPress={() => onShow(gesture)}>
         {t("guided.show")}
       </Button>

@@ -2,6 +2,7 @@
 import { useCallback, useEffect, useRef, type PointerEvent } from "react";
 import { useTranslation } from "react-i18next";
 import type uPlot from "uplot";
+import { number } from "~/design/numbers";
 import { fingers } from "~/hand/geometry";
 import type { Finger } from "~/live/messages";
 import { bendOptions, roomRound, useBendPlot, type Look } from "~/plot/useBendPlot";
@@ -32,13 +33,14 @@ export default function LivePlot({ glove, finger, thresholds, onDrag }: LivePlot
       const options = bendOptions(host, seconds, now, i18n.language, (one) => (one === chosen ? CHOSEN_PX : OTHERS_PX));
       const style = getComputedStyle(host);
       const [line, ground] = [style.getPropertyValue("--text"), style.getPropertyValue("--surface")];
+      const wordsOf = (bound: Bound) => `${t(`bound.${bound}`)} ${number(shown.current[bound], i18n.language)}`;
       return {
         ...options,
         scales: {
           ...options.scales,
           y: { range: (_, least, most) => roomRound(least, most, shown.current.lower, shown.current.upper) },
         },
-        hooks: { draw: [(plot) => bounds.forEach((bound) => drawLine(plot, bound, shown.current[bound], t(`bound.${bound}`), line, ground))] },
+        hooks: { draw: [(plot) => bounds.forEach((bound) => drawLine(plot, bound, shown.current[bound], wordsOf(bound), line, ground))] },
       };
     },
     // A new theme has new colours, which the plot takes in only at its beginning.
@@ -84,7 +86,7 @@ export default function LivePlot({ glove, finger, thresholds, onDrag }: LivePlot
   );
 }
 
-function drawLine(plot: uPlot, bound: Bound, at: number, name: string, line: string, ground: string): void {
+function drawLine(plot: uPlot, bound: Bound, at: number, words: string, line: string, ground: string): void {
   const { ctx, bbox } = plot;
   const scale = devicePixelRatio;
   const y = Math.round(plot.valToPos(at, "y", true));
@@ -97,7 +99,6 @@ function drawLine(plot: uPlot, bound: Bound, at: number, name: string, line: str
   ctx.lineTo(bbox.left + bbox.width, y);
   ctx.stroke();
   ctx.font = `600 ${13 * scale}px ${getComputedStyle(plot.root.parentElement ?? plot.root).fontFamily}`;
-  const words = `${name} ${at}`;
   const [width, room] = [ctx.measureText(words).width, 6 * scale];
   const below = bound === "lower" || y - 22 * scale < bbox.top;
   const top = below ? y + room / 2 : y - 22 * scale;

@@ -1,22 +1,19 @@
-/** A time as "12 s ago"; the exact one on hover and focus. */
+/**
+ * A time as "12 s ago". The exact one appears on hover, and while the row that it stands in has the focus; a
+ * time that stands alone is a tab stop of its own (`isStop`).
+ */
 import { useTranslation } from "react-i18next";
-import { Focusable, Tooltip, TooltipTrigger } from "react-aria-components";
 import { useNow } from "~/live/clock";
-import { ago } from "./times";
+import { ago, exactTime } from "./times";
 import "./Ago.css";
 
-export function Ago({ at }: { at: string }) {
+export function Ago({ at, isStop = false }: { at: string; isStop?: boolean }) {
   const { i18n } = useTranslation();
   const now = useNow();
-  const exact = new Date(at).toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "medium" });
+  const exact = exactTime(at, i18n.language);
   return (
-    <TooltipTrigger delay={300}>
-      <Focusable>
-        <time dateTime={at} className="ago" role="note" tabIndex={0}>
-          {ago(Date.parse(at), now, i18n.language)}
-        </time>
-      </Focusable>
-      <Tooltip className="ago__exact">{exact}</Tooltip>
-    </TooltipTrigger>
+    <time dateTime={at} className="ago" title={exact} data-exact={exact} {...(isStop ? { tabIndex: 0, role: "note" } : {})}>
+      {ago(Date.parse(at), now, i18n.language)}
+    </time>
   );
 }

@@ -14,6 +14,8 @@ export interface AskProps {
   children?: ReactNode;
   /** What the button that does it says: "Cancel bin picking". */
   act: string;
+  /** What the button that does nothing says, where "Cancel" could be mistaken for the act. */
+  dismiss?: string;
   kind?: "main" | "stop";
   size?: "normal" | "large";
   isDisabled?: boolean;
@@ -21,7 +23,7 @@ export interface AskProps {
   onAct: () => Promise<unknown>;
 }
 
-export function Ask({ isOpen, onClose, title, children, act, kind = "main", size = "normal", isDisabled = false, onAct }: AskProps) {
+export function Ask({ isOpen, onClose, title, children, act, dismiss, kind = "main", size = "normal", isDisabled = false, onAct }: AskProps) {
   const { t } = useTranslation("common");
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
@@ -59,7 +61,7 @@ export function Ask({ isOpen, onClose, title, children, act, kind = "main", size
             {failure !== null && <Problem>{failure}</Problem>}
             <div className="ask__acts">
               <Button onPress={close} size={size}>
-                {t("leaveIt")}
+                {dismiss ?? t("leaveIt")}
               </Button>
               <Button type="submit" kind={kind} size={size} isDisabled={busy || isDisabled}>
                 {act}

@@ -1,5 +1,5 @@
 /** How the states of Tasks, Processes, Devices and Alerts look: one place, so that every page agrees. */
-import type { DeviceState, ServiceHealth, Severity, Status } from "~/live/messages";
+import type { AlertPriority, AlertState, DeviceState, ServiceHealth, Severity, Status } from "~/live/messages";
 import type { Tone } from "./State";
 
 export const statusTone: Record<Status, Tone> = {
@@ -28,6 +28,20 @@ export const severityTone: Record<Severity, Tone> = {
   medium: "attention",
   high: "attention",
   critical: "stop",
+};
+
+export const priorityTone: Record<AlertPriority, Tone> = {
+  low: "neutral",
+  medium: "attention",
+  high: "attention",
+  critical: "stop",
+};
+
+export const alertStateTone: Record<AlertState, Tone> = {
+  new: "attention",
+  acknowledged: "accent",
+  shelved: "neutral",
+  returnedToNormal: "ok",
 };
 
 export const healthTone: Record<ServiceHealth["state"], Tone> = {

@@ -1,5 +1,7 @@
 /** Times and amounts as people say them, in their language. */
 
+import { number } from "./numbers";
+
 /** The symbols of the SI are the same everywhere; only the day has a name of its own. */
 const days: Record<string, string> = { de: "d", fi: "vrk" };
 
@@ -21,7 +23,7 @@ function span(seconds: number, language: string): string {
 export function duration(ms: number, language: string): string {
   if (ms < 1000) return `${Math.round(ms)} ms`;
   const seconds = ms / 1000;
-  if (seconds < 60) return `${seconds.toLocaleString(language, { maximumFractionDigits: 1 })} s`;
+  if (seconds < 60) return `${number(seconds, language, { maximumFractionDigits: 1 })} s`;
   const minutes = Math.floor(seconds / 60);
   if (minutes < 60) return `${minutes} min ${String(Math.floor(seconds % 60)).padStart(2, "0")} s`;
   return `${Math.floor(minutes / 60)} h ${String(minutes % 60).padStart(2, "0")} min`;
@@ -30,5 +32,10 @@ export function duration(ms: number, language: string): string {
 /** "32.4 /s" for something that happens so often a second. */
 export function rate(perSecond: number, language: string): string {
   const digits = perSecond < 10 ? 1 : 0;
-  return `${perSecond.toLocaleString(language, { maximumFractionDigits: digits })} /s`;
+  return `${number(perSecond, language, { maximumFractionDigits: digits })} /s`;
+}
+
+/** The exact time, in the time zone of the reader. */
+export function exactTime(at: string, language: string): string {
+  return new Date(at).toLocaleString(language, { dateStyle: "medium", timeStyle: "medium", hourCycle: "h23" });
 }

@@ -2,7 +2,7 @@
 import type { CSSProperties } from "react";
 import { useTranslation } from "react-i18next";
 import type { Finger } from "~/live/messages";
-import { bendsOf, box, fingers, type Side } from "./geometry";
+import { bendsOf, box, fingers, frameOf, type Side } from "./geometry";
 import { HandShape } from "./HandShape";
 import { useEased } from "./useEased";
 import "./Hand.css";
@@ -17,6 +17,8 @@ export interface HandProps {
   moveMs?: number;
   /** The height, as CSS has it; the width follows. */
   size?: string;
+  /** Draw the hand as large as it fits, instead of every hand at the same scale. */
+  closeUp?: boolean;
   /** Fingers to point out. */
   differs?: readonly Finger[];
   /** What it is called, "Thumbs up"; else the fingers are told one by one. */
@@ -25,14 +27,16 @@ export interface HandProps {
 
 const noFingers: readonly Finger[] = [];
 
-export function Hand({ states, side = "right", animateFrom, moveMs = 450, size, differs = noFingers, label }: HandProps) {
+export function Hand({ states, side = "right", animateFrom, moveMs = 450, size, closeUp = false, differs = noFingers, label }: HandProps) {
   const told = useFingers(states);
   const bends = useEased(bendsOf(states), moveMs, animateFrom === undefined ? undefined : bendsOf(animateFrom));
+  const frame = closeUp ? frameOf(bendsOf(states)) : { x: 0, y: 0, ...box };
+  const left = side === "left" ? box.width - frame.x - frame.width : frame.x;
   const style: CSSProperties | undefined = size === undefined ? undefined : { height: size };
   return (
     <svg
       className="hand"
-      viewBox={`0 0 ${box.width} ${box.height}`}
+      viewBox={[left, frame.y, frame.width, frame.height].map((part) => Math.round(part * 10) / 10).join(" ")}
       role="img"
       aria-label={label === undefined ? told : `${label}: ${told}`}
       {...(style === undefined ? {} : { style })}

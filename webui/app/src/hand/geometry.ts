@@ -72,6 +72,23 @@ export function shapeOf(bends: readonly Bend[]): FingerShape[] {
   });
 }
 
+/** A fist is not drawn larger than this: its palm would be as large as a whole hand. */
+const MIN_FRAME_HEIGHT = 248;
+
+/** Return the part of `box` that a right hand with `bends` fills, with a margin for its lines. */
+export function frameOf(bends: readonly Bend[], margin = 8): { x: number; y: number; width: number; height: number } {
+  const ends = shapeOf(bends).flatMap(({ phalanges }) =>
+    phalanges.flatMap(({ from, to, fromRadius, toRadius }) => [[...from, fromRadius], [...to, toRadius]]),
+  );
+  const all = [...ends, ...palm.map((point) => [...point, 0])] as [number, number, number][];
+  const x = Math.min(...all.map(([at, , radius]) => at - radius)) - margin;
+  const y = Math.min(...all.map(([, at, radius]) => at - radius)) - margin;
+  const right = Math.max(...all.map(([at, , radius]) => at + radius)) + margin;
+  const bottom = Math.max(...all.map(([, at, radius]) => at + radius)) + margin;
+  const top = Math.min(y, bottom - MIN_FRAME_HEIGHT);
+  return { x, y: top, width: right - x, height: bottom - top };
+}
+
 /** Return the bends that five finger states stand for; what is no state counts as straight. */
 export function bendsOf(states: string): Bend[] {
   return fingers.map((_, nth) => ["0", "1", "2"].indexOf(states[nth] ?? "0")).map((bend) => Math.max(0, bend));

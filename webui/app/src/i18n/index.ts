@@ -48,6 +48,7 @@ export async function startWords(): Promise<void> {
       interpolation: { escapeValue: false },
       returnNull: false,
     });
+  void i18next.loadNamespaces("server"); // after the first page: nothing waits for it
   document.documentElement.lang = i18next.language;
   i18next.on("languageChanged", (language) => {
     document.documentElement.lang = language;

@@ -33,13 +33,28 @@ export interface GloveView {
   task: GloveTask | null;
   message: Message;
   /** `spent`: the gesture that is held has counted already; it must be let go before it can count again. */
-  hold: { gesture: string | null; heldMs: number; announceMs: number; confirmMs: number; spent: boolean };
+  hold: {
+    gesture: string | null;
+    heldMs: number;
+    announceMs: number;
+    confirmMs: number;
+    spent: boolean;
+    /** What the gesture would answer to the Task; null if it is none of its answers. */
+    outcome?: Outcome | null;
+  };
   bend: number[] | null;
   states: string | null;
   gesture: string | null;
   differs: Finger[];
   /** The last answer given with this hand or on its screen; it stays until the next one. */
-  answered: { task: string; gesture: string; by: "gesture" | "screen"; operator: string | null } | null;
+  answered: {
+    task: string;
+    gesture: string | null;
+    by: "gesture" | "screen";
+    operator: string | null;
+    outcome?: Outcome;
+    note?: string | null;
+  } | null;
   testing: boolean;
   filtering: boolean;
   paused: boolean;
@@ -110,7 +125,18 @@ export interface GloveTask {
   commandId: number | null;
   /** What a gesture of both hands, or of two in turn, consists of, and how far each part is; none of a single one. */
   parts?: GesturePart[];
+  /** The answers other than `ok`; `gesture` is null where only the screen can give one. */
+  answers?: AnswerOption[];
   status: Status;
+}
+
+/** What a person answers to a Task. */
+export type Outcome = "ok" | "notGood" | "problem";
+
+export interface AnswerOption {
+  outcome: Outcome;
+  gesture: string | null;
+  code: string | null;
 }
 
 /** One of the two that a composed gesture consists of; `hand` is null where they are shown in turn by one. */
@@ -221,8 +247,10 @@ export interface TaskView {
   deadline: string | null;
   endedAt: string | null;
   cancelled: boolean;
-  /** Why it failed, for people. */
+  /** Why it failed, for people; `wordsIn` says it in the language of the page. */
   reason: string | null;
+  reasonCode?: string;
+  reasonParameters?: Record<string, unknown>;
   history: { status: Status; at: string }[];
 }
 
@@ -238,16 +266,32 @@ export interface DefinitionView {
   parameters: { name: string; required: boolean; default: unknown }[];
 }
 
-/** `alert/<urn>`: those that stand, and the last fifty that are over. */
+/** How soon a person must respond. */
+export type AlertPriority = "low" | "medium" | "high" | "critical";
+
+/** After ISA-18.2. */
+export type AlertState = "new" | "acknowledged" | "shelved" | "returnedToNormal";
+
+/** `alert/<urn>`: those that are active, and the last fifty that are over. */
 export interface AlertView {
   id: string;
   category: string;
   subCategory: string | null;
   severity: Severity;
+  priority: AlertPriority;
+  state: AlertState;
+  /** When the state was written, if that is known. */
+  stateAt: string | null;
+  /** In English; `wordsIn` says it in the language of the page. */
   description: string;
+  descriptionCode?: string | null;
+  descriptionParameters?: Record<string, unknown>;
   source: string;
   dateIssued: string;
   validTo: string | null;
+  /** When the last shelving ends, or has ended. */
+  shelvedUntil: string | null;
+  shelvedBy: string | null;
   acknowledged: { by: string; at: string } | null;
 }
 

@@ -10,6 +10,7 @@ import { Pick } from "~/design/Pick";
 import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
 import { fingers } from "~/hand/geometry";
+import { GesturePicker } from "~/hand/GesturePicker";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { define, type Nearest, type PersonInFull, type Recording } from "./people";
 
@@ -64,7 +65,7 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
       setBusy(false);
     }
   };
-  const options = plain.map((one) => ({ value: one.name, name: gestureName(one.name) }));
+  const options = (side: "left" | "right") => plain.map((one) => ({ value: one.name, hands: [{ code: one.code, side }] }));
 
   return (
     <section className="new-gesture" aria-label={t("new.title")}>
@@ -105,8 +106,8 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
         ))}
       {(way === "hands" || way === "turn") && (
         <div className="new-gesture__pair">
-          <Pick label={t(way === "hands" ? "new.left" : "new.first")} value={first} options={options} onChange={(one) => setPair([one, second])} />
-          <Pick label={t(way === "hands" ? "new.right" : "new.second")} value={second} options={options} onChange={(one) => setPair([first, one])} />
+          <GesturePicker label={t(way === "hands" ? "new.left" : "new.first")} value={first} options={options(way === "hands" ? "left" : "right")} onChange={(one) => setPair([one, second])} />
+          <GesturePicker label={t(way === "hands" ? "new.right" : "new.second")} value={second} options={options("right")} onChange={(one) => setPair([first, one])} />
         </div>
       )}
       {failure !== null && <Problem>{failure}</Problem>}

@@ -8,6 +8,7 @@ import { Button } from "~/design/Button";
 import { Empty } from "~/design/Empty";
 import { Field } from "~/design/Field";
 import { Problem } from "~/design/Problem";
+import { useWanted } from "~/live/hooks";
 import { useQuery } from "~/route/query";
 import { useKeys } from "~/shell/keys";
 import { addPerson, SERVICE, type Person } from "./people";
@@ -16,11 +17,14 @@ import "./PeoplePage.css";
 
 export default function PeoplePage() {
   const { t } = useTranslation("people");
-  const [turn, setTurn] = useState(0);
+  const [asks, setAsks] = useState(0);
+  // Another revision: somebody has changed something, here or in another browser.
+  const revision = useWanted<{ revision: string }>("people")?.revision ?? "";
+  const turn = `${asks} ${revision}`;
   const [chosen, choose] = useQuery("person");
   const [isAdding, setAdding] = useState(false);
   const everybody = useAsked<Person[]>(SERVICE, "people", turn);
-  const again = () => setTurn((before) => before + 1);
+  const again = () => setAsks((before) => before + 1);
   const name = everybody.value?.some((one) => one.name === chosen) === true ? chosen : (everybody.value?.[0]?.name ?? null);
   useKeys([{ key: "n", does: t("add.act"), act: () => setAdding(true) }]);
   return (

@@ -12,12 +12,13 @@ import { Card } from "~/design/Card";
 import { Pick } from "~/design/Pick";
 import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
+import { GesturePicker } from "~/hand/GesturePicker";
 import { useGestureName } from "~/hand/Hand";
 import { useGloveNames } from "~/live/names";
 import { GesturePicture } from "./GesturePicture";
 import { NewGesture } from "./NewGesture";
 import {
-  dropGesture, exchanged, giveCommands, profileOf, removePerson, SERVICE, takeCommandBack, takeProfile, wear,
+  dropGesture, exchanged, giveCommands, partsOf, profileOf, removePerson, SERVICE, takeCommandBack, takeProfile, wear,
   type Gesture, type Person, type PersonInFull,
 } from "./people";
 
@@ -26,7 +27,7 @@ const NONE = "";
 interface PersonPanelProps {
   name: string;
   people: readonly Person[];
-  turn: number;
+  turn: string;
   onChange: () => void;
   onGone: () => void;
 }
@@ -98,19 +99,16 @@ function Gloves({ people, act }: { people: readonly Person[]; act: Act }) {
 
 function Commands({ person, act }: { person: PersonInFull; act: Act }) {
   const { t } = useTranslation("people");
-  const gestureName = useGestureName();
-  const options = [{ value: NONE, name: t("commands.without") }, ...person.gestures.map(({ name }) => ({ value: name, name: gestureName(name) }))];
+  const options = [{ value: NONE, name: t("commands.without"), hands: [] }, ...person.gestures.map((one) => ({ value: one.name, hands: partsOf(one), inTurn: "sequence" in one }))];
   const numbers = [...new Set([...Object.keys(person.commands), ...Object.keys(person.ownCommands)])].sort((a, b) => Number(a) - Number(b));
   return (
     <ul className="people__commands">
       {numbers.map((command) => {
         const given = person.commands[command];
-        const gesture = person.gestures.find((one) => one.name === given);
         const isOwn = command in person.ownCommands;
         return (
           <li key={command} data-own={isOwn || undefined}>
-            {gesture === undefined ? <span className="people__unseen" /> : <GesturePicture gesture={gesture} size="88px" />}
-            <Pick
+            <GesturePicker
               label={t("commands.command", { command })}
               value={given ?? NONE}
               options={options}

@@ -5,6 +5,7 @@
 import { useEffect, useRef, type RefObject } from "react";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
+import { number as inWords } from "~/design/numbers";
 import { fingers } from "~/hand/geometry";
 import { useLive } from "~/live/hooks";
 import { BendHistory } from "./bend_history";
@@ -93,7 +94,7 @@ export function bendOptions(host: HTMLElement, seconds: number, now: number, lan
         splits: (_, __, min, max) => marks.map((ago) => max - ago).filter((at) => at >= min - 0.01),
         values: (_, splits) => splits.map((at) => `${Math.round(at - (splits.at(-1) ?? at))} s`),
       },
-      { ...axis, size: 52, values: (_, splits) => splits.map((value) => value.toLocaleString(language)) },
+      { ...axis, size: 52, values: (_, splits) => splits.map((value) => inWords(value, language)) },
     ],
     series: [
       {},

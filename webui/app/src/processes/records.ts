@@ -3,7 +3,7 @@ import { callService } from "~/api/http";
 import { useAsked, type Asked } from "~/api/useAsked";
 import { useTopic } from "~/live/hooks";
 import type { ElementCount, ProcessView } from "~/live/messages";
-import type { ProcessRow } from "./list/rows";
+import type { ProcessFilter, ProcessRow } from "./list/rows";
 
 export const SERVICE = "task-orchestrator";
 
@@ -46,8 +46,16 @@ export function bpmnPath(definition: string, version: number): string {
   return `definitions/${encodeURIComponent(definition)}/bpmn?version=${version}`;
 }
 
-/** A page of processes that were started before another. */
-export function processesBefore(before: string | null, limit: number): Promise<ProcessRow[]> {
-  const mark = before === null ? "" : `&before=${encodeURIComponent(before)}`;
-  return callService(SERVICE, `processes?limit=${limit}${mark}`);
+/** A page of the processes that pass, the newest first: those that were started before `before`, if one is named. */
+export function processesBefore(
+  before: string | null,
+  limit: number,
+  filter: ProcessFilter,
+  search = "",
+): Promise<ProcessRow[]> {
+  const [definition = "", version = ""] = filter.definition.split("@");
+  const asked = { before: before ?? "", status: filter.status, definition, version, involves: filter.involves, search };
+  const query = new URLSearchParams({ limit: String(limit) });
+  for (const [name, value] of Object.entries(asked)) if (value !== "") query.set(name, value);
+  return callService(SERVICE, `processes?${query.toString()}`);
 }

@@ -6,6 +6,8 @@ import { Button } from "~/design/Button";
 import { Choice } from "~/design/Choice";
 import { Field } from "~/design/Field";
 import { languages, speak, type Language } from "~/i18n";
+import { setSound, useSound } from "~/alerts/sound";
+import { Tick } from "~/design/Tick";
 import { chooseTheme, chosenTheme, type Theme } from "./theme";
 import { setWho, useWho } from "./who";
 import "~/design/Ask.css";
@@ -14,6 +16,7 @@ export function Preferences({ isOpen, onClose }: { isOpen: boolean; onClose: () 
   const { t, i18n } = useTranslation("common");
   const [theme, setTheme] = useState<Theme>(chosenTheme);
   const name = useWho();
+  const sound = useSound();
   const themes = (["system", "light", "dark"] as const).map((value) => ({ value, name: t(`theme.${value}`) }));
   const tongues = Object.entries(languages).map(([value, tongue]) => ({ value: value as Language, name: tongue }));
   return (
@@ -44,6 +47,9 @@ export function Preferences({ isOpen, onClose }: { isOpen: boolean; onClose: () 
               onChange={(tongue) => void speak(tongue)}
             />
           </div>
+          <Tick isSelected={sound} onChange={setSound}>
+            {t("attention.sound")}
+          </Tick>
           <Field label={t("who.label")} hint={t("who.hint")} value={name} onChange={setWho} maxLength={100} />
           <div className="ask__acts">
             <Button kind="main" onPress={onClose}>

@@ -5,6 +5,8 @@ import {
 import { Suspense, useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, useLocation } from "wouter";
+import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
+import { useAlertSound } from "~/alerts/sound";
 import { Button } from "~/design/Button";
 import { useLink } from "~/live/hooks";
 import { KeyList } from "./KeyList";
@@ -29,6 +31,7 @@ export function Shell({ children }: { children: ReactNode }) {
   const [showsKeys, setShowsKeys] = useState(false);
   const [showsPreferences, setShowsPreferences] = useState(false);
   const pageKeys = usePageKeys();
+  useAlertSound();
   const here = pages.find((page) => (page.path === "/" ? path === "/" : path.startsWith(page.path)));
 
   useEffect(() => {
@@ -68,6 +71,7 @@ export function Shell({ children }: { children: ReactNode }) {
             >
               <page.icon aria-hidden size={20} />
               <span>{t(`pages.${page.name}`)}</span>
+              {page.name === "system" && <AttentionCount />}
             </Link>
           ))}
         </nav>
@@ -82,6 +86,7 @@ export function Shell({ children }: { children: ReactNode }) {
         </div>
       </header>
       <LinkBanner />
+      {(here?.name === "start" || here?.name === "work") && <AttentionBanner large={here.name === "work"} />}
       <main id="content" className="shell__content" tabIndex={-1}>
         <Suspense fallback={<p className="shell__loading quiet">{t("loading")}</p>}>{children}</Suspense>
       </main>

@@ -1,163 +1,260 @@
-/** The first page: three things make a cell, and whether each is there. */
-import { Bot, Hand, Play, Workflow } from "lucide-react";
-import { useState, type ReactNode } from "react";
+/** The first page: what runs, what waits for whom, what is wrong, how the day goes. */
+import { CircleCheck } from "lucide-react";
+import { useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
-import { Link, useLocation } from "wouter";
-import { startOperator, startProcess, stopOperator } from "~/api/acts";
-import { describe } from "~/api/http";
+import { Link } from "wouter";
+import { attentionOf } from "~/alerts/attention";
+import { useAlertTitle } from "~/alerts/titles";
+import { callService } from "~/api/http";
+import { Ago } from "~/design/Ago";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
-import { Problem } from "~/design/Problem";
+import { number } from "~/design/numbers";
 import { State } from "~/design/State";
-import { deviceTone } from "~/design/states";
+import { healthTone, priorityTone, statusTone } from "~/design/states";
+import { duration, exactTime } from "~/design/times";
+import { wordsIn } from "~/i18n/server";
+import { useNow } from "~/live/clock";
 import { useFamily, useTopic } from "~/live/hooks";
+import type { ProcessView } from "~/live/messages";
+import { shortName } from "~/live/urn";
+import { pathOf } from "~/processes/address";
+import { FirstSteps } from "./FirstSteps";
+import { byPerformer, failedSince, startOfDay, waitingTasks } from "./overview";
 import "./StartPage.css";
 
-const DEMO = "bin-picking";
-const FIRST_GLOVE = "glove-1";
+/** So many of each are listed; the page of the rest is one press away. */
+const MAX_LISTED = 6;
+const ASK_EVERY_MS = 15_000;
+const DISMISSED = "handover.firstSteps";
 
 export default function StartPage() {
   const { t } = useTranslation("common");
+  const [isDismissed, dismiss] = useFirstSteps();
   return (
     <div className="start">
       <h1 className="start__title">{t("start.title")}</h1>
-      <p className="start__lead">{t("start.lead")}</p>
-      <div className="start__cards">
-        <ProcessCard />
-        <GloveCard />
-        <RobotCard />
+      {!isDismissed && <FirstSteps onDismiss={dismiss} />}
+      <div className="start__board">
+        <Day />
+        <Running />
+        <WaitingFor />
+        <Wrong />
       </div>
+      {isDismissed && (
+        <div>
+          <Button kind="quiet" onPress={() => dismiss(false)}>
+            {t("start.showSteps")}
+          </Button>
+        </div>
+      )}
     </div>
   );
 }
 
-function ProcessCard() {
-  const { t } = useTranslation("common");
-  const definition = useTopic(`definition/${DEMO}`);
-  const running = useFamily("process").some((one) => one.definition === DEMO && one.endedAt === null);
-  const [, go] = useLocation();
-  const { busy, failure, perform } = useAct();
-  const isReady = definition !== undefined && definition.unusable === undefined;
-  const state = running ? (
-    <State tone="accent">{t("start.process.running")}</State>
-  ) : isReady ? (
-    <State tone="ok">{t("start.process.ready")}</State>
-  ) : (
-    <State tone="stop">{t("start.process.notReady")}</State>
-  );
-  return (
-    <StartCard title={t("start.process.title")} icon={<Workflow aria-hidden size={28} />} state={state}>
-      <p>{t("start.process.what")}</p>
-      {!isReady && <p className="quiet">{definition?.unusable ?? t("start.process.missing")}</p>}
-      {failure !== null && <Problem>{failure}</Problem>}
-      {running ? (
-        <Button kind="main" onPress={() => go("/work")}>
-          {t("start.process.see")}
-        </Button>
-      ) : (
-        <Button
-          kind="main"
-          icon={<Play aria-hidden size={18} />}
-          isDisabled={!isReady || busy}
-          onPress={() => perform(async () => {
-            await startProcess(DEMO);
-            go("/work");
-          })}
-        >
-          {t("start.process.act")}
-        </Button>
-      )}
-    </StartCard>
-  );
-}
-
-function GloveCard() {
-  const { t } = useTranslation("common");
+/** The first steps go when they have been followed (a glove, a robot, and a process that ended well) or dismissed. */
+function useFirstSteps(): [boolean, (dismissed?: boolean) => void] {
   const gloves = useFamily("glove");
-  const operator = useTopic("operator");
-  const { busy, failure, perform } = useAct();
-  const connected = gloves.find((glove) => glove.connected);
-  const known = connected ?? gloves[0];
-  const state =
-    connected !== undefined ? (
-      <State tone="ok">{t("start.glove.connected", { glove: connected.glove })}</State>
-    ) : known !== undefined ? (
-      <State tone="attention">{t("start.glove.waiting", { glove: known.glove })}</State>
-    ) : (
-      <State tone="neutral">{t("start.glove.none")}</State>
-    );
-  return (
-    <StartCard title={t("start.glove.title")} icon={<Hand aria-hidden size={28} />} state={state}>
-      <p>{t("start.glove.what")}</p>
-      {operator?.detail != null && <p className="quiet">{operator.detail}</p>}
-      {failure !== null && <Problem>{failure}</Problem>}
-      {operator?.running === true ? (
-        <Button isDisabled={busy} onPress={() => perform(stopOperator)}>
-          {t("start.glove.stop")}
-        </Button>
-      ) : (
-        connected === undefined && (
-          <Button isDisabled={busy || operator === undefined} onPress={() => perform(() => startOperator(known?.glove ?? FIRST_GLOVE))}>
-            {t("start.glove.simulate")}
-          </Button>
-        )
-      )}
-      <Command words={t("start.glove.real")}>{".venv/bin/handover glove serial /dev/ttyUSB0"}</Command>
-    </StartCard>
-  );
+  const robots = useFamily("robot");
+  const isFollowed =
+    useFamily("process").some((process) => process.status === "completed") && gloves.some((glove) => glove.connected) && robots.length > 0;
+  const [kept, setKept] = useState(() => localStorage.getItem(DISMISSED));
+  const dismiss = (dismissed = true) => {
+    const value = dismissed ? "dismissed" : "wanted";
+    localStorage.setItem(DISMISSED, value);
+    setKept(value);
+  };
+  return [kept === "dismissed" || (kept === null && isFollowed), dismiss];
 }
 
-function RobotCard() {
-  const { t } = useTranslation("common");
-  const [robot] = useFamily("robot");
-  const state =
-    robot === undefined ? (
-      <State tone="neutral">{t("start.robot.none")}</State>
-    ) : (
-      <State tone={deviceTone[robot.deviceState]}>
-        {t("start.robot.ready", { robot: robot.id, state: t(`deviceState.${robot.deviceState}`) })}
-      </State>
-    );
-  return (
-    <StartCard title={t("start.robot.title")} icon={<Bot aria-hidden size={28} />} state={state}>
-      <p>{t("start.robot.what")}</p>
-      {robot === undefined ? (
-        <Command words={t("start.robot.start")}>{".venv/bin/handover run trajectory-tool"}</Command>
-      ) : (
-        <Link href="/system?tab=robots">{t("start.robot.see")}</Link>
-      )}
-    </StartCard>
-  );
+interface DayCounts {
+  running: number;
+  completed: number;
+  failed: number;
+  medianMs: number | null;
 }
 
-function StartCard({ title, icon, state, children }: { title: string; icon: ReactNode; state: ReactNode; children: ReactNode }) {
+/** What became of the processes that ended today; asked again when one ends, and every few seconds. */
+function useDay(): DayCounts | null {
+  const [day, setDay] = useState<DayCounts | null>(null);
+  const ended = useFamily("process").filter((process) => process.endedAt !== null).map((process) => process.id).join();
+  useEffect(() => {
+    let left = false;
+    const ask = () =>
+      callService<DayCounts>("task-orchestrator", `statistics?since=${encodeURIComponent(startOfDay(Date.now()))}`).then(
+        (counts) => {
+          if (!left) setDay(counts);
+        },
+        () => undefined, // the last counts stay; the services below say what is away
+      );
+    void ask();
+    const timer = setInterval(() => void ask(), ASK_EVERY_MS);
+    return () => {
+      left = true;
+      clearInterval(timer);
+    };
+  }, [ended]);
+  return day;
+}
+
+function Day() {
+  const { t, i18n } = useTranslation("common");
+  const day = useDay();
+  const said = (value: number | undefined) => (value === undefined ? "–" : number(value, i18n.language));
   return (
-    <Card className="start__card" title={<span className="start__name">{icon}{title}</span>}>
-      <div>{state}</div>
-      {children}
+    <Card className="start__day" title={t("start.day.title")}>
+      <dl className="start__figures">
+        <Figure name={t("start.day.running")}>{said(day?.running)}</Figure>
+        <Figure name={t("start.day.completed")}>{said(day?.completed)}</Figure>
+        <Figure name={t("start.day.failed")} isBad={(day?.failed ?? 0) > 0}>
+          {said(day?.failed)}
+        </Figure>
+        <Figure name={t("start.day.median")}>{day?.medianMs == null ? "–" : duration(day.medianMs, i18n.language)}</Figure>
+      </dl>
     </Card>
   );
 }
 
-function Command({ words, children }: { words: string; children: string }) {
+function Figure({ name, isBad = false, children }: { name: string; isBad?: boolean; children: ReactNode }) {
   return (
-    <p className="quiet small">
-      {words}
-      <code className="start__command">{children}</code>
-    </p>
+    <div>
+      <dt className="quiet small">{name}</dt>
+      <dd data-bad={isBad || undefined}>{children}</dd>
+    </div>
   );
 }
 
-/** An act of a card: one at a time, and what goes wrong is told on the card. */
-function useAct() {
-  const [busy, setBusy] = useState(false);
-  const [failure, setFailure] = useState<string | null>(null);
-  const perform = (act: () => Promise<unknown>) => {
-    setBusy(true);
-    setFailure(null);
-    void act()
-      .catch((error: unknown) => setFailure(describe(error)))
-      .finally(() => setBusy(false));
-  };
-  return { busy, failure, perform };
+function Running() {
+  const { t } = useTranslation("common");
+  const running = useFamily("process")
+    .filter((process) => process.endedAt === null)
+    .sort((a, b) => (a.startedAt > b.startedAt ? -1 : 1));
+  return (
+    <Listing title={t("start.running.title")} all={running} href="/processes" none={t("start.running.none")}>
+      {(process) => (
+        <li key={process.id}>
+          <ProcessName process={process} />
+          <State tone={statusTone[process.status]}>{t(`processStatus.${process.status}`)}</State>
+          <span className="quiet small">{t("start.running.progress", { done: process.done, all: process.activities })}</span>
+        </li>
+      )}
+    </Listing>
+  );
+}
+
+function WaitingFor() {
+  const { t } = useTranslation("common");
+  const waiting = waitingTasks(useFamily("process"));
+  const who = byPerformer(waiting);
+  return (
+    <Listing title={t("start.waiting.title")} all={waiting} href="/processes" none={t("start.waiting.none")}
+      lead={who.length > 0 && (
+        <p className="start__who small">
+          {who.slice(0, MAX_LISTED).map((one) => (
+            <span key={one.who}>
+              {one.who || t("start.waiting.nobody")} <strong>{one.count}</strong>
+            </span>
+          ))}
+        </p>
+      )}
+    >
+      {({ process, task, who: performer, since }) => (
+        <li key={task.id}>
+          <Link href={pathOf({ kind: "process", id: process.id })}>{task.name || task.element}</Link>
+          <span>{performer || t("start.waiting.nobody")}</span>
+          <State tone={statusTone[task.status]}>{t(`status.${task.status}`)}</State>
+          <span className="quiet small">
+            <Ago at={since} />
+          </span>
+        </li>
+      )}
+    </Listing>
+  );
+}
+
+/** Alerts, services that are away, and processes that failed today. */
+function Wrong() {
+  const { t } = useTranslation("common");
+  const titleOf = useAlertTitle();
+  const { count, byPriority, worst } = attentionOf(useFamily("alert"));
+  const services = (useTopic("services") ?? []).filter((service) => service.state !== "up");
+  const failed = failedSince(useFamily("process"), startOfDay(useNow()));
+  const isFine = count === 0 && services.length === 0 && failed.length === 0;
+  return (
+    <Card className="start__card" title={t("start.wrong.title")}>
+      {isFine && (
+        <p className="start__fine">
+          <CircleCheck aria-hidden size={20} /> {t("start.wrong.none")}
+        </p>
+      )}
+      <ul className="start__list">
+        {worst !== null && (
+          <li>
+            <Link href={`/system?tab=alerts&alert=${encodeURIComponent(worst.id)}`}>{titleOf(worst)}</Link>
+            <State tone={priorityTone[worst.priority]}>{t(`severity.${worst.severity}`)}</State>
+            <span>{shortName(worst.source)}</span>
+            <span className="quiet small">
+              <Ago at={worst.dateIssued} />
+            </span>
+          </li>
+        )}
+        {count > 1 && (
+          <li>
+            <Link href="/system?tab=alerts">{t("start.wrong.alerts", { count })}</Link>
+            <span className="quiet small">
+              {(["critical", "high", "medium", "low"] as const).filter((one) => byPriority[one] > 0).map((one) => `${t(`priority.${one}`)} ${byPriority[one]}`).join(" · ")}
+            </span>
+          </li>
+        )}
+        {services.map((service) => (
+          <li key={service.name}>
+            <Link href="/system">{t(`services.${service.name}`, { defaultValue: service.name })}</Link>
+            <State tone={healthTone[service.state]}>{t(`health.${service.state}`)}</State>
+            <span className="quiet small">
+              <Ago at={service.since} />
+            </span>
+          </li>
+        ))}
+        {failed.slice(0, MAX_LISTED).map((process) => (
+          <li key={process.id}>
+            <ProcessName process={process} />
+            <State tone="stop">{t("processStatus.failed")}</State>
+            <span className="start__why quiet small">{wordsIn(process, "reason")}</span>
+          </li>
+        ))}
+      </ul>
+      {failed.length > MAX_LISTED && <Link href="/processes?state=failed">{t("start.more", { count: failed.length - MAX_LISTED })}</Link>}
+    </Card>
+  );
+}
+
+/** A process by its business key, else by its name and when it was started; never by its id alone. */
+function ProcessName({ process }: { process: ProcessView }) {
+  const { i18n } = useTranslation();
+  return (
+    <Link href={pathOf({ kind: "process", id: process.id })} title={exactTime(process.startedAt, i18n.language)}>
+      {process.key === null ? process.title : `${process.title} · ${process.key}`}
+    </Link>
+  );
+}
+
+interface ListingProps<T> {
+  title: string;
+  all: readonly T[];
+  href: string;
+  none: string;
+  lead?: ReactNode;
+  children: (one: T) => ReactNode;
+}
+
+function Listing<T>({ title, all, href, none, lead, children }: ListingProps<T>) {
+  const { t } = useTranslation("common");
+  return (
+    <Card className="start__card" title={title} aside={<span className="start__count">{all.length}</span>}>
+      {all.length === 0 && <p className="quiet">{none}</p>}
+      {lead}
+      <ul className="start__list">{all.slice(0, MAX_LISTED).map(children)}</ul>
+      {all.length > MAX_LISTED && <Link href={href}>{t("start.more", { count: all.length - MAX_LISTED })}</Link>}
+    </Card>
+  );
 }

@@ -15,6 +15,7 @@ import { State } from "~/design/State";
 import { usePick } from "~/live/hooks";
 import { useGloveNames } from "~/live/names";
 import { Results } from "./Results";
+import { leaderCode } from "./participantMode";
 import { beginSession, deleteSession, languages, type Analysis, type Language, type Session } from "./study";
 
 export function Overview({ open }: { open: (session: string) => void }) {
@@ -95,7 +96,8 @@ function Begin({ open }: { open: (session: string) => void }) {
         />
         {language !== "en" && <p className="quiet">{t("begin.translated")}</p>}
         {gloves.length > 0 && <Pick label={t("begin.glove")} value={glove} options={options} onChange={setGlove} />}
-        {glove !== "" && <p className="quiet">{person === null ? t("begin.nobody") : t("begin.gestures", { person })}</p>}
+        {glove !== "" && <Wearer person={person} />}
+        <p className="quiet">{t("begin.code", { code: leaderCode() })}</p>
         {failure !== null && <Problem>{failure}</Problem>}
         <Button type="submit" kind="main" isDisabled={busy}>
           {t("begin.act")}
@@ -103,6 +105,15 @@ function Begin({ open }: { open: (session: string) => void }) {
       </form>
     </Card>
   );
+}
+
+/** Whose gestures "personal" are: without any of their own, both conditions would be the same. */
+function Wearer({ person }: { person: string | null }) {
+  const { t } = useTranslation("study");
+  const { value } = useLoaded<{ ownCommands: Record<string, unknown> }>("gesture-controller", person === null ? null : `people/${encodeURIComponent(person)}`);
+  if (person === null) return <State tone="attention">{t("begin.nobody")}</State>;
+  if (value !== null && Object.keys(value.ownCommands).length === 0) return <State tone="attention">{t("begin.noOwn", { person })}</State>;
+  return <p className="quiet">{t("begin.gestures", { person })}</p>;
 }
 
 interface SessionsProps {

@@ -1,15 +1,16 @@
 /** For who takes part: one step at a time, in their own language, kept as soon as it is answered. */
 import { CircleCheck } from "lucide-react";
-import { useState } from "react";
+import { useEffect, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { describe } from "~/api/http";
 import { useLoaded } from "~/api/useLoaded";
-import { Button } from "~/design/Button";
 import { Problem } from "~/design/Problem";
 import { About, Consent, Preference, Task } from "./Steps";
 import { SusForm } from "./SusForm";
 import { TlxForm } from "./TlxForm";
 import "./Participant.css";
+import { LeaveButton } from "./ParticipantFrame";
+import { enterParticipantMode, useParticipantMode } from "./participantMode";
 import { answerStep, sessionPath, type Session, type Wording } from "./study";
 
 export interface StepProps {
@@ -19,7 +20,7 @@ export interface StepProps {
   answer: (content: unknown) => void;
 }
 
-export function Participant({ session: id, leave }: { session: string; leave: () => void }) {
+export function Participant({ session: id }: { session: string }) {
   const { i18n } = useTranslation("study");
   const { value: loaded, failure: lost } = useLoaded<Session>("gesture-controller", sessionPath(id));
   const [moved, setMoved] = useState<Session | null>(null);
@@ -34,38 +35,38 @@ export function Participant({ session: id, leave }: { session: string; leave: ()
     setFailure(null);
     answerStep(id, session.step, content)
       .then((next) => {
-        if (next.step === "declined") leave();
-        else {
-          setMoved(next);
-          window.scrollTo({ top: 0 });
-        }
+        setMoved(next.step === "declined" ? { ...session, step: next.step } : next);
+        window.scrollTo({ top: 0 });
       })
       .catch((error: unknown) => setFailure(describe(error)))
       .finally(() => setBusy(false));
   };
-  if (lost !== null) return <Problem act={<Button onPress={leave}>{t("leave")}</Button>}>{lost}</Problem>;
+  const mode = useParticipantMode();
+  useEffect(() => {
+    // From here on the screen is the participant's.
+    if (loaded !== null) enterParticipantMode({ session: loaded.id, glove: loaded.glove, language: loaded.language, pseudonym: loaded.pseudonym });
+  }, [loaded]);
+  if (lost !== null) return <Problem act={mode === null ? null : <LeaveButton mode={mode} />}>{lost}</Problem>;
   if (session === null || words === null) return null;
   return (
     <div className="participant" lang={session.language}>
       <header className="participant__head">
         <p>
-          {session.pseudonym} · {t("sessions.at", { step: session.stepNumber, steps: session.steps })}
+          {t("sessions.at", { step: session.stepNumber, steps: session.steps })}
         </p>
         <progress max={session.steps} value={session.step === "finished" ? session.steps : session.stepNumber - 1} aria-label={t("progress")} />
-        <Button kind="quiet" onPress={leave}>
-          {t("leave")}
-        </Button>
       </header>
       <section className="participant__step" key={session.step}>
-        <Step session={session} words={words} answer={answer} busy={busy} leave={leave} />
+        <Step session={session} words={words} answer={answer} busy={busy} />
         {failure !== null && <Problem>{failure}</Problem>}
       </section>
     </div>
   );
 }
 
-function Step({ leave, ...props }: StepProps & { leave: () => void }) {
+function Step(props: StepProps) {
   const { session, words } = props;
+  const mode = useParticipantMode();
   const { t } = useTranslation("study", { lng: session.language });
   switch (session.step) {
     case "consent":
@@ -89,10 +90,8 @@ function Step({ leave, ...props }: StepProps & { leave: () => void }) {
         <div className="participant__end">
           <CircleCheck aria-hidden size={64} />
           <h1>{t("thanks.title")}</h1>
-          <p>{t("thanks.means")}</p>
-          <Button size="large" onPress={leave}>
-            {t("leave")}
-          </Button>
+          <p>{t(session.step === "declined" ? "thanks.declined" : "thanks.means")}</p>
+          {mode !== null && <LeaveButton mode={mode} />}
         </div>
       );
   }

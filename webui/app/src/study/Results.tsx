@@ -3,6 +3,7 @@ import { useTranslation } from "react-i18next";
 import { Card } from "~/design/Card";
 import "~/design/Figures.css";
 import { Empty } from "~/design/Empty";
+import { number } from "~/design/numbers";
 import { BoxPlot } from "./BoxPlot";
 import { csvUrl, measures, pdfUrl, type Analysis } from "./study";
 
@@ -30,9 +31,9 @@ export function Results({ analysis }: { analysis: Analysis }) {
 function Found({ analysis }: { analysis: Analysis }) {
   const { t, i18n } = useTranslation("study");
   const { sus, tlx, preference } = analysis;
-  const number = (value: number | null | undefined, digits = 2) =>
-    value == null ? "–" : new Intl.NumberFormat(i18n.language, { maximumFractionDigits: digits, minimumFractionDigits: digits }).format(value);
-  const chance = (p: number | undefined) => (p === undefined ? "–" : p < 0.001 ? `< ${number(0.001, 3)}` : number(p, 3));
+  const figure = (value: number | null | undefined, digits = 2) =>
+    value == null ? "–" : number(value, i18n.language, { maximumFractionDigits: digits, minimumFractionDigits: digits });
+  const chance = (p: number | undefined) => (p === undefined ? "–" : p < 0.001 ? `< ${figure(0.001, 3)}` : figure(p, 3));
   const inWords = (p: number) => (p < 0.001 ? chance(p) : `= ${chance(p)}`);
   const rows = measures.flatMap((measure) => {
     const compared = tlx[measure];
@@ -51,10 +52,10 @@ function Found({ analysis }: { analysis: Analysis }) {
       <h3>{t("results.sus")}</h3>
       <p>
         <strong className="study__grade">{sus.grade}</strong>
-        {t("results.susIs", { mean: number(sus.mean), sd: number(sus.sd), n: sus.n })}{" "}
+        {t("results.susIs", { mean: figure(sus.mean), sd: figure(sus.sd), n: sus.n })}{" "}
         {sus.test.p === undefined
           ? t("results.tooFew")
-          : t("results.susTest", { t: number(sus.test.t), df: sus.test.df, p: inWords(sus.test.p) })}
+          : t("results.susTest", { t: figure(sus.test.t), df: sus.test.df, p: inWords(sus.test.p) })}
       </p>
       <BoxPlot label={t("results.susPlot")} rows={[{ name: "SUS", parts: [{ tone: "accent", summary: sus }] }]} line={68} />
       <h3>{t("results.tlx")}</h3>
@@ -87,11 +88,11 @@ function Found({ analysis }: { analysis: Analysis }) {
             {rows.map(({ measure, personal, predefined, test, paired }) => (
               <tr key={measure}>
                 <th scope="row">{t(`measure.${measure}`)}</th>
-                <td>{number(personal.box?.median, 1)}</td>
-                <td>{number(predefined.box?.median, 1)}</td>
-                <td>{number(test.u, 1)}</td>
+                <td>{figure(personal.box?.median, 1)}</td>
+                <td>{figure(predefined.box?.median, 1)}</td>
+                <td>{figure(test.u, 1)}</td>
                 <td>{chance(test.p)}</td>
-                <td>{number(test.effect)}</td>
+                <td>{figure(test.effect)}</td>
                 <td>{chance(paired.p)}</td>
               </tr>
             ))}

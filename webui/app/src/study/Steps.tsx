@@ -1,7 +1,9 @@
 /** The steps between the questionnaires: consent, a word about oneself, tasks, and what was preferred. */
+import { HardHat } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Label, RadioGroup, TextArea, TextField } from "react-aria-components";
+import { useLocation } from "wouter";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
 import { Option } from "~/design/Option";
@@ -75,15 +77,16 @@ export function About({ words, session, answer, busy }: StepProps) {
 
 export function Task({ session, answer, busy, title, text }: StepProps & { title: string; text: string }) {
   const { t } = useTranslation("study", { lng: session.language });
+  const [, go] = useLocation();
   const work = session.glove === null ? "/work" : `/work?glove=${encodeURIComponent(session.glove)}`;
   return (
     <>
       <h1>{title}</h1>
       <p className="participant__text">{text}</p>
-      <p className="participant__text">
-        <a className="participant__link" href={work} target="_blank" rel="noreferrer">
+      <p>
+        <Button size="large" icon={<HardHat aria-hidden size={28} />} onPress={() => go(work)}>
           {t("openWork")}
-        </a>
+        </Button>
       </p>
       <div className="participant__acts">
         <Button kind="main" size="large" isDisabled={busy} onPress={() => answer({ completed: true })}>

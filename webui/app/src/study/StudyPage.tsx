@@ -6,5 +6,5 @@ import "./StudyPage.css";
 
 export default function StudyPage() {
   const [session, setSession] = useQuery("session");
-  return session === "" ? <Overview open={setSession} /> : <Participant key={session} session={session} leave={() => setSession("")} />;
+  return session === "" ? <Overview open={setSession} /> : <Participant key={session} session={session} />;
 }

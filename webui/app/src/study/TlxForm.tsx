@@ -1,5 +1,8 @@
-/** NASA-TLX on the screen: six scales that begin unmarked, then one of each of fifteen pairs. */
-import { useState } from "react";
+/**
+ * NASA-TLX on the screen: six scales that begin unmarked, without a mark or a filled track that would suggest a
+ * place, then one of each of fifteen pairs.
+ */
+import { useState, type CSSProperties } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import type { StepProps } from "./Participant";
@@ -44,6 +47,7 @@ function Ratings({ words, session, ratings, rate, done }: RatingsProps) {
                 max={100}
                 step={scaleStep}
                 value={rating ?? 50}
+                style={{ "--rated": rating === undefined ? "0%" : `${rating}%` } as CSSProperties}
                 aria-valuetext={rating === undefined ? t("unmarked") : `${rating}, ${of.low} – ${of.high}`}
                 onChange={(event) => mark(event.target.value)}
                 onPointerUp={(event) => mark(event.currentTarget.value)}

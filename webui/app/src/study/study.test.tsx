@@ -36,7 +36,7 @@ describe("the questionnaires", () => {
     mark(0, 5);
     fireEvent.click(next());
     expect(answer).not.toHaveBeenCalled();
-    expect(container.querySelector("[role=status]")?.textContent).toBe("1 is still open");
+    expect(container.querySelector("[role=status]")?.textContent).toBe("1 unanswered");
     mark(1, 1);
     fireEvent.click(next());
     expect(answer).toHaveBeenCalledWith({ answers: [5, 1] });
@@ -46,7 +46,7 @@ describe("the questionnaires", () => {
     const answer = vi.fn();
     const { container } = render(<TlxForm words={words} session={session} busy={false} answer={answer} />);
     const sliders = [...container.querySelectorAll("input[type=range]")];
-    expect(sliders.map((slider) => slider.getAttribute("aria-valuetext"))).toEqual(Array(3).fill("not marked yet"));
+    expect(sliders.map((slider) => slider.getAttribute("aria-valuetext"))).toEqual(Array(3).fill("not rated yet"));
     sliders.forEach((slider, nth) => fireEvent.change(slider, { target: { value: String(10 * (nth + 1)) } }));
     fireEvent.click(screen.getByText("Next"));
     fireEvent.click(screen.getByText("mental"));

@@ -1,6 +1,7 @@
 /** A battery: how full, and whether somebody should think of charging it. */
 import { BatteryFull, BatteryLow, BatteryMedium, BatteryWarning } from "lucide-react";
 import { useTranslation } from "react-i18next";
+import { percent as percentOf } from "~/design/numbers";
 import { State } from "~/design/State";
 
 const LOW = 0.2;
@@ -10,7 +11,7 @@ const EMPTY = 0.08;
 export function Battery({ level }: { level: number }) {
   const { t, i18n } = useTranslation("system");
   const Icon = level < EMPTY ? BatteryWarning : level < LOW ? BatteryLow : level < 0.6 ? BatteryMedium : BatteryFull;
-  const percent = level.toLocaleString(i18n.language, { style: "percent", maximumFractionDigits: 0 });
+  const percent = percentOf(level, i18n.language);
   const tone = level < EMPTY ? "stop" : level < LOW ? "attention" : "neutral";
   return (
     <State tone={tone} icon={<Icon aria-hidden size="1.2em" />}>

@@ -3,6 +3,7 @@ import { useTranslation } from "react-i18next";
 import { useEffect, useRef, type ReactNode } from "react";
 import { Tab, TabList, TabPanel, Tabs } from "react-aria-components";
 import { Activity, Bot, Cpu, Hand, ScrollText, TriangleAlert, Waypoints } from "lucide-react";
+import { attentionOf } from "~/alerts/attention";
 import { useFamily, useTopic } from "~/live/hooks";
 import { useQuery } from "~/route/query";
 import { useKeys } from "~/shell/keys";
@@ -117,8 +118,9 @@ function UnwellServices() {
 
 function OpenAlerts() {
   const { t } = useTranslation("system");
-  const open = useFamily("alert").filter((alert) => alert.validTo === null && alert.acknowledged === null).length;
-  return open === 0 ? null : <Warning tone="attention" words={t("count.open", { count: open })} of={open} />;
+  const { count, worst } = attentionOf(useFamily("alert"));
+  if (worst === null) return null;
+  return <Warning tone={worst.priority === "critical" ? "stop" : "attention"} words={t("count.open", { count })} of={count} />;
 }
 
 function Number({ of }: { of: number }) {

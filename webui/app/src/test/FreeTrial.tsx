@@ -6,10 +6,11 @@ import { useLoaded } from "~/api/useLoaded";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
 import "~/design/Figures.css";
-import { Pick } from "~/design/Pick";
+import { number } from "~/design/numbers";
 import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
 import { fingers } from "~/hand/geometry";
+import { GesturePicker } from "~/hand/GesturePicker";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { usePick } from "~/live/hooks";
 import type { Finger } from "~/live/messages";
@@ -55,7 +56,7 @@ export function FreeTrial({ glove }: { glove: string }) {
       {wanted !== undefined && (
         <div className="test__two">
           <section className="test__side">
-            <Pick label={t("try.wanted")} value={wanted.name} options={plain.map((one) => ({ value: one.name, name: nameOf(one.name) }))} onChange={setAsked} />
+            <GesturePicker label={t("try.wanted")} value={wanted.name} options={plain.map((one) => ({ value: one.name, hands: [{ code: one.code ?? "", side }] }))} onChange={setAsked} />
             <Hand key={wanted.name} states={code} side={side} animateFrom="00000" size="min(44vh, 420px)" label={nameOf(wanted.name)} />
           </section>
           <section className={isRight ? "test__side test__side--right" : "test__side test__side--wrong"} aria-live="polite">
@@ -76,7 +77,7 @@ export function FreeTrial({ glove }: { glove: string }) {
 }
 
 function Values({ glove, differs }: { glove: string; differs: readonly Finger[] }) {
-  const { t } = useTranslation(["test", "hand"]);
+  const { t, i18n } = useTranslation(["test", "hand"]);
   const bend = usePick(`glove/${glove}`, (view) => view?.bend?.map((value) => Math.round(value)).join(" ") ?? "");
   const states = usePick(`glove/${glove}`, (view) => view?.states ?? "");
   const values = bend === "" ? [] : bend.split(" ");
@@ -93,7 +94,7 @@ function Values({ glove, differs }: { glove: string; differs: readonly Finger[] 
         {fingers.map((finger, nth) => (
           <tr key={finger} data-differs={differs.includes(finger) || undefined}>
             <th scope="row">{t(`hand:finger.${finger}`)}</th>
-            <td>{values[nth] ?? "–"}</td>
+            <td>{values[nth] === undefined ? "–" : number(Number(values[nth]), i18n.language)}</td>
             <td>{states[nth] === undefined ? "–" : t(`try.is.${words[Number(states[nth])] ?? "between"}`)}</td>
           </tr>
         ))}

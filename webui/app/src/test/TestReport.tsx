@@ -3,8 +3,9 @@ import { useTranslation } from "react-i18next";
 import { useLoaded } from "~/api/useLoaded";
 import { Card } from "~/design/Card";
 import { Empty } from "~/design/Empty";
-import { Problem } from "~/design/Problem";
 import "~/design/Figures.css";
+import { number, percent } from "~/design/numbers";
+import { Problem } from "~/design/Problem";
 import { useGestureName } from "~/hand/Hand";
 import { columnsOf } from "./matrix";
 import { fileUrl, reportPath, type Figures, type Report } from "./tests";
@@ -33,10 +34,10 @@ function Found({ report }: { report: Report }) {
   return (
     <>
       <dl className="test__key">
-        <Key name={t("report.accuracy")} value={percent(overall.accuracy, i18n.language, 2)} more={interval(overall, i18n.language)} />
+        <Key name={t("report.accuracy")} value={rate(overall.accuracy, i18n.language, 2)} more={interval(overall, i18n.language)} />
         <Key name={t("report.median")} value={seconds(overall.medianMs, i18n.language)} more={t("report.p95", { value: seconds(overall.p95Ms, i18n.language) })} />
-        <Key name={t("report.successful")} value={String(table.successfulInteractions)} more={t("report.of", { count: overall.trials })} />
-        <Key name={t("report.problematic")} value={String(table.problematicInteractions)} more={t("report.missed", { count: overall.missed })} />
+        <Key name={t("report.successful")} value={number(table.successfulInteractions, i18n.language)} more={t("report.of", { count: overall.trials })} />
+        <Key name={t("report.problematic")} value={number(table.problematicInteractions, i18n.language)} more={t("report.missed", { count: overall.missed })} />
       </dl>
       <h3>{t("report.gestures")}</h3>
       <div className="test__scroll" role="region" tabIndex={0} aria-label={t("report.gestures")}>
@@ -57,7 +58,7 @@ function Found({ report }: { report: Report }) {
                 <td>{row.right}</td>
                 <td>{row.corrected}</td>
                 <td>{row.missed}</td>
-                <td>{percent(row.accuracy, i18n.language, 0)}</td>
+                <td>{rate(row.accuracy, i18n.language, 0)}</td>
                 <td>{interval(row, i18n.language)}</td>
                 <td>{seconds(row.medianMs, i18n.language)}</td>
                 <td>{seconds(row.p95Ms, i18n.language)}</td>
@@ -129,9 +130,8 @@ function Matrix({ report }: { report: Report }) {
   );
 }
 
-function percent(share: number | null, language: string, digits: number): string {
-  if (share === null) return "–";
-  return new Intl.NumberFormat(language, { style: "percent", maximumFractionDigits: digits }).format(share);
+function rate(share: number | null, language: string, digits: number): string {
+  return share === null ? "–" : percent(share, language, digits);
 }
 
 function interval(figures: Figures, language: string): string {
@@ -142,5 +142,5 @@ function interval(figures: Figures, language: string): string {
 
 function seconds(ms: number | null, language: string): string {
   if (ms === null) return "–";
-  return `${new Intl.NumberFormat(language, { maximumFractionDigits: 2 }).format(ms / 1000)} s`;
+  return `${number(ms / 1000, language)} s`;
 }

@@ -4,6 +4,7 @@ import { memo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { describe } from "~/api/http";
 import { Button } from "~/design/Button";
+import { number } from "~/design/numbers";
 import { Problem } from "~/design/Problem";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { useTopic } from "~/live/hooks";
@@ -86,7 +87,7 @@ const Asked = memo(function Asked({ code, side, label }: { code: string; side: "
 });
 
 function Last({ last }: { last: Examination["last"] }) {
-  const { t } = useTranslation("test");
+  const { t, i18n } = useTranslation("test");
   const nameOf = useGestureName();
   if (last === null) return <p role="status" />;
   const Icon = last.first === "no gesture" ? TriangleAlert : icons[last.outcome];
@@ -95,7 +96,7 @@ function Last({ last }: { last: Examination["last"] }) {
     <p role="status" className={`trial__last trial__last--${last.outcome}`}>
       <Icon aria-hidden size={24} />
       <span>
-        {t(`trial.last.${last.outcome}`, { gesture: nameOf(last.asked), ...(ms === null ? {} : { seconds: (ms / 1000).toFixed(1) }) })}
+        {t(`trial.last.${last.outcome}`, { gesture: nameOf(last.asked), ...(ms === null ? {} : { seconds: number(ms / 1000, i18n.language, { minimumFractionDigits: 1, maximumFractionDigits: 1 }) }) })}
       </span>
     </p>
   );

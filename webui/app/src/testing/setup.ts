@@ -2,3 +2,7 @@ import { cleanup } from "@testing-library/react";
 import { afterEach } from "vitest";
 
 afterEach(cleanup);
+
+// jsdom has no CSS object, and dialogs escape a selector when they open.
+// eslint-disable-next-line @typescript-eslint/no-unnecessary-condition -- the types say that every browser has it
+globalThis.CSS ??= { escape: (text: string) => text } as typeof CSS;

@@ -1,11 +1,13 @@
 /** What the hand is asked for: what to do, the gesture, what the controller says, and the hand as it is. */
-import { CirclePause } from "lucide-react";
+import { MessageSquareWarning } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { useGestureName } from "~/hand/Hand";
-import type { GesturePart, GloveTask, GloveView } from "~/live/messages";
+import type { GesturePart, GloveTask, GloveView, Outcome } from "~/live/messages";
+import { AnswerHands } from "./AnswerHands";
 import { ComposedFigure } from "./ComposedFigure";
 import { Figure } from "./Figure";
 import { LiveHands } from "./LiveHand";
+import "./RobotStage.css";
 import { useSaid } from "./said";
 
 const single: readonly GesturePart[] = [];
@@ -14,11 +16,10 @@ const partsOf = (task: GloveTask): readonly GesturePart[] => task.parts ?? singl
 export interface AskedStageProps {
   glove: GloveView;
   task: GloveTask;
-  paused: boolean;
   answerWaits: boolean;
 }
 
-export function AskedStage({ glove, task, paused, answerWaits }: AskedStageProps) {
+export function AskedStage({ glove, task, answerWaits }: AskedStageProps) {
   const { t } = useTranslation("work");
   const nameOf = useGestureName();
   const said = useSaid();
@@ -26,23 +27,22 @@ export function AskedStage({ glove, task, paused, answerWaits }: AskedStageProps
   const isRight = glove.message.key === "holdOn";
   return (
     <>
-      <TaskFigure glove={glove} task={task} open={!paused && !glove.testing} />
+      <TaskFigure glove={glove} task={task} open={!glove.testing} />
       <div className="work__words">
         <h1 className="work__what">{task.description}</h1>
         <p className={gesture.length > 18 ? "work__gesture work__gesture--long" : "work__gesture"}>
           <span className="work__show">{t("show")}</span> {gesture}
         </p>
         <p className={isRight ? "work__said work__said--right" : "work__said"} role="status">
-          {paused && (
-            <span className="work__paused">
-              <CirclePause aria-hidden /> {t("paused")}
-            </span>
-          )}
           {said(glove.message)}
         </p>
+        {glove.testing && <p className="work__notice">{t("testing")}</p>}
         {!glove.filtering && <p className="work__notice">{t("unfiltered")}</p>}
         {answerWaits && <p className="work__notice">{t("answerWaits")}</p>}
-        <LiveHands glove={glove} parts={partsOf(task)} />
+        <div className="work__hands">
+          <LiveHands glove={glove} parts={partsOf(task)} />
+          {glove.connected && !glove.testing && <AnswerHands task={task} side={glove.hand} held={glove.hold.outcome ?? null} />}
+        </div>
       </div>
     </>
   );
@@ -64,9 +64,22 @@ function TaskFigure({ glove, task, open, done = false }: TaskFigureProps) {
   );
 }
 
-/** The calm check: it has counted. */
-export function DoneStage({ glove, task, operator }: { glove: GloveView; task: GloveTask; operator: string | null }) {
+/** The calm check: it has counted. What was reported is said as calmly, with its own sign. */
+export function DoneStage({ glove, task, operator, outcome }: { glove: GloveView; task: GloveTask; operator: string | null; outcome: Outcome }) {
   const { t } = useTranslation("work");
+  if (outcome !== "ok") {
+    return (
+      <>
+        <div className="robot-turn">
+          <MessageSquareWarning aria-hidden strokeWidth={1.25} />
+        </div>
+        <div className="work__words" role="status">
+          <h1 className="work__what quiet">{task.description}</h1>
+          <p className="work__gesture work__gesture--reported">{t("reported.done", { what: t(`outcome.${outcome}`) })}</p>
+        </div>
+      </>
+    );
+  }
   return (
     <>
       <TaskFigure glove={glove} task={task} open={false} done />

@@ -37,5 +37,5 @@ export function DoneCheck() {
 /** It is drawn once a step, not with every frame of the glove. */
 export const AskedHand = memo(function AskedHand({ code, side, gesture }: { code: string; side: "left" | "right"; gesture: string }) {
   const nameOf = useGestureName();
-  return <Hand states={code} side={side} animateFrom="00000" label={nameOf(gesture)} />;
+  return <Hand states={code} side={side} animateFrom="00000" closeUp label={nameOf(gesture)} />;
 });

@@ -8,11 +8,12 @@ import type { Finger, GesturePart, GloveView } from "~/live/messages";
 
 export function LiveHand({ glove }: { glove: GloveView }) {
   const { t } = useTranslation("work");
-  if (glove.states === null) return <p className="work__live quiet">{t("noHand")}</p>;
+  if (glove.states === null && glove.message.key === "putOn") return null;
+  if (glove.states === null) return <p className="work__live work__live-word">{t("noHand")}</p>;
   return (
     <div className="work__live">
-      <span className="work__live-word">{t("yourHand")}</span>
       <Drawn states={glove.states} side={glove.hand} differs={isTold(glove) ? glove.differs.join(" ") : ""} />
+      <span className="work__live-word">{t("yourHand")}</span>
     </div>
   );
 }
@@ -26,7 +27,7 @@ export function LiveHands({ glove, parts }: { glove: GloveView; parts: readonly 
   const worn = [glove, other].sort((a, b) => (a.hand < b.hand ? -1 : 1));
   return (
     <div className="work__live">
-      <span className="work__live-word">{t("yourHands")}</span>
+      <div className="work__pair">
       {worn.map(({ glove: name, states, hand }) =>
         states === null ? (
           <span key={name}>{t("silentHand", { glove: name })}</span>
@@ -34,6 +35,8 @@ export function LiveHands({ glove, parts }: { glove: GloveView; parts: readonly 
           <Drawn key={name} states={states} side={hand} differs={isTold(glove) ? differing(states, hand, parts) : ""} />
         ),
       )}
+      </div>
+      <span className="work__live-word">{t("yourHands")}</span>
     </div>
   );
 }
@@ -50,5 +53,5 @@ function differing(states: string, side: GloveView["hand"], parts: readonly Gest
 
 const Drawn = memo(function Drawn({ states, side, differs }: { states: string; side: "left" | "right"; differs: string }) {
   const named = differs === "" ? [] : (differs.split(" ") as Finger[]);
-  return <Hand states={states} side={side} moveMs={140} size="clamp(128px, 19vh, 210px)" differs={named} />;
+  return <Hand states={states} side={side} moveMs={140} size="var(--small-hand)" differs={named} />;
 });

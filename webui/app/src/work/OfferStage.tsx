@@ -65,6 +65,7 @@ export function OfferStage({ glove, startable, completed, acting, onStart }: Off
             {acting.busy ? t("idle.starting") : glove.connected ? t("idle.gesture", { gesture, title: first.title }) : t("idle.button", { title: first.title })}
           </p>
         )}
+        {glove.testing && <p className="work__notice">{t("testing")}</p>}
         {!glove.connected && (
           <div className="work__aside">
             <p>{t("idle.noGlove", { glove: glove.glove })}</p>
@@ -83,7 +84,11 @@ export function OfferStage({ glove, startable, completed, acting, onStart }: Off
             ))}
           </div>
         )}
-        {glove.connected && <LiveHand glove={glove} />}
+        {glove.connected && (
+          <div className="work__hands">
+            <LiveHand glove={glove} />
+          </div>
+        )}
       </div>
     </>
   );

@@ -4,7 +4,7 @@ import { ProgressBar } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { useNow } from "~/live/clock";
 import type { ProcessView, RobotView, TaskView } from "~/live/messages";
-import { isSame } from "./situation";
+import { isSame } from "~/live/urn";
 import { secondsLeft } from "./time_left";
 import "./RobotStage.css";
 

@@ -1,5 +1,5 @@
 /** The strip over the work: how the glove, the robot and the process are, and the one button that pauses. */
-import { Hand as HandIcon, Bot, Pause, Play, Users, Workflow } from "lucide-react";
+import { Bot, Hand as HandIcon, Pause, Play, Users, Workflow } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { State } from "~/design/State";
@@ -47,17 +47,19 @@ export function StatusStrip({ glove, robot, process, pause, busy, unknown, onCha
           </State>
         )}
       </div>
-      {onChange !== null && (
-        <Button size="large" label={t("strip.change")} icon={<Users aria-hidden size={28} />} onPress={onChange} />
-      )}
-      <Button
-        size="large"
-        icon={pause?.goesOn === true ? <Play aria-hidden size={28} /> : <Pause aria-hidden size={28} />}
-        isDisabled={pause === null || busy}
-        onPress={() => pause?.do()}
-      >
-        {t(pause?.goesOn === true ? "strip.goOn" : "strip.pause")}
-      </Button>
+      <div className="work__strip-acts">
+        {onChange !== null && (
+          <Button size="large" label={t("strip.change")} icon={<Users aria-hidden size="1em" />} onPress={onChange} />
+        )}
+        <Button
+          size="large"
+          icon={pause?.goesOn === true ? <Play aria-hidden size="1em" /> : <Pause aria-hidden size="1em" />}
+          isDisabled={pause === null || busy}
+          onPress={() => pause?.do()}
+        >
+          {t(pause?.goesOn === true ? "strip.goOn" : "strip.pause")}
+        </Button>
+      </div>
     </section>
   );
 }

@@ -1,32 +1,30 @@
-/** The states in which the work stands still, each with what to do. */
-import { CloudOff, HandHelping, Hourglass, OctagonX, ServerCrash, Users, WifiOff } from "lucide-react";
+/** The states in which the work stands still, as the whole page: an icon, a word, a colour, and what to do. */
+import { CirclePause, CloudOff, HandHelping, Hourglass, OctagonX, ServerCrash, Users, WifiOff } from "lucide-react";
 import { useTranslation } from "react-i18next";
-import { useLocation } from "wouter";
-import { declareGlove } from "~/api/acts";
 import { Button } from "~/design/Button";
+import { wordsIn } from "~/i18n/server";
+import type { ProcessView, TaskView } from "~/live/messages";
+import { isSame } from "~/live/urn";
+import { useSaid } from "./said";
 import type { Situation } from "./situation";
 import { Standstill } from "./Standstill";
-import type { Acting } from "./useAct";
-import type { OperatorActs } from "./useOperatorActs";
 
-export interface TroubleProps {
-  situation: Situation;
-  acts: OperatorActs;
-  acting: Acting;
-  choose: (glove: string) => void;
-}
-
-export function Trouble({ situation, acts, acting, choose }: TroubleProps) {
+export function Trouble({ situation, choose }: { situation: Situation; choose: (glove: string) => void }) {
   const { t } = useTranslation("work");
-  const [, go] = useLocation();
-  const main = acts.main !== null && (
-    <Button size="large" kind="main" isDisabled={acting.busy} onPress={acts.main.do}>
-      {acts.main.name}
-    </Button>
-  );
+  const said = useSaid();
   switch (situation.kind) {
     case "connecting":
       return <Standstill tone="neutral" icon={<Hourglass aria-hidden />} title={t("connecting.title")} />;
+    case "paused":
+      return (
+        <Standstill
+          tone="attention"
+          icon={<CirclePause aria-hidden />}
+          title={t("paused")}
+          means={said(situation.glove.message)}
+          todo={t("waitingStep", { task: situation.task.description })}
+        />
+      );
     case "linkLost":
       return (
         <Standstill tone="stop" icon={<CloudOff aria-hidden />} title={t("linkLost.title")} means={t("linkLost.means")} todo={t("linkLost.do")} />
@@ -40,11 +38,7 @@ export function Trouble({ situation, acts, acting, choose }: TroubleProps) {
           means={t(`serviceLost.${situation.service}.means`)}
           todo={t("serviceLost.do")}
           detail={situation.detail}
-        >
-          <Button size="large" onPress={() => go("/system")}>
-            {t("by.system")}
-          </Button>
-        </Standstill>
+        />
       );
     case "gloveLost":
       return (
@@ -54,27 +48,10 @@ export function Trouble({ situation, acts, acting, choose }: TroubleProps) {
           title={t("gloveLost.title", { glove: situation.glove.glove })}
           means={t("gloveLost.means", { task: situation.task.description })}
           todo={t("gloveLost.do")}
-        >
-          {main}
-        </Standstill>
+        />
       );
     case "failed":
-      return (
-        <Standstill
-          tone="stop"
-          icon={<OctagonX aria-hidden />}
-          title={t("failed.title", { title: situation.process.title })}
-          means={t("failed.means")}
-          todo={t(situation.process.retry === null ? "failed.noRetry" : "failed.retry")}
-          detail={t("failed.reason", { reason: situation.process.reason ?? t("failed.unknown") })}
-        >
-          {main}
-          {situation.process.retry !== null && <StartAgain situation={situation} acts={acts} acting={acting} />}
-          <Button size="large" onPress={() => go(`/processes/${situation.process.id}`)}>
-            {t("by.processes")}
-          </Button>
-        </Standstill>
-      );
+      return <Failed process={situation.process} />;
     case "noGlove": {
       const glove = situation.chosen ?? "glove-1";
       return (
@@ -84,12 +61,7 @@ export function Trouble({ situation, acts, acting, choose }: TroubleProps) {
           title={situation.chosen === null ? t("noGlove.title") : t("noGlove.titleOne", { glove })}
           means={t("noGlove.means")}
           todo={t("noGlove.do")}
-        >
-          {main}
-          <Button size="large" isDisabled={acting.busy} onPress={() => acting.perform(() => declareGlove(glove))}>
-            {t("by.screen")}
-          </Button>
-        </Standstill>
+        />
       );
     }
     case "chooseGlove":
@@ -107,13 +79,35 @@ export function Trouble({ situation, acts, acting, choose }: TroubleProps) {
   }
 }
 
-function StartAgain({ situation, acts, acting }: Omit<TroubleProps, "choose" | "situation"> & { situation: Extract<Situation, { kind: "failed" }> }) {
+/** A failed process: what a person has reported, or the reason in the service's own words. */
+function Failed({ process }: { process: ProcessView }) {
   const { t } = useTranslation("work");
-  const again = situation.startable.find(({ name }) => name === situation.process.definition);
-  if (again === undefined) return null;
+  const reported = useReported(process);
   return (
-    <Button size="large" isDisabled={acting.busy} onPress={() => acts.start?.(again)}>
-      {t("by.startAgain", { title: again.title })}
-    </Button>
+    <Standstill
+      tone="stop"
+      icon={<OctagonX aria-hidden />}
+      title={t("failed.title", { title: process.title })}
+      means={reported ?? t("failed.reason", { reason: wordsIn(process, "reason") ?? t("failed.unknown") })}
+      todo={t(process.retry === null ? "failed.noRetry" : "failed.retry")}
+      detail={t("failed.means")}
+    />
   );
+}
+
+function useReported(process: ProcessView): string | null {
+  const { t } = useTranslation("work");
+  const failed = process.tasks.filter(({ status, outputParameters }) => status === "failed" && isReport(outputParameters?.["outcome"]));
+  const task: TaskView | undefined = failed.find(({ id }) => isSame(id, process.retry)) ?? failed.at(-1);
+  const given = task?.outputParameters;
+  if (task === undefined || given == null) return null;
+  const { outcome, note, operator } = given;
+  const who = typeof operator === "string" ? operator : "";
+  const what = t(`outcome.${outcome === "problem" ? "problem" : "notGood"}`);
+  const said = who === "" ? t("reported.what", { what, task: task.name }) : t("reported.by", { what, who, task: task.name });
+  return typeof note === "string" && note !== "" ? `${said} ${t("reported.note", { note })}` : said;
+}
+
+function isReport(outcome: unknown): boolean {
+  return outcome === "notGood" || outcome === "problem";
 }

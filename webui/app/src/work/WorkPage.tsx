@@ -1,20 +1,28 @@
-/** The operator's page: the one thing that counts now, large, and one act that answers it. */
-import { useEffect } from "react";
+/** The operator's page: the one thing that counts now, large, and the acts that answer it, always in sight. */
+import { MonitorCog, OctagonAlert } from "lucide-react";
+import { useEffect, useLayoutEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { Problem } from "~/design/Problem";
 import { useTopic } from "~/live/hooks";
 import type { Activity, ProcessView, RobotView } from "~/live/messages";
+import { isSame } from "~/live/urn";
 import { useQuery } from "~/route/query";
 import { useWithName } from "~/shell/who";
+import { useParticipantMode } from "~/study/participantMode";
 import { AskedStage, DoneStage } from "./AskedStage";
+import { FootActs } from "./FootActs";
 import { OfferStage } from "./OfferStage";
 import { BetweenStage, RobotStage } from "./RobotStage";
+import { ReportPanel, type ReportedOutcome } from "./ReportPanel";
 import { useAnswered, useScene, useSituation, type Answered } from "./scene";
-import { isSame, latest, type Scene, type Situation } from "./situation";
+import { latest, type Scene, type Situation } from "./situation";
+import { useStation } from "./station";
+import { StationPanel } from "./StationPanel";
 import { StatusStrip } from "./StatusStrip";
 import { Trouble } from "./Trouble";
 import { useAct, type Acting } from "./useAct";
+import { useFit } from "./useFit";
 import { useOperatorActs, type OperatorActs } from "./useOperatorActs";
 import { useOperatorKeys } from "./useOperatorKeys";
 import "./WorkPage.css";
@@ -29,26 +37,54 @@ export default function WorkPage() {
     // Who works here goes on working when another glove joins.
     if (only !== "") choose(only);
   }, [only, choose]);
+  const isParticipant = useParticipantMode() !== null;
   const acting = useAct();
   const { withName, question } = useWithName("large");
   const acts = useOperatorActs(scene, situation, acting, withName);
   const step = answered === null ? stepOf(situation) : `done ${answered.task.id}`;
-  useOperatorKeys(answered === null ? acts : { ...acts, main: null, complete: null }, step);
+  const [reporting, report] = useState<ReportedOutcome | null>(null);
+  const [showsStation, setShowsStation] = useState(false);
+  const { minPx } = useStation();
+  useLayoutEffect(() => {
+    // On the root: dialogs lie outside of the page.
+    document.documentElement.style.setProperty("--read", `${minPx}px`);
+  }, [minPx]);
+  const page = useRef<HTMLDivElement>(null);
+  const { t, i18n } = useTranslation("work");
+  useFit(page, `${step} ${i18n.language} ${minPx}`);
+  useOperatorKeys(answered === null ? acts : { ...acts, main: null, complete: null, report: null }, step, report);
+  const shown = answered === null ? situation.kind : "answered";
   return (
-    <div className="work" data-situation={answered === null ? situation.kind : "answered"}>
-      <StatusStrip
-        glove={"glove" in situation ? situation.glove : null}
-        robot={robotOf(situation, scene)}
-        process={shownProcess(situation, scene)}
-        pause={acts.pause}
-        busy={acting.busy}
-        unknown={situation.kind === "linkLost" || situation.kind === "connecting"}
-        onChange={scene.gloves.length > 1 && chosen !== "" ? () => choose("") : null}
-      />
-      <section className="work__stage" key={step}>
-        <Stage situation={situation} answered={answered} acts={acts} acting={acting} choose={choose} />
-      </section>
-      <Foot situation={situation} answered={answered} acts={acts} acting={acting} />
+    <div className="work">
+      <div className="work__page" data-situation={shown} ref={page}>
+        <StatusStrip
+          glove={"glove" in situation ? situation.glove : null}
+          robot={robotOf(situation, scene)}
+          process={shownProcess(situation, scene)}
+          pause={acts.pause}
+          busy={acting.busy}
+          unknown={situation.kind === "linkLost" || situation.kind === "connecting"}
+          onChange={!isParticipant && scene.gloves.length > 1 && chosen !== "" ? () => choose("") : null}
+        />
+        <section className="work__stage" key={step}>
+          <Stage situation={situation} answered={answered} acts={acts} acting={acting} choose={choose} />
+        </section>
+        <section className="work__foot">
+          {acting.failure !== null && <Problem>{acting.failure}</Problem>}
+          <div className="work__acts">
+            <Next situation={situation} />
+            {answered === null && <FootActs situation={situation} acts={acts} acting={acting} report={report} />}
+          </div>
+          <div className="work__base">
+            <Safety />
+            <Button kind="quiet" size="large" label={t("station.title")} icon={<MonitorCog aria-hidden size="1em" />} onPress={() => setShowsStation(true)} />
+          </div>
+        </section>
+      </div>
+      {acts.report !== null && reporting !== null && "task" in situation && (
+        <ReportPanel outcome={reporting} task={situation.task?.description ?? ""} onReport={acts.report} onClose={() => report(null)} />
+      )}
+      {showsStation && <StationPanel onClose={() => setShowsStation(false)} />}
       {question}
     </div>
   );
@@ -64,13 +100,11 @@ interface StageProps {
 
 function Stage({ situation, answered, acts, acting, choose }: StageProps) {
   if (answered !== null && "glove" in situation) {
-    return <DoneStage glove={situation.glove} task={answered.task} operator={answered.operator} />;
+    return <DoneStage glove={situation.glove} {...answered} />;
   }
   switch (situation.kind) {
     case "asked":
-      return <AskedStage glove={situation.glove} task={situation.task} paused={false} answerWaits={situation.answerWaits} />;
-    case "paused":
-      return <AskedStage glove={situation.glove} task={situation.task} paused answerWaits={false} />;
+      return <AskedStage glove={situation.glove} task={situation.task} answerWaits={situation.answerWaits} />;
     case "robot":
       return <RobotStage process={situation.process} task={situation.task} robot={situation.robot} />;
     case "between":
@@ -87,33 +121,23 @@ function Stage({ situation, answered, acts, acting, choose }: StageProps) {
         />
       );
     default:
-      return <Trouble situation={situation} acts={acts} acting={acting} choose={choose} />;
+      return <Trouble situation={situation} choose={choose} />;
   }
 }
 
-function Foot({ situation, answered, acts, acting }: Omit<StageProps, "choose">) {
+function Safety() {
   const { t } = useTranslation("work");
   const where = useTopic("cell")?.emergencyStop ?? t("stop");
-  const isTrouble = !["asked", "paused", "robot", "between", "idle", "completed"].includes(situation.kind);
-  const act = isTrouble || answered !== null ? null : acts.main;
   return (
-    <section className="work__foot">
-      <div className="work__foot-words">
-        {acting.failure !== null ? <Problem>{acting.failure}</Problem> : <Next situation={situation} />}
-        <p className="work__safety">{t("safety", { where })}</p>
-      </div>
-      {act !== null && (
-        <Button size="large" kind={situation.kind === "asked" ? "plain" : "main"} isDisabled={acting.busy} onPress={act.do}>
-          {act.name}
-        </Button>
-      )}
-    </section>
+    <p className="work__safety">
+      <OctagonAlert aria-hidden /> <span>{t("safety", { where })}</span>
+    </p>
   );
 }
 
 function Next({ situation }: { situation: Situation }) {
   const { t } = useTranslation("work");
-  if (!("next" in situation) || !("process" in situation) || situation.process === null) return null;
+  if (!("next" in situation) || !("process" in situation) || situation.process === null) return <span />;
   return <p className="work__next">{wordsOfNext(situation.next)}</p>;
 
   function wordsOfNext(next: Activity | null): string {
@@ -138,7 +162,6 @@ function shownProcess(situation: Situation, scene: Scene): ProcessView | null {
 function stepOf(situation: Situation): string {
   switch (situation.kind) {
     case "asked":
-    case "paused":
       return `asked ${situation.task.id}`;
     case "robot":
       return `robot ${situation.task.id}`;

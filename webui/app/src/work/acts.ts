@@ -1,5 +1,6 @@
 /** The operator's acts: pause, go on, complete by hand. Starting and retrying are everybody's (`~/api/acts`). */
 import { callService } from "~/api/http";
+import type { Outcome } from "~/live/messages";
 
 export function pauseGlove(glove: string): Promise<unknown> {
   return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/pause`, { method: "POST" });
@@ -9,9 +10,18 @@ export function resumeGlove(glove: string): Promise<unknown> {
   return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/resume`, { method: "POST" });
 }
 
-/** Complete `task`, the one that was in sight when the button was pressed, and no other that may have come since. */
-export function completeByHand(glove: string, task: string | undefined, by: string): Promise<unknown> {
-  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/complete`, { method: "POST", json: { by, task } });
+/**
+ * Answer `task`, the one that was in sight when the button was pressed, and no other that may have come since.
+ * With another outcome than `ok` it ends failed, unless its definition handles outcomes.
+ */
+export function answerByHand(glove: string, task: string | undefined, by: string, outcome: Outcome = "ok", note = ""): Promise<unknown> {
+  const said = outcome === "ok" ? {} : { outcome, ...(note === "" ? {} : { note }) };
+  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/complete`, { method: "POST", json: { by, task, ...said } });
+}
+
+/** Leave testing mode: gestures count again. */
+export function endTesting(glove: string): Promise<unknown> {
+  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/modes`, { method: "PUT", json: { testing: false } });
 }
 
 /**

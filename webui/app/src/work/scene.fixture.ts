@@ -25,7 +25,7 @@ export function glove(part: Partial<GloveView> = {}): GloveView {
     deviceState: "ok",
     battery: null,
     task: null,
-    message: { key: "nothingToDo", values: {}, text: "No Task for you at the moment." },
+    message: { key: "nothingToDo", values: {}, text: "No task for you." },
     hold: { gesture: null, heldMs: 0, announceMs: 500, confirmMs: 1500, spent: false },
     bend: null,
     states: "00000",

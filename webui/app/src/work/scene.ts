@@ -1,7 +1,7 @@
 /** The scene as it is live now, and the situation that it makes, without what passes in a moment. */
 import { useEffect, useMemo, useRef, useState } from "react";
 import { useFamily, useLink, useLive, useTopic } from "~/live/hooks";
-import type { GloveTask, ServiceHealth } from "~/live/messages";
+import type { GloveTask, Outcome, ServiceHealth } from "~/live/messages";
 import { situationOf, type Scene, type Situation } from "./situation";
 
 /** Between two steps nobody is asked for a moment, and a link that comes back at once was never lost. */
@@ -50,6 +50,7 @@ function mayPass(situation: Situation): boolean {
 export interface Answered {
   task: GloveTask;
   operator: string | null;
+  outcome: Outcome;
 }
 
 /** Return the Task that this screen has just seen answered, for as long as its check is shown. */
@@ -67,5 +68,5 @@ export function useAnswered(situation: Situation, scene: Scene): Answered | null
     const timer = setTimeout(() => setOver(fresh), CHECK_MS);
     return () => clearTimeout(timer);
   }, [fresh]);
-  return isFresh ? { task: last, operator: answered.operator } : null;
+  return isFresh ? { task: last, operator: answered.operator, outcome: answered.outcome ?? "ok" } : null;
 }

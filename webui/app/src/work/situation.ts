@@ -8,6 +8,7 @@ import type {
   Activity, DefinitionView, GloveTask, GloveView, ProcessView, RobotView, ServiceHealth, TaskView,
 } from "~/live/messages";
 import type { Link } from "~/live/store";
+import { isSame } from "~/live/urn";
 
 export interface Scene {
   link: Link;
@@ -106,12 +107,6 @@ export function latest(processes: readonly ProcessView[]): ProcessView | null {
     (last, one) => (last === null || one.startedAt > last.startedAt ? one : last),
     null,
   );
-}
-
-/** Whether `id`, as a Task or Device is called in one place, is the one called `other` in another. */
-export function isSame(id: string | null, other: string | null): boolean {
-  if (id === null || other === null) return false;
-  return id === other || id.endsWith(`:${other}`) || other.endsWith(`:${id}`);
 }
 
 function askedOf(scene: Scene, glove: GloveView, task: GloveTask, answerWaits: boolean): Situation {

@@ -1,8 +1,8 @@
-/** What the operator can do in a situation: the main act, completing by hand, pausing and going on. */
+/** What the operator can do in a situation: the main act, answering on the screen, pausing and resuming. */
 import { useTranslation } from "react-i18next";
 import { retryTask, startOperator, startProcess } from "~/api/acts";
-import type { DefinitionView } from "~/live/messages";
-import { completeByHand, pauseGlove, resumeGlove, wish } from "./acts";
+import type { DefinitionView, Outcome } from "~/live/messages";
+import { answerByHand, endTesting, pauseGlove, resumeGlove, wish } from "./acts";
 import { startKey } from "./confirmation";
 import { latest, parametersFor, type Scene, type Situation } from "./situation";
 import type { Acting } from "./useAct";
@@ -15,6 +15,8 @@ export interface Act {
 export interface OperatorActs {
   main: Act | null;
   complete: Act | null;
+  /** Answers something else than `ok`; throws what is refused, and resolves once the name is known. */
+  report: ((outcome: Outcome, note: string) => Promise<void>) | null;
   pause: (Act & { goesOn: boolean }) | null;
   start: ((definition: DefinitionView) => void) | null;
 }
@@ -27,7 +29,8 @@ export function useOperatorActs(scene: Scene, situation: Situation, acting: Acti
   const complete = completeAct();
   const pause = pauseAct();
   const start = "startable" in situation ? startWith(situation.glove.glove) : null;
-  return { main: mainAct(), complete, pause, start };
+  const report = complete === null ? null : reportWith();
+  return { main: mainAct(), complete, report, pause, start };
 
   function startWith(glove: string) {
     return (definition: DefinitionView) => {
@@ -40,7 +43,13 @@ export function useOperatorActs(scene: Scene, situation: Situation, acting: Acti
     if (situation.kind !== "asked" && situation.kind !== "gloveLost") return null;
     if (situation.glove.testing) return null;
     const { glove, task } = situation.glove;
-    return { name: t("by.hand"), do: () => perform(() => withName((name) => completeByHand(glove, task?.id, name))) };
+    return { name: t("by.hand"), do: () => perform(() => withName((name) => answerByHand(glove, task?.id, name))) };
+  }
+
+  function reportWith() {
+    if (situation.kind !== "asked" && situation.kind !== "gloveLost") return null;
+    const { glove, task } = situation.glove;
+    return (outcome: Outcome, note: string) => withName((name) => answerByHand(glove, task?.id, name, outcome, note));
   }
 
   function pauseAct(): OperatorActs["pause"] {
@@ -74,6 +83,7 @@ export function useOperatorActs(scene: Scene, situation: Situation, acting: Acti
   function mainAct(): Act | null {
     switch (situation.kind) {
       case "asked":
+        return situation.glove.testing ? leaveTesting(situation.glove.glove) : complete;
       case "gloveLost":
         return complete;
       case "paused":
@@ -87,14 +97,18 @@ export function useOperatorActs(scene: Scene, situation: Situation, acting: Acti
         return startAct("by.startAgain");
       }
       case "completed":
-        return startAct("by.startAgain");
+        return situation.glove.testing ? leaveTesting(situation.glove.glove) : startAct("by.startAgain");
       case "idle":
-        return startAct("by.start");
+        return situation.glove.testing ? leaveTesting(situation.glove.glove) : startAct("by.start");
       case "noGlove":
         return { name: t("by.simulate"), do: () => perform(() => startOperator(situation.chosen ?? "glove-1")) };
       default:
         return null;
     }
+  }
+
+  function leaveTesting(glove: string): Act {
+    return { name: t("by.endTesting"), do: () => perform(() => endTesting(glove)) };
   }
 
   function startAct(words: "by.start" | "by.startAgain"): Act | null {

@@ -2,12 +2,14 @@
 import { useEffect, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { useKeys, type Key } from "~/shell/keys";
+import type { ReportedOutcome } from "./ReportPanel";
 import type { OperatorActs } from "./useOperatorActs";
 
 /** A key that was meant for the step before is not an answer to the next one. */
 const CALM_MS = 600;
 
-export function useOperatorKeys({ main, complete, pause, start }: OperatorActs, step: string): void {
+export function useOperatorKeys(acts: OperatorActs, step: string, open: (outcome: ReportedOutcome) => void): void {
+  const { main, complete, report, pause, start } = acts;
   const { t } = useTranslation("work");
   const isCalm = useCalm(step);
   const keys: Key[] = [];
@@ -16,6 +18,10 @@ export function useOperatorKeys({ main, complete, pause, start }: OperatorActs, 
     if (start !== null) keys.push({ key: "s", does: main.name, act: main.do });
   }
   if (isCalm && complete !== null) keys.push({ key: "c", does: complete.name, act: complete.do });
+  if (isCalm && report !== null) {
+    keys.push({ key: "n", does: t("outcome.notGood"), act: () => open("notGood") });
+    keys.push({ key: "b", does: t("outcome.problem"), act: () => open("problem") });
+  }
   if (pause !== null) keys.push({ key: "p", does: t(pause.goesOn ? "by.goOn" : "by.pause"), act: pause.do });
   useKeys(keys);
 }

@@ -1,11 +1,13 @@
 import { act, render, screen } from "@testing-library/react";
+import userEvent from "@testing-library/user-event";
 import i18next from "i18next";
 import { afterEach, beforeAll, beforeEach, describe, expect, it, vi } from "vitest";
 import { speak, startWords } from "~/i18n";
 import { Live } from "~/live/hooks";
 import type { GloveView } from "~/live/messages";
 import { LiveStore } from "~/live/store";
-import { completed, definition, glove, process, robot, robotTask, service, task, userTask } from "./scene.fixture";
+import { setWho } from "~/shell/who";
+import { completed, definition, failed, glove, process, robot, robotTask, service, task, userTask } from "./scene.fixture";
 import WorkPage from "./WorkPage";
 
 const hold = { announceMs: 500, confirmMs: 1500, spent: false };
@@ -54,7 +56,7 @@ describe("the operator's page", () => {
     expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
     expect(screen.getByRole("img", { name: /^Thumbs up: thumb straight, index finger bent/ })).toBeTruthy();
     expect(screen.getByText("Next (Robot): Scan the bin")).toBeTruthy();
-    expect(screen.getByText(/no emergency stop/)).toBeTruthy();
+    expect(screen.getByText("Emergency stop: the red button on the cell, never a gesture.")).toBeTruthy();
     expect(screen.getByRole("button", { name: "Complete by hand" })).toBeTruthy();
   });
 
@@ -126,7 +128,7 @@ describe("the operator's page", () => {
   it("says what the robot does, how long it takes, and to keep out", async () => {
     const busy = { ...robot, task: robotTask.id, operation: "scan", progress: 0.4, remainingS: 2.3 };
     await open(["glove/glove-1", glove()], ["process/1", process({ tasks: [robotTask] })], ["robot/ur10-1", busy]);
-    expect(screen.getByRole("heading", { name: "The robot looks into the bin" })).toBeTruthy();
+    expect(screen.getByRole("heading", { name: "The robot scans the bin" })).toBeTruthy();
     expect(screen.getByText("about 3 s left")).toBeTruthy();
     expect(screen.getByRole("progressbar").getAttribute("aria-valuenow")).toBe("40");
     expect(screen.getByText("Keep out of the cell")).toBeTruthy();
@@ -134,13 +136,13 @@ describe("the operator's page", () => {
 
   it("says that the glove is lost and still lets the step be completed by hand", async () => {
     await open(asks({ connected: false, lost: true }));
-    expect(screen.getByRole("alert").textContent).toContain("glove-1 is lost");
+    expect(screen.getByRole("alert").textContent).toContain("Connection to glove-1 lost");
     expect(screen.getByRole("button", { name: "Complete by hand" })).toBeTruthy();
   });
 
   it("says that the broker is gone, in its place on the whole page", async () => {
     await open(asks(), ["services", [service("context-broker", "down")]]);
-    expect(screen.getByRole("alert").textContent).toContain("The context broker does not answer");
+    expect(screen.getByRole("alert").textContent).toContain("Context broker not responding");
     expect(screen.queryByRole("button", { name: "Complete by hand" })).toBeNull();
   });
 
@@ -148,7 +150,7 @@ describe("the operator's page", () => {
     const live = await open(asks());
     act(() => live.setLink("lost"));
     expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
-    expect(await screen.findByText("This screen has lost the cell", {}, { timeout: 3000 })).toBeTruthy();
+    expect(await screen.findByText("No connection to the cell", {}, { timeout: 3000 })).toBeTruthy();
     act(() => live.setLink("open"));
     expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
   });
@@ -172,6 +174,65 @@ describe("the operator's page", () => {
     expect(sent).toEqual([
       ["/api/task-orchestrator/processes", { definition: "bin-picking", parameters: {}, key: "bin-picking by glove-1 after bin-picking-1" }],
     ]);
+  });
+
+  it("answers that something is not good, with a note, after one question that names it", async () => {
+    const sent: unknown[] = [];
+    vi.stubGlobal("fetch", (url: string, { body }: { body: string }) => {
+      sent.push([url, JSON.parse(body)]);
+      return Promise.resolve(Response.json({}));
+    });
+    setWho("Anna");
+    await open(asks());
+    await userEvent.click(screen.getByRole("button", { name: "Not good" }));
+    expect(sent).toEqual([]);
+    await userEvent.type(screen.getByRole("textbox", { name: "Note (optional)" }), "scratched");
+    await userEvent.click(screen.getByRole("button", { name: "Report “Not good”" }));
+    expect(sent).toEqual([
+      ["/api/gesture-controller/gloves/glove-1/complete", { by: "Anna", task: task.id, outcome: "notGood", note: "scratched" }],
+    ]);
+    expect(screen.queryByRole("dialog")).toBeNull();
+  });
+
+  it("shows the gestures that answer otherwise, and only those that are configured", async () => {
+    const answers = [
+      { outcome: "notGood", gesture: "Horns", code: "20220" },
+      { outcome: "problem", gesture: null, code: null },
+    ] as const;
+    await open(asks({ task: { ...task, answers: [...answers] } }));
+    expect(screen.getByRole("img", { name: /^Horns:/ }).parentElement?.textContent).toBe("Not good");
+    expect(screen.getAllByText("Problem")).toHaveLength(1);
+  });
+
+  it("says what has been reported, by whom and with which note, where a process has failed by it", async () => {
+    const reported = {
+      ...userTask,
+      status: "failed",
+      endedAt: "2026-01-01T10:01:00Z",
+      reason: "notGood: scratched",
+      outputParameters: { outcome: "notGood", note: "scratched", operator: "Anna", by: "screen" },
+    } as const;
+    await open(["glove/glove-1", glove()], ["process/1", { ...failed, reason: "notGood: scratched", retry: null, tasks: [reported] }]);
+    expect(screen.getByRole("alert").textContent).toContain("Confirm: Not good, reported by Anna. “scratched”");
+  });
+
+  it("offers the way out of test mode, where nothing else can be done", async () => {
+    const sent: unknown[] = [];
+    vi.stubGlobal("fetch", (url: string, { body }: { body: string }) => {
+      sent.push([url, JSON.parse(body)]);
+      return Promise.resolve(Response.json({}));
+    });
+    await open(asks({ testing: true }));
+    expect(screen.queryByRole("button", { name: "Complete by hand" })).toBeNull();
+    await userEvent.click(screen.getByRole("button", { name: "Leave test mode" }));
+    expect(sent).toEqual([["/api/gesture-controller/gloves/glove-1/modes", { testing: false }]]);
+  });
+
+  it("says that it is paused on the whole page, and how to resume", async () => {
+    await open(asks({ paused: true, message: { key: "pausedOnScreen", values: {}, text: "Paused." } }));
+    expect(screen.getByRole("heading", { name: "Paused" }).closest(".standstill--attention")).toBeTruthy();
+    expect(screen.getByText(`Waiting: ${task.description}`)).toBeTruthy();
+    expect(screen.getAllByRole("button", { name: "Resume" }).length).toBeGreaterThan(0);
   });
 
   it("stays with its glove when another one joins", async () => {

@@ -54,7 +54,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
         <div className="definition__name">
           <h1>{definition.title}</h1>
           <span className="quiet">
-            {t("definition.deployed")} <Ago at={definition.deployedAt} />
+            {t("definition.deployed")} <Ago at={definition.deployedAt} isStop />
           </span>
           {definition.label !== null && definition.label !== String(definition.version) && <span className="quiet">{t("definition.label", { label: definition.label })}</span>}
         </div>

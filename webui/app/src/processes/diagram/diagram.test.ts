@@ -2,7 +2,7 @@
 import { readFileSync } from "node:fs";
 import { describe, expect, it } from "vitest";
 import type { ElementCount } from "~/live/messages";
-import { drawn, hasDrawing } from "./layout";
+import { drawn, hasDrawing, withFlowsNamed } from "./layout";
 import { difference, marksOfFaults, marksOfProcess, marksOfStatistics, NO_MARKS, withPicked, type MarkWords } from "./marks";
 
 const words: MarkWords = {
@@ -107,5 +107,27 @@ describe("a file without a drawing", () => {
     const places = new DOMParser().parseFromString(xml, "application/xml").getElementsByTagName("bpmndi:BPMNShape");
     const shown = [...places].map((shape) => shape.getAttribute("bpmnElement"));
     expect(shown).toEqual(expect.arrayContaining(["confirm_clear", "scan", "pick", "place", "pick_failed"]));
+  });
+});
+
+describe("a file without incoming and outgoing", () => {
+  const shipped = readFileSync("../../services/task_orchestrator/processes/bin_picking.bpmn", "utf8");
+  const bare = shipped
+    .replace(/<bpmndi:BPMNDiagram[\s\S]*<\/bpmndi:BPMNDiagram>/, "")
+    .replace(/<(?:bpmn:)?(incoming|outgoing)>[^<]*<\/(?:bpmn:)?\1>/g, "");
+
+  it("is laid out with all its arrows", async () => {
+    expect(bare).not.toMatch(/<(?:bpmn:)?incoming>/);
+    const { xml, laidOut } = await drawn(bare);
+    expect(laidOut).toBe(true);
+    const flows = bare.match(/<(?:bpmn:)?sequenceFlow /g) ?? [];
+    expect(flows.length).toBeGreaterThan(5);
+    expect(xml.match(/<bpmndi:BPMNEdge /g) ?? []).toHaveLength(flows.length);
+  });
+
+  it("is left alone where it names its flows", () => {
+    const named = withFlowsNamed(bare);
+    expect(named).not.toBe(bare);
+    expect(withFlowsNamed(named)).toBe(named);
   });
 });

@@ -1,22 +1,34 @@
 /** The list at the left: what can run, what runs, what has run. It keeps its place while somebody is in it. */
-import { FileUp, Play } from "lucide-react";
-import { useState } from "react";
+import { FileUp, ListFilter, Play } from "lucide-react";
+import { useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
-import { Link } from "wouter";
+import { Link, useLocation, useSearch } from "wouter";
 import { Ago } from "~/design/Ago";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
+import { Pick } from "~/design/Pick";
 import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
 import { statusTone } from "~/design/states";
+import { useReading } from "~/design/useHeldOrder";
+import { VirtualTable, type Line } from "~/design/VirtualTable";
 import { useFamily } from "~/live/hooks";
 import type { DefinitionView } from "~/live/messages";
+import { shortName } from "~/live/urn";
 import { useQuery } from "~/route/query";
 import { pathOf, samePlace, type Place } from "../address";
 import { markOf } from "../names";
 import { useHistory } from "./history";
-import { found, foundDefinitions, held, sameSections, type ProcessRow, type Sections } from "./rows";
+import { activityOf, found, foundDefinitions, held, sameSections, SORTINGS, type ProcessFilter, type ProcessRow, type Sections } from "./rows";
 import "./ProcessList.css";
+
+/** So many definitions stand above the processes; the others are shown when asked for. */
+const MAX_DEFINITIONS = 5;
+const STATUSES = ["inProgress", "paused", "completed", "failed"] as const;
+/** The parts of the URL's query that belong to the list and stay when another process is opened. */
+const OWN_QUERY = ["find", "state", "of", "involves", "sort"];
+
+type Item = { kind: "definition"; definition: DefinitionView } | { kind: "process"; row: ProcessRow };
 
 export interface ProcessListProps {
   place: Place;
@@ -25,138 +37,215 @@ export interface ProcessListProps {
 }
 
 export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
-  const { t } = useTranslation(["processes", "common"]);
-  const [find, setFind] = useQuery("find");
-  const definitions = foundDefinitions(useFamily("definition"), find);
-  const history = useHistory();
-  const { sections, waiting, hold, release } = useHeld(history.sections, place.kind === "process" ? place.id : null);
-  const said = (status: ProcessRow["status"]) => t(`common:status.${status}`);
+  const { t, i18n } = useTranslation(["processes", "common"]);
+  const [, go] = useLocation();
+  const { filter, find, sorting, bar } = useView();
+  const allDefinitions = useFamily("definition");
+  const [showsAll, setShowsAll] = useState(false);
+  const definitions = useMemo(() => foundDefinitions(allDefinitions, find), [allDefinitions, find]);
+  const history = useHistory(filter, find, sorting);
+  const { isReading, handlers } = useReading();
+  const { sections, waiting, release } = useHeld(
+    history.sections, place.kind === "process" ? place.id : null, isReading, JSON.stringify([filter, sorting]),
+  );
+  const said = (status: ProcessRow["status"]) => t(`common:processStatus.${status}`);
   const running = found(sections.running, find, said);
   const ended = found(sections.ended, find, said);
+  const address = useAddress();
+
+  const shown = showsAll || find !== "" ? definitions : definitions.slice(0, MAX_DEFINITIONS);
+  const isFiltered = find !== "" || filter.status !== "" || filter.definition !== "" || filter.involves !== "";
+  const group = (key: string, name: ReactNode): Line<Item> => ({ kind: "group", key, name });
+  const empty = (key: string, words: string) => group(key, <span className="process-list__empty">{isFiltered ? t("list.notFound") : words}</span>);
+  const ofProcess = (row: ProcessRow): Line<Item> => ({ kind: "row", key: `process ${row.id}`, row: { kind: "process", row } });
+  const lines: Line<Item>[] = [
+    group("definitions", <h2>{t("list.definitions", { count: definitions.length })}</h2>),
+    ...shown.map((definition): Line<Item> => ({ kind: "row", key: `definition ${definition.name}`, row: { kind: "definition", definition } })),
+    ...(definitions.length === 0 ? [empty("no definitions", t("list.noDefinitions"))] : []),
+    ...(shown.length < definitions.length
+      ? [group("all definitions", <Button kind="quiet" onPress={() => setShowsAll(true)}>{t("list.allDefinitions", { count: definitions.length })}</Button>)]
+      : []),
+    group("running", <h2>{t("list.running", { count: running.length })}</h2>),
+    ...running.map(ofProcess),
+    ...(running.length === 0 ? [empty("none runs", t("list.noneRuns"))] : []),
+    group("ended", <h2>{t("list.ended", { count: ended.length })}</h2>),
+    ...ended.map(ofProcess),
+    ...(ended.length === 0 ? [empty("none ended", t("list.noneEnded"))] : []),
+  ];
+  const placeOf = (item: Item): Place =>
+    item.kind === "definition" ? { kind: "definition", name: item.definition.name } : { kind: "process", id: item.row.id };
+  const column = {
+    id: "item",
+    name: t("list.label"),
+    width: "minmax(0, 1fr)",
+    cell: (item: Item) => (
+      <div className="process-list__row">
+        <Link href={address(placeOf(item))} className="process-list__link" tabIndex={-1} aria-current={samePlace(placeOf(item), place) ? "page" : undefined}>
+          {item.kind === "definition" ? <Definition definition={item.definition} /> : <Process row={item.row} />}
+        </Link>
+        {item.kind === "definition" && item.definition.unusable === undefined && (
+          <Button
+            kind="quiet"
+            label={t("start.act", { title: item.definition.title })}
+            icon={<Play aria-hidden size={18} />}
+            onPress={() => onStart(item.definition)}
+          />
+        )}
+      </div>
+    ),
+  };
   return (
-    <aside
-      className="process-list"
-      aria-label={t("list.label")}
-      onPointerEnter={() => hold("pointer")}
-      onPointerLeave={() => release("pointer")}
-      onFocus={() => hold("focus")}
-      onBlur={(event) => {
-        if (!event.currentTarget.contains(event.relatedTarget)) release("focus");
-      }}
-    >
+    <aside className="process-list" aria-label={t("list.label")} {...handlers}>
       <div className="process-list__head">
-        <Field label={t("list.find")} type="search" value={find} onChange={setFind} />
+        {bar}
         <Button icon={<FileUp aria-hidden size={18} />} onPress={onUpload}>
           {t("list.upload")}
         </Button>
       </div>
-      <div className="process-list__rows" tabIndex={-1}>
-        {history.failure !== null && <Problem>{t("list.unread", { why: history.failure })}</Problem>}
-        <Section title={t("list.definitions", { count: definitions.length })} empty={t(find === "" ? "list.noDefinitions" : "list.notFound")}>
-          {definitions.map((definition) => (
-            <li key={definition.name} className="process-list__row">
-              <Row to={{ kind: "definition", name: definition.name }} here={place} find={find}>
-                <span className="process-list__title">{definition.title}</span>
-                <span className="process-list__more">
-                  {definition.unusable === undefined ? (
-                    t("version", { version: definition.version })
-                  ) : (
-                    <State tone="stop">{t("list.unusable")}</State>
-                  )}
-                </span>
-              </Row>
-              {definition.unusable === undefined && (
-                <Button
-                  kind="quiet"
-                  label={t("start.act", { title: definition.title })}
-                  icon={<Play aria-hidden size={18} />}
-                  onPress={() => onStart(definition)}
-                />
-              )}
-            </li>
-          ))}
-        </Section>
-        <Section title={t("list.running", { count: running.length })} empty={t(find === "" ? "list.noneRuns" : "list.notFound")}>
-          {running.map((row) => (
-            <ProcessItem key={row.id} row={row} here={place} find={find} />
-          ))}
-        </Section>
-        <Section title={t("list.ended", { count: ended.length })} empty={t(find === "" ? "list.noneEnded" : "list.notFound")}>
-          {ended.map((row) => (
-            <ProcessItem key={row.id} row={row} here={place} find={find} />
-          ))}
-        </Section>
-        {history.more && (
-          <Button kind="quiet" onPress={history.older}>
-            {t("list.older")}
-          </Button>
-        )}
-      </div>
+      {history.failure !== null && <Problem>{t("list.unread", { why: history.failure })}</Problem>}
+      <VirtualTable
+        label={t("list.label")}
+        lines={lines}
+        columns={[column]}
+        hasHead={false}
+        rowHeight={84}
+        nameOf={(item) =>
+          item.kind === "definition"
+            ? item.definition.title
+            : `${item.row.title}, ${markOf(item.row, i18n.language)}, ${said(item.row.status)}`
+        }
+        onOpen={(item) => go(address(placeOf(item)))}
+        onEnd={history.more ? history.older : undefined}
+      />
       {waiting > 0 && (
         <div className="process-list__news">
-          <Button onPress={() => release("all")}>{t("list.news", { count: waiting })}</Button>
+          <Button onPress={release}>{t("list.news", { count: waiting })}</Button>
         </div>
       )}
     </aside>
   );
 }
 
-function Section({ title, empty, children }: { title: string; empty: string; children: React.ReactNode[] }) {
+function Definition({ definition }: { definition: DefinitionView }) {
+  const { t } = useTranslation("processes");
   return (
-    <section className="process-list__section">
-      <h2>{title}</h2>
-      {children.length === 0 ? <p className="quiet small">{empty}</p> : <ul>{children}</ul>}
-    </section>
-  );
-}
-
-function ProcessItem({ row, here, find }: { row: ProcessRow; here: Place; find: string }) {
-  const { t } = useTranslation(["processes", "common"]);
-  return (
-    <li className="process-list__row">
-      <Row to={{ kind: "process", id: row.id }} here={here} find={find}>
-        <span className="process-list__title">{row.title}</span>
-        <span className="process-list__more">
-          <State tone={statusTone[row.status]}>{t(`common:status.${row.status}`)}</State>
-          <span className="quiet">{markOf(row)}</span>
-        </span>
-      </Row>
-      <span className="process-list__time small quiet">
-        <Ago at={row.endedAt ?? row.startedAt} />
+    <>
+      <span className="process-list__title">{definition.title}</span>
+      <span className="process-list__more">
+        {definition.unusable === undefined ? (
+          t("version", { version: definition.version })
+        ) : (
+          <State tone="stop">{t("list.unusable")}</State>
+        )}
       </span>
-    </li>
+    </>
   );
 }
 
-function Row({ to, here, find, children }: { to: Place; here: Place; find: string; children: React.ReactNode }) {
-  const query = find === "" ? "" : `?find=${encodeURIComponent(find)}`;
+/** Its key first: that is what tells it from its like. Without one, when it was started. */
+function Process({ row }: { row: ProcessRow }) {
+  const { t, i18n } = useTranslation(["processes", "common"]);
+  const activity = activityOf(row);
   return (
-    <Link href={`${pathOf(to)}${query}`} className="process-list__link" aria-current={samePlace(to, here) ? "page" : undefined}>
-      {children}
-    </Link>
+    <>
+      <span className="process-list__title">{row.key ?? row.title}</span>
+      <span className="process-list__more">
+        <State tone={statusTone[row.status]}>{t(`common:processStatus.${row.status}`)}</State>
+        <span className="process-list__time quiet">
+          <Ago at={row.endedAt ?? row.startedAt} />
+        </span>
+      </span>
+      <span className="process-list__where quiet">
+        {[row.key === null ? markOf(row, i18n.language) : row.title, activity || null].filter(Boolean).join(" · ")}
+      </span>
+    </>
   );
 }
 
-type Reason = "pointer" | "focus";
+/** The filter and the sorting, which the URL holds, and the bar that sets them. */
+function useView() {
+  const { t } = useTranslation(["processes", "common"]);
+  const [find, setFind] = useQuery("find");
+  const [status, setStatus] = useQuery("state");
+  const [definition, setDefinition] = useQuery("of");
+  const [involves, setInvolves] = useQuery("involves");
+  const [sort, setSort] = useQuery("sort", "newest");
+  const filter: ProcessFilter = useMemo(() => ({ status, definition, involves }), [status, definition, involves]);
+  const sorting = SORTINGS.find((one) => one === sort) ?? "newest";
+  const isSet = status !== "" || definition !== "" || involves !== "" || sorting !== "newest";
+  const [isOpen, setOpen] = useState(isSet);
+  const bar = (
+    <>
+      <div className="process-list__find">
+        <Field label={t("list.find")} type="search" value={find} onChange={setFind} />
+        <Button
+          kind={isSet ? "main" : "plain"}
+          label={t("list.filter")}
+          aria-expanded={isOpen}
+          icon={<ListFilter aria-hidden size={18} />}
+          onPress={() => setOpen(!isOpen)}
+        />
+      </div>
+      {isOpen && (
+        <Filters filter={filter} onStatus={setStatus} onDefinition={setDefinition} onInvolves={setInvolves}>
+          <Pick label={t("list.sort")} value={sorting} options={SORTINGS.map((value) => ({ value, name: t(`list.sorting.${value}`) }))} onChange={setSort} />
+        </Filters>
+      )}
+    </>
+  );
+  return { filter, find, sorting, bar };
+}
+
+interface FiltersProps {
+  filter: ProcessFilter;
+  onStatus: (value: string) => void;
+  onDefinition: (value: string) => void;
+  onInvolves: (value: string) => void;
+  children: ReactNode;
+}
+
+function Filters({ filter, onStatus, onDefinition, onInvolves, children }: FiltersProps) {
+  const { t } = useTranslation(["processes", "common"]);
+  const processes = useFamily("process");
+  const definitions = useFamily("definition");
+  const all = { value: "", name: t("list.any") };
+  const versions = definitions.flatMap(({ name, title, version }) => [
+    { value: name, name: title },
+    ...Array.from({ length: version }, (_, nth) => ({ value: `${name}@${version - nth}`, name: `${title}, ${t("version", { version: version - nth })}` })),
+  ]);
+  const people = new Set(processes.flatMap((process) => process.tasks.flatMap((task) => task.involves)));
+  if (filter.involves !== "") people.add(filter.involves);
+  return (
+    <div className="process-list__filters">
+      <Pick label={t("list.state")} value={filter.status} options={[all, ...STATUSES.map((value) => ({ value, name: t(`common:processStatus.${value}`) }))]} onChange={onStatus} />
+      <Pick label={t("list.definition")} value={filter.definition} options={[all, ...versions]} onChange={onDefinition} />
+      <Pick label={t("list.involves")} value={filter.involves} options={[all, ...[...people].sort().map((value) => ({ value, name: shortName(value) }))]} onChange={onInvolves} />
+      {children}
+    </div>
+  );
+}
+
+/** The address of a place, with what the list is filtered by. */
+function useAddress(): (to: Place) => string {
+  const query = new URLSearchParams(useSearch());
+  for (const name of [...query.keys()]) if (!OWN_QUERY.includes(name)) query.delete(name);
+  const kept = query.toString();
+  return (to) => `${pathOf(to)}${kept === "" ? "" : `?${kept}`}`;
+}
 
 /**
  * The list as it is shown: held in place from the moment somebody is in it until they have left. A process
  * that is opened shows up at once: whoever has started it looks for it.
  */
-function useHeld(now: Sections, opened: string | null) {
-  const [reasons, setReasons] = useState<readonly Reason[]>([]);
-  const [kept, setKept] = useState(now);
-  const isHeld = reasons.length > 0;
+function useHeld(now: Sections, opened: string | null, isReading: boolean, signature: string) {
+  const [kept, setKept] = useState({ signature, sections: now });
+  const before = kept.sections;
   // What was read into an empty list is no news that could move anything.
-  const first = (kept.running.length + kept.ended.length === 0) || (has(now, opened) && !has(kept, opened));
-  if ((!isHeld || first) && !sameSections(kept, now)) setKept(now);
-  const { sections, waiting } = isHeld && !first ? held(kept, now) : { sections: now, waiting: 0 };
-  const hold = (reason: Reason) => setReasons((all) => (all.includes(reason) ? all : [...all, reason]));
-  const release = (reason: Reason | "all") => {
-    if (reason === "all") setKept(now);
-    else setReasons((all) => all.filter((one) => one !== reason));
-  };
-  return { sections, waiting, hold, release };
+  const isFirst = before.running.length + before.ended.length === 0 || (has(now, opened) && !has(before, opened));
+  const follows = !isReading || isFirst || kept.signature !== signature;
+  if (follows && (kept.signature !== signature || !sameSections(before, now))) setKept({ signature, sections: now });
+  const { sections, waiting } = follows ? { sections: now, waiting: 0 } : held(before, now);
+  return { sections, waiting, release: () => setKept({ signature, sections: now }) };
 }
 
 function has(sections: Sections, id: string | null): boolean {

@@ -1,16 +1,37 @@
 import { describe, expect, it } from "vitest";
-import { at, process } from "~/testing/views";
-import { found, held, KEPT_ENDED, remembered, sameSections, together, type ProcessRow } from "./rows";
+import { at, process, task } from "~/testing/views";
+import { activityOf, found, held, KEPT_ENDED, passes, remembered, sameSections, together, type ProcessRow, type ProcessSorting } from "./rows";
 
 const running = (id: string, second: number): ProcessRow => process({ id, startedAt: at(second) });
 const ended = (id: string, second: number): ProcessRow =>
   process({ id, startedAt: at(0), endedAt: at(second), status: "completed" });
 const ids = (rows: readonly ProcessRow[]) => rows.map((row) => row.id);
 
-it("puts new processes where they move none of those that run, and the latest end first", () => {
+it("has the newest first, of those that run and of those that have ended", () => {
   const { running: now, ended: over } = together([running("b", 2), running("a", 1), ended("x", 5)], [ended("y", 9), running("a", 1)]);
-  expect(ids(now)).toEqual(["a", "b"]);
+  expect(ids(now)).toEqual(["b", "a"]);
   expect(ids(over)).toEqual(["y", "x"]);
+});
+
+it("is sorted by age, name and key when asked; processes without a key come last", () => {
+  const rows = [
+    process({ id: "a", title: "Sort", key: "order 10", startedAt: at(1) }),
+    process({ id: "b", title: "Clean", key: null, startedAt: at(2) }),
+    process({ id: "c", title: "Pick", key: "order 9", startedAt: at(3) }),
+  ];
+  const sorted = (by: ProcessSorting) => ids(together(rows, [], by).running).join("");
+  expect([sorted("newest"), sorted("oldest"), sorted("name"), sorted("key")]).toEqual(["cba", "abc", "bca", "cab"]);
+});
+
+it("passes by state, definition, version and person", () => {
+  const row = process({ version: 2, tasks: [task({ involves: ["urn:ngsi-ld:Person:demo:ann"], endedAt: at(1) }), task({ name: "Pick the part" })] });
+  const any = { status: "", definition: "", involves: "" };
+  expect(passes(row, { ...any, definition: "bin-picking@2", involves: "urn:ngsi-ld:Person:demo:ann" })).toBe(true);
+  expect(passes(row, { ...any, definition: "bin-picking@1" })).toBe(false);
+  expect(passes(row, { ...any, definition: "bin" })).toBe(false);
+  expect(passes(row, { ...any, involves: "urn:ngsi-ld:Person:demo:bob" })).toBe(false);
+  expect(passes(row, { ...any, status: "failed" })).toBe(false);
+  expect(activityOf(row)).toBe("Pick the part");
 });
 
 it("believes the live view where the history is older", () => {
@@ -58,5 +79,7 @@ it("finds by title, id, key and the word for the state", () => {
   const said = (status: string) => (status === "failed" ? "gescheitert" : "in Arbeit");
   expect(ids(found(rows, "bin 66", said))).toEqual(["one"]);
   expect(ids(found(rows, "gescheitert", said))).toEqual(["two"]);
+  expect(ids(found(rows, "two", said))).toEqual([]);
+  expect(ids(found([process({ id: "bin-picking-4f3a9c" })], "ing-4f3a9", said))).toHaveLength(1);
   expect(ids(found(rows, "", said))).toEqual(["one", "two"]);
 });

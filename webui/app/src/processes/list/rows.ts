@@ -8,28 +8,66 @@ import type { DefinitionView, ProcessView, Status } from "~/live/messages";
 export type ProcessRow = Pick<
   ProcessView,
   "id" | "definition" | "version" | "title" | "key" | "status" | "reason" | "startedAt" | "endedAt"
->;
+> &
+  Partial<Pick<ProcessView, "tasks">>;
+
+export const SORTINGS = ["newest", "oldest", "name", "key"] as const;
+export type ProcessSorting = (typeof SORTINGS)[number];
+
+/** What is asked of the list besides words; "" for any. */
+export interface ProcessFilter {
+  status: string;
+  /** "bin-picking" or, with a version, "bin-picking@2". */
+  definition: string;
+  /** The URN of a person or a resource. */
+  involves: string;
+}
 
 export interface Sections {
   running: readonly ProcessRow[];
   ended: readonly ProcessRow[];
 }
 
-export const KEPT_ENDED = 300;
+export const KEPT_ENDED = 2000;
 
-/** Live processes and the history read so far, each once; the live one counts. */
-export function together(live: readonly ProcessRow[], history: readonly ProcessRow[]): Sections {
+/** Live processes and the history read so far, each once; the live one counts. The newest first, unless asked otherwise. */
+export function together(live: readonly ProcessRow[], history: readonly ProcessRow[], sorting: ProcessSorting = "newest"): Sections {
   const byId = new Map<string, ProcessRow>();
   for (const row of history) byId.set(row.id, row);
   for (const row of live) byId.set(row.id, row);
   const all = [...byId.values()];
   return {
-    // Who came last stands last: a new one moves none of the others.
-    running: all.filter((row) => row.endedAt === null).sort((a, b) => compare(a.startedAt, b.startedAt, a.id, b.id)),
-    ended: all
-      .filter((row) => row.endedAt !== null)
-      .sort((a, b) => compare(b.endedAt ?? "", a.endedAt ?? "", a.id, b.id)),
+    running: sortRows(all.filter((row) => row.endedAt === null), sorting),
+    ended: sortRows(all.filter((row) => row.endedAt !== null), sorting),
   };
+}
+
+function sortRows(rows: ProcessRow[], sorting: ProcessSorting): ProcessRow[] {
+  const when = (row: ProcessRow) => row.endedAt ?? row.startedAt;
+  return rows.sort((a, b) => {
+    const newest = compare(when(b), when(a), a.id, b.id);
+    if (sorting === "oldest") return compare(when(a), when(b), a.id, b.id);
+    if (sorting === "name") return a.title.localeCompare(b.title) || newest;
+    // Processes without a key come last.
+    if (sorting === "key") return Number(a.key === null) - Number(b.key === null) || (a.key ?? "").localeCompare(b.key ?? "", undefined, { numeric: true }) || newest;
+    return newest;
+  });
+}
+
+/** Whether a process passes; of one whose Tasks are not known here, the orchestrator has checked whom it involves. */
+export function passes(row: ProcessRow, { status, definition, involves }: ProcessFilter): boolean {
+  const [name, version] = definition.split("@");
+  return (
+    (status === "" || row.status === status) &&
+    (definition === "" || (row.definition === name && (version === undefined || row.version === Number(version)))) &&
+    (involves === "" || row.tasks === undefined || row.tasks.some((task) => task.involves.includes(involves)))
+  );
+}
+
+/** The activities that a process is at, by name; "" where that is not known. */
+export function activityOf(row: ProcessRow): string {
+  const open = (row.tasks ?? []).filter((task) => task.endedAt === null && !task.cancelled);
+  return [...new Set(open.map((task) => task.name || task.element))].join(", ");
 }
 
 /** The history, with processes that have ended meanwhile; bounded, the latest stay. */
@@ -55,10 +93,17 @@ export function sameSections(one: Sections, other: Sections): boolean {
   return sameRows(one.running, other.running) && sameRows(one.ended, other.ended);
 }
 
-/** The processes whose title, definition, key, id or status has every word of the text. */
+/** So much of an id is hardly ever typed by chance: a shorter part would find processes by letters that nobody sees. */
+const MIN_ID_PART = 8;
+
+/** The processes whose title, definition, key or status has every word of the text, or whose id has it as it is. */
 export function found<T extends ProcessRow>(rows: readonly T[], text: string, said: (status: Status) => string): T[] {
   const words = wordsOf(text);
-  return rows.filter((row) => has(words, [row.title, row.definition, row.id, row.key ?? "", said(row.status)]));
+  const id = text.trim();
+  return rows.filter(
+    (row) =>
+      has(words, [row.title, row.definition, row.key ?? "", said(row.status)]) || (id.length >= MIN_ID_PART && row.id.includes(id)),
+  );
 }
 
 export function foundDefinitions(rows: readonly DefinitionView[], text: string): DefinitionView[] {

@@ -12,6 +12,7 @@ import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
 import { statusTone } from "~/design/states";
 import { duration } from "~/design/times";
+import { wordsIn } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { shortName } from "~/live/urn";
@@ -20,7 +21,7 @@ import { pathOf } from "../address";
 import { markOf, nameOf } from "../names";
 
 export function ProcessHead({ process }: { process: ProcessView }) {
-  const { t } = useTranslation(["processes", "common"]);
+  const { t, i18n } = useTranslation(["processes", "common"]);
   const last = process.acts.at(-1);
   return (
     <header className="process__head">
@@ -28,22 +29,23 @@ export function ProcessHead({ process }: { process: ProcessView }) {
         <h1>
           <Link href={pathOf({ kind: "definition", name: process.definition })}>{process.title}</Link>
         </h1>
-        <State tone={statusTone[process.status]}>{t(`common:status.${process.status}`)}</State>
-        <span className="quiet">
-          {t("version", { version: process.version })} · {markOf(process)}
-        </span>
+        <State tone={statusTone[process.status]}>{t(`common:processStatus.${process.status}`)}</State>
+        <strong className="process__mark" title={process.id}>
+          {markOf(process, i18n.language)}
+        </strong>
+        <span className="quiet">{t("version", { version: process.version })}</span>
         <span className="quiet">
           {t("process.progress", { done: process.done, all: process.activities })} · <Took process={process} />
         </span>
         <span className="quiet">
-          {t("process.started")} <Ago at={process.startedAt} />
+          {t("process.started")} <Ago at={process.startedAt} isStop />
         </span>
       </div>
       <Acts process={process} />
-      {process.reason !== null && last?.act !== "cancel" && <p className="process__reason">{process.reason}</p>}
+      {process.reason !== null && last?.act !== "cancel" && <p className="process__reason">{wordsIn(process, "reason")}</p>}
       {last !== undefined && (
         <p className="process__act quiet small">
-          {t(`process.acts.${last.act}`, { by: last.by ?? t("process.somebody") })} <Ago at={last.at} />
+          {t(`process.acts.${last.act}`, { by: last.by ?? t("process.somebody") })} <Ago at={last.at} isStop />
         </p>
       )}
     </header>
@@ -75,6 +77,7 @@ function Acts({ process }: { process: ProcessView }) {
         onClose={() => setAsks(false)}
         title={t("cancel.ask", { title: process.title })}
         act={t("cancel.act", { title: process.title })}
+        dismiss={t("cancel.keep")}
         kind="stop"
         onAct={() => cancelProcess(process.id, name)}
       >

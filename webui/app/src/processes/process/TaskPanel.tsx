@@ -2,9 +2,8 @@
 import { X } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
-import { State } from "~/design/State";
-import { statusTone } from "~/design/states";
 import { duration } from "~/design/times";
+import { wordsIn } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { shortName } from "~/live/urn";
@@ -13,6 +12,7 @@ import { CLOCK } from "../timeline/axis";
 import { courseOf } from "../timeline/course";
 import { Json } from "./Values";
 import { RetryButton, taskOf } from "./ProcessHead";
+import { TaskState } from "./TaskState";
 import "./TaskPanel.css";
 
 export interface TaskPanelProps {
@@ -31,10 +31,10 @@ export function TaskPanel({ process, task, onClose }: TaskPanelProps) {
     <aside className="task" aria-label={t("task.label", { task: nameOf(task) })}>
       <header className="task__head">
         <h2>{nameOf(task)}</h2>
-        <State tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</State>
+        <TaskState task={task} />
         <Button kind="quiet" label={t("task.close")} icon={<X aria-hidden size={18} />} onPress={onClose} />
       </header>
-      {task.reason !== null && <p className="task__reason">{task.reason}</p>}
+      <Reason task={task} />
       {taskOf(process, process.retry)?.id === task.id && <RetryButton process={process} task={task} kind="plain" />}
       {task.description !== null && <p>{task.description}</p>}
       <dl className="task__facts">
@@ -70,5 +70,19 @@ export function TaskPanel({ process, task, onClose }: TaskPanelProps) {
         </>
       )}
     </aside>
+  );
+}
+
+/** Why it failed; where a person has said so, what they answered and their note. */
+function Reason({ task }: { task: TaskView }) {
+  const { t } = useTranslation("processes");
+  const { outcome, operator, note } = task.outputParameters ?? {};
+  if (outcome !== "notGood" && outcome !== "problem") return task.reason === null ? null : <p className="task__reason">{wordsIn(task, "reason")}</p>;
+  const what = t(`outcome.${outcome}`);
+  return (
+    <p className="task__reason">
+      {typeof operator === "string" ? t("outcome.by", { what, who: operator }) : what}
+      {typeof note === "string" && note !== "" && ` ${t("outcome.note", { note })}`}
+    </p>
   );
 }

@@ -2,12 +2,12 @@
 import { memo } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
-import { State } from "~/design/State";
-import { statusTone } from "~/design/states";
-import { duration } from "~/design/times";
+import { duration, exactTime } from "~/design/times";
+import { wordsIn } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { TaskView } from "~/live/messages";
 import { nameOf, performerOf, taskMark } from "../names";
+import { TaskState } from "../process/TaskState";
 import { CLOCK } from "./axis";
 import { courseOf } from "./course";
 
@@ -56,7 +56,7 @@ interface RowProps {
 
 const Row = memo(
   function Row({ task, now, picked, onPick }: RowProps) {
-    const { t, i18n } = useTranslation(["processes", "common"]);
+    const { i18n } = useTranslation(["processes", "common"]);
     const course = courseOf(task, now);
     const said = (ms: number) => duration(course.ended ? ms : Math.floor(ms / 1000) * 1000, i18n.language);
     const at = new Date(task.createdAt);
@@ -69,16 +69,16 @@ const Row = memo(
         </th>
         <td>{performerOf(task)}</td>
         <td>
-          <State tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</State>
+          <TaskState task={task} />
         </td>
         <td>
-          <time dateTime={task.createdAt} title={at.toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "medium", hourCycle: "h23" })}>
+          <time dateTime={task.createdAt} title={exactTime(task.createdAt, i18n.language)}>
             {at.toLocaleTimeString(i18n.language, CLOCK)}
           </time>
         </td>
         <td className="tasks__number">{said(course.waitedMs)}</td>
         <td className="tasks__number">{said(course.workedMs)}</td>
-        <td className="tasks__why">{task.reason}</td>
+        <td className="tasks__why">{wordsIn(task, "reason")}</td>
       </tr>
     );
   },

@@ -4,6 +4,7 @@ import { memo, useEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { duration } from "~/design/times";
+import { wordsIn } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { nameOf, taskMark } from "../names";
@@ -115,7 +116,7 @@ const BarButton = memo(
     const length = Math.max(1, course.toMs - course.fromMs);
     const took = duration(course.ended ? length : Math.floor(length / 1000) * 1000, i18n.language);
     const name = nameOf(task);
-    const label = [name, t(`common:status.${task.status}`), took, task.reason].filter((part) => part !== null).join(", ");
+    const label = [name, t(`common:status.${task.status}`), took, wordsIn(task, "reason")].filter((part) => part !== null).join(", ");
     return (
       <button
         type="button"

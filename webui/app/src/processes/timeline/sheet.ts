@@ -1,4 +1,5 @@
 /** Sheet: the Tasks of a process as a file for a spreadsheet (CSV) or a program (JSON). */
+import { wordsIn } from "~/i18n/server";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { nameOf, performerOf } from "../names";
 import { courseOf } from "./course";
@@ -24,7 +25,7 @@ export function csvOf(process: Pick<ProcessView, "id">, tasks: readonly TaskView
       task.endedAt,
       Math.round(course.waitedMs),
       Math.round(course.workedMs),
-      task.reason,
+      wordsIn(task, "reason"),
       task.outputParameters === null ? null : JSON.stringify(task.outputParameters),
     ];
   });

@@ -1,53 +1,90 @@
-/** Devices: what the context broker knows of each, whoever wrote it there. */
-import { Cpu } from "lucide-react";
+/** Devices: what the context broker knows of each, whatever component wrote it; sorted and searched, however many. */
+import { Cpu, SearchX } from "lucide-react";
+import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
 import { Ago } from "~/design/Ago";
 import { Empty } from "~/design/Empty";
+import { Field } from "~/design/Field";
 import { State } from "~/design/State";
 import { deviceTone } from "~/design/states";
+import { VirtualTable, type Column, type Sorting } from "~/design/VirtualTable";
 import { useFamily } from "~/live/hooks";
 import type { DeviceView } from "~/live/messages";
 import { shortName } from "~/live/urn";
-import { Cell, Row, Rows } from "../Rows";
+import { useQuery } from "~/route/query";
 import { Battery } from "../Battery";
 import { valueInWords } from "./value";
+import "./DevicesPanel.css";
+
+const compared: Record<string, (device: DeviceView) => string | number> = {
+  device: (device) => shortName(device.id),
+  category: (device) => device.category.join(),
+  state: (device) => device.deviceState ?? "",
+  battery: (device) => device.batteryLevel ?? 2,
+};
 
 export function DevicesPanel() {
-  const { t } = useTranslation("system");
+  const { t, i18n } = useTranslation(["system", "common"]);
   const devices = useFamily("device");
+  const [find, setFind] = useQuery("find");
+  const [sort, setSort] = useQuery("sort", "device");
+  const sorting: Sorting = { by: sort.replace(/^-/, ""), isDescending: sort.startsWith("-") };
+  const lines = useMemo(() => {
+    const valueOf = compared[sort.replace(/^-/, "")] ?? ((device: DeviceView) => shortName(device.id));
+    const sign = sort.startsWith("-") ? -1 : 1;
+    const words = find.toLowerCase().split(/\s+/);
+    return devices
+      .filter((device) => words.every((word) => `${device.id} ${device.category.join(" ")} ${device.deviceState ?? ""}`.toLowerCase().includes(word)))
+      .sort((a, b) => {
+        const [one, other] = [valueOf(a), valueOf(b)];
+        const order = typeof one === "number" ? one - Number(other) : one.localeCompare(String(other), undefined, { numeric: true });
+        return sign * order || (a.id < b.id ? -1 : 1);
+      })
+      .map((device) => ({ kind: "row", key: device.id, row: device }) as const);
+  }, [devices, find, sort]);
   if (devices.length === 0) {
     return <Empty icon={<Cpu aria-hidden size={32} />} title={t("device.none.title")}>{t("device.none.means")}</Empty>;
   }
-  const heads = ["device", "category", "state", "battery", "value", "seen"].map((head) => t(`device.${head}`));
+  const columns: readonly Column<DeviceView>[] = [
+    {
+      id: "device", name: t("device.device"), width: "minmax(180px, 2.2fr)", isSortable: true,
+      cell: (device) => (
+        <>
+          <span className="rows__name">{shortName(device.id)}</span>
+          <p className="rows__why rows__urn">{device.id}</p>
+        </>
+      ),
+    },
+    {
+      id: "category", name: t("device.category"), width: "minmax(90px, 1fr)", isSortable: true,
+      cell: (device) => device.category.map((one) => t(`device.kind.${one}`, { defaultValue: one })).join(", "),
+    },
+    {
+      id: "state", name: t("device.state"), width: "minmax(140px, 1fr)", isSortable: true,
+      cell: (device) =>
+        device.deviceState !== null && <State tone={deviceTone[device.deviceState]}>{t(`common:deviceState.${device.deviceState}`)}</State>,
+    },
+    {
+      id: "battery", name: t("device.battery"), width: "minmax(90px, 0.8fr)", isSortable: true,
+      cell: (device) => device.batteryLevel !== null && <Battery level={device.batteryLevel} />,
+    },
+    { id: "value", name: t("device.value"), width: "minmax(120px, 2fr)", cell: (device) => valueInWords(device.value, i18n.language) },
+    { id: "seen", name: t("device.seen"), width: "112px", cell: (device) => device.observedAt !== null && <Ago at={device.observedAt} /> },
+  ];
   return (
-    <Rows label={t("tab.devices")} heads={heads} widths={["23%", "10%", "14%", "10%", "29%", "14%"]}>
-      {devices.map((device) => (
-        <Device key={device.id} device={device} heads={heads} />
-      ))}
-    </Rows>
-  );
-}
-
-function Device({ device, heads }: { device: DeviceView; heads: readonly string[] }) {
-  const { t } = useTranslation(["system", "common"]);
-  const [name = "", category = "", state = "", battery = "", value = "", seen = ""] = heads;
-  return (
-    <Row>
-      <Cell head={name}>
-        <span className="rows__name">{shortName(device.id)}</span>
-        <p className="rows__why rows__urn">{device.id}</p>
-      </Cell>
-      <Cell head={category}>
-        {device.category.map((one) => t(`device.kind.${one}`, { defaultValue: one })).join(", ")}
-      </Cell>
-      <Cell head={state}>
-        {device.deviceState !== null && (
-          <State tone={deviceTone[device.deviceState]}>{t(`common:deviceState.${device.deviceState}`)}</State>
-        )}
-      </Cell>
-      <Cell head={battery}>{device.batteryLevel !== null && <Battery level={device.batteryLevel} />}</Cell>
-      <Cell head={value}>{valueInWords(device.value)}</Cell>
-      <Cell head={seen}>{device.observedAt !== null && <Ago at={device.observedAt} />}</Cell>
-    </Row>
+    <div className="devices">
+      <Field label={t("device.find")} value={find} onChange={setFind} type="search" />
+      <VirtualTable
+        label={t("tab.devices")}
+        lines={lines}
+        columns={columns}
+        rowHeight={66}
+        sorting={sorting}
+        onSort={({ by, isDescending }) => setSort(`${isDescending ? "-" : ""}${by}`)}
+        nameOf={(device) => shortName(device.id)}
+      >
+        {lines.length === 0 && <Empty icon={<SearchX aria-hidden size={32} />} title={t("device.noMatch")} />}
+      </VirtualTable>
+    </div>
   );
 }

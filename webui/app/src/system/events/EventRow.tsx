@@ -2,6 +2,7 @@
 import { CircleX, Info, TriangleAlert } from "lucide-react";
 import { memo } from "react";
 import { useTranslation } from "react-i18next";
+import { exactTime } from "~/design/times";
 import type { LiveEvent } from "~/live/messages";
 
 const icons: Record<LiveEvent["level"], typeof Info> = { info: Info, attention: TriangleAlert, stop: CircleX };
@@ -13,7 +14,7 @@ export const EventRow = memo(function EventRow({ event, said }: { event: LiveEve
   const isToday = at.toDateString() === new Date().toDateString();
   return (
     <li className={`event event--${event.level}`}>
-      <time dateTime={event.at} title={at.toLocaleString(i18n.language, { dateStyle: "medium", timeStyle: "medium", hourCycle: "h23" })}>
+      <time dateTime={event.at} title={exactTime(event.at, i18n.language)}>
         {!isToday && <span className="event__day">{at.toLocaleDateString(i18n.language, { day: "numeric", month: "short" })}</span>}{" "}
         {at.toLocaleTimeString(i18n.language, { timeStyle: "medium", hourCycle: "h23" })}
       </time>

@@ -1,6 +1,7 @@
 /** What the page says of an event, in its own language; an event that it has no words for speaks English. */
 import { useCallback } from "react";
 import { useTranslation } from "react-i18next";
+import { wordsIn } from "~/i18n/server";
 import type { LiveEvent } from "~/live/messages";
 
 export function useSaid(): (event: LiveEvent) => string {
@@ -17,7 +18,7 @@ export function useSaid(): (event: LiveEvent) => string {
       };
       const said = t(key, words);
       // Why something went wrong stands in the words of whoever noticed it.
-      const why = event.values["reason"] ?? event.values["detail"] ?? "";
+      const why = wordsIn(event.values, "reason") ?? event.values["detail"] ?? "";
       return why === "" ? said : `${said}: ${why}`;
     },
     [t, i18n],

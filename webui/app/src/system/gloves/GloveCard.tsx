@@ -4,6 +4,7 @@ import { useTranslation } from "react-i18next";
 import { SwitchButton, SwitchField, Text } from "react-aria-components";
 import { callService, describe } from "~/api/http";
 import { Card } from "~/design/Card";
+import { number } from "~/design/numbers";
 import { Problem } from "~/design/Problem";
 import { State } from "~/design/State";
 import { deviceTone } from "~/design/states";
@@ -98,13 +99,13 @@ function Signal({ glove }: { glove: string }) {
   return (
     <>
       <Fact name={t("glove.signal")}>
-        {t("glove.frames", { rate: rate(view.connected ? view.rate_hz : 0, i18n.language), count: view.frames, frames: view.frames.toLocaleString(i18n.language) })}
+        {t("glove.frames", { rate: rate(view.connected ? view.rate_hz : 0, i18n.language), count: view.frames, frames: number(view.frames, i18n.language) })}
       </Fact>
       <Fact name={t("glove.dropped")}>
         {dropped.length === 0
           ? t("glove.noneDropped")
           : dropped
-              .map(([why, count]) => `${count.toLocaleString(i18n.language)} × ${t(`glove.why.${why}`, { defaultValue: why })}`)
+              .map(([why, count]) => `${number(count, i18n.language)} × ${t(`glove.why.${why}`, { defaultValue: why })}`)
               .join(", ")}
       </Fact>
     </>

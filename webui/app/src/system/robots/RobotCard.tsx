@@ -2,6 +2,7 @@
 import { lazy, Suspense } from "react";
 import { useTranslation } from "react-i18next";
 import { Card } from "~/design/Card";
+import { percent as percentOf } from "~/design/numbers";
 import { State } from "~/design/State";
 import { deviceTone } from "~/design/states";
 import { duration } from "~/design/times";
@@ -40,7 +41,7 @@ function Doing({ robot }: { robot: string }) {
   const { t, i18n } = useTranslation("system");
   const view = useTopic(`robot/${robot}`);
   const progress = view?.progress ?? null;
-  const percent = (progress ?? 0).toLocaleString(i18n.language, { style: "percent", maximumFractionDigits: 0 });
+  const percent = percentOf(progress ?? 0, i18n.language);
   const remainingS = view?.remainingS ?? null;
   const operation = view?.operation ?? null;
   return (

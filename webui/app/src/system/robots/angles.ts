@@ -1,18 +1,19 @@
 /** Angles and lengths as people read them. */
+import { number } from "~/design/numbers";
 
 /** "−90.0" for an angle in rad; what rounds to nothing has no sign. */
 export function degrees(rad: number, language: string): string {
   const rounded = Math.round((rad * 1800) / Math.PI) / 10 + 0;
-  return signed(rounded.toLocaleString(language, { minimumFractionDigits: 1, maximumFractionDigits: 1 }));
+  return signed(number(rounded, language, { minimumFractionDigits: 1, maximumFractionDigits: 1 }));
 }
 
 /** "0.497" for a length in m, to the millimetre. */
 export function metres(metres: number, language: string): string {
   const rounded = Math.round(metres * 1000) / 1000 + 0;
-  return signed(rounded.toLocaleString(language, { minimumFractionDigits: 3, maximumFractionDigits: 3 }));
+  return signed(number(rounded, language, { minimumFractionDigits: 3, maximumFractionDigits: 3 }));
 }
 
 /** A hyphen is narrower than a digit: with a minus sign the columns stay straight. */
-function signed(number: string): string {
-  return number.replace("-", "\u2212");
+function signed(text: string): string {
+  return text.replace("-", "\u2212");
 }

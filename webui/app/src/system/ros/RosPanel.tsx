@@ -28,8 +28,8 @@ export function RosPanel() {
       )}
       {rules !== null && rules.length > 0 && (
         <Rows label={t("tab.ros")} heads={heads} widths={["20%", "15%", "18%", "17%", "17%", "13%"]}>
-          {rules.map((rule) => (
-            <Rule key={rule.name} rule={rule} heads={heads} turn={turn} />
+          {rules.map((rule, place) => (
+            <Rule key={rule.name} rule={rule} heads={heads} isFirst={place === 0} turn={turn} />
           ))}
         </Rows>
       )}
@@ -40,16 +40,17 @@ export function RosPanel() {
 interface RuleProps {
   rule: RuleView;
   heads: readonly string[];
+  isFirst: boolean;
   turn: (rule: RuleView, on: boolean) => void;
 }
 
-function Rule({ rule, heads, turn }: RuleProps) {
+function Rule({ rule, heads, isFirst, turn }: RuleProps) {
   const { t, i18n } = useTranslation("system");
   const [name = "", state = "", rates = "", value = "", error = "", act = ""] = heads;
   const stands = standing(rule);
   const trouble = rule.lastError ?? rule.lastUnread ?? null;
   return (
-    <Row>
+    <Row isFirst={isFirst}>
       <Cell head={name}>
         <span className="rows__name">{rule.name}</span>
         <p className="rows__why">

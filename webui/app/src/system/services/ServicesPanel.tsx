@@ -20,19 +20,19 @@ export function ServicesPanel() {
   const heads = ["service", "state", "since", "rates", "last"].map((head) => t(`service.${head}`));
   return (
     <Rows label={t("tab.services")} heads={heads} widths={["18%", "24%", "11%", "22%", "25%"]}>
-      {services.map((service) => (
-        <Service key={service.name} service={service} heads={heads} />
+      {services.map((service, place) => (
+        <Service key={service.name} service={service} heads={heads} isFirst={place === 0} />
       ))}
     </Rows>
   );
 }
 
-function Service({ service, heads }: { service: ServiceHealth; heads: readonly string[] }) {
+function Service({ service, heads, isFirst }: { service: ServiceHealth; heads: readonly string[]; isFirst: boolean }) {
   const { t, i18n } = useTranslation(["system", "common"]);
   const [name = "", state = "", since = "", rates = "", last = ""] = heads;
   const counted = Object.entries(service.rates);
   return (
-    <Row>
+    <Row isFirst={isFirst}>
       <Cell head={name}>
         <span className="rows__name">{t(`common:services.${service.name}`, { defaultValue: service.name })}</span>
       </Cell>

@@ -1,0 +1,110 @@
+"""`handover secrets`: random secrets as files, made once, never overwritten.
+
+The containers run `make` before everything else, so that no secret is the same in two places and none has to
+be chosen by hand. Each secret is a file named like its setting, which only the user of the services can read.
+"""
+
+import os
+import secrets
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import typer
+
+from handover.errors import UsageError
+from handover.settings import SECRETS_DIR, Settings
+
+SECRETS = ("HANDOVER_GLOVE_TOKEN", "HANDOVER_DATABASE_PASSWORD")
+RANDOM_BYTES = 32
+READY_TIMEOUT_S = 60.0
+LOOK_EVERY_S = 0.1
+
+app = typer.Typer(help="Random secrets as files.", no_args_is_help=True)
+
+
+@app.command()
+def make() -> None:
+    """Make the secrets that are not there yet; change none."""
+    folder = _folder()
+    for name in SECRETS:
+        if write_once(folder / name, os.environ.get(name) or secrets.token_hex(RANDOM_BYTES)):
+            typer.echo(f"{name}: made, in {folder / name}")
+        else:
+            typer.echo(f"{name}: is there already, in {folder / name}")
+    typer.echo("To read them: handover secrets show (containers: docker compose run --rm secrets show)")
+
+
+@app.command()
+def show() -> None:
+    """Print the secrets, to be given to gloves and devices."""
+    folder = _folder()
+    for name in SECRETS:
+        typer.echo(f"{name}={os.environ.get(name) or _read(folder / name)}")
+
+
+def wait_for_secrets(*, timeout_s: float = READY_TIMEOUT_S) -> None:
+    """Return once the secrets are there, at once without `HANDOVER_SECRETS_DIR`.
+
+    What makes them may have been started at the same moment. Raises `UsageError` if they do not come.
+    """
+    folder = os.environ.get(SECRETS_DIR)
+    deadline_s = time.monotonic() + timeout_s
+    for name in SECRETS if folder else ():
+        file = Path(folder or "") / name
+        while not os.environ.get(name) and not file.exists():
+            if time.monotonic() > deadline_s:
+                raise UsageError(
+                    f"there is no secret {file}; make it with: handover secrets make "
+                    "(containers: docker compose up secrets)"
+                )
+            time.sleep(LOOK_EVERY_S)
+
+
+def write_once(file: Path, secret: str) -> bool:
+    """Write `secret` to `file`, for its owner alone, unless that is there; return whether it was written.
+
+    The file is there as a whole or not at all, whatever is killed, and the first of two writers wins.
+    """
+    if file.exists():
+        return False
+    new = file.with_name(f".{file.name}.{os.getpid()}.{secrets.token_hex(4)}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with os.fdopen(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "w") as written:
+            written.write(f"{secret}\n")
+            written.flush()
+            os.fsync(written.fileno())
+        os.link(new, file)
+    except FileExistsError:
+        return False
+    except OSError as error:
+        raise UsageError(
+            f"the secret {file} cannot be written: {error.strerror}; make {file.parent} writable for user "
+            f"{os.getuid()}, or set {SECRETS_DIR} to another directory"
+        ) from None
+    finally:
+        with suppress(OSError):
+            new.unlink()
+    folder = os.open(file.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+    return True
+
+
+def _folder() -> Path:
+    folder = Settings.load().secrets_dir
+    if folder is None:
+        raise UsageError(f"{SECRETS_DIR} is not set; set it to a directory for the secrets")
+    return folder
+
+
+def _read(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8").strip()
+    except FileNotFoundError:
+        raise UsageError(f"there is no secret {file}; make it with: handover secrets make") from None
+    except OSError as error:
+        raise UsageError(f"the secret {file} cannot be read: {error.strerror}") from None

@@ -1,0 +1,128 @@
+"""Finished Tasks: how the Tasks of a performer ended, in a small database file of its own.
+
+A finished Task is deleted from the broker after a while. It can come back from an old backup, or because
+somebody posts it again, and must not be performed twice. So its end is recorded here before it is reported,
+and reported again from here if the broker shows the Task as unfinished. Records are kept for longer than
+finished Tasks stay in the broker.
+"""
+
+import asyncio
+import re
+import sqlite3
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import orjson
+
+from datamodels.entities import TaskStatus
+from handover.errors import UsageError
+from handover.settings import Settings
+from handover.sqlite_files import prepare_own
+
+MIN_KEEP_H = 30 * 24.0
+KEEP_PER_RETENTION = 2.0
+DELETE_OLD_EVERY = 1_000
+"""Records that are too old are deleted at the start, and once in so many new ones."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """How a Task ended: `completed` or `failed`, with its outputParameters."""
+
+    status: TaskStatus
+    outputs: Mapping[str, Any]
+
+
+class FinishedTasks:
+    """The ends of the Tasks of `performer`; `open` it first. All work is done in one thread of its own."""
+
+    def __init__(self, settings: Settings, performer: str, *, clock: Callable[[], float] = time.time) -> None:
+        name = re.sub(r"[^A-Za-z0-9_.-]", "_", performer)
+        self.path = settings.data_dir / f"{name}.finished.db"
+        self._keep_s = 3600.0 * max(MIN_KEEP_H, KEEP_PER_RETENTION * settings.retention_h)
+        self._clock = clock
+        self._recorded = 0
+        self._disk: ThreadPoolExecutor | None = None
+        self._connection: sqlite3.Connection | None = None
+
+    async def open(self) -> None:
+        """Open the file; raise `UsageError` if that is not possible."""
+        self._disk = ThreadPoolExecutor(1, "finished-tasks")
+        try:
+            await self._on_disk(self._open)
+        except (sqlite3.Error, OSError) as error:
+            raise UsageError(
+                f"the record of finished Tasks, {self.path}, cannot be used: {error}; make the directory "
+                "writable, remove the file if it is damaged, or set HANDOVER_DATA_DIR to another directory"
+            ) from None
+
+    async def close(self) -> None:
+        """Close the file."""
+        if self._disk is not None:
+            await self._on_disk(self._close)
+            self._disk.shutdown(wait=False)
+
+    async def find(self, task_id: str) -> End | None:
+        """Return how a Task ended; None if this performer has not finished it."""
+        return await self._on_disk(self._find, task_id)
+
+    async def record(self, task_id: str, end: End) -> None:
+        """Record how a Task ended; once this returns, that survives `kill -9` and a power cut.
+
+        Raises `OSError` when it cannot be written, `TypeError` when the outputs are no plain JSON.
+        """
+        outputs = orjson.dumps(dict(end.outputs)).decode()
+        try:
+            await self._on_disk(self._record, task_id, end.status.value, outputs)
+        except sqlite3.Error as error:
+            raise OSError(f"{self.path}: {error}") from error
+
+    async def _on_disk(self, act: Callable[..., T], *arguments: Any) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._disk, act, *arguments)
+
+    def _open(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        prepare_own(self.path)
+        connection = sqlite3.connect(self.path, isolation_level=None, timeout=5.0)
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.execute(
+            "CREATE TABLE IF NOT EXISTS finished (task TEXT PRIMARY KEY, status TEXT NOT NULL, "
+            "outputs TEXT NOT NULL, recorded_s REAL NOT NULL) WITHOUT ROWID"
+        )
+        connection.execute("CREATE INDEX IF NOT EXISTS finished_recorded ON finished (recorded_s)")
+        self._connection = connection
+        self._delete_old()
+
+    def _close(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def _find(self, task_id: str) -> End | None:
+        row = self._opened.execute(
+            "SELECT status, outputs FROM finished WHERE task = ?", (task_id,)
+        ).fetchone()
+        return None if row is None else End(TaskStatus(row[0]), orjson.loads(row[1]))
+
+    def _record(self, task_id: str, status: str, outputs: str) -> None:
+        self._opened.execute(
+            "INSERT OR REPLACE INTO finished VALUES (?, ?, ?, ?)", (task_id, status, outputs, self._clock())
+        )
+        self._recorded += 1
+        if self._recorded % DELETE_OLD_EVERY == 0:
+            self._delete_old()
+
+    def _delete_old(self) -> None:
+        self._opened.execute("DELETE FROM finished WHERE recorded_s < ?", (self._clock() - self._keep_s,))
+
+    @property
+    def _opened(self) -> sqlite3.Connection:
+        if self._connection is None:
+            raise RuntimeError("the record of finished Tasks is not open")
+        return self._connection

@@ -1,0 +1,78 @@
+"""Messages for people: English text with a code and parameters, so that a page can say it in its language.
+
+    raise Problem(404, "Unknown glove", message("glove.unknown", 'there is no glove "{glove}"', glove=name))
+
+A `Message` is a string: logs, command lines and clients that know nothing of codes read its English text.
+Where it travels as JSON, `with_code` adds the code and the parameters beside the text. Codes are an API: one
+keeps its meaning, and the page has a translation for each (`webui/app/src/i18n/*/server.json`). The module
+`webui.messages` finds the codes in the source, and a test compares.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+Parameter = str | int | float | bool | None
+"""What a message may be about. A `Message` may be part of another one."""
+
+
+class Message(str):
+    """An English text made from a template, with the `code` of the template and its `parameters`."""
+
+    __slots__ = ("code", "parameters")
+
+    code: str
+    parameters: Mapping[str, Any]
+
+    def __new__(cls, text: str, code: str, parameters: Mapping[str, Any]) -> Self:
+        """Return `text` as the message of `code`; `message` makes one from a template."""
+        made = super().__new__(cls, text)
+        made.code = code
+        made.parameters = parameters
+        return made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.code, dict(self.parameters))
+
+
+def message(code: str, template: str, /, **parameters: Parameter) -> Message:
+    """Return the message of `template` (as for `str.format`) with these parameters."""
+    return Message(template.format_map(parameters), code, parameters)
+
+
+def text_of(error: BaseException) -> str:
+    """Return what an error says, as the `Message` that it was raised with if it was."""
+    first = error.args[0] if error.args else None
+    return first if isinstance(first, Message) else str(error)
+
+
+def with_code(name: str, text: str) -> dict[str, Any]:
+    """Return `text` as the JSON member `name`; a `Message` with `<name>Code` and `<name>Parameters`."""
+    members: dict[str, Any] = {name: str(text)}
+    if isinstance(text, Message):
+        members[f"{name}Code"] = text.code
+        members[f"{name}Parameters"] = {key: _as_json(value) for key, value in text.parameters.items()}
+    return members
+
+
+def message_in(members: Mapping[str, Any], name: str) -> str | None:
+    """Return what `with_code` wrote, as a `Message` again where it was one; None where there is no text.
+
+    What is read comes from another service, maybe a foreign one: members of other types are left out.
+    """
+    text = members.get(name)
+    if not isinstance(text, str):
+        return None
+    code, parameters = members.get(f"{name}Code"), members.get(f"{name}Parameters")
+    if not isinstance(code, str) or not isinstance(parameters, Mapping):
+        return text
+    return Message(text, code, {str(key): _from_json(value) for key, value in parameters.items()})
+
+
+def _as_json(value: Any) -> Any:
+    if isinstance(value, Message):
+        return with_code("text", value)
+    return value
+
+
+def _from_json(value: Any) -> Any:
+    return message_in(value, "text") if isinstance(value, Mapping) else value

@@ -1,0 +1,177 @@
+"""The origin check: which requests a server accepts, by its name in them and the page they come from.
+
+A web page must not act on a server of ours only because the browser that shows it can reach that server:
+
+- `Host`: a name that somebody else points at this machine (DNS rebinding) is refused. Accepted are loopback
+  names, numeric addresses, the host names in our own `HANDOVER_*_URL` settings, and `HANDOVER_ALLOWED_HOSTS`.
+- `Origin`: the page must be the server's own (same host and port), or stand in `HANDOVER_ALLOWED_ORIGINS`. A
+  request without `Origin` is accepted, since programs send none, unless `Sec-Fetch-Site` says that it comes
+  from another site; following a link to us from there is no request that acts.
+
+`serving.serve` puts `OriginGuard` before every application. A protocol that answers without ASGI asks
+`OriginPolicy` itself: `is_known` costs three look-ups in a dictionary and decides nearly always.
+"""
+
+import ipaddress
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, Self
+from urllib.parse import urlsplit
+
+import orjson
+from prometheus_client import Counter
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from handover.errors import Problem
+from handover.settings import Settings
+
+OPEN_BY_ANY_NAME: Final = frozenset({"/healthz", "/readyz", "/metrics", "/context.jsonld"})
+"""What platforms and brokers read, by whatever name they know us."""
+MAX_REMEMBERED_HOSTS: Final = 1000
+
+REFUSED = Counter("handover_http_refused_total", "Requests refused by their head", ["reason"])
+
+_READS: Final = frozenset({"GET", "HEAD"})
+_HOST: Final = re.compile(r"^(\[[0-9A-Fa-f:.]+\]|[^:\[\]/@\s]+)(?::(\d{1,5}))?$")
+_DEFAULT_PORTS: Final = {"https": 443, "wss": 443}
+
+
+class OriginPolicy:
+    """Which hosts and origins are accepted; `hosts` are the names besides loopback and numeric addresses."""
+
+    def __init__(self, hosts: Iterable[str] = (), origins: Iterable[str] = ()) -> None:
+        self._hosts = frozenset(host.lower().rstrip(".") for host in hosts)
+        self._origins = frozenset(origin.lower().rstrip("/") for origin in origins)
+        self._known: set[bytes | None] = {None}
+
+    @classmethod
+    def of(cls, settings: Settings, urls: Iterable[str] = ()) -> Self:
+        """Return the policy of a server with `settings`, which is also reached at `urls`."""
+        named = (urlsplit(url).hostname or "" for url in (*settings.own_urls(), *urls))
+        return cls((*named, settings.host, *settings.allowed_hosts), settings.allowed_origins)
+
+    def is_known(self, headers: Mapping[bytes, bytes]) -> bool:
+        """Say whether a request is accepted without a closer look: by a known `Host`, from no browser."""
+        return (
+            headers.get(b"host") in self._known
+            and b"origin" not in headers
+            and b"sec-fetch-site" not in headers
+        )
+
+    def refusal(
+        self, method: str, path: str, headers: Mapping[bytes, bytes], *, scheme: str = "http"
+    ) -> Problem | None:
+        """Return why a request is refused; None if it is accepted. `headers` are by name in lower case."""
+        given = headers.get(b"host")
+        host = "" if given is None else given.decode("latin-1")
+        if given not in self._known:
+            parts = host_and_port(host, scheme)
+            if parts is not None and is_known_host(parts[0], self._hosts):
+                if len(self._known) >= MAX_REMEMBERED_HOSTS:
+                    self._known = {None}
+                self._known.add(given)
+            elif method not in _READS or path not in OPEN_BY_ANY_NAME:
+                REFUSED.labels("host").inc()
+                return Problem(
+                    403,
+                    "Unknown host",
+                    f'this server does not go by the name "{host[:200]}"; use its address, or add the name '
+                    "to HANDOVER_ALLOWED_HOSTS",
+                )
+        if self._is_accepted_page(method, host, headers):
+            return None
+        REFUSED.labels("origin").inc()
+        page = headers.get(b"origin", b"another site").decode("latin-1")
+        return Problem(
+            403,
+            "Foreign origin",
+            f"a page of {page[:200]} may not use this server; use the page that it shows, or add the origin "
+            "to HANDOVER_ALLOWED_ORIGINS",
+        )
+
+    def _is_accepted_page(self, method: str, host: str, headers: Mapping[bytes, bytes]) -> bool:
+        origin = headers.get(b"origin")
+        if origin is not None:
+            page = origin.decode("latin-1")
+            return is_same_origin(page, host) or page.lower() in self._origins
+        if headers.get(b"sec-fetch-site") not in {b"cross-site", b"same-site"}:
+            return True
+        return method in _READS and headers.get(b"sec-fetch-mode") == b"navigate"
+
+
+class OriginGuard:
+    """An ASGI application that passes to `app` what `policy` accepts, and answers 403 to the rest."""
+
+    def __init__(self, app: ASGIApp, policy: OriginPolicy) -> None:
+        self._app = app
+        self._policy = policy
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] not in {"http", "websocket"}:
+            await self._app(scope, receive, send)
+            return
+        headers = _by_name(scope["headers"])
+        refusal = None
+        if not self._policy.is_known(headers):
+            method = scope["method"] if scope["type"] == "http" else "CONNECT"
+            refusal = self._policy.refusal(method, scope["path"], headers, scheme=scope["scheme"])
+        if refusal is None:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "http":
+            await send_problem(send, refusal)
+        else:
+            await receive()
+            await send({"type": "websocket.close", "code": 4403, "reason": refusal.title})
+
+
+async def send_problem(send: Send, problem: Problem) -> None:
+    """Answer with `problem`, where no web framework is at hand."""
+    body = orjson.dumps(problem.body())
+    headers = [
+        (b"content-type", b"application/problem+json"),
+        (b"content-length", str(len(body)).encode()),
+        (b"x-content-type-options", b"nosniff"),
+    ]
+    await send({"type": "http.response.start", "status": problem.status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})
+
+
+def host_and_port(host: str, scheme: str) -> tuple[str, int] | None:
+    """Return the two parts of a `Host` header, None if it is none; the port may follow from the scheme."""
+    met = _HOST.match(host)
+    if met is None:
+        return None
+    port = int(met[2]) if met[2] else _DEFAULT_PORTS.get(scheme, 80)
+    return met[1].lower().rstrip("."), port
+
+
+def is_known_host(name: str, known: Iterable[str]) -> bool:
+    """Say whether `name` is loopback, a numeric address, or one of those `known`."""
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return name == "localhost" or name.endswith(".localhost") or name in known
+    return True
+
+
+def is_same_origin(origin: str, host: str) -> bool:
+    """Say whether a page of `origin` comes from the server that was asked for as `host`.
+
+    A proxy may add TLS, so the page's scheme gives the default port of both.
+    """
+    try:
+        parts = urlsplit(origin)
+    except ValueError:
+        return False
+    if parts.scheme not in {"http", "https"}:
+        return False
+    theirs = host_and_port(parts.netloc, parts.scheme)
+    return theirs is not None and theirs == host_and_port(host, parts.scheme)
+
+
+def _by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
+    found: dict[bytes, bytes] = {}
+    for name, value in headers:
+        found[name] = found[name] + b", " + value if name in found else value
+    return found

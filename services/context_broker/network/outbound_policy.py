@@ -1,0 +1,201 @@
+"""The outbound policy: which addresses the broker connects to because a client named them.
+
+A client names them in subscriptions, registrations, snapshots and @contexts, and so could make the broker
+reach what the client itself cannot. Addresses belong to a kind (`Kind`); a broker that listens on loopback
+refuses a few kinds, one that listens beyond loopback all that are not public. Hosts and networks that
+HANDOVER_BROKER_OUTBOUND_ALLOW names are open in either case.
+
+Names are judged by the addresses that they resolve to, and a connection is made to an address that was
+judged, never to the name: a name that resolves to something else a moment later changes nothing.
+"""
+
+import asyncio
+import socket
+from dataclasses import dataclass
+from enum import Enum
+from functools import lru_cache
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from typing import Final, Self
+
+from services.context_broker.api.problems import bad_request_data
+
+SETTING: Final = "HANDOVER_BROKER_OUTBOUND_ALLOW"
+LOOKUP_TIMEOUT_S: Final = 1.0
+"""How long a name is looked up while a client waits for the answer; it is looked up again when used."""
+
+Address = IPv4Address | IPv6Address
+Network = IPv4Network | IPv6Network
+
+
+class Kind(Enum):
+    """What an address is, as it stands in error texts."""
+
+    LOOPBACK = "an address of the broker's own machine"
+    LINK_LOCAL = "a link-local address"
+    METADATA = "an address of a cloud's metadata service"
+    PRIVATE = "an address of a private network"
+    MULTICAST = "a multicast address"
+    RESERVED = "a reserved address"
+    TRANSLATED = "an IPv6 address that stands for an IPv4 address"
+
+
+_KINDS: Final[tuple[tuple[Kind, tuple[str, ...]], ...]] = (
+    (Kind.LOOPBACK, ("127.0.0.0/8", "0.0.0.0/8", "::1/128", "::/128")),
+    (
+        Kind.METADATA,
+        ("100.100.100.200/32", "168.63.129.16/32", "169.254.169.254/32", "192.0.0.192/32",
+         "fd00:ec2::254/128", "fd20:ce::254/128"),
+    ),
+    (Kind.LINK_LOCAL, ("169.254.0.0/16", "fe80::/10")),
+    (
+        Kind.PRIVATE,
+        ("10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "100.64.0.0/10", "198.18.0.0/15", "192.0.0.0/24",
+         "fc00::/7", "fec0::/10"),
+    ),
+    (Kind.MULTICAST, ("224.0.0.0/4", "ff00::/8")),
+    (
+        Kind.TRANSLATED,
+        ("64:ff9b::/96", "64:ff9b:1::/48", "2002::/16", "2001::/32", "::/96", "::ffff:0:0:0/96"),
+    ),
+    (
+        Kind.RESERVED,
+        ("240.0.0.0/4", "192.0.2.0/24", "198.51.100.0/24", "203.0.113.0/24", "192.88.99.0/24",
+         "2001::/23", "2001:db8::/32", "3fff::/20"),
+    ),
+)  # fmt: skip
+"""The first kind that lists an address is its kind (IANA's special-purpose address registries)."""
+_NETWORKS: Final = tuple((kind, ip_network(one)) for kind, listed in _KINDS for one in listed)
+_PUBLIC_IPV6: Final = ip_network("2000::/3")
+_ALWAYS_REFUSED: Final = frozenset({Kind.LINK_LOCAL, Kind.METADATA, Kind.MULTICAST})
+"""Kinds that a broker refuses which listens on loopback alone."""
+
+
+class Refused(Exception):
+    """The destination is refused; the text names the rule and the setting."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutboundPolicy:
+    """Which addresses are open. `listens_beyond_loopback`: clients elsewhere can choose them, too.
+
+    `hosts` (names, in lower case) and `networks` are those that are open whatever kind they are.
+    """
+
+    listens_beyond_loopback: bool = False
+    hosts: frozenset[str] = frozenset()
+    networks: tuple[Network, ...] = ()
+
+    @classmethod
+    def of(cls, host: str, allowed: str) -> Self:
+        """Return the policy of a server that listens on `host`, with the setting's text `allowed`.
+
+        Raises `ValueError` that names an entry which is neither a host nor a network.
+        """
+        hosts, networks = set[str](), list[Network]()
+        for entry in filter(None, (one.strip() for one in allowed.split(","))):
+            try:
+                networks.append(ip_network(entry.strip("[]")))
+            except ValueError as error:
+                if not _is_name(entry):
+                    raise ValueError(
+                        f"{entry!r} is neither a host name nor an address or network ({error})"
+                    ) from None
+                hosts.add(_plain(entry))
+        return cls(not is_loopback(host), frozenset(hosts), tuple(networks))
+
+    def fault_of(self, host: str) -> str | None:
+        """Return why `host`, an address, is refused; None if it is open, or a name that must be looked up."""
+        address = address_of(host)
+        kind = None if address is None else kind_of(address)
+        if address is None or kind is None or any(address in one for one in self.networks):
+            return None
+        if self.listens_beyond_loopback:
+            why = "a broker that listens beyond loopback"
+        elif kind in _ALWAYS_REFUSED or (kind is Kind.TRANSLATED and self._is_refused_within(address)):
+            why = "this broker"
+        else:
+            return None
+        return (
+            f"{host} is {kind.value}, to which {why} does not connect; choose another one, or list the host "
+            f"or its network in {SETTING}"
+        )
+
+    @staticmethod
+    def _is_refused_within(address: Address) -> bool:
+        return any(kind_of(one) in _ALWAYS_REFUSED for one in embedded_in(address))
+
+    async def resolved(self, host: str, port: int) -> list[str]:
+        """Return the open addresses of `host`, in the order to try them.
+
+        Raises `Refused` when all are refused, `OSError` when the name cannot be looked up.
+        """
+        if address_of(host) is not None:
+            found = [host]
+        else:
+            known = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            found = list(dict.fromkeys(str(one[4][0]) for one in known))
+            if _plain(host) in self.hosts:
+                return found
+        faults = {one: self.fault_of(one) for one in found}
+        allowed = [one for one, fault in faults.items() if fault is None]
+        if not allowed:
+            why = next((fault for fault in faults.values() if fault), f"{host} has no address")
+            raise Refused(why if host in faults else f"{host} resolves to {why}")
+        return allowed
+
+    async def require_open(self, host: str, what: str) -> None:
+        """Raise a problem (400) if `host` is refused; a name that does not resolve yet may do so later."""
+        try:
+            async with asyncio.timeout(LOOKUP_TIMEOUT_S):
+                await self.resolved(host, 0)
+        except Refused as refused:
+            raise bad_request_data(f"{what}: {refused}") from None
+        except (OSError, TimeoutError, UnicodeError):
+            return
+
+
+def address_of(host: str) -> Address | None:
+    """Return the address that `host` is, None for a name; an IPv4-mapped IPv6 address as the IPv4 address."""
+    try:
+        address = ip_address(host)
+    except ValueError:
+        return None
+    mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
+    return mapped or address
+
+
+@lru_cache(maxsize=4096)
+def kind_of(address: Address) -> Kind | None:
+    """Return what kind of address it is, None for a public one."""
+    for kind, network in _NETWORKS:
+        if address in network:
+            return kind
+    if isinstance(address, IPv6Address) and address not in _PUBLIC_IPV6:
+        return Kind.RESERVED
+    return None
+
+
+def embedded_in(address: Address) -> list[IPv4Address]:
+    """Return the IPv4 addresses that an IPv6 address may stand for (NAT64, 6to4, Teredo, IPv4-compatible)."""
+    if not isinstance(address, IPv6Address):
+        return []
+    last = IPv4Address(int(address) & 0xFFFF_FFFF)
+    if address.sixtofour is not None:
+        return [address.sixtofour]
+    return list(address.teredo) if address.teredo is not None else [last]
+
+
+def is_loopback(host: str) -> bool:
+    """Say whether a server that listens on `host` is reached from its own machine only."""
+    address = address_of(host)
+    return host == "localhost" if address is None else address.is_loopback
+
+
+def _plain(host: str) -> str:
+    return host.rstrip(".").lower()
+
+
+def _is_name(text: str) -> bool:
+    labels = _plain(text).split(".")
+    named = all(one and one.replace("-", "").replace("_", "").isalnum() for one in labels)
+    return named and not labels[-1].isdecimal()

@@ -1,0 +1,98 @@
+"""A complete check of the files of a broker: every page, every row and the log; nothing is written.
+
+A start looks as far as it can in a second; this looks at everything, also while a broker uses the files
+(the log, which changes all the time, is left out then).
+"""
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final
+
+from handover.errors import UsageError
+from handover.sqlite_files import faults_of
+from services.context_broker.storage import checksums
+from services.context_broker.storage.database import NotStored, SqliteDatabase
+from services.context_broker.storage.filing import Filing
+from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT
+from services.context_broker.storage.log import Damaged
+
+MAX_FAULTS: Final = 20
+"""Rows of a table that are named; of the others there is a number."""
+_ROWS: Final[dict[str, tuple[Callable[..., int], str]]] = {
+    "entities": (checksums.of_entity, "seq, tenant, body"),
+    "documents": (checksums.of_document, "kind, tenant, id, body"),
+    "outbox": (checksums.of_notice, "seq, tenant, subscription, entity, at, body, headers"),
+    "history": (checksums.of_change, "entity, seq, observed_from, observed_to, rewritten, body"),
+    "departed": (checksums.of_departed, "place, tenant, id, body"),
+}
+
+
+def faults_in(path: Path) -> Iterator[str]:
+    """Yield what is wrong with the database of a broker and the log beside it, a line each."""
+    database = SqliteDatabase(path)
+    filing = Filing(database, lambda *_: None, lambda _: None)
+    try:
+        filing.require_database()
+        if not path.exists():
+            return
+        yield from (f"{path}: {fault}" for fault in faults_of(path)[0])
+        database.require_version(SCHEMA_VERSION, SCRIPT)
+    except UsageError as error:
+        yield str(error)
+        return
+    except sqlite3.Error as error:
+        yield f"{path}: {error}"
+        return
+    yield from _faults_of_rows(path)
+    yield from _faults_of_log(database, filing)
+
+
+def _faults_of_rows(path: Path) -> Iterator[str]:
+    with closing(sqlite3.connect(path, isolation_level=None, timeout=5)) as reader:
+        reader.execute("BEGIN")  # so that tables and totals are of one moment
+        for table, (of, columns) in _ROWS.items():
+            try:
+                yield from _faults_of_table(reader, path, table, (of, columns))
+            except sqlite3.Error as error:
+                yield f"{path}: the table {table} cannot be read: {error}"
+
+
+def _faults_of_table(
+    reader: sqlite3.Connection, path: Path, table: str, look: tuple[Callable[..., int], str]
+) -> Iterator[str]:
+    of, columns = look
+    number = total = damaged = 0
+    for *row, checksum in reader.execute(f"SELECT {columns}, checksum FROM {table}"):  # noqa: S608 - ours
+        number, total = number + 1, total + (checksum if isinstance(checksum, int) else 0)
+        if not checksums.holds(of, checksum, row):
+            damaged += 1
+            if damaged <= MAX_FAULTS:
+                yield f"{path}: {table}: the row {_shown(row)} is not as it was written"
+    if damaged > MAX_FAULTS:
+        yield f"{path}: {table}: {damaged} rows are not as they were written"
+    for wanted in reader.execute("SELECT number, checksum FROM totals WHERE name = ?", (table,)):
+        if wanted != (number, total):
+            yield f"{path}: {table} has {number} rows, and not the {wanted[0]} that were written"
+
+
+def _shown(row: list[Any]) -> str:
+    """Return the key of a row: what comes before its content."""
+    return ", ".join(str(value) for value in row[:3] if not isinstance(value, bytes))
+
+
+def _faults_of_log(database: SqliteDatabase, filing: Filing) -> Iterator[str]:
+    try:
+        database.keep_others_out()
+    except UsageError:
+        return  # a broker is at work: its log is never at rest
+    except sqlite3.Error as error:
+        yield f"{database.path.with_suffix('.lock')}: {error}"
+        return
+    try:
+        filing.read_left()
+    except (Damaged, NotStored, OSError) as error:
+        yield str(error)
+    finally:
+        database.close()

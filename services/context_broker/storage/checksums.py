@@ -1,0 +1,80 @@
+"""Checksums of rows: 32 bits over everything that a row says, kept beside it and compared when it is read.
+
+A bit that flips in the file of a database changes a row or its checksum, so that no wrong value is served.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from struct import Struct
+from typing import Any, Final
+from zlib import crc32
+
+_PLACE: Final = Struct("<q")
+_CHANGE: Final = Struct("<qqqdd")
+_NOTICE: Final = Struct("<qd")
+_NOTHING: Final = float("-inf")
+"""What stands for a time that is not given: no time is."""
+
+
+def of_entity(place: int, tenant: str, body: bytes) -> int:
+    """Return the checksum of a row of `entities`."""
+    return crc32(body, crc32(tenant.encode(), crc32(_PLACE.pack(place))))
+
+
+def of_document(kind: str, tenant: str, name: str, body: bytes) -> int:
+    """Return the checksum of a row of `documents`."""
+    return crc32(body, crc32(f"{kind}\0{tenant}\0{name}".encode()))
+
+
+def of_notice(  # noqa: PLR0917 - as the row has them
+    seq: int,
+    tenant: str,
+    subscription: str,
+    entity: str,
+    at: float,
+    body: bytes | None,
+    headers: bytes | None,
+) -> int:
+    """Return the checksum of a row of `outbox`."""
+    head = crc32(f"{tenant}\0{subscription}\0{entity}\0{body is None}{headers is None}".encode())
+    return crc32(headers or b"", crc32(body or b"", crc32(_NOTICE.pack(seq, at), head)))
+
+
+def of_change(  # noqa: PLR0917 - as the row has them
+    place: int,
+    seq: int,
+    observed_from: float | None,
+    observed_to: float | None,
+    rewritten: int,
+    body: bytes,
+) -> int:
+    """Return the checksum of a row of `history`."""
+    first = _NOTHING if observed_from is None else observed_from
+    last = _NOTHING if observed_to is None else observed_to
+    return crc32(body, crc32(_CHANGE.pack(place, seq, rewritten, first, last)))
+
+
+def of_departed(place: int, tenant: str, name: str, body: bytes) -> int:
+    """Return the checksum of a row of `departed`."""
+    return crc32(body, crc32(f"{tenant}\0{name}".encode(), crc32(_PLACE.pack(place))))
+
+
+def of_state(identity: str, opening: str, filed: int, is_open: int) -> int:
+    """Return the checksum of the row of `log_state`."""
+    return crc32(f"{identity} {opening} {filed} {is_open}".encode())
+
+
+def holds(of: Callable[..., int], checksum: Any, row: Sequence[Any]) -> bool:
+    """Say whether a row has the checksum that `of` makes of it; damage may have changed types too."""
+    try:
+        return bool(of(*row) == checksum)
+    except (TypeError, ValueError, AttributeError, OverflowError, struct.error):
+        return False
+
+
+def require_row(
+    of: Callable[..., int], checksum: Any, row: Sequence[Any], damaged: Callable[[Sequence[Any]], Exception]
+) -> None:
+    """Raise what `damaged` makes of a row that does not have its checksum."""
+    if not holds(of, checksum, row):
+        raise damaged(row)

@@ -1,0 +1,107 @@
+"""`handover check`: all databases in the data directory, looked at completely."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handover.database import connect
+from services.context_broker.storage.database import SqliteDatabase
+from services.context_broker.storage.entries import EntityRow, Entries
+from services.context_broker.storage.journal import Journal
+from services.context_broker.temporal.archive import HistoryRow
+
+
+def checked(folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "handover.cli", "check", "--data-dir", str(folder)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.fixture
+def data_dir(tmp_path: Path) -> Path:
+    """What a broker and an orchestrator have left."""
+    journal = Journal(SqliteDatabase(tmp_path / "broker.db"))
+    journal.open()
+    for place in range(1, 50):
+        row = HistoryRow(place, place, None, None, 0, b"past %d" % place * 20)
+        body = b"present %d" % place * 20
+        journal.commit(Entries(entities={place: EntityRow("", f"urn:{place}", body)}, history=[row]))
+    journal.close()
+    connect(f"sqlite:///{tmp_path / 'orchestrator.db'}").dispose()
+    return tmp_path
+
+
+def flip(file: Path, text: bytes) -> None:
+    content = bytearray(file.read_bytes())
+    content[content.index(text)] ^= 1
+    file.write_bytes(content)
+
+
+def test_sound_data_are_found_sound_also_while_a_broker_uses_them(data_dir: Path) -> None:
+    journal = Journal(SqliteDatabase(data_dir / "broker.db"))
+    for is_used in (False, True):
+        if is_used:
+            journal.open()
+        told = checked(data_dir)
+        assert told.returncode == 0, told.stdout
+        assert told.stdout.splitlines() == [
+            f"ok       {data_dir / 'broker.db'}",
+            f"ok       {data_dir / 'orchestrator.db'}",
+        ]
+    journal.close()
+
+
+def past(folder: Path) -> None:
+    flip(folder / "broker.db", b"past 7past 7")
+
+
+def present(folder: Path) -> None:
+    flip(folder / "broker.db", b"present 7present 7")
+
+
+def deleted(folder: Path) -> None:
+    (folder / "orchestrator.db").unlink()
+
+
+def without_database(folder: Path) -> None:
+    (folder / "broker.db").unlink()
+
+
+def cut(folder: Path) -> None:
+    os.truncate(folder / "broker.db", 40_000)
+
+
+@pytest.mark.parametrize(
+    ("harm", "words"),
+    [
+        (past, "broker.db: history: the row 7, 7, None is not as it was written"),
+        (present, "broker.db: entities: the row 7,  is not as it was written"),
+        (deleted, "orchestrator.db is missing, while orchestrator.db.stamp says that it was made"),
+        (without_database, "broker.db is missing, while broker.log-1 and broker.log-2 beside it"),
+        (cut, "broker.db: "),
+    ],
+)
+def test_damage_is_listed_with_the_remedy(data_dir: Path, harm: Callable[[Path], None], words: str) -> None:
+    harm(data_dir)
+    told = checked(data_dir)
+    assert told.returncode == 1, told.stdout + told.stderr
+    damaged = [line for line in told.stdout.splitlines() if line.startswith("damaged  ")]
+    assert any(words in line for line in damaged), told.stdout
+    assert "deploy/restore" in told.stdout.splitlines()[-1]
+    assert "Traceback" not in told.stderr
+
+
+def test_an_empty_folder_has_nothing_to_check(tmp_path: Path) -> None:
+    told: Any = checked(tmp_path)
+    assert told.returncode == 0
+    assert "there is no database in" in told.stdout

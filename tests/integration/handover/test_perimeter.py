@@ -1,0 +1,151 @@
+"""The perimeter: what every server of ours refuses, each as a process, asked over a socket."""
+
+import json
+import re
+from collections.abc import Iterator
+from http.client import HTTPConnection, HTTPResponse
+
+import httpx
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from services.context_broker.app import operations_of
+from services.context_broker.settings import BrokerSettings
+from tests.conftest import Cell, new_cell
+
+pytestmark = pytest.mark.slow
+
+SERVICES = (
+    "context_broker",
+    "task_orchestrator",
+    "gesture_controller",
+    "trajectory_tool",
+    "webui",
+    "ros_fiware_bridge",
+)
+WITHOUT_SCHEMA = {
+    "webui": ("/notifications", "/api/task-orchestrator/processes", "/api/gesture-controller/gloves/g/pause"),
+}
+"""Routes that take a body and are not in the schema."""
+WEBSOCKETS = {
+    "gesture_controller": "/gloves/glove-1/live",
+    "trajectory_tool": "/robots/ur10-1/joint_states",
+    "webui": "/api/live",
+}
+READ = {
+    "context_broker": "/ngsi-ld/v1/types",
+    "task_orchestrator": "/processes",
+    "gesture_controller": "/gloves",
+    "trajectory_tool": "/robots",
+    "webui": "/api/events",
+    "ros_fiware_bridge": "/rules",
+}
+FOREIGN = {"Origin": "http://evil.example"}
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with new_cell(tmp_path_factory.mktemp("cell")) as made:
+        made.extra["HANDOVER_BRIDGE_URL"] = "http://Bridge.cell:54100"
+        made.start(*SERVICES, within_s=90.0)
+        yield made
+
+
+def asked(cell: Cell, service: str, method: str, path: str, **headers: str) -> HTTPResponse:
+    """Send exactly these headers, with a body if there is a Content-Type."""
+    connection = HTTPConnection("127.0.0.1", cell.ports[service], timeout=30)
+    try:
+        connection.putrequest(method, path, skip_host="host" in headers, skip_accept_encoding=True)
+        body = b'{"x": 1}' if "content_type" in headers else b""
+        for name, value in headers.items():
+            connection.putheader(name.replace("_", "-"), value)
+        if body:
+            connection.putheader("content-length", str(len(body)))
+        connection.endheaders(body)
+        answer = connection.getresponse()
+        answer.text = answer.read().decode()  # type: ignore[attr-defined]
+        return answer
+    finally:
+        connection.close()
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_rebound_name_reads_and_changes_nothing(cell: Cell, service: str) -> None:
+    assert asked(cell, service, "GET", READ[service]).status == 200
+    for host in ("evil.example", f"evil.example:{cell.ports[service]}", "127.0.0.1.evil.example", ""):
+        for method in ("GET", "POST", "DELETE"):
+            refused = asked(cell, service, method, READ[service], host=host)
+            assert refused.status == 403, (host, method)
+            assert "HANDOVER_ALLOWED_HOSTS" in refused.text  # type: ignore[attr-defined]
+    for host in ("localhost", "[::1]:1", "127.0.0.1"):
+        assert asked(cell, service, "GET", READ[service], host=host).status == 200
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_a_page_of_another_site_reads_and_changes_nothing(cell: Cell, service: str) -> None:
+    own = f"http://127.0.0.1:{cell.ports[service]}"
+    assert asked(cell, service, "GET", READ[service], origin=own).status == 200
+    for headers in ({"origin": "http://evil.example"}, {"origin": "null"}, {"sec_fetch_site": "cross-site"}):
+        for method in ("GET", "POST", "OPTIONS"):
+            assert asked(cell, service, method, READ[service], **headers).status == 403, (headers, method)
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_health_is_told_by_any_name(cell: Cell, service: str) -> None:
+    for path in ("/healthz", "/readyz", "/metrics", "/context.jsonld"):
+        assert asked(cell, service, "GET", path, host="cell-3.evil.example").status == 200, path
+
+
+def test_a_service_answers_to_the_name_in_its_address(cell: Cell) -> None:
+    named = asked(cell, "ros_fiware_bridge", "GET", "/rules", host="bridge.cell:54100")
+    assert named.status == 200
+    assert asked(cell, "gesture_controller", "GET", "/gloves", host="bridge.cell").status == 403
+
+
+@pytest.mark.parametrize("service", SERVICES[1:])
+def test_no_route_acts_on_plain_text_or_a_form(cell: Cell, service: str) -> None:
+    schema = httpx.get(f"{cell.url(service)}/openapi.json").json()
+    routes = [
+        (method.upper(), re.sub(r"\{.*?\}", "x", path))
+        for path, methods in schema["paths"].items()
+        for method in methods
+        if method != "get"
+    ]
+    routes += [("POST", path) for path in WITHOUT_SCHEMA.get(service, ())]
+    assert routes, "every service has a route that changes something"
+    for method, path in routes:
+        for media_type in ("text/plain", "application/x-www-form-urlencoded", "multipart/form-data", "x"):
+            refused = asked(cell, service, method, path, content_type=media_type)
+            assert refused.status == 415, (method, path, media_type)
+            assert json.loads(refused.text)["status"] == 415  # type: ignore[attr-defined]
+        no_type = httpx.request(method, f"{cell.url(service)}{path}", content=b"x")
+        assert no_type.status_code == 415, (method, path)
+
+
+def test_no_operation_of_the_broker_acts_on_plain_text(cell: Cell, tmp_path: object) -> None:
+    operations = operations_of(BrokerSettings(_env_file=None, data_dir=tmp_path))
+    with_body = [one for one in operations if one.method in {"POST", "PUT", "PATCH"}]
+    assert len(with_body) > 10
+    for one in with_body:
+        path = "/ngsi-ld/v1/" + re.sub(r"\{.*?\}", "urn:ngsi-ld:X:1", one.path)
+        for media_type in ("text/plain", "application/x-www-form-urlencoded"):
+            answer = asked(cell, "context_broker", one.method, path, content_type=media_type)
+            assert 400 <= answer.status < 500, (one.method, path)
+    assert (
+        json.loads(asked(cell, "context_broker", "GET", "/ngsi-ld/v1/entities?local=true&type=X").text) == []
+    )  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("service", WEBSOCKETS)
+def test_a_websocket_opens_for_our_own_page_and_for_programs_only(cell: Cell, service: str) -> None:
+    if service == "gesture_controller":
+        httpx.put(f"{cell.url(service)}/gloves/glove-1", json={}).raise_for_status()
+    url = f"ws://127.0.0.1:{cell.ports[service]}{WEBSOCKETS[service]}"
+    for headers in (FOREIGN, {"Origin": "null"}, {"Host": "evil.example"}):
+        with pytest.raises(InvalidStatus) as refused:
+            connect(url, additional_headers=headers, proxy=None).__enter__()
+        assert refused.value.response.status_code == 403
+    own = None if service != "webui" else cell.url(service)
+    with connect(url, origin=own, proxy=None) as link:
+        assert link.recv(timeout=30)

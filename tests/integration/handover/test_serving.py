@@ -1,0 +1,81 @@
+"""Every service refuses a directory where it cannot write, and waits for a port that a connection has."""
+
+import os
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from handover.cli.services import BESIDES, SERVICES, Service
+from tests.conftest import Cell, next_free_port, wait_until
+
+pytestmark = pytest.mark.slow
+
+AS_ANY_USER = ["setpriv", "--bounding-set=-dac_override"] if os.geteuid() == 0 else []
+"""Root without its right to write everywhere."""
+
+
+@pytest.fixture
+def read_only(tmp_path: Path) -> Iterator[Path]:
+    """A directory in which nobody may write."""
+    tmp_path.chmod(0o555)
+    yield tmp_path
+    tmp_path.chmod(0o755)
+
+
+def start(service: Service, data_dir: Path, **settings: str) -> "subprocess.CompletedProcess[str]":
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")}
+    environment |= {
+        "HANDOVER_DATA_DIR": str(data_dir),
+        service.port_setting: str(next_free_port()),
+        "HANDOVER_GLOVE_PORT": str(next_free_port()),
+        **settings,
+    }
+    return subprocess.run(
+        [*AS_ANY_USER, sys.executable, "-m", service.module],
+        env=environment,
+        cwd="/",
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("service", [*SERVICES, *BESIDES], ids=lambda service: service.name)
+def test_a_service_refuses_a_data_directory_in_which_it_cannot_write(
+    service: Service, read_only: Path
+) -> None:
+    ended = start(service, read_only, HANDOVER_ROS_MAPPING="arm")
+    (line,) = ended.stderr.strip().splitlines()
+    assert ended.returncode == 2
+    assert f"the data directory {read_only} cannot be written by user" in line
+    assert "set HANDOVER_DATA_DIR to another directory" in line
+    assert list(read_only.iterdir()) == []
+
+
+def test_a_service_waits_for_a_connection_that_has_its_port_and_then_starts(cell: Cell) -> None:
+    port = cell.ports["context_broker"]
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        outgoing = socket.socket()
+        outgoing.bind(("127.0.0.1", port))  # as the system binds those of any program
+        outgoing.connect(server.getsockname())
+        incoming, _ = server.accept()
+        log = cell.data_dir / "context_broker.log"
+        with outgoing, incoming, log.open("wb") as written:
+            cell.processes["context_broker"] = broker = subprocess.Popen(
+                [sys.executable, "-m", "services.context_broker"],
+                env=cell.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=written,
+                stderr=written,
+            )
+            said = f"port {port} is held by a connection to 127.0.0.1:{server.getsockname()[1]}"
+            wait_until(lambda: said in log.read_text(), 60, log.read_text)
+            assert broker.poll() is None
+            outgoing.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        cell.wait_ready("context_broker", 60)

@@ -1,0 +1,95 @@
+"""Our DDS against nodes of `rmw_cyclonedds_cpp`: they publish hashes of request and response messages."""
+
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("cyclonedds")
+
+from ros_fiware_bridge.errors import TypeHashDiffers
+from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
+from ros_fiware_bridge.graph.port import GoalStatus, RosGraph
+from ros_fiware_bridge.types.type_store import TypeStore
+from tests.integration.ros_fiware_bridge.graph.conftest import true
+
+TRIGGER = "std_srvs/srv/Trigger"
+OF_REQUEST = "RIHS01_d010825374ce8918e72bfd826c82603e60f45419e932ea976f807b74a863a199"
+OF_RESPONSE = "RIHS01_2d946c21e2fc3f1e9ca6986a8191d85fcc70097a8bb7771a053564bc47009cdf"
+OF_SERVICE = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+
+
+@contextmanager
+def genuine(domain_id: int, *arguments: str) -> Iterator[None]:
+    command = [sys.executable, str(Path(__file__).parent / "genuine_cyclone.py"), str(domain_id), *arguments]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        try:
+            assert process.stdout.readline() == "ready\n"
+            yield
+        finally:
+            process.stdin.close()
+            try:
+                process.wait(10)
+            finally:
+                process.kill()
+
+
+@pytest.fixture
+async def graph(store: TypeStore, domain_id: int) -> AsyncIterator[RosGraph]:
+    settings = JoinSettings(node="bridge", domain_id=domain_id, interfaces=("127.0.0.1",))
+    opened = await join(store, settings, Adapter.CYCLONE)
+    yield opened
+    await opened.close()
+
+
+async def test_a_service_and_an_action_of_a_genuine_node_are_called(graph: RosGraph, domain_id: int) -> None:
+    with genuine(domain_id):
+        assert await graph.call("/trigger", TRIGGER, {}, 20) == {"success": True, "message": "done"}
+        action = await graph.action_client("/fibonacci", "test_msgs/action/Fibonacci")
+        ended = await (await action.send_goal({"order": 6}, timeout_s=20)).result(20)
+        assert ended.status is GoalStatus.SUCCEEDED
+        assert ended.result["sequence"].tolist() == [0, 1, 1, 2, 3, 5]
+        # What is called so must not be shown as a fault either.
+        assert graph.problems() == []
+
+
+async def test_the_hash_of_the_service_is_accepted_as_well(graph: RosGraph, domain_id: int) -> None:
+    with genuine(domain_id, OF_SERVICE.removeprefix("RIHS01_")):
+        assert (await graph.call("/trigger", TRIGGER, {}, 20))["success"]
+
+
+async def test_another_definition_is_refused_and_both_hashes_of_ours_are_named(
+    graph: RosGraph, domain_id: int
+) -> None:
+    with genuine(domain_id, "0" * 64):
+        await true(lambda: "/trigger" in {one.name for one in graph.services()})
+        with pytest.raises(TypeHashDiffers, match=f"/trigger: .* serves {TRIGGER} with ") as error:
+            await graph.call("/trigger", TRIGGER, {}, 20)
+        assert OF_REQUEST in str(error.value)
+        assert OF_SERVICE in str(error.value)
+
+
+async def test_our_own_endpoints_publish_what_genuine_ones_do(graph: RosGraph, store: TypeStore) -> None:
+    async def answer(_: dict[str, Any]) -> dict[str, Any]:
+        return {"success": True}
+
+    await graph.serve("/ours", TRIGGER, answer)
+    assert await graph.call("/ours", TRIGGER, {}, 20)
+
+    def published() -> dict[tuple[str, bool], str | None]:
+        picture = graph._node.discovery.picture()  # type: ignore[attr-defined]  # no port shows it
+        return {(one.topic, one.writes): one.type_hash for one in picture.endpoints if "/ours" in one.topic}
+
+    await true(lambda: len(published()) == 4)
+    assert published() == {
+        ("rq/oursRequest", True): OF_REQUEST,
+        ("rq/oursRequest", False): OF_REQUEST,
+        ("rr/oursReply", True): OF_RESPONSE,
+        ("rr/oursReply", False): OF_RESPONSE,
+    }

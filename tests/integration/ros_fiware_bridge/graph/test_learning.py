@@ -1,0 +1,79 @@
+"""Definitions are learned from a genuine node, which no adapter of ours is part of."""
+
+import asyncio
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ros_fiware_bridge import learning
+from ros_fiware_bridge.errors import GraphError, UnknownType
+from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
+from ros_fiware_bridge.types.type_store import TypeStore
+from tests.conftest import NO_ROS
+from tests.integration.ros_fiware_bridge.graph.conftest import true
+
+pytestmark = [
+    pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+NESTED = "test_msgs/msg/Nested"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def robot(domain_id: int) -> Iterator[None]:
+    command = [sys.executable, str(Path(__file__).parent / "genuine_rclpy.py"), str(domain_id)]
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        try:
+            assert process.stdout.readline() == "ready\n"
+            yield
+        finally:
+            process.stdin.close()
+            try:
+                process.wait(10)
+            finally:
+                process.kill()
+
+
+async def test_what_a_node_publishes_is_read_with_the_definitions_that_it_gives(
+    domain_id: int, tmp_path: Path
+) -> None:
+    settings = JoinSettings(node="bridge", domain_id=domain_id, interfaces=("127.0.0.1",))
+    graph = await join(TypeStore(), settings)
+    try:
+        with pytest.raises(UnknownType):
+            TypeStore().resolve(NESTED)
+
+        def is_named() -> bool:
+            ends = [end for one in graph.topics() if one.name == "/nested" for end in one.publishers]
+            return any(end.node == "/cell/genuine" for end in ends)
+
+        await true(is_named, 30)
+        learned = await learning.learn(graph, "/nested", 30)
+        assert set(learned) == {"test_msgs/msg/Nested.msg", "test_msgs/msg/BasicTypes.msg"}
+        with pytest.raises(GraphError, match="/nothing cannot be learned: nobody is on it"):
+            await learning.learn(graph, "/nothing")
+    finally:
+        await graph.close()
+    learning.write(learned, tmp_path)
+    graph = await join(TypeStore([tmp_path]), settings)
+    try:
+        got: asyncio.Queue[Any] = asyncio.Queue()
+        await graph.subscribe("/nested", NESTED, got.put_nowait)
+        received = await asyncio.wait_for(got.get(), 30)
+        assert received.value("basic_types_value.int32_value") == 7
+        assert not graph.problems()
+    finally:
+        await graph.close()

@@ -1,0 +1,159 @@
+"""A robot in another network, in network namespaces of their own that the test makes and removes.
+
+A cable (a veth pair without multicast) joins two namespaces: the bridge is in one, the robot in the other.
+"""
+
+import json
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("cyclonedds")
+
+pytestmark = pytest.mark.slow
+
+PRUNED_AFTER_S = 35
+"""Cyclone forgets after 30 s an address that has never answered, unless it is told not to."""
+
+
+def ip(*words: str) -> None:
+    path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
+    subprocess.run(
+        ["ip", *words], check=True, capture_output=True, text=True, env={**os.environ, "PATH": path}
+    )
+
+
+@dataclass
+class Network:
+    bridge: str
+    robot: str
+    robot_interface: str
+    robot_address: str
+
+
+@pytest.fixture(scope="module")
+def network() -> Iterator[Network]:
+    search = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
+    if shutil.which("ip", path=search) is None:
+        pytest.skip("network namespaces need `ip` (apt install iproute2)")
+    mark = f"{os.getpid() % 100_000}"
+    bridge, robot = f"hb{mark}", f"hr{mark}"
+    with ExitStack() as made:
+        try:
+            for name in (bridge, robot):
+                ip("netns", "add", name)
+                made.callback(ip, "netns", "del", name)
+            ip(
+                "link",
+                "add",
+                f"vb{mark}",
+                "netns",
+                bridge,
+                "type",
+                "veth",
+                "peer",
+                f"vr{mark}",
+                "netns",
+                robot,
+            )
+        except subprocess.CalledProcessError as error:
+            pytest.skip(f"this user may make no network namespaces (root may): {error.stderr.strip()}")
+        for name, interface, address in (
+            (bridge, f"vb{mark}", "10.231.7.1"),
+            (robot, f"vr{mark}", "10.231.7.2"),
+        ):
+            ip("-n", name, "addr", "add", f"{address}/24", "dev", interface)
+            ip("-n", name, "link", "set", interface, "multicast", "off", "up")
+            ip("-n", name, "link", "set", "lo", "up")
+        yield Network(bridge, robot, f"vr{mark}", "10.231.7.2")
+
+
+class Node:
+    """A `network_node.py` in a namespace, and the lines that it has written."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._lines: queue.Queue[str] = queue.Queue()
+        assert process.stdout is not None
+        self._reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
+        self._reader.start()
+
+    def _read(self, lines: Any) -> None:
+        for line in lines:
+            self._lines.put(line.strip())
+
+    def writes(self, line: str, within_s: float = 30.0) -> bool:
+        try:
+            return self._lines.get(timeout=within_s) == line
+        except queue.Empty:
+            return False
+
+
+@contextmanager
+def node(namespace: str, role: str, **settings: Any) -> Iterator[Node]:
+    path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
+    command = [
+        "ip",
+        "netns",
+        "exec",
+        namespace,
+        sys.executable,
+        str(Path(__file__).parent / "network_node.py"),
+    ]
+    with subprocess.Popen(
+        [*command, role, json.dumps({"domain_id": 5, "node": role, **settings})],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PATH": path},
+    ) as process:
+        assert process.stdin is not None
+        try:
+            made = Node(process)
+            assert made.writes("ready", 60.0), f"the node that should {role} does not start"
+            yield made
+        finally:
+            process.stdin.close()
+            try:
+                process.wait(10)
+            finally:
+                process.kill()
+
+
+def test_a_robot_that_multicast_does_not_reach_is_found_by_its_address(network: Network) -> None:
+    with (
+        node(network.robot, "publish", interfaces=[network.robot_interface]),
+        node(network.bridge, "subscribe", peers=[network.robot_address]) as bridge,
+    ):
+        assert bridge.writes("from the robot")
+
+
+def test_a_robot_that_starts_long_after_the_bridge_is_found(network: Network) -> None:
+    with node(network.bridge, "subscribe", peers=[network.robot_address]) as bridge:
+        time.sleep(PRUNED_AFTER_S)
+        with node(network.robot, "publish", interfaces=[network.robot_interface]):
+            assert bridge.writes("from the robot", 60.0)
+
+
+def test_nodes_of_one_machine_find_each_other_without_any_setting(network: Network) -> None:
+    with node(network.bridge, "publish"), node(network.bridge, "subscribe") as bridge:
+        assert bridge.writes("from the robot")
+
+
+def test_without_the_address_it_is_not_found(network: Network) -> None:
+    # Else the other tests would prove nothing.
+    with (
+        node(network.robot, "publish", interfaces=[network.robot_interface]),
+        node(network.bridge, "subscribe") as bridge,
+    ):
+        assert not bridge.writes("from the robot", 8.0)

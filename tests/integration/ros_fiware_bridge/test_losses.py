@@ -1,0 +1,176 @@
+"""What is lost is counted by its cause and raises an Alert; what a rule lets go on purpose does not."""
+
+import asyncio
+import random
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import httpx
+import pytest
+
+from ros_fiware_bridge.graph.qos import History, Qos
+from tests.conftest import new_cell, next_free_port
+from tests.integration.ros_fiware_bridge.conftest import Shop
+
+pytestmark = pytest.mark.slow
+
+MAPPING = """
+ros_to_ngsild:
+  every:
+    {topic: /every, type: std_msgs/Int32, entity: Device:every, attributes: {n: data}, buffer: {keep: 1000}}
+  few:
+    topic: /few
+    type: std_msgs/Int32
+    entity: Device:few
+    attributes: {n: data}
+    qos: {depth: 1}
+    buffer: {keep: 1000}
+  slow: {topic: /slow, type: std_msgs/Int32, entity: Device:slow, attributes: {n: data}, buffer: {keep: 5}}
+  newest: {topic: /slow, type: std_msgs/Int32, entity: Device:newest, attributes: {n: data}}
+"""
+ALL = Qos(history=History.KEEP_ALL)
+DELAY_S = 0.25
+
+
+class Slow:
+    """A network on which every request of the bridge to the broker takes a while."""
+
+    def __init__(self, target: int) -> None:
+        self.port = next_free_port()
+        self.delay_s = 0.0
+        self._target = target
+
+    @asynccontextmanager
+    async def opened(self) -> AsyncIterator[None]:
+        server = await asyncio.start_server(self._carry, "127.0.0.1", self.port)
+        try:
+            yield
+        finally:
+            server.close()
+
+    async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        there, back = await asyncio.open_connection("127.0.0.1", self._target)
+
+        async def pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter, slow: bool) -> None:
+            try:
+                while data := await source.read(65536):
+                    if slow:
+                        await asyncio.sleep(self.delay_s)
+                    sink.write(data)
+                    await sink.drain()
+            except ConnectionError:
+                pass
+            finally:
+                sink.close()
+
+        await asyncio.gather(pump(reader, back, True), pump(there, writer, False))
+
+
+@pytest.fixture(scope="module")
+def at_work(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+    with new_cell(tmp_path_factory.mktemp("cell")) as cell:
+        made = Shop(cell, random.randint(1, 100))
+        cell.start("context_broker", within_s=90.0)
+        yield made
+
+
+@pytest.fixture
+async def slow(shop: Shop) -> AsyncIterator[Slow]:
+    """The bridge, and the network between it and the broker."""
+    network = Slow(shop.cell.ports["context_broker"])
+    async with network.opened():
+        await asyncio.to_thread(shop.begin, MAPPING, HANDOVER_BROKER_URL=f"http://127.0.0.1:{network.port}")
+        yield network
+        await asyncio.to_thread(shop.cell.kill, "ros_fiware_bridge")
+
+
+async def alert(shop: Shop, key: str) -> str:
+    found = [one for one in await shop.broker.query(type="Alert") if key in one["id"]]
+    return str(found[0]["description"]["value"]) if found else ""
+
+
+def metric(shop: Shop, name: str, rule: str, cause: str) -> float:
+    text = httpx.get(f"{shop.cell.url('ros_fiware_bridge')}/metrics", timeout=10).text
+    wanted = f'{name}{{cause="{cause}",rule="{rule}"}} '
+    return sum(float(line.removeprefix(wanted)) for line in text.splitlines() if line.startswith(wanted))
+
+
+async def rule_becomes(shop: Shop, rule: str, **wanted: Any) -> dict[str, Any]:
+    def found() -> Any:
+        seen = shop.rule(rule)
+        return all(seen[name] == value for name, value in wanted.items()) and seen
+
+    view: dict[str, Any] = await shop.until(lambda: asyncio.to_thread(found), 60.0, f"{rule}: {wanted}")
+    return view
+
+
+async def test_a_reader_keeps_as_many_as_the_buffer(shop: Shop, slow: Slow) -> None:
+    every = await shop.speaks("/every", "std_msgs/msg/Int32", ALL)
+    for number in range(900):
+        every.publish({"data": number})
+    seen = await rule_becomes(shop, "every", told=900)
+    assert (seen["heard"], seen["dropped"], seen["losses"]) == (900, 0, {})
+
+
+async def test_a_reader_that_keeps_too_few_is_told_by_metric_and_alert(shop: Shop, slow: Slow) -> None:
+    few = await shop.speaks("/few", "std_msgs/msg/Int32", ALL)
+    for number in range(200):
+        few.publish({"data": number})
+
+    def accounted() -> Any:
+        seen = shop.rule("few")
+        return seen["told"] + seen["dropped"] == 200 and seen
+
+    seen = await shop.until(lambda: asyncio.to_thread(accounted), 60.0)
+    assert seen["losses"]["reader_overflow"] > 0
+    assert seen["told"] == seen["heard"]
+    assert metric(shop, "handover_ros_bridge_dropped_total", "few", "reader_overflow") == seen["dropped"]
+
+    async def alerted() -> bool:
+        return f"few: {seen['dropped']} messages came faster" in await alert(shop, "lost-reader_overflow-few")
+
+    await shop.until(alerted, 60.0)
+
+
+async def test_a_broker_that_is_too_slow_is_an_alert_and_what_is_conflated_is_none(
+    shop: Shop, slow: Slow
+) -> None:
+    said = 150
+    speaker = await shop.speaks("/slow", "std_msgs/msg/Int32", ALL)
+    await shop.until(lambda: shop.rule("slow")["publishers"] and shop.rule("newest")["publishers"], 60.0)
+    slow.delay_s = DELAY_S
+    for number in range(said):
+        speaker.publish({"data": number})
+        await asyncio.sleep(0.01)
+
+    def accounted() -> bool:
+        slow, newest = shop.rule("slow"), shop.rule("newest")
+        return bool(slow["told"] + slow["dropped"] == said and newest["told"] + newest["conflated"] == said)
+
+    await shop.until(lambda: asyncio.to_thread(accounted), 60.0)
+    lost = shop.rule("slow")["losses"]
+    assert set(lost) <= {"broker_slow", "reader_overflow"}
+    assert lost["broker_slow"] > 0
+    assert metric(shop, "handover_ros_bridge_dropped_total", "slow", "broker_slow") == lost["broker_slow"]
+
+    async def alerted() -> bool:
+        return "because the broker takes them too slowly" in await alert(shop, "lost-broker_slow-slow")
+
+    await shop.until(alerted, 60.0)
+    assert shop.rule("newest")["losses"] == {}
+    assert not await alert(shop, "newest")
+    assert await shop.value("urn:ngsi-ld:Device:demo:newest", "n") == said - 1
+
+
+async def test_told_counts_only_what_the_broker_has_taken(shop: Shop, slow: Slow) -> None:
+    every = await shop.speaks("/every", "std_msgs/msg/Int32", ALL)
+    shop.cell.kill("context_broker")
+    try:
+        for number in range(20):
+            every.publish({"data": number})
+        await rule_becomes(shop, "every", heard=20)
+        assert shop.rule("every")["told"] == 0
+    finally:
+        await asyncio.to_thread(shop.cell.start, "context_broker", within_s=90.0)
+    await rule_becomes(shop, "every", told=20, dropped=0)

@@ -1,0 +1,41 @@
+"""A process whose entities have left the broker is on the page all the same, with its Tasks."""
+
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.conftest import Cell, wait_until
+from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing
+
+pytestmark = pytest.mark.slow
+
+
+def test_a_page_opened_after_a_process_was_archived_shows_it(cell: Cell, look: Any) -> None:
+    cell.extra["HANDOVER_RETENTION_H"] = "0.0001"
+    cell.start("context_broker", "task_orchestrator", "webui")
+    entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
+    with (
+        httpx.Client(base_url=cell.url("task_orchestrator"), trust_env=False) as orchestrator,
+        httpx.Client(base_url=entities, trust_env=False) as broker,
+    ):
+        xml = {"Content-Type": "application/xml"}
+        orchestrator.post("/definitions", content=drawing(ONE_STEP), headers=xml).raise_for_status()
+        process = orchestrator.post("/processes", json={"definition": "p"}).json()["id"]
+        task = f"urn:ngsi-ld:Task:demo:{process}-work-1"
+        wait_until(lambda: broker.get(f"/{task}").is_success)
+        first = look()
+        first.read_until(lambda: first.process().get("status") == "inProgress")
+        change = {"status": {"type": "Property", "value": "completed", "observedAt": "2040-01-01T00:00:00Z"}}
+        broker.post(f"/{task}/attrs", json=change).raise_for_status()
+        first.read_until(lambda: first.process().get("status") == "completed")
+        wait_until(lambda: orchestrator.get(f"/processes/{process}").json()["archivedAt"])
+        wait_until(lambda: broker.get(f"/{task}").status_code == 404)
+    cell.kill("webui")
+    cell.start("webui")
+    second = look()
+    second.read_until(lambda: second.process().get("archivedAt"))
+    assert second.process()["id"] == process
+    assert second.process()["status"] == "completed"
+    assert [each["status"] for each in second.process()["tasks"]] == ["completed"]
+    assert second.process()["tasks"][0]["history"]

@@ -1,0 +1,185 @@
+"""The outbound policy: which addresses the broker connects to, and how much of an answer it inflates."""
+
+import asyncio
+import gzip
+import socket
+import tracemalloc
+import zlib
+from typing import Any
+
+import pytest
+
+from handover.errors import Problem, UsageError
+from services.context_broker.network.http_sender import (
+    HttpAsker,
+    HttpSender,
+    SendError,
+    TooLarge,
+    inflated,
+)
+from services.context_broker.network.outbound_policy import SETTING, OutboundPolicy, Refused, is_loopback
+from services.context_broker.settings import BrokerSettings
+
+ON_LOOPBACK, BEYOND = OutboundPolicy(), OutboundPolicy(listens_beyond_loopback=True)
+NEVER = [
+    "169.254.169.254", "169.254.0.1", "fe80::1", "fe80::1%eth0", "::ffff:169.254.169.254",
+    "100.100.100.200", "168.63.129.16", "192.0.0.192", "fd00:ec2::254", "fd20:ce::254",
+    "64:ff9b::a9fe:a9fe", "2002:a9fe:a9fe::1", "::169.254.169.254",
+    "224.0.0.1", "239.255.255.250", "ff02::1",
+]  # fmt: skip
+LOOPBACK = ["127.0.0.1", "127.8.8.8", "::1", "0.0.0.0", "0.1.2.3", "::", "::ffff:127.0.0.1"]
+NOT_PUBLIC = [
+    "10.0.0.5", "172.16.0.1", "172.31.255.255", "192.168.1.4", "100.64.0.1", "100.127.255.254", "198.18.0.1",
+    "192.0.0.8", "fd00::1", "fc00::1", "fec0::1", "::ffff:10.0.0.5", "64:ff9b::7f00:1", "64:ff9b::808:808",
+    "64:ff9b:1::a00:5", "2002:7f00:1::1", "2001:0:4136:e378:8000:63bf:3fff:fdd2", "::127.0.0.1",
+    "::ffff:0:7f00:1", "255.255.255.255", "240.0.0.1", "203.0.113.7", "2001:db8::1", "100::1", "4000::1",
+]  # fmt: skip
+PUBLIC = ["8.8.8.8", "172.32.0.1", "100.128.0.1", "::ffff:8.8.8.8", "2606:4700::1111", "2a00:1450:4001::1"]
+
+
+@pytest.mark.parametrize("host", NEVER)
+@pytest.mark.parametrize("policy", [ON_LOOPBACK, BEYOND], ids=["on loopback", "beyond"])
+def test_link_local_metadata_and_multicast_addresses_are_always_refused(
+    policy: OutboundPolicy, host: str
+) -> None:
+    assert SETTING in (policy.fault_of(host) or "")
+
+
+@pytest.mark.parametrize("host", [*LOOPBACK, *NOT_PUBLIC])
+def test_a_broker_that_others_reach_connects_to_public_addresses_alone(host: str) -> None:
+    assert SETTING in (BEYOND.fault_of(host) or "")
+    assert ON_LOOPBACK.fault_of(host) is None
+
+
+@pytest.mark.parametrize("host", PUBLIC)
+def test_public_addresses_are_open(host: str) -> None:
+    assert BEYOND.fault_of(host) is None
+
+
+@pytest.mark.parametrize(
+    ("allowed", "opened", "refused"),
+    [
+        ("10.0.0.0/8", ["10.0.0.5", "::ffff:10.9.9.9"], ["192.168.1.4", "127.0.0.1", "64:ff9b::a00:5"]),
+        ("127.0.0.1", ["127.0.0.1"], ["127.0.0.2", "::1"]),
+        (" ::1 , fd00::/8,", ["::1", "fd12::5"], ["127.0.0.1", "fe80::1"]),
+        ("169.254.169.254/32", ["169.254.169.254"], ["169.254.169.253"]),
+        ("64:ff9b::/96", ["64:ff9b::808:808"], ["64:ff9b:1::808:808"]),
+    ],
+)
+def test_the_setting_opens_networks_and_addresses(
+    allowed: str, opened: list[str], refused: list[str]
+) -> None:
+    policy = BrokerSettings.load(host="0.0.0.0", broker_outbound_allow=allowed).outbound_policy()
+    assert [policy.fault_of(one) for one in opened] == [None] * len(opened)
+    assert all(policy.fault_of(one) for one in refused)
+
+
+@pytest.mark.parametrize("host", ["localhost", "LOCALHOST"])
+def test_the_setting_opens_hosts_by_their_names(host: str) -> None:
+    policy = OutboundPolicy.of("0.0.0.0", "task-orchestrator,localhost")
+    assert set(asyncio.run(policy.resolved(host, 80))) <= {"127.0.0.1", "::1"}
+    assert policy.fault_of("127.0.0.1"), "the name is open, not every way to write its address"
+
+
+@pytest.mark.parametrize("wrong", ["10.0.0.1/8", "10.0.0.300", "http://cell:80", "a b", "*", "10.0.0.0/33"])
+def test_an_entry_that_is_neither_host_nor_network_is_named(wrong: str) -> None:
+    with pytest.raises(UsageError, match=SETTING) as refused:
+        BrokerSettings.load(broker_outbound_allow=f"localhost,{wrong}")
+    assert repr(wrong) in str(refused.value)
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.1", "2130706433", "0x7f.1", "0177.0.0.1"])
+def test_names_and_odd_spellings_are_judged_by_what_they_resolve_to(host: str) -> None:
+    with pytest.raises(Refused, match="own machine"):
+        asyncio.run(BEYOND.resolved(host, 80))
+    with pytest.raises(Problem) as refused:
+        asyncio.run(BEYOND.require_open(host, "the endpoint"))
+    assert refused.value.status == 400
+    assert SETTING in refused.value.detail
+
+
+def test_a_name_that_does_not_resolve_yet_passes_and_fails_when_used() -> None:
+    asyncio.run(BEYOND.require_open("nobody.invalid", "the endpoint"))
+    with pytest.raises(SendError):
+        asyncio.run(HttpSender(BEYOND).post("http://nobody.invalid/", [], b"", 5))
+
+
+@pytest.mark.parametrize("client", [HttpSender, HttpAsker])
+def test_a_refused_address_is_refused_again_when_it_is_used(client: type[HttpSender]) -> None:
+    with pytest.raises(SendError, match=SETTING):
+        asyncio.run(client(BEYOND).post("http://127.0.0.1:9/", [], b"", 5))
+
+
+def test_a_connection_goes_to_the_address_that_was_judged_whatever_the_name_resolves_to_later() -> None:
+    """A name server that answers with an open address first and with another machine's from then on."""
+
+    async def scenario() -> tuple[int, int]:
+        served = 0
+
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            nonlocal served
+            served += 1
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n")
+            writer.close()
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        loop, lookups = asyncio.get_running_loop(), 0
+        genuine = loop.getaddrinfo
+
+        async def rebinding(host: Any, *args: Any, **kwargs: Any) -> Any:
+            nonlocal lookups
+            if host != "rebound.example":
+                return await genuine(host, *args, **kwargs)
+            lookups += 1
+            first = "127.0.0.1" if lookups == 1 else "127.0.0.99"
+            return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (first, port))]
+
+        loop.getaddrinfo = rebinding  # type: ignore[method-assign]  # stands for the name server
+        policy = OutboundPolicy.of("0.0.0.0", "127.0.0.1")
+        assert await HttpSender(policy).post(f"http://rebound.example:{port}/", [], b"", 5) == 204
+        with pytest.raises(SendError, match=SETTING):
+            await HttpSender(policy).post(f"http://rebound.example:{port}/", [], b"", 5)
+        server.close()
+        return served, lookups
+
+    assert asyncio.run(scenario()) == (1, 2), "one look-up for each connection, and none behind it"
+
+
+@pytest.mark.parametrize(
+    ("host", "beyond"),
+    [
+        ("127.0.0.1", False),
+        ("localhost", False),
+        ("::1", False),
+        ("0.0.0.0", True),
+        ("::", True),
+        ("192.168.1.4", True),
+        ("my-host", True),
+    ],
+)
+def test_the_address_that_the_broker_listens_on_decides(host: str, *, beyond: bool) -> None:
+    assert BrokerSettings.load(host=host).outbound_policy().listens_beyond_loopback is beyond
+    assert is_loopback(host) is not beyond
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, zlib.compress])
+def test_a_body_is_inflated_up_to_the_limit_and_no_farther(pack: Any) -> None:
+    assert inflated(pack(b"x" * 1000), 1000) == b"x" * 1000
+    with pytest.raises(TooLarge, match="inflates to more than 999 bytes"):
+        inflated(pack(b"x" * 1000), 999)
+    with pytest.raises(SendError, match="cut"):
+        inflated(pack(bytes(range(256)) * 9)[:-9], 10_000)
+    bomb = pack(bytes(200 * 1024 * 1024))
+    tracemalloc.start()
+    with pytest.raises(TooLarge):
+        inflated(bomb, 1024 * 1024)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 16 * 1024 * 1024
+
+
+def test_what_cannot_be_inflated_is_an_error() -> None:
+    with pytest.raises(SendError, match="cannot be inflated"):
+        inflated(b"no gzip at all", 1000)

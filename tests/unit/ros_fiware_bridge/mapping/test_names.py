@@ -1,0 +1,30 @@
+import pytest
+
+from ros_fiware_bridge.mapping import names, parse
+from ros_fiware_bridge.mapping.document import WrongMapping
+from ros_fiware_bridge.rules import plan
+from ros_fiware_bridge.types.type_store import TypeStore
+
+
+def test_a_place_stands_for_one_part_of_a_topic() -> None:
+    assert names.topic_pattern("{robot}/odom") == "/{robot}/odom"
+    assert names.places("/{site}/{robot}/odom") == ("site", "robot")
+    found = names.matcher("/{robot}/odom").fullmatch("/amr_1/odom")
+    assert found is not None
+    assert found.groupdict() == {"robot": "amr_1"}
+    for other in ("/amr_1/x/odom", "//odom", "/odom", "/amr_1/odom2"):
+        assert names.matcher("/{robot}/odom").fullmatch(other) is None
+
+
+@pytest.mark.parametrize(
+    "wrong", ["/{Robot}/odom", "/{robot/odom", "/{}/odom", "/{robot}//odom", "/{a}/{a}/x"]
+)
+def test_a_pattern_that_is_none_is_refused(wrong: str) -> None:
+    with pytest.raises(ValueError, match=r"topic|place"):
+        names.topic_pattern(wrong)
+
+
+def test_a_rule_for_many_topics_says_its_type() -> None:
+    text = "ros_to_ngsild: {odom: {topic: '/{robot}/odom', entity: 'Device:{robot}', attributes: {x: pose}}}"
+    with pytest.raises(WrongMapping, match="has places, so say which type it has"):
+        plan.make(parse(text), TypeStore(), "demo")

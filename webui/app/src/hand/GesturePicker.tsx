@@ -1,0 +1,120 @@
+/**
+ * One gesture of many: a button that shows the chosen hand, and a panel with the pictures of all, which can be
+ * searched. Its tiles are large enough for a finger in a glove.
+ */
+import { ArrowRight, ChevronDown, Search } from "lucide-react";
+import { Fragment, useId, useState } from "react";
+import { Button as AriaButton, Dialog, Heading, Input, Label, ListBox, ListBoxItem, Modal, ModalOverlay, SearchField } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import "~/design/Ask.css";
+import { Button } from "~/design/Button";
+import { Hand, useGestureName } from "./Hand";
+import "./GesturePicker.css";
+
+/** One that is chosen from: `hands` are what it consists of, none of no gesture at all. */
+export interface GestureOption {
+  value: string;
+  hands: readonly { code: string; side: "left" | "right" }[];
+  /** They are shown one after the other. */
+  inTurn?: boolean;
+  /** What it is called, where that is not the gesture's own name. */
+  name?: string;
+}
+
+export interface GesturePickerProps {
+  label: string;
+  value: string;
+  options: readonly GestureOption[];
+  onChange: (value: string) => void;
+}
+
+export function GesturePicker({ label, value, options, onChange }: GesturePickerProps) {
+  const { t, i18n } = useTranslation("hand");
+  const gestureName = useGestureName();
+  const id = useId();
+  const [isOpen, setOpen] = useState(false);
+  const [search, setSearch] = useState("");
+  const nameOf = (option: GestureOption) => option.name ?? gestureName(option.value);
+  const chosen = options.find((one) => one.value === value);
+  const plain = (text: string) => text.toLocaleLowerCase(i18n.language);
+  const words = plain(search).split(/\s+/).filter((word) => word !== "");
+  const found = options.filter((one) => words.every((word) => plain(`${nameOf(one)} ${one.value}`).includes(word)));
+  const open = (next: boolean) => {
+    setOpen(next);
+    setSearch("");
+  };
+  const choose = (next: string) => {
+    open(false);
+    if (next !== value) onChange(next);
+  };
+  return (
+    <div className="gesture-picker">
+      <span id={`${id}-label`} className="gesture-picker__label">
+        {label}
+      </span>
+      <AriaButton className="gesture-picker__button" id={id} aria-labelledby={`${id}-label ${id}-value`} aria-haspopup="dialog" onPress={() => open(true)}>
+        {chosen !== undefined && <Hands option={chosen} size="56px" />}
+        <span id={`${id}-value`}>{chosen === undefined ? "–" : nameOf(chosen)}</span>
+        <ChevronDown aria-hidden size={18} />
+      </AriaButton>
+      <ModalOverlay className="ask__veil" isOpen={isOpen} onOpenChange={open} isDismissable>
+        <Modal className="ask gesture-picker__panel">
+          <Dialog className="ask__dialog gesture-picker__dialog">
+            <Heading slot="title" className="ask__title">
+              {label}
+            </Heading>
+            <SearchField className="gesture-picker__search" value={search} onChange={setSearch} autoFocus>
+              <Label className="visually-hidden">{t("picker.search")}</Label>
+              <Search aria-hidden size={20} />
+              <Input placeholder={t("picker.search")} onKeyDown={(event) => {
+                const [only] = found;
+                if (event.key === "Enter" && only !== undefined && found.length === 1) choose(only.value);
+              }} />
+            </SearchField>
+            <ListBox
+              className="gesture-picker__tiles"
+              aria-label={label}
+              layout="grid"
+              selectionMode="single"
+              selectedKeys={[keyOf(value)]}
+              items={found.map((option) => ({ id: keyOf(option.value), option }))}
+              renderEmptyState={() => <p className="quiet">{t("picker.none")}</p>}
+              onSelectionChange={(keys) => {
+                // The one that is chosen already, chosen again, is no selection any more: it stays.
+                const [key] = keys === "all" ? [] : keys;
+                choose(valueOf(String(key ?? keyOf(value))));
+              }}
+            >
+              {({ option }) => (
+                <ListBoxItem className="gesture-picker__tile" textValue={nameOf(option)}>
+                  <Hands option={option} size="96px" />
+                  <span>{nameOf(option)}</span>
+                </ListBoxItem>
+              )}
+            </ListBox>
+            <div className="ask__acts">
+              <Button onPress={() => open(false)}>{t("picker.cancel")}</Button>
+            </div>
+          </Dialog>
+        </Modal>
+      </ModalOverlay>
+    </div>
+  );
+}
+
+/** A key is never empty, a value may be: "with no gesture". */
+const keyOf = (value: string) => `=${value}`;
+const valueOf = (key: string) => key.slice(1);
+
+function Hands({ option, size }: { option: GestureOption; size: string }) {
+  return (
+    <span className="gesture-picker__hands" aria-hidden>
+      {option.hands.map(({ code, side }, nth) => (
+        <Fragment key={nth}>
+          {option.inTurn === true && nth > 0 && <ArrowRight size={18} />}
+          <Hand states={code} side={side} size={size} />
+        </Fragment>
+      ))}
+    </span>
+  );
+}

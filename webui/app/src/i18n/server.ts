@@ -1,0 +1,45 @@
+/**
+ * What servers say, in the language of the page: they send an English text with a code and parameters, and
+ * `server.json` has the words of each code. A code that is new to the page is left in English.
+ */
+import i18next from "i18next";
+import { number } from "~/design/numbers";
+
+export interface Said {
+  text: string;
+  code: string | null;
+  parameters: Record<string, unknown>;
+}
+
+/** Read the member `name` of a JSON object with its code and parameters; null where there is no text. */
+export function saidIn(members: object, name: string): Said | null {
+  const of = members as Record<string, unknown>;
+  const text = of[name];
+  if (typeof text !== "string") return null;
+  const code = of[`${name}Code`];
+  const parameters = of[`${name}Parameters`];
+  return {
+    text,
+    code: typeof code === "string" ? code : null,
+    parameters: typeof parameters === "object" && parameters !== null ? (parameters as Record<string, unknown>) : {},
+  };
+}
+
+/** Return what was said in the language of the page. */
+export function inWords({ text, code, parameters }: Said): string {
+  if (code === null || !i18next.exists(`server:${code}`)) return text;
+  const words = Object.entries(parameters).map(([name, value]) => [name, asWord(value)]);
+  return i18next.t(`server:${code}`, Object.fromEntries(words) as Record<string, string>);
+}
+
+/** Return the member `name` of a JSON object in the language of the page; null where there is no text. */
+export function wordsIn(members: object, name: string): string | null {
+  const said = saidIn(members, name);
+  return said === null ? null : inWords(said);
+}
+
+function asWord(value: unknown): string {
+  if (typeof value === "number") return number(value, i18next.language, { maximumFractionDigits: 3 });
+  if (typeof value === "object" && value !== null) return wordsIn(value, "text") ?? "";
+  return typeof value === "string" || typeof value === "boolean" ? String(value) : "";
+}

@@ -1,0 +1,26 @@
+/** The state of a Task in words: also what a person has answered, and whether anybody is there to perform it. */
+import { useTranslation } from "react-i18next";
+import { State } from "~/design/State";
+import { statusTone } from "~/design/states";
+import { useFamily } from "~/live/hooks";
+import type { TaskView } from "~/live/messages";
+import { isSame } from "~/live/urn";
+
+export function TaskState({ task }: { task: TaskView }) {
+  const { t } = useTranslation(["processes", "common"]);
+  const absent = useAbsent(task);
+  const outcome = task.outputParameters?.["outcome"];
+  if (outcome === "notGood" || outcome === "problem") {
+    return <State tone={task.status === "failed" ? "stop" : "attention"}>{t(`outcome.${outcome}`)}</State>;
+  }
+  if (absent !== null) return <State tone="attention">{t("task.waitsFor", { who: absent })}</State>;
+  return <State tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</State>;
+}
+
+/** Return the glove that a Task waits for: it has been taken, but nobody wears the glove that could answer it. */
+function useAbsent({ status, involves }: TaskView): string | null {
+  const gloves = useFamily("glove");
+  if (status !== "inProgress") return null;
+  const asked = gloves.filter(({ glove, person }) => involves.some((one) => isSame(one, glove) || isSame(one, person)));
+  return asked.length > 0 && asked.every(({ connected }) => !connected) ? (asked[0]?.glove ?? null) : null;
+}

@@ -1,0 +1,42 @@
+/** Answering that something is not good, or that there is a problem: a note if one likes, and one confirmation. */
+import { useState } from "react";
+import { Label, TextArea, TextField } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import { Ask } from "~/design/Ask";
+import type { Outcome } from "~/live/messages";
+
+export type ReportedOutcome = Exclude<Outcome, "ok">;
+
+/** As long as the gesture controller takes. */
+const MAX_NOTE = 500;
+
+export interface ReportPanelProps {
+  outcome: ReportedOutcome;
+  /** What was asked, in words. */
+  task: string;
+  onReport: (outcome: Outcome, note: string) => Promise<void>;
+  onClose: () => void;
+}
+
+export function ReportPanel({ outcome, task, onReport, onClose }: ReportPanelProps) {
+  const { t } = useTranslation("work");
+  const [note, setNote] = useState("");
+  return (
+    <Ask
+      isOpen
+      onClose={onClose}
+      title={t(`report.${outcome}.title`)}
+      act={t(`report.${outcome}.act`)}
+      kind="stop"
+      size="large"
+      onAct={() => onReport(outcome, note.trim())}
+    >
+      <p>{task}</p>
+      <p className="quiet">{t(`report.${outcome}.means`)}</p>
+      <TextField className="report__note" value={note} onChange={setNote} maxLength={MAX_NOTE}>
+        <Label>{t("report.note")}</Label>
+        <TextArea rows={2} />
+      </TextField>
+    </Ask>
+  );
+}

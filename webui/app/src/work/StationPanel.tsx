@@ -1,0 +1,92 @@
+/** The station's settings: how large the screen is and from how far it is read. Kept on this device. */
+import { Minus, Plus } from "lucide-react";
+import { useState } from "react";
+import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
+import { useTranslation } from "react-i18next";
+import { Button } from "~/design/Button";
+import "~/design/Ask.css";
+import { number } from "~/design/numbers";
+import { bounds, keepStation, minFontPx, useStation, type Station } from "./station";
+import "./StationPanel.css";
+
+export function StationPanel({ onClose }: { onClose: () => void }) {
+  const { t, i18n } = useTranslation(["work", "common"]);
+  const { station } = useStation();
+  const [draft, setDraft] = useState<Station>(station);
+  const { width, height } = window.screen;
+  const shown = (value: number) => number(value, i18n.language, { maximumFractionDigits: 1 });
+  const px = Math.round(minFontPx(draft, { width, height }));
+  return (
+    <ModalOverlay className="ask__veil" isOpen onOpenChange={(open) => !open && onClose()} isDismissable>
+      <Modal className="ask ask--large">
+        <Dialog className="ask__dialog ask__form">
+          <Heading slot="title" className="ask__title">
+            {t("station.title")}
+          </Heading>
+          <p>{t("station.means")}</p>
+          <Stepper
+            label={t("station.diagonal")}
+            value={draft.diagonalIn}
+            shown={t("station.inches", { value: shown(draft.diagonalIn) })}
+            {...bounds.diagonalIn}
+            onChange={(diagonalIn) => setDraft({ ...draft, diagonalIn })}
+          />
+          <Stepper
+            label={t("station.distance")}
+            value={draft.distanceM}
+            shown={t("station.metres", { value: shown(draft.distanceM) })}
+            {...bounds.distanceM}
+            onChange={(distanceM) => setDraft({ ...draft, distanceM })}
+          />
+          <p className="quiet" role="status">
+            {t("station.result", { px: shown(px) })}
+          </p>
+          <div className="ask__acts">
+            <Button
+              size="large"
+              onPress={() => {
+                keepStation(null);
+                onClose();
+              }}
+            >
+              {t("station.standard")}
+            </Button>
+            <Button
+              size="large"
+              kind="main"
+              onPress={() => {
+                keepStation(draft);
+                onClose();
+              }}
+            >
+              {t("station.keep")}
+            </Button>
+          </div>
+        </Dialog>
+      </Modal>
+    </ModalOverlay>
+  );
+}
+
+interface StepperProps {
+  label: string;
+  value: number;
+  shown: string;
+  min: number;
+  max: number;
+  step: number;
+  onChange: (value: number) => void;
+}
+
+function Stepper({ label, value, shown, min, max, step, onChange }: StepperProps) {
+  const { t } = useTranslation("work");
+  const moved = (by: number) => Math.round(Math.min(max, Math.max(min, value + by)) * 10) / 10;
+  return (
+    <div className="station__stepper" role="group" aria-label={label}>
+      <span>{label}</span>
+      <Button size="large" label={t("station.less", { what: label })} icon={<Minus aria-hidden size="1em" />} isDisabled={value <= min} onPress={() => onChange(moved(-step))} />
+      <output>{shown}</output>
+      <Button size="large" label={t("station.more", { what: label })} icon={<Plus aria-hidden size="1em" />} isDisabled={value >= max} onPress={() => onChange(moved(step))} />
+    </div>
+  );
+}
