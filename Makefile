@@ -31,7 +31,7 @@ define tests_beside_page
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
+.PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check dist third-party lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -99,11 +99,19 @@ python-check: setup
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 	@$(BIN)/python -m datamodels.schemas --check
+	@$(BIN)/python -m requirements.third_party --check
 
 page-check: setup
 	@$(PAGE) size
 	@$(PAGE) lint
 	@$(PAGE) test
+
+dist: setup  ## the wheel with the page in it, and the source archive
+	@rm -rf dist
+	@$(BIN)/python -m hatchling build -t sdist -t wheel -d dist
+
+third-party: setup  ## write THIRD_PARTY.md from the metadata of the installed packages
+	@$(BIN)/python -m requirements.third_party
 
 lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds hashes)
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) pyproject.toml -o requirements/run.lock
