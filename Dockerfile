@@ -25,12 +25,12 @@ RUN --mount=type=secret,id=npmrc --mount=type=secret,id=certificates \
     python -m webui.build
 
 
-# The wheel with the page in it, installed beside exactly what requirements/run.lock names.
+# The wheel with the page in it, installed beside exactly what requirements/container.lock names.
 FROM workshop AS house
 RUN python -m venv /opt/handover
-COPY requirements/run.lock requirements/build.lock requirements/
+COPY requirements/container.lock requirements/build.lock requirements/
 RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
-    /opt/handover/bin/pip install --quiet --require-hashes --only-binary :all: -r requirements/run.lock \
+    /opt/handover/bin/pip install --quiet --require-hashes --only-binary :all: -r requirements/container.lock \
     && pip install --quiet --require-hashes --only-binary :all: -r requirements/build.lock
 COPY . .
 COPY --from=page /source/webui/page webui/page

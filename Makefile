@@ -40,16 +40,28 @@ setup: $(READY)  ## install everything that demo and test need into .venv, and b
 	@$(PAGE)
 
 # Compiled at once: where PYTHONDONTWRITEBYTECODE is set, every service would compile its libraries at each start.
-$(READY): $(LOCK) requirements/uv.lock pyproject.toml
+define install
 	@command -v $(PYTHON) >/dev/null || { echo "there is no $(PYTHON) on this machine; install Python 3.11 to 3.13, or name another with make PYTHON=…" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; ok = (3, 11) <= sys.version_info[:2] <= (3, 13); sys.exit(not ok and f"Handover needs Python 3.11 to 3.13, and $(PYTHON) is {sys.version.split()[0]}; choose another with make PYTHON=python3.12")'
 	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: sudo apt install python3-venv" >&2; exit 1; }
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/uv.lock
-	@$(BIN)/uv pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes $(LOCK)
+	@$(BIN)/uv pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes $(1)
 	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@
+endef
 
-demo: setup  ## a person and a robot work through the bin-picking process (ONCE=1: end after it)
+$(READY): $(LOCK) requirements/uv.lock pyproject.toml
+	$(call install,$(LOCK))
+
+# The demo needs a third of it. Where everything is installed already, that is used.
+DEMO_LOCKS := requirements/run.lock requirements/build.lock
+DEMO_READY := $(if $(wildcard $(READY)),$(READY),$(VENV)/.ready-demo)
+
+$(VENV)/.ready-demo: $(DEMO_LOCKS) requirements/uv.lock pyproject.toml
+	$(call install,$(DEMO_LOCKS))
+
+demo: $(DEMO_READY)  ## a person and a robot work through the bin-picking process (ONCE=1: end after it)
+	@$(PAGE)
 	@$(BIN)/handover demo $(if $(filter 1 yes true,$(ONCE)),--once) $(ARGS)
 
 up: setup  ## every service, nobody simulated but the robot
@@ -115,6 +127,7 @@ third-party: setup  ## write THIRD_PARTY.md from the metadata of the installed p
 
 lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds hashes)
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) pyproject.toml -o requirements/run.lock
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra research pyproject.toml -o requirements/container.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra ros pyproject.toml -o requirements/ros.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.12 $(ARGS) --extra ros --override requirements/jazzy.in pyproject.toml -o requirements/jazzy.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra dev pyproject.toml -o requirements/dev.lock

@@ -3,7 +3,7 @@
     python -m requirements.third_party            # write the file
     python -m requirements.third_party --check    # fail if the file is not up to date
 
-The names come from the locks (`run.lock`, `ros.lock`, `webui/app/package-lock.json`), the licences from the
+The names come from the locks (`container.lock`, `ros.lock`, `package-lock.json`), the licences from the
 metadata of the installed packages. Versions are left out, because the locks have them. Both commands fail on
 a package with a licence that Apache-2.0 software cannot be distributed with, such as GPL, and on a
 package without a licence.
@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 FILE = ROOT / "THIRD_PARTY.md"
-LOCKS = (ROOT / "requirements" / "run.lock", ROOT / "requirements" / "ros.lock")
+LOCKS = (ROOT / "requirements" / "container.lock", ROOT / "requirements" / "ros.lock")
 APP = ROOT / "webui" / "app"
 
 SPDX = {

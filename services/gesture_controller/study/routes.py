@@ -2,6 +2,7 @@
 
 import asyncio
 import hashlib
+import importlib.util
 import pickle
 from datetime import UTC, datetime
 from typing import Annotated, Any
@@ -10,6 +11,7 @@ from fastapi import Body, FastAPI, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from handover.errors import Problem
+from handover.messages import message
 from handover.offload import Offload, OffloadFailed
 from services.gesture_controller.study.conduct import DECLINED, Conduct
 from services.gesture_controller.study.protocol import FINISHED, STEPS, Language, Session
@@ -102,6 +104,7 @@ def add_study(app: FastAPI, conduct: Conduct) -> None:
         """Return the report of a study on A4."""
         from services.gesture_controller.study.pdf import pdf_of  # noqa: PLC0415 - seldom asked for
 
+        _require_installed("reportlab")
         found = await analyses.of(study)
         today = datetime.now(UTC).date().isoformat()
         pdf = await asyncio.to_thread(pdf_of, found, study, language, today)
@@ -146,6 +149,7 @@ class _Analyses:
         """Return what the answers of `study` say."""
         from services.gesture_controller.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
 
+        _require_installed("scipy")
         sessions = await self._conduct.sessions(study)
         key = hashlib.sha256(pickle.dumps(sessions)).digest()
         found = self._kept.pop(key, None)
@@ -158,6 +162,19 @@ class _Analyses:
         while len(self._kept) > MAX_ANALYSES_KEPT:
             del self._kept[next(iter(self._kept))]
         return found
+
+
+def _require_installed(library: str) -> None:
+    if importlib.util.find_spec(library) is None:
+        raise Problem(
+            501,
+            "Not installed",
+            message(
+                "study.not_installed",
+                "the analysis needs {library}; install the extra: pip install 'handover[research]'",
+                library=library,
+            ),
+        )
 
 
 def _file(content: bytes, media_type: str, study: str, kind: str) -> Response:

