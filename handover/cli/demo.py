@@ -1,9 +1,11 @@
 """The demonstration: a simulated operator and a simulated robot work through the bin-picking process."""
 
 import asyncio
+import shutil
 import sys
 import time
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -45,7 +47,7 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
         if not once:
             say("")
             say("Everything stays up; Ctrl-C ends it. To run the process again, in another terminal:")
-            say(f"  .venv/bin/handover process start {DEFINITION}")
+            say(f"  {_program()} process start {DEFINITION}")
             await asyncio.Event().wait()
 
 
@@ -95,6 +97,14 @@ async def _tasks(broker: BrokerClient, id_pattern: str) -> list[Task]:
         return await broker.find(Task, id_pattern=id_pattern)
     except BrokerError:
         return []
+
+
+def _program() -> str:
+    """Return how a person calls this program from here: by name where that finds it, else by path."""
+    program = Path(sys.executable).with_name("handover")
+    if shutil.which(program.name) == str(program):
+        return program.name
+    return str(program.relative_to(Path.cwd()) if program.is_relative_to(Path.cwd()) else program)
 
 
 def _operator() -> list[str]:

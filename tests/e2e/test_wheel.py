@@ -1,0 +1,101 @@
+"""The wheel alone is enough for the demo: no repository, no Node, no `.env`."""
+
+import re
+import signal
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.conftest import REPOSITORY, Cell
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+MAX_INSTALLED_MB = 250
+
+
+def run(*words: str | Path, cwd: Path = REPOSITORY, env: dict[str, str] | None = None) -> str:
+    """Run a command to its end and return its output; fail with the output if it fails."""
+    done = subprocess.run(
+        list(map(str, words)),
+        cwd=cwd,
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.returncode == 0, f"{done.args}: {done.stdout}{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of this work tree."""
+    folder = tmp_path_factory.mktemp("wheel")
+    run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder)
+    return next(folder.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A virtual environment with the locked dependencies of the demo and the wheel."""
+    folder = tmp_path_factory.mktemp("environment") / "venv"
+    run(sys.executable, "-m", "uv", "venv", "--quiet", "--python", sys.executable, folder)
+    install = (sys.executable, "-m", "uv", "pip", "install", "--quiet", "--python", folder / "bin" / "python")
+    run(*install, "--require-hashes", "-r", REPOSITORY / "requirements" / "run.lock")
+    run(*install, "--no-deps", wheel)
+    return folder
+
+
+def test_wheel_contains_page_processes_and_licences(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    for needed in (
+        "webui/page/index.html",
+        "services/task_orchestrator/processes/bin_picking.bpmn",
+        "services/trajectory_tool/scenes/bin_picking.yaml",
+        "datamodels/contexts/handover.jsonld",
+        "ros_fiware_bridge/mappings/arm.yaml",
+    ):
+        assert needed in names
+    licences = {Path(name).name for name in names if ".dist-info/licenses/" in name}
+    assert licences == {"LICENSE", "NOTICE", "THIRD_PARTY.md"}
+    assert not any(name.startswith(("tests/", "examples/", "webui/app/")) for name in names)
+
+
+def test_demo_completes_in_an_empty_folder(environment: Path, cell: Cell, tmp_path: Path) -> None:
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    variables = cell.environment
+    del variables["HANDOVER_DATA_DIR"]
+    variables.pop("PYTHONPATH", None)
+    story = run(environment / "bin" / "handover", "demo", "--once", cwd=folder, env=variables)
+    assert "process   completed" in story
+    assert [path.name for path in folder.iterdir()] == [".handover"]
+
+
+def test_page_is_served_from_the_wheel(environment: Path, cell: Cell) -> None:
+    program = [environment / "bin" / "handover", "up"]
+    with subprocess.Popen(
+        program, cwd=cell.data_dir, env=cell.environment, stdout=subprocess.PIPE, text=True
+    ) as up:
+        try:
+            assert up.stdout is not None
+            assert any(line.startswith("ready") for line in up.stdout)
+            page = httpx.get(f"{cell.url('webui')}/work")
+            assert page.status_code == 200
+            script = re.search(r'src="(/assets/[^"]+\.js)"', page.text)
+            assert script is not None
+            assert httpx.get(f"{cell.url('webui')}{script[1]}").status_code == 200
+        finally:
+            up.send_signal(signal.SIGINT)
+
+
+def test_environment_of_the_demo_is_small(environment: Path) -> None:
+    sizes = (
+        path.stat().st_size for path in environment.rglob("*") if path.is_file() and not path.is_symlink()
+    )
+    assert sum(sizes) < MAX_INSTALLED_MB * 10**6
