@@ -1,4 +1,4 @@
-"""A browser for tests of the screen: Debian's Chromium, and pages that fail a test when they stumble."""
+"""A browser for tests of the screen: Debian's Chromium, and pages that fail a test when they log an error."""
 
 import shutil
 from collections.abc import Callable, Iterator
@@ -9,10 +9,12 @@ from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from datamodels.times import iso
-from tests.conftest import REPOSITORY, Cell, wait_until
+from tests.kit.cell import Cell
+from tests.kit.paths import REPOSITORY
+from tests.kit.waiting import wait_for
 
 SCREENSHOTS = REPOSITORY / "build" / "screenshots"
 """Where the pictures of a run stay, to be looked at."""
@@ -26,6 +28,11 @@ FLAGS = [
 STILL = "Promise.allSettled(document.getAnimations().map((motion) => motion.finished)).then(() => true)"
 PANEL = {"width": 1280, "height": 800}
 
+TIMEOUT_MS = 90_000
+"""How long a test waits for an element or a state: long, since a slow machine is no reason to fail."""
+
+expect.set_options(timeout=TIMEOUT_MS)
+
 OpenPage = Callable[..., Page]
 
 
@@ -33,7 +40,7 @@ def answer(cell: Cell, task: str, status: str, **outputs: Any) -> None:
     """Answer a Task as its performer would, in the broker."""
     entity = f"{cell.url('context_broker')}/ngsi-ld/v1/entities/{task}"
     # Its own performer takes it up first, and would write over what was answered before that.
-    wait_until(lambda: '"inProgress"' in httpx.get(entity).text)
+    wait_for(lambda: '"inProgress"' in httpx.get(entity).text)
     stamp = iso(datetime.now(UTC))
     body = {
         "status": {"type": "Property", "value": status, "observedAt": stamp},
@@ -72,7 +79,7 @@ def quiet_screen(screen: Cell) -> Cell:
         f"{screen.url('gesture_controller')}/gloves/glove-1",
         f"{screen.url('trajectory_tool')}/robots/ur10-1",
     ):
-        wait_until(lambda busy=busy: httpx.get(busy).json()["task"] is None)  # type: ignore[misc]
+        wait_for(lambda busy=busy: httpx.get(busy).json()["task"] is None)  # type: ignore[misc]
     return screen
 
 
@@ -118,7 +125,7 @@ def open_page(browser: Browser, cell: Cell) -> Iterator[OpenPage]:
                 **options,
             )
             contexts.callback(context.close)
-            context.set_default_timeout(15_000)
+            context.set_default_timeout(TIMEOUT_MS)
             if who:
                 context.add_init_script(f"localStorage.setItem('handover.who', {who!r})")
             page = context.new_page()

@@ -11,8 +11,8 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell
 from tests.e2e.conftest import OpenPage
+from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -64,7 +64,7 @@ def states(cell: Cell) -> dict[str, Any]:
         f"{cell.url('context_broker')}/ngsi-ld/v1/entities",
         params={"type": "Alert", "limit": 1000, "options": "keyValues"},
         headers={"Link": context},
-        timeout=60,
+        timeout=120,
     ).json()
     return {entity["id"]: entity for entity in entities}
 

@@ -8,9 +8,10 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
-from tests.gloves import TcpGlove
+from tests.kit.cell import Cell
+from tests.kit.gloves import TcpGlove
+from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -74,7 +75,7 @@ def test_a_line_is_dragged_over_the_live_signal_and_let_go_unsaved(cell: Cell, o
             break
     expect(page.get_by_text("1 finger changed, not saved")).to_be_visible()
     page.keyboard.press("z")
-    wait_until(lambda: lower.input_value() == f"{before['ring']['lower']:,g}")
+    wait_for(lambda: lower.input_value() == f"{before['ring']['lower']:,g}")
     assert thresholds(cell) == before
 
 
@@ -110,7 +111,7 @@ def test_a_hand_is_led_through_a_calibration_that_names_the_finger_in_doubt(
         glove.show(shown[guide["step"]], 0.2)
         return guide["outcome"] is not None
 
-    wait_until(is_led)
+    wait_for(is_led)
     doubted = page.locator(".guided__outcome li").filter(has_text="ring finger")
     expect(doubted).to_contain_text("always shows the same value")
     accessible(page)

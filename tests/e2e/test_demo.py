@@ -41,7 +41,7 @@ def handover(cell: Any) -> Iterator[Start]:
     yield start
     for process in started:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=120)
 
 
 def read_until_ready(process: subprocess.Popen[str]) -> None:
@@ -79,7 +79,7 @@ def test_ctrl_c_stops_everything(handover: Start) -> None:
     assert services.keys() == SERVICES
     children = list(services.values())
     process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=20) == 0
+    assert process.wait(timeout=120) == 0
     assert not any(child.is_running() for child in children)
 
 
@@ -88,7 +88,7 @@ def test_no_service_outlives_a_killed_launcher(handover: Start, eventually: Call
     read_until_ready(process)
     children = list(services_of(process).values())
     process.kill()
-    process.wait(timeout=10)
+    process.wait(timeout=120)
     eventually(lambda: not any(child.is_running() for child in children), 15)
 
 
@@ -127,7 +127,7 @@ def test_services_killed_in_the_middle_are_started_again_and_the_process_complet
 def test_a_taken_port_is_one_readable_line(handover: Start, cell: Any, taken: str, setting: str) -> None:
     with socket.create_server(("127.0.0.1", cell.ports[taken])):
         process = handover("demo", "--once")
-        said, _ = process.communicate(timeout=60)
+        said, _ = process.communicate(timeout=120)
     assert process.returncode == 2
     complaint = said.strip().splitlines()[-1]
     assert str(cell.ports[taken]) in complaint
@@ -138,7 +138,7 @@ def test_a_taken_port_is_one_readable_line(handover: Start, cell: Any, taken: st
 def test_a_data_directory_that_cannot_be_used_is_one_readable_line(handover: Start, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a directory")
     process = handover("up", "--data-dir", str(tmp_path / "file"))
-    said, _ = process.communicate(timeout=60)
+    said, _ = process.communicate(timeout=120)
     assert process.returncode == 2
     assert len(said.strip().splitlines()) == 1
     assert "--data-dir" in said

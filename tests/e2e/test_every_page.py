@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell
 from tests.e2e.conftest import OpenPage
+from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

@@ -8,8 +8,8 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell
 from tests.e2e.conftest import OpenPage
+from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -35,7 +35,7 @@ def test_five_hundred_processes_are_told_apart_filtered_and_scrolled(
 ) -> None:
     cell = process_screen
     url = f"{cell.url('task_orchestrator')}/processes"
-    with httpx.Client(timeout=60) as client:
+    with httpx.Client(timeout=120) as client:
         for number in range(MANY):
             order = {"definition": "bin-picking", "key": f"order {number}"}
             client.post(url, json=order).raise_for_status()

@@ -13,8 +13,8 @@ import httpx
 import pytest
 from playwright.sync_api import Page
 
-from tests.conftest import Cell
 from tests.e2e.conftest import OpenPage
+from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -103,7 +103,7 @@ def test_with_the_mouse_only(
         page.get_by_role("button", name="Complete by hand").click()
         page.get_by_text("Completed by Anna").wait_for()
         with contextlib.suppress(Exception):  # a step of the robot may be over before it is looked at
-            page.get_by_text("Keep out of the cell").wait_for(timeout=3_000)
+            page.get_by_text("Keep out of the cell").wait_for(timeout=5_000)
             keep(page, "work-robot")
             seen_at_work = True
 
@@ -134,11 +134,11 @@ def test_what_is_lost_is_said_and_comes_back_under_the_page(
     page.get_by_role("button", name="Start Bin picking").click()
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
     cell.kill(service)
-    page.get_by_role("heading", name=title).wait_for(timeout=30_000)
+    page.get_by_role("heading", name=title).wait_for(timeout=120_000)
     accessible(page)
     keep(page, f"work-without-{service}")
     cell.start(service)
-    page.get_by_role("heading", name="Confirm that nobody").wait_for(timeout=30_000)
+    page.get_by_role("heading", name="Confirm that nobody").wait_for(timeout=120_000)
     page.get_by_role("button", name="Complete by hand").click()
     page.get_by_text("Completed by Anna").wait_for()
 
@@ -149,7 +149,7 @@ class Wearer:
     STRAIGHT, BENT = (1100, 1700, 1700, 1900, 2000), (700, 700, 400, 700, 800)
 
     def __init__(self, port: int) -> None:
-        self._link = socket.create_connection(("127.0.0.1", port), timeout=10)
+        self._link = socket.create_connection(("127.0.0.1", port), timeout=120)
         self._say({"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"})
         assert b'"ack"' in self._link.recv(4096)
         self._code = "22222"

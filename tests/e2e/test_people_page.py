@@ -9,9 +9,10 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
-from tests.gloves import TcpGlove
+from tests.kit.cell import Cell
+from tests.kit.gloves import TcpGlove
+from tests.kit.waiting import wait_for
 
 REFUSED = "the server responded with a status of 409"
 """What Chromium logs of an answer that the page shows."""
@@ -75,7 +76,7 @@ def test_two_browsers_show_the_same_without_being_loaded_again(cell: Cell, open_
     # What is changed without a browser reaches both as well.
     httpx.put(f"{cell.url('gesture_controller')}/people/fred", json={}).raise_for_status()
     for page in (one, other):
-        expect(page.get_by_role("button", name=re.compile("^fred"))).to_be_visible(timeout=20_000)
+        expect(page.get_by_role("button", name=re.compile("^fred"))).to_be_visible(timeout=120_000)
 
 
 @pytest.mark.usefixtures("glove_screen")
@@ -96,7 +97,7 @@ def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is
     page.get_by_role("button", name="Add the gesture").click()
     expect(page.get_by_text("Mine added")).to_be_visible()
     expect(page.get_by_role("button", name="Delete Mine")).to_be_visible()
-    wait_until(lambda: "Mine" in person(cell, "ben")["ownGestures"])
+    wait_for(lambda: "Mine" in person(cell, "ben")["ownGestures"])
 
 
 def test_a_gesture_is_recorded_by_making_it_and_taken_along_in_the_profile(
@@ -117,7 +118,7 @@ def test_a_gesture_is_recorded_by_making_it_and_taken_along_in_the_profile(
         glove.show("00002", 0.1)
         return delete.is_visible()
 
-    wait_until(is_recorded)
+    wait_for(is_recorded)
     glove.close()
     expect(page.get_by_text("Three added; the closest other gesture is")).to_be_visible()
     assert person(glove_screen, "carl")["ownGestures"]["Three"]["code"] == "00002"
@@ -166,4 +167,4 @@ def test_a_gesture_is_found_among_many_by_its_picture_or_its_name(
         assert panel.get_by_role("option").count() == 1
         page.keyboard.press("Enter")
     panel.wait_for(state="detached")
-    wait_until(lambda: person(glove_screen, "eve")["commands"]["3"] == "Horns")
+    wait_for(lambda: person(glove_screen, "eve")["commands"]["3"] == "Horns")

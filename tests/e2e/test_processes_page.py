@@ -9,8 +9,9 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import REPOSITORY, Cell
 from tests.e2e.conftest import OpenPage, answer
+from tests.kit.cell import Cell
+from tests.kit.paths import REPOSITORY
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

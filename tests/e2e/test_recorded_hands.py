@@ -58,13 +58,13 @@ def test_five_recorded_gestures_of_person_b_complete_five_tasks_and_no_wrong_one
     orchestrator, glove = cell.url("task_orchestrator"), f"{cell.url('gesture_controller')}/gloves/glove-1"
     file = recordings / "person_b.csv"
 
-    _, said = glove_command(cell, "calibrate", "--from", str(file)).communicate(timeout=30)
+    _, said = glove_command(cell, "calibrate", "--from", str(file)).communicate(timeout=120)
     assert b"glove-1 is calibrated" in said, said
     deployed = httpx.post(
         f"{orchestrator}/definitions",
         content=five_confirmations(),
         headers={"Content-Type": "application/xml"},
-        timeout=30,
+        timeout=120,
     )
     assert deployed.status_code == 201, deployed.text
     process = httpx.post(f"{orchestrator}/processes", json={"definition": "five-confirmations"}).json()["id"]
@@ -89,7 +89,7 @@ def test_five_recorded_gestures_of_person_b_complete_five_tasks_and_no_wrong_one
                     eventually(lambda pose=pose: asked() != GESTURE_OF_POSE[pose])
             finally:
                 hand.terminate()
-                hand.communicate(timeout=10)
+                hand.communicate(timeout=120)
 
     eventually(lambda: httpx.get(f"{orchestrator}/processes/{process}").json()["status"] == "completed")
     tasks = httpx.get(

@@ -9,8 +9,8 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, new_cell
 from tests.e2e.conftest import OpenPage
+from tests.kit.cell import Cell, new_cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

@@ -8,8 +8,9 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
+from tests.kit.cell import Cell
+from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -163,7 +164,7 @@ def test_a_participant_stays_in_the_study_and_can_pause_or_withdraw_at_any_time(
     keep(page, "study-at-work")
     page.get_by_role("button", name="Pause or leave").click()
     page.get_by_role("heading", name="Paused").wait_for()
-    wait_until(lambda: httpx.get(glove).json()["paused"])
+    wait_for(lambda: httpx.get(glove).json()["paused"])
     accessible(page)
     keep(page, "study-paused")
     page.reload()
@@ -174,7 +175,7 @@ def test_a_participant_stays_in_the_study_and_can_pause_or_withdraw_at_any_time(
     page.get_by_text("Wrong code").wait_for()
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Continue").click()
-    wait_until(lambda: not httpx.get(glove).json()["paused"])
+    wait_for(lambda: not httpx.get(glove).json()["paused"])
     page.get_by_role("button", name="Pause or leave").click()
     page.get_by_role("button", name="Leave the study and delete my answers").click()
     page.get_by_role("dialog").get_by_role("button", name="Leave the study and delete my answers").click()

@@ -9,8 +9,9 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage, answer
+from tests.kit.cell import Cell
+from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -30,7 +31,7 @@ def start_process(cell: Cell) -> str:
 def complete(cell: Cell, words: str) -> None:
     """Complete by hand what glove-1 is asked for, once it is asked for what has these words."""
     glove = f"{cell.url('gesture_controller')}/gloves/glove-1"
-    wait_until(lambda: words in (httpx.get(glove).json()["task"] or {}).get("description", ""))
+    wait_for(lambda: words in (httpx.get(glove).json()["task"] or {}).get("description", ""))
     httpx.post(f"{glove}/complete", json={"by": "Anna"}).raise_for_status()
 
 

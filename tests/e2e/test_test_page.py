@@ -7,9 +7,10 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import OpenPage
-from tests.gloves import TcpGlove
+from tests.kit.cell import Cell
+from tests.kit.gloves import TcpGlove
+from tests.kit.waiting import wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -59,7 +60,7 @@ def test_an_accuracy_test_is_led_to_its_report(
     page.get_by_role("button", name="Start 21 trials").click()
     page.get_by_role("heading", name="Open your hand").wait_for()
     accessible(page)
-    controller = httpx.Client(base_url=cell.url("gesture_controller"), timeout=10, trust_env=False)
+    controller = httpx.Client(base_url=cell.url("gesture_controller"), timeout=120, trust_env=False)
 
     def seen() -> dict[str, object] | None:
         return controller.get("/gloves/glove-1").json()["examination"]  # type: ignore[no-any-return]  # JSON
@@ -82,7 +83,7 @@ def test_an_accuracy_test_is_led_to_its_report(
             glove.show("00000", 0.4)
         return False
 
-    wait_until(moves, within_s=90)
+    wait_for(moves, within_s=90)
     page.get_by_role("heading", name="Confusion matrix").wait_for()
     expect(page.get_by_text("95.24%")).to_be_visible()
     page.wait_for_timeout(300)  # the table has come to rest for its picture

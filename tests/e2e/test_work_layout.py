@@ -9,9 +9,10 @@ import httpx
 import pytest
 from playwright.sync_api import Page
 
-from tests.conftest import Cell, wait_until
 from tests.e2e.conftest import STILL, OpenPage
 from tests.e2e.test_operators_page import Wearer
+from tests.kit.cell import Cell
+from tests.kit.waiting import wait_for
 from tests.unit.task_orchestrator.drawing import drawing, end, path, start
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
@@ -141,7 +142,7 @@ def asked(quiet_screen: Cell) -> Callable[[], str]:
             httpx.post(f"{orchestrator}/processes", json={"definition": "looking"}).raise_for_status().json()
         )
         glove = f"{quiet_screen.url('gesture_controller')}/gloves/glove-1"
-        wait_until(lambda: httpx.get(glove).json()["task"] is not None)
+        wait_for(lambda: httpx.get(glove).json()["task"] is not None)
         return str(begun["id"])
 
     return ask
@@ -347,7 +348,7 @@ def test_the_page_is_never_blank_between_two_steps(open_page: OpenPage) -> None:
     page.get_by_role("button", name="Complete by hand").click()
     page.get_by_text("Completed by Anna").wait_for()
     page.locator("[data-situation=robot]").wait_for()
-    page.locator("[data-situation=asked]").wait_for(timeout=60_000)
+    page.locator("[data-situation=asked]").wait_for(timeout=120_000)
     assert page.evaluate("window.stages.size") >= 3
     assert page.evaluate("window.blanks") == []
 

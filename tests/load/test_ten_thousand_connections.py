@@ -33,7 +33,7 @@ class WorkingGlove:
     def __init__(self, port: int) -> None:
         self.sent, self.broken = 0, ""
         self._stop = threading.Event()
-        self._link = socket.create_connection(("127.0.0.1", port), timeout=10)
+        self._link = socket.create_connection(("127.0.0.1", port), timeout=120)
         self._say({"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"})
         assert b'"ack"' in self._link.recv(4096)
         self._thread = threading.Thread(target=self._work)
@@ -41,7 +41,7 @@ class WorkingGlove:
 
     def stop(self) -> None:
         self._stop.set()
-        self._thread.join(timeout=10)
+        self._thread.join(timeout=120)
         self._link.close()
 
     def _work(self) -> None:
@@ -66,7 +66,7 @@ def test_ten_thousand_connections_do_not_disturb_a_working_glove(
     crowd: deque[socket.socket] = deque()
     try:
         for _ in range(CONNECTIONS):
-            crowd.append(socket.create_connection(("127.0.0.1", cell.ports["glove"]), timeout=30))
+            crowd.append(socket.create_connection(("127.0.0.1", cell.ports["glove"]), timeout=120))
             if len(crowd) > OPEN_AT_ONCE:
                 crowd.popleft().close()
         before = glove.sent

@@ -5,12 +5,8 @@ import json
 import os
 import re
 import shutil
-import signal
-import socket
 import subprocess
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -20,26 +16,12 @@ from typing import Any
 import httpx
 import pytest
 
-from tests import lifeline
-from tests.context_sources import ScriptedSource
+from tests.kit import processes
+from tests.kit.context_sources import ScriptedSource
+from tests.kit.ports import next_free_port
+from tests.kit.waiting import wait_for
 
 JSON = {"Content-Type": "application/json"}
-
-
-def free_port() -> int:
-    """Return a port nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def wait_for(condition: Callable[[], Any], within_s: float = 20.0, why: str = "it never came") -> Any:
-    """Return what `condition` returns once that is true; fail after `within_s`."""
-    deadline_s = time.monotonic() + within_s
-    while not (found := condition()):
-        assert time.monotonic() < deadline_s, why
-        time.sleep(0.01)
-    return found
 
 
 @dataclass
@@ -47,7 +29,7 @@ class BrokerProcess:
     """The broker on a port and a data directory of its own; `kill` is a power cut."""
 
     data_dir: Path
-    port: int = field(default_factory=free_port)
+    port: int = field(default_factory=next_free_port)
     extra: dict[str, str] = field(default_factory=dict)
     process: subprocess.Popen[bytes] | None = None
     log_dir: Path | None = None
@@ -65,66 +47,43 @@ class BrokerProcess:
         return ((self.log_dir or self.data_dir) / "log").read_text(errors="replace")
 
     def spawn(self) -> subprocess.Popen[bytes]:
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")}
+        environment = processes.clean_environment()
         environment |= {"HANDOVER_BROKER_PORT": str(self.port), "HANDOVER_DATA_DIR": str(self.data_dir)}
-        with ((self.log_dir or self.data_dir) / "log").open("ab") as log:
-            return subprocess.Popen(
-                [sys.executable, "-m", "services.context_broker"],
-                env=environment | lifeline.TOLD | self.extra,
-                cwd=self.data_dir,
-                stdin=lifeline.STDIN,
-                stdout=log,
-                stderr=log,
-            )
+        return processes.spawn(
+            processes.module_command("services.context_broker"),
+            environment | self.extra,
+            (self.log_dir or self.data_dir) / "log",
+            self.data_dir,
+        )
 
     def start(self) -> "BrokerProcess":
-        process = self.process = self.spawn()
-
-        def ready() -> bool:
-            assert process.poll() is None, f"the broker ended: {self.log()[-3000:]}"
-            try:
-                return httpx.get(f"{self.url}/readyz", timeout=5, trust_env=False).is_success
-            except httpx.TransportError:
-                return False
-
-        wait_for(ready, 30, "the broker is not ready")
+        self.process = self.spawn()
+        processes.wait_ready(self.process, f"{self.url}/readyz", self.log)
         return self
 
     def start_unready(self) -> httpx.Response:
-        """Start a broker that will not be ready, and return what it says of that."""
+        """Start a broker that will not be ready, and return its first answer to /readyz."""
         process = self.process = self.spawn()
-
-        def answer() -> httpx.Response | None:
-            assert process.poll() is None, f"the broker ended: {self.log()[-3000:]}"
-            try:
-                return httpx.get(f"{self.url}/readyz", timeout=5, trust_env=False)
-            except httpx.TransportError:
-                return None
-
-        found: httpx.Response = wait_for(answer, 30, "the broker does not answer")
-        return found
+        return wait_for(
+            lambda: processes.answer(process, f"{self.url}/readyz", self.log),
+            why="the broker does not answer",
+        )
 
     def kill(self) -> None:
         assert self.process is not None
-        self.process.send_signal(signal.SIGKILL)
-        self.process.wait(timeout=10)
+        processes.kill(self.process)
         self.process = None
 
     def stop(self) -> None:
         if self.process is None:
             return
-        self.process.terminate()
         try:
-            self.process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait(timeout=10)
-            raise
+            processes.stop(self.process)
         finally:
             self.process = None
 
     def client(self) -> httpx.Client:
-        return httpx.Client(base_url=self.api, timeout=20, trust_env=False)
+        return httpx.Client(base_url=self.api, timeout=120, trust_env=False)
 
     def metric(self, name: str) -> float:
         text = httpx.get(f"{self.url}/metrics", trust_env=False).text
@@ -268,7 +227,7 @@ class Subscriber:
         self.go_on.set()
         self.server.shutdown()
         self.server.server_close()
-        self._thread.join(5)
+        self._thread.join(120)
 
 
 @pytest.fixture
@@ -291,12 +250,6 @@ def new_subscriber() -> Iterator[Callable[..., Subscriber]]:
     yield make
     for one in made:
         one.stop()
-
-
-@pytest.fixture
-def eventually() -> Callable[..., Any]:
-    """Wait for a condition with a bound; returns what it returned."""
-    return wait_for
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.context_sources import ScriptedSource, register
+from tests.kit.context_sources import ScriptedSource, register
 
 ID = "urn:ngsi-ld:AnyAnswer:1"
 OPERATIONS = [

@@ -15,7 +15,7 @@ class Line:
     """One connection."""
 
     def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=20)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=120)
         self._kept = b""
 
     def send(self, *pieces: bytes) -> None:

@@ -35,7 +35,7 @@ def test_power_cuts_take_nothing_back_that_was_acknowledged(own_broker: Any) -> 
             time.sleep(0.001)
         own_broker.kill()
         for writer in writers:
-            writer.join(30)
+            writer.join(120)
             assert not writer.is_alive()
             assert writer.failures == []
     own_broker.start()

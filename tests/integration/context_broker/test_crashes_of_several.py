@@ -84,13 +84,13 @@ def test_when_one_of_several_is_killed_nothing_is_lost_and_nothing_is_told_twice
         victim.kill()
         for writer in writers:
             if writer.broker is victim:
-                writer.join(30)
+                writer.join(120)
                 assert not writer.is_alive()
         work_until(writers, 40, eventually)  # the others go on
         for writer in writers:
             writer.over.set()
         for writer in writers:
-            writer.join(30)
+            writer.join(120)
             assert not writer.is_alive()
             assert writer.failures == []
         victim.start()

@@ -14,7 +14,7 @@ TENANT = {"NGSILD-Tenant": "discovery"}
 @pytest.fixture(scope="module")
 def plant(shared_broker: Any) -> Iterator[httpx.Client]:
     """A tenant with two machines and a hall."""
-    with httpx.Client(base_url=shared_broker.api, headers=TENANT, timeout=20, trust_env=False) as http:
+    with httpx.Client(base_url=shared_broker.api, headers=TENANT, timeout=120, trust_env=False) as http:
         entities = [
             {"id": "urn:x:m1", "type": "Machine", "speed": 1, "isIn": {"object": "urn:x:h1"}},
             {"id": "urn:x:m2", "type": ["Machine", "Robot"], "speed": [

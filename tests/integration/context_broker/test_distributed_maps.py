@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.context_sources import ScriptedSource, put, register
+from tests.kit.context_sources import ScriptedSource, put, register
 
 from .conftest import wait_for
 

@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.context_sources import ScriptedSource, put, register, values
+from tests.kit.context_sources import ScriptedSource, put, register, values
 
 from .conftest import BrokerProcess
 

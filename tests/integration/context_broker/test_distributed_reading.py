@@ -5,7 +5,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.context_sources import ScriptedSource, put, register, values
+from tests.kit.context_sources import ScriptedSource, put, register, values
 
 
 def at(value: Any, second: int) -> dict[str, Any]:

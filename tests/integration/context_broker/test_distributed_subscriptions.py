@@ -5,7 +5,7 @@ from typing import Any
 
 import httpx
 
-from tests.context_sources import ScriptedSource, put, register
+from tests.kit.context_sources import ScriptedSource, put, register
 
 OPERATIONS = ["createSubscription", "updateSubscription", "deleteSubscription", "retrieveOps"]
 Eventually = Callable[..., Any]

@@ -7,7 +7,7 @@ from uuid import uuid4
 import httpx
 import pytest
 
-from tests.context_sources import ScriptedSource, put, register, values
+from tests.kit.context_sources import ScriptedSource, put, register, values
 
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"
 EXCLUSIVE = {"b": 1, "c": 1}

@@ -43,7 +43,7 @@ def refused(broker: Any) -> str:
     """The last line that a broker says which does not start."""
     process = broker.spawn()
     try:
-        assert process.wait(20) == 2
+        assert process.wait(120) == 2
     finally:
         process.kill()
     return str(broker.log().strip().splitlines()[-1])

@@ -63,12 +63,12 @@ class Mosquitto:
         self._client.reconnect_delay_set(1, 1)
         self._client.connect_async("127.0.0.1", self.port)
         self._client.loop_start()
-        assert self.is_listening.wait(20), "nobody could listen to Mosquitto"
+        assert self.is_listening.wait(120), "nobody could listen to Mosquitto"
 
     def stop(self) -> None:
         if self.process is not None:
             self.process.kill()
-            self.process.wait(10)
+            self.process.wait(120)
             self.process = None
 
     def close(self) -> None:
@@ -160,7 +160,7 @@ def test_what_could_not_be_published_comes_in_order_when_the_server_is_back(
     assert told["status"] == "failed"
     assert http.patch(path, json={"isActive": False}).status_code == 204  # until somebody listens again
     mosquitto.start()
-    assert mosquitto.is_listening.wait(20)
+    assert mosquitto.is_listening.wait(120)
     assert http.patch(path, json={"isActive": True}).status_code == 204
     eventually(lambda: len({one["body"]["data"][0]["n"]["value"] for one in mosquitto.of("cell/back")}) == 20)
     values = [one["body"]["data"][0]["n"]["value"] for one in mosquitto.of("cell/back")]

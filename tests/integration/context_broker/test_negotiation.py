@@ -244,7 +244,7 @@ def test_a_body_without_a_length_is_refused_without_a_word(http: httpx.Client) -
 
 
 def test_a_percent_sign_stands_before_two_digits(shared_broker: Any) -> None:
-    with socket.create_connection(("127.0.0.1", shared_broker.port), timeout=10) as line:
+    with socket.create_connection(("127.0.0.1", shared_broker.port), timeout=120) as line:
         line.sendall(
             b"GET /ngsi-ld/v1/entities/urn:x:%zz HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
         )
@@ -326,7 +326,7 @@ def test_headers_and_queries_without_end_are_refused(shared_broker: Any, http: h
         answer = http.get("/entities?type=Task", headers=headers)
         assert answer.status_code == 400
         assert next(iter(headers)) in answer.json()["detail"]
-    with socket.create_connection(("127.0.0.1", shared_broker.port), timeout=10) as line:
+    with socket.create_connection(("127.0.0.1", shared_broker.port), timeout=120) as line:
         line.sendall(
             b"GET /ngsi-ld/v1/entities?type=" + b"A" * 65_500 + b" HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
         )

@@ -11,9 +11,9 @@ import httpx
 import orjson
 import pytest
 
-from tests.context_sources import put, register
 from tests.integration.context_broker.acts import Eventually, create, subscribe
 from tests.integration.context_broker.conftest import BrokerProcess
+from tests.kit.context_sources import put, register
 
 SETTING = "HANDOVER_BROKER_OUTBOUND_ALLOW"
 BEYOND_LOOPBACK = {"HANDOVER_HOST": "127.1"}

@@ -12,7 +12,7 @@ import pytest
 
 from tests.integration.context_broker.acts import create, patch, subscribe
 from tests.integration.context_broker.conftest import BrokerProcess, wait_for
-from tests.rubbish_source import RubbishSource
+from tests.kit.rubbish_source import RubbishSource
 
 SERVER = """
 import sys

@@ -8,10 +8,11 @@ import httpx
 import psutil
 import pytest
 
-from tests.context_sources import put, register
-from tests.rubbish_source import RubbishSource
-
-from .conftest import BrokerProcess, free_port, wait_for
+from tests.integration.context_broker.conftest import BrokerProcess
+from tests.kit.context_sources import put, register
+from tests.kit.ports import next_free_port
+from tests.kit.rubbish_source import RubbishSource
+from tests.kit.waiting import wait_for
 
 HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\n"
 OPERATIONS = [
@@ -134,7 +135,7 @@ def test_the_dead_the_slow_and_the_endless_cost_their_patience_and_no_more(
     endless.answer = itertools.chain([HEAD, b"\r\n["], itertools.repeat(b" " * 65536))
     good.says(page(b'[{"id": "urn:ngsi-ld:good:1", "type": "%s", "n": 2}]' % kind.encode()))
     management = {"timeout": PATIENCE_MS, "cooldown": 60_000}
-    for url in (f"http://127.0.0.1:{free_port()}", rubbish.url, endless.url, good.url):
+    for url in (f"http://127.0.0.1:{next_free_port()}", rubbish.url, endless.url, good.url):
         register(http, url, {"type": kind}, operations=["queryEntity"], management=management)
     first = http.get("/entities", params={"type": kind})
     assert {one["n"]["value"] for one in first.json()} == {1, 2}
@@ -174,5 +175,5 @@ def test_many_askers_of_a_source_that_hangs_do_not_hold_up_the_others(
     assert not answers, "the others had to wait for the source that hangs"
     rubbish.stop()
     for thread in threads:
-        thread.join(30)
+        thread.join(120)
     assert answers == [200] * 8

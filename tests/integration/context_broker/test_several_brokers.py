@@ -371,7 +371,7 @@ def test_a_database_out_of_reach_is_refused_in_one_line(tmp_path: Path) -> None:
     broker = BrokerProcess(tmp_path, extra=settings("postgresql://somebody:secret@127.0.0.1:9/nothing"))
     process = broker.spawn()
     try:
-        assert process.wait(20) == 2
+        assert process.wait(120) == 2
     finally:
         process.kill()
     assert broker.log().strip().count("\n") == 0
@@ -392,7 +392,7 @@ def test_an_older_broker_leaves_tables_of_a_newer_one_alone(
     brokers.started(0).stop()
     process = brokers[0].spawn()
     try:
-        assert process.wait(20) == 2
+        assert process.wait(120) == 2
     finally:
         process.kill()
     assert "newer version of Handover" in brokers[0].log().strip().splitlines()[-1]

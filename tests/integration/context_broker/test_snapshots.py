@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.context_sources import ScriptedSource, register
+from tests.kit.context_sources import ScriptedSource, register
 
 from .conftest import BrokerProcess, Subscriber, wait_for
 

@@ -221,7 +221,7 @@ def test_a_power_cut_takes_nothing_acknowledged_out_of_the_past(own_broker: Any,
     eventually(lambda: all(one.acknowledged > 50 for one in writers))
     own_broker.kill()
     for writer in writers:
-        writer.join(10)
+        writer.join(120)
     own_broker.start()
     with own_broker.client() as http:
         for writer in writers:

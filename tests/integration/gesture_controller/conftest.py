@@ -9,8 +9,8 @@ import pytest
 
 from datamodels.entities import Task
 from handover.broker import BrokerClient
-from tests.conftest import Cell
-from tests.gloves import TcpGlove
+from tests.kit.cell import Cell
+from tests.kit.gloves import TcpGlove
 
 GLOVE = "urn:ngsi-ld:Device:demo:glove-1"
 
@@ -21,7 +21,7 @@ class Bench:
     def __init__(self, cell: Any, broker: BrokerClient) -> None:
         self.cell = cell
         self.broker = broker
-        self.screen = httpx.Client(base_url=cell.url("gesture_controller"), timeout=60, trust_env=False)
+        self.screen = httpx.Client(base_url=cell.url("gesture_controller"), timeout=120, trust_env=False)
 
     async def put(
         self, name: str, resource: str = GLOVE, involves: Sequence[str] = (), **parameters: Any

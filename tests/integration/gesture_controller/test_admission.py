@@ -4,28 +4,20 @@ import asyncio
 import re
 import subprocess
 import sys
-import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any
 
 import orjson
 import pytest
 import websockets
 
-from tests.conftest import Cell
-from tests.gloves import TcpGlove
+from tests.kit.cell import Cell
+from tests.kit.gloves import TcpGlove
+from tests.kit.waiting import until
 
 pytestmark = pytest.mark.slow
 
 UP, OPEN = "02222", "00000"
-
-
-async def until(condition: Callable[[], Awaitable[Any]], what: str, within_s: float = 60.0) -> None:
-    """Wait until `condition` holds."""
-    deadline_s = time.monotonic() + within_s
-    while not await condition():
-        assert time.monotonic() < deadline_s, f"it never came: {what}"
-        await asyncio.sleep(0.05)
 
 
 async def test_after_a_network_cut_a_glove_takes_its_place_again_and_its_task_goes_on(
@@ -38,7 +30,7 @@ async def test_after_a_network_cut_a_glove_takes_its_place_again_and_its_task_go
     async def is_asked() -> bool:
         return bool((bench.view()["task"] or {}).get("id") == task)
 
-    await until(is_asked, "the Task is asked for")
+    await until(is_asked, 60, "the Task is asked for")
     back: list[TcpGlove] = []
 
     async def is_admitted() -> bool:
@@ -51,7 +43,7 @@ async def test_after_a_network_cut_a_glove_takes_its_place_again_and_its_task_go
         glove.close()
         return False
 
-    await until(is_admitted, "the glove is admitted again")
+    await until(is_admitted, 60, "the glove is admitted again")
     told = await asyncio.to_thread(half_open.link.recv, 4096)
     assert "since this connection was silent" in orjson.loads(told)["reason"]
     back[0].show(OPEN, 0.2)
@@ -60,7 +52,7 @@ async def test_after_a_network_cut_a_glove_takes_its_place_again_and_its_task_go
     async def is_completed() -> bool:
         return bool(await bench.status(task) == "completed")
 
-    await until(is_completed, "the Task is completed")
+    await until(is_completed, 60, "the Task is completed")
 
 
 def handover(cell: Cell, *words: str) -> "subprocess.CompletedProcess[str]":
@@ -119,14 +111,14 @@ async def test_slots_of_invented_names_become_free_again_and_a_glove_that_return
         await screen.recv()
         for glove in invented:
             glove.close()
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(120):
             await screen.wait_closed()
         assert screen.close_code == 4404
 
     async def are_forgotten() -> bool:
         return not any("invented" in one["glove"] for one in bench.screen.get("/gloves").json())
 
-    await until(are_forgotten, "the invented gloves are forgotten")
+    await until(are_forgotten, 60, "the invented gloves are forgotten")
     task = await bench.put("t1", "urn:ngsi-ld:Device:demo:invented-1", gesture="Thumbs up")
     glove = put_on("invented-1")
     assert glove.answer["type"] == "ack"
@@ -134,11 +126,11 @@ async def test_slots_of_invented_names_become_free_again_and_a_glove_that_return
     async def is_asked() -> bool:
         return bool((bench.view("invented-1")["task"] or {}).get("id") == task)
 
-    await until(is_asked, "the Task of the glove that returned")
+    await until(is_asked, 60, "the Task of the glove that returned")
     glove.show(OPEN, 0.2)
     glove.show(UP, 1.8)
 
     async def is_completed() -> bool:
         return bool(await bench.status(task) == "completed")
 
-    await until(is_completed, "the Task is completed")
+    await until(is_completed, 60, "the Task is completed")

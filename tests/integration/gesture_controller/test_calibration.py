@@ -219,6 +219,6 @@ async def test_a_level_that_jumps_raises_an_alert_until_the_next_calibration(
 
 
 async def _until(listed: Callable[[], Any], count: int) -> None:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(120):
         while len(await listed()) != count:
             await asyncio.sleep(0.05)

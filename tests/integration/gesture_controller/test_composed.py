@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from tests.integration.gesture_controller.test_people import asked, ends, until
+from tests.integration.gesture_controller.test_people import asked, ends
+from tests.kit.waiting import until
 
 pytestmark = pytest.mark.slow
 

@@ -1,15 +1,14 @@
 """A person says no: with a gesture or on the screen, to a Task alone and to a process with a robot in it."""
 
-import asyncio
-import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
-from tests.conftest import Cell
+from tests.kit.cell import Cell
+from tests.kit.waiting import until
 from tests.unit.task_orchestrator.drawing import drawing, end, path, start
 
 pytestmark = pytest.mark.slow
@@ -42,15 +41,6 @@ def tenant_cell(tenant_cell: Cell, tmp_path: Path) -> Cell:
     return tenant_cell
 
 
-async def until(condition: Callable[[], Awaitable[Any]], what: str, within_s: float = 60.0) -> Any:
-    """Wait until `condition` holds, and return what it says."""
-    deadline_s = time.monotonic() + within_s
-    while not (found := await condition()):
-        assert time.monotonic() < deadline_s, f"it never came: {what}"
-        await asyncio.sleep(0.03)
-    return found
-
-
 async def asked_for(bench: Any, task_id: str) -> dict[str, Any]:
     """Wait until the controller asks for what a Task wants; return what the screen shows of it."""
 
@@ -58,7 +48,7 @@ async def asked_for(bench: Any, task_id: str) -> dict[str, Any]:
         task = bench.view()["task"]
         return task if task is not None and task["id"] == task_id else None
 
-    return dict(await until(shown, f"{task_id} is asked for"))
+    return dict(await until(shown, 60, f"{task_id} is asked for"))
 
 
 async def ended(bench: Any, task_id: str) -> tuple[str, dict[str, Any]]:
@@ -67,7 +57,7 @@ async def ended(bench: Any, task_id: str) -> tuple[str, dict[str, Any]]:
     async def final() -> bool:
         return await bench.status(task_id) in {"completed", "failed"}
 
-    await until(final, f"{task_id} has ended")
+    await until(final, 60, f"{task_id} has ended")
     return await bench.status(task_id), await bench.outputs(task_id)
 
 
@@ -87,7 +77,7 @@ async def test_a_gesture_that_says_no_ends_the_task_as_failed_with_the_reason(
     async def held() -> bool:
         return bool(bench.view()["hold"]["outcome"] == "notGood")
 
-    await until(held, "the hold is for notGood")
+    await until(held, 60, "the hold is for notGood")
     assert await bench.status(task) == "inProgress"
     glove.show(HORNS, 0.8)
     status, outputs = await ended(bench, task)
@@ -148,7 +138,7 @@ def orchestrator(running_cell: Cell) -> Any:
     """The task orchestrator, beside broker and controller."""
     running_cell.run("task_orchestrator")
     url = running_cell.url("task_orchestrator")
-    with httpx.Client(base_url=url, timeout=30, trust_env=False) as client:
+    with httpx.Client(base_url=url, timeout=120, trust_env=False) as client:
         yield client
 
 
@@ -179,7 +169,7 @@ async def test_after_no_in_a_process_that_does_not_handle_it_no_robot_is_asked(
             seen = orchestrator.get(f"/processes/{process}").json()
             return seen if seen["status"] != "inProgress" else None
 
-        seen = await until(failed, "the process has ended")
+        seen = await until(failed, 60, "the process has ended")
         assert (seen["status"], seen["reason"]) == ("failed", f'"Allow" failed: {reason}')
         assert seen["reasonCode"] == "process.task_failed"
         assert seen["reasonParameters"]["reason"]["textCode"].startswith("task.")
@@ -207,7 +197,7 @@ async def test_the_shipped_process_asks_again_after_not_good_goes_on_after_ok_an
     async def robot_is_asked() -> bool:
         return home in await robot_tasks(bench)
 
-    await until(robot_is_asked, "the robot is asked")
+    await until(robot_is_asked, 60, "the robot is asked")
     orchestrator.post(f"/processes/{process}/cancel").raise_for_status()
 
     stopped = orchestrator.post("/processes", json={"definition": "bin-picking"}).json()["id"]
@@ -218,7 +208,7 @@ async def test_the_shipped_process_asks_again_after_not_good_goes_on_after_ok_an
         seen = orchestrator.get(f"/processes/{stopped}").json()
         return seen if seen["status"] != "inProgress" else None
 
-    seen = await until(over, "the process has ended")
+    seen = await until(over, 60, "the process has ended")
     assert (seen["status"], seen["reason"]) == ("failed", 'the error end event "Cell not clear" was reached')
     assert seen["tasks"][0]["outputParameters"]["note"] == "oil"
     assert await robot_tasks(bench) == [home]

@@ -1,25 +1,18 @@
 """People choose gloves and gestures over REST; Tasks show what is theirs, and all of it survives."""
 
 import asyncio
-import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any
 
 import pytest
+
+from tests.kit.waiting import until
 
 pytestmark = pytest.mark.slow
 
 UP, HORNS, MINE = "02222", "20220", "20000"
 ANNA = "urn:ngsi-ld:Person:demo:anna"
 PutOn = Callable[..., Any]
-
-
-async def until(condition: Callable[[], Awaitable[object]], within_s: float = 15.0) -> None:
-    """Wait until `condition` holds."""
-    deadline_s = time.monotonic() + within_s
-    while not await condition():
-        assert time.monotonic() < deadline_s, "it never came"
-        await asyncio.sleep(0.03)
 
 
 async def asked(bench: Any, task_id: str, glove: str = "glove-1") -> dict[str, Any]:

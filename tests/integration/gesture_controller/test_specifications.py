@@ -8,7 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from handover.cli.main import app
-from tests.integration.gesture_controller.test_people import asked, ends, until
+from tests.integration.gesture_controller.test_people import asked, ends
+from tests.kit.waiting import until
 
 pytestmark = pytest.mark.slow
 

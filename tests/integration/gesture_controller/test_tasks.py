@@ -1,8 +1,7 @@
 """Real Tasks in a real broker, answered by a glove on TCP or on the screen."""
 
 import asyncio
-import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -10,18 +9,12 @@ import orjson
 import pytest
 import websockets
 
+from tests.kit.waiting import until
+
 pytestmark = pytest.mark.slow
 
 UP, HORNS, OPEN = "02222", "20220", "00000"
 PutOn = Callable[..., Any]
-
-
-async def until(condition: Callable[[], Awaitable[object]], within_s: float = 15.0) -> None:
-    """Wait until `condition` holds."""
-    deadline_s = time.monotonic() + within_s
-    while not await condition():
-        assert time.monotonic() < deadline_s, "it never came"
-        await asyncio.sleep(0.03)
 
 
 async def asked(bench: Any, task_id: str) -> None:
@@ -327,9 +320,9 @@ async def test_the_screen_follows_the_hand_and_the_recorder_takes_its_frames(
     url = f"{bench.cell.url('gesture_controller')}/gloves/glove-1/frames"
     async with (
         websockets.connect(address) as live,
-        httpx.AsyncClient(timeout=10, trust_env=False) as http,
+        httpx.AsyncClient(timeout=120, trust_env=False) as http,
         http.stream("GET", url) as stream,
-        asyncio.timeout(15),
+        asyncio.timeout(120),
     ):
         lines = stream.aiter_lines()
         hello = orjson.loads(await anext(lines))

@@ -6,7 +6,6 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -116,19 +115,6 @@ def desk(closed_desk: Desk) -> Desk:
     """A desk that is open."""
     closed_desk.open()
     return closed_desk
-
-
-@pytest.fixture
-def wait_for() -> Callable[..., None]:
-    """Wait until a condition holds, with a bound."""
-
-    def wait(condition: Callable[[], object], within_s: float = 20.0) -> None:
-        until_s = time.monotonic() + within_s
-        while not condition():
-            assert time.monotonic() < until_s, "it never came"
-            time.sleep(0.01)
-
-    return wait
 
 
 @pytest.fixture

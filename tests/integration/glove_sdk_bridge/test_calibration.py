@@ -12,7 +12,7 @@ from glove_sdk_bridge.controller import Controller, Declined
 from glove_sdk_bridge.errors import BridgeError
 from glove_sdk_bridge.frames import Frame, Hello
 from glove_sdk_bridge.link import Link
-from tests.conftest import Cell
+from tests.kit.cell import Cell
 
 FIST, OPEN = [301, 402, 503, 404, 305], [701, 802, 903, 804, 705]
 
@@ -35,7 +35,7 @@ class WornGlove:
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
-        self._thread.join(timeout=10)
+        self._thread.join(timeout=120)
 
     def _send(self) -> None:
         with Link(Hello("glove-1"), "127.0.0.1", self._port, say=lambda _: None) as link:

@@ -26,40 +26,40 @@ def link_to(port: int, said: list[str] | None = None, clock: Callable[[], float]
     return Link(HELLO, "127.0.0.1", port, say=say, chance=random.Random(1), clock=clock)
 
 
-def test_frames_arrive_numbered_and_in_order_after_the_hello(desk: Any, wait_for: Any) -> None:
+def test_frames_arrive_numbered_and_in_order_after_the_hello(desk: Any, eventually: Any) -> None:
     with link_to(desk.port) as link:
         assert link.wait_until_connected(10)
         for value in range(500):
             link.send(hand(value))
         link.finish(10)
         assert (link.sent, link.dropped) == (500, 0)
-        wait_for(lambda: len(desk.frames) == 500)
+        eventually(lambda: len(desk.frames) == 500)
     assert desk.visits[0].hello == HELLO
     assert [(frame.seq, frame.bend[0]) for frame in desk.frames] == [(value, value) for value in range(500)]
-    wait_for(lambda: desk.visits[0].ended)
+    eventually(lambda: desk.visits[0].ended)
 
 
-def test_the_last_frame_arrives_even_if_the_link_is_closed_at_once(desk: Any, wait_for: Any) -> None:
+def test_the_last_frame_arrives_even_if_the_link_is_closed_at_once(desk: Any, eventually: Any) -> None:
     for _ in range(10):
         with link_to(desk.port) as link:
             assert link.wait_until_connected(10)
             for value in range(50):
                 link.send(hand(value))
             link.finish(10)
-    wait_for(lambda: all(visit.ended for visit in desk.visits))
+    eventually(lambda: all(visit.ended for visit in desk.visits))
     assert [len(visit.frames) for visit in desk.visits] == [50] * 10
 
 
 def test_a_controller_that_is_not_there_yet_is_waited_for_and_said_once(
-    closed_desk: Any, wait_for: Any
+    closed_desk: Any, eventually: Any
 ) -> None:
     desk, port, said = closed_desk, closed_desk.port, list[str]()
     with link_to(port, said) as link:
-        wait_for(lambda: said)
+        eventually(lambda: said)
         desk.open()
         assert link.wait_until_connected(20)
         link.send(hand(1))
-        wait_for(lambda: desk.frames)
+        eventually(lambda: desk.frames)
     assert [line.split(" (")[0] for line in said] == [
         f"127.0.0.1:{port} does not take the glove's frames",
         f"glove-1 is connected to 127.0.0.1:{port}",
@@ -67,15 +67,15 @@ def test_a_controller_that_is_not_there_yet_is_waited_for_and_said_once(
 
 
 def test_a_broken_connection_is_made_anew_and_sends_no_stale_hand(
-    desk: Any, make_desk: Callable[..., Any], wait_for: Any
+    desk: Any, make_desk: Callable[..., Any], eventually: Any
 ) -> None:
     first, said, now_s = desk, list[str](), [0.0]
     with link_to(first.port, said, clock=lambda: now_s[0]) as link:
         assert link.wait_until_connected(10)
         link.send(hand(0))
-        wait_for(lambda: first.frames)
+        eventually(lambda: first.frames)
         first.close()
-        wait_for(lambda: not link.connected)
+        eventually(lambda: not link.connected)
         for value in range(1, 11):
             link.send(hand(value))
         now_s[0] += 1.1 * STALE_S
@@ -84,18 +84,18 @@ def test_a_broken_connection_is_made_anew_and_sends_no_stale_hand(
         second = make_desk(first.port)
         second.open()
         assert link.wait_until_connected(20)
-        wait_for(lambda: len(second.frames) == 3)
+        eventually(lambda: len(second.frames) == 3)
     assert [(frame.seq, frame.bend[0]) for frame in second.frames] == [(11, 11), (12, 12), (13, 13)]
     assert (link.sent, link.dropped) == (4, 10)
     assert "10 frames were dropped meanwhile" in said[-1]
 
 
-def test_a_controller_that_dies_again_and_again_is_found_again_each_time(desk: Any, wait_for: Any) -> None:
+def test_a_controller_that_dies_again_and_again_is_found_again_each_time(desk: Any, eventually: Any) -> None:
     with link_to(desk.port) as link:
         for visit in range(4):
-            wait_for(lambda visit=visit: len(desk.visits) == visit + 1 and link.connected)
+            eventually(lambda visit=visit: len(desk.visits) == visit + 1 and link.connected)
             desk.visits[-1].hang_up()
-            wait_for(lambda visit=visit: desk.visits[visit].ended)
+            eventually(lambda visit=visit: desk.visits[visit].ended)
 
 
 def test_sending_never_waits_and_the_memory_is_bounded(closed_desk: Any) -> None:
@@ -106,7 +106,7 @@ def test_sending_never_waits_and_the_memory_is_bounded(closed_desk: Any) -> None
         assert link.dropped == 3 * MOST_WAITING
 
 
-def test_a_controller_that_stops_reading_costs_frames_but_never_blocks(wait_for: Any) -> None:
+def test_a_controller_that_stops_reading_costs_frames_but_never_blocks(eventually: Any) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server, link_to(server.getsockname()[1]) as link:
         line, _ = server.accept()
         with line:
@@ -120,7 +120,7 @@ def test_a_controller_that_stops_reading_costs_frames_but_never_blocks(wait_for:
                     link.send(frame)
                 return link.dropped
 
-            wait_for(dropped)
+            eventually(dropped)
 
 
 @pytest.mark.parametrize(
@@ -148,32 +148,32 @@ def test_a_refused_hello_ends_it_with_the_controllers_words(desk: Any, refusal: 
         b"what?\n",
     ],
 )
-def test_a_controller_that_is_only_busy_is_tried_again(desk: Any, wait_for: Any, passing: bytes) -> None:
+def test_a_controller_that_is_only_busy_is_tried_again(desk: Any, eventually: Any, passing: bytes) -> None:
     desk.answer = passing
     with link_to(desk.port) as link:
-        wait_for(lambda: desk.visits and desk.visits[0].hello)
+        eventually(lambda: desk.visits and desk.visits[0].hello)
         desk.visits[0].hang_up()
         desk.answer = b'{"type":"ack"}\n'
         assert link.wait_until_connected(20)
         assert link.failure is None
 
 
-def test_what_goes_wrong_after_the_welcome_is_worth_another_try(desk: Any, wait_for: Any) -> None:
+def test_what_goes_wrong_after_the_welcome_is_worth_another_try(desk: Any, eventually: Any) -> None:
     with link_to(desk.port) as link:
         assert link.wait_until_connected(10)
         desk.visits[0].say(b'{"type":"error","reason":"a line holds at most 65536 bytes"}\n')
-        wait_for(lambda: len(desk.visits) == 2)
+        eventually(lambda: len(desk.visits) == 2)
         assert link.wait_until_connected(10)
 
 
-def test_a_glove_that_is_worn_elsewhere_now_gives_up(desk: Any, wait_for: Any) -> None:
+def test_a_glove_that_is_worn_elsewhere_now_gives_up(desk: Any, eventually: Any) -> None:
     with link_to(desk.port) as link:
         assert link.wait_until_connected(10)
         desk.visits[0].say(
             b'{"type":"error","reason":"glove-1 has connected anew from elsewhere; '
             b'only its newest connection counts","retry":false}\n'
         )
-        wait_for(lambda: link.failure)
+        eventually(lambda: link.failure)
     assert len(desk.visits) == 1
 
 

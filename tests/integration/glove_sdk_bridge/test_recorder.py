@@ -15,7 +15,7 @@ from glove_sdk_bridge.frames import Frame, Hello
 from glove_sdk_bridge.link import Link
 from glove_sdk_bridge.recorder import Recorder
 from glove_sdk_bridge.recording import hello_of, read_recording
-from tests.conftest import Cell
+from tests.kit.cell import Cell
 
 pytestmark = pytest.mark.slow
 
@@ -48,7 +48,7 @@ def worn(cell: Cell) -> Iterator[Callable[..., Link]]:
 
 
 def test_what_a_glove_sends_is_recorded_and_can_be_replayed(
-    cell: Cell, desk: Any, worn: Any, wait_for: Any, tmp_path: Path
+    cell: Cell, desk: Any, worn: Any, eventually: Any, tmp_path: Path
 ) -> None:
     path, stop, said = tmp_path / "hand.jsonl", threading.Event(), list[str]()
     link = worn(Hello("glove-5", "left"))
@@ -62,7 +62,7 @@ def test_what_a_glove_sends_is_recorded_and_can_be_replayed(
         link.finish(10)
         assert sent < 20_000
     stop.set()
-    recording.join(timeout=20)
+    recording.join(timeout=120)
     assert not recording.is_alive()
     recorded = frames_in(path)
     first = recorded[0].seq
@@ -72,12 +72,12 @@ def test_what_a_glove_sends_is_recorded_and_can_be_replayed(
     assert said[-1] == f"{len(recorded)} frames recorded, 0 dropped"
 
     assert main(["replay", str(path), "--port", str(desk.port), "--speed", "50"]) == 0
-    wait_for(lambda: len(desk.frames) == len(recorded))
+    eventually(lambda: len(desk.frames) == len(recorded))
     assert [frame.bend for frame in desk.frames] == [frame.bend for frame in recorded]
 
 
 def test_a_controller_that_was_killed_is_waited_for_and_the_recording_goes_on(
-    cell: Cell, worn: Any, wait_for: Any, tmp_path: Path
+    cell: Cell, worn: Any, eventually: Any, tmp_path: Path
 ) -> None:
     path, stop, said = tmp_path / "hand.jsonl", threading.Event(), list[str]()
     link = worn(Hello("glove-1"))
@@ -90,14 +90,14 @@ def test_a_controller_that_was_killed_is_waited_for_and_the_recording_goes_on(
         link.send(Frame(next(clock) / 100, (1, 2, 3, 4, 5)))
         return len(frames_in(path)) > count
 
-    wait_for(lambda: more_than(20))
+    eventually(lambda: more_than(20))
     cell.kill("gesture_controller")
-    wait_for(lambda: any("is gone" in line for line in said))
+    eventually(lambda: any("is gone" in line for line in said))
     before = len(frames_in(path))
     cell.start("gesture_controller")
-    wait_for(lambda: more_than(before + 20))
+    eventually(lambda: more_than(before + 20))
     stop.set()
-    recording.join(timeout=20)
+    recording.join(timeout=120)
     assert not recording.is_alive()
     assert any("is back" in line for line in said)
 

@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.conftest import Cell
+from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
 
@@ -15,7 +15,7 @@ class Workplace:
     """A broker into which Tasks for glove-1 are put, and the screen of a controller."""
 
     def __init__(self, cell: Cell) -> None:
-        self._http = httpx.Client(timeout=10, trust_env=False)
+        self._http = httpx.Client(timeout=120, trust_env=False)
         self._entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"
         self._gloves = f"{cell.url('gesture_controller')}/gloves"
 
@@ -73,12 +73,12 @@ GESTURES = ["Thumbs up", "Point with index", "Horns", "Middle, ring and little s
 
 
 def test_tasks_are_completed_with_the_gestures_they_ask_for_mistakes_and_a_restart_included(
-    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], eventually: Any
 ) -> None:
     operator = bridge(*words(cell, "glove-1", "--mistakes", "1", "--speed", "3"))
     for number, gesture in enumerate(GESTURES):
         task = workplace.put(f"t{number}", gesture)
-        wait_for(lambda task=task: workplace.task(task)["status"] == "completed", 60)
+        eventually(lambda task=task: workplace.task(task)["status"] == "completed", 60)
         outputs = workplace.task(task)["outputParameters"]
         assert outputs["gesture"] == gesture
         assert outputs["by"] == "gesture"
@@ -87,34 +87,34 @@ def test_tasks_are_completed_with_the_gestures_they_ask_for_mistakes_and_a_resta
             cell.kill("gesture_controller")
             cell.start("gesture_controller")
     operator.terminate()
-    assert operator.wait(timeout=20) == 0
+    assert operator.wait(timeout=120) == 0
     complaints = operator.stderr.read().decode()
     assert "calibrated with a fist and an open hand" in complaints
     assert "Traceback" not in complaints
 
 
 def test_the_calibration_fits_the_hand(
-    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], eventually: Any
 ) -> None:
     operator = bridge(*words(cell, "glove-2"))
 
     def thresholds() -> dict[str, dict[str, float]]:
         return dict(workplace.screen("glove-2").get("thresholds", {}))
 
-    wait_for(lambda: thresholds().get("thumb", {}).get("upper", 999) < 500)
+    eventually(lambda: thresholds().get("thumb", {}).get("upper", 999) < 500)
     fitted = thresholds()
     for finger, (bent, straight) in {"thumb": (305, 405), "index": (485, 714), "little": (470, 677)}.items():
         assert bent < fitted[finger]["lower"] < fitted[finger]["upper"] < straight
     operator.terminate()
-    assert operator.wait(timeout=20) == 0
+    assert operator.wait(timeout=120) == 0
 
 
 def test_without_calibration_the_thresholds_stay_as_they_are(
-    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], wait_for: Any
+    cell: Cell, workplace: Workplace, bridge: Callable[..., Any], eventually: Any
 ) -> None:
     operator = bridge(*words(cell, "glove-3", "--no-calibrate"))
-    wait_for(lambda: workplace.screen("glove-3").get("frames", 0) > 100)
+    eventually(lambda: workplace.screen("glove-3").get("frames", 0) > 100)
     assert workplace.screen("glove-3")["thresholds"]["thumb"] == {"upper": 1000, "lower": 800}
     operator.terminate()
-    assert operator.wait(timeout=20) == 0
+    assert operator.wait(timeout=120) == 0
     assert b"calibrated" not in operator.stderr.read()

@@ -48,7 +48,7 @@ def test_a_service_says_why_it_does_not_start_on_them(
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
     )
     assert ended.returncode == 2, ended.stderr
     last_line = ended.stderr.strip().splitlines()[-1]

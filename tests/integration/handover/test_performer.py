@@ -14,8 +14,9 @@ import pytest
 from datamodels.entities import Task, TaskStatus
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.settings import Settings
-from tests.conftest import Cell, next_free_port
-from tests.context_sources import ScriptedSource
+from tests.kit.cell import Cell
+from tests.kit.context_sources import ScriptedSource
+from tests.kit.ports import next_free_port
 
 pytestmark = pytest.mark.slow
 
@@ -293,7 +294,7 @@ def test_the_readme_shows_the_lamp_as_it_is() -> None:
 def test_the_lamp_ends_quietly_when_told(lamp: LampProcess, cell: Cell, number: signal.Signals) -> None:
     process, said_before = cell.processes["lamp"], len(cell.log("lamp"))
     os.kill(process.pid, number)
-    assert process.wait(timeout=10) in (0, -signal.SIGTERM)
+    assert process.wait(timeout=120) in (0, -signal.SIGTERM)
     assert "Application shutdown complete" in cell.log("lamp")[said_before:]
     assert "Traceback" not in cell.log("lamp")
 

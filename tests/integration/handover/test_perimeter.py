@@ -12,7 +12,7 @@ from websockets.sync.client import connect
 
 from services.context_broker.app import operations_of
 from services.context_broker.settings import BrokerSettings
-from tests.conftest import Cell, new_cell
+from tests.kit.cell import Cell, new_cell
 
 pytestmark = pytest.mark.slow
 
@@ -54,7 +54,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 def asked(cell: Cell, service: str, method: str, path: str, **headers: str) -> HTTPResponse:
     """Send exactly these headers, with a body if there is a Content-Type."""
-    connection = HTTPConnection("127.0.0.1", cell.ports[service], timeout=30)
+    connection = HTTPConnection("127.0.0.1", cell.ports[service], timeout=120)
     try:
         connection.putrequest(method, path, skip_host="host" in headers, skip_accept_encoding=True)
         body = b'{"x": 1}' if "content_type" in headers else b""
@@ -148,4 +148,4 @@ def test_a_websocket_opens_for_our_own_page_and_for_programs_only(cell: Cell, se
         assert refused.value.response.status_code == 403
     own = None if service != "webui" else cell.url(service)
     with connect(url, origin=own, proxy=None) as link:
-        assert link.recv(timeout=30)
+        assert link.recv(timeout=120)

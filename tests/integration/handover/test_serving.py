@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from handover.cli.services import BESIDES, SERVICES, Service
-from tests.conftest import Cell, next_free_port, wait_until
+from tests.kit.cell import Cell
+from tests.kit.ports import next_free_port
+from tests.kit.waiting import wait_for
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +43,7 @@ def start(service: Service, data_dir: Path, **settings: str) -> "subprocess.Comp
         cwd="/",
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=False,
     )
 
@@ -75,7 +77,7 @@ def test_a_service_waits_for_a_connection_that_has_its_port_and_then_starts(cell
                 stderr=written,
             )
             said = f"port {port} is held by a connection to 127.0.0.1:{server.getsockname()[1]}"
-            wait_until(lambda: said in log.read_text(), 60, log.read_text)
+            wait_for(lambda: said in log.read_text(), 60, log.read_text)
             assert broker.poll() is None
             outgoing.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         cell.wait_ready("context_broker", 60)

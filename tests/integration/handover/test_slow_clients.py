@@ -11,7 +11,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.conftest import Cell
+from tests.kit.cell import Cell
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +41,7 @@ def crowd(cell: Cell) -> Iterator[Callable[..., list[socket.socket]]]:
             resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, max(soft, 4 * HALF_SENT)), hard))
             made = []
             for _ in range(count):
-                link = socket.create_connection(("127.0.0.1", cell.ports[service]), timeout=60)
+                link = socket.create_connection(("127.0.0.1", cell.ports[service]), timeout=120)
                 stack.callback(link.close)
                 with suppress(OSError):  # it may be closed already
                     link.sendall(sent)
@@ -63,7 +63,7 @@ def usual_file_limit() -> Iterator[None]:
 
 def answers(cell: Cell, service: str) -> bool:
     """Whether a client that comes now is served."""
-    return httpx.get(f"{cell.url(service)}{READ.get(service, '/healthz')}", timeout=30).is_success
+    return httpx.get(f"{cell.url(service)}{READ.get(service, '/healthz')}", timeout=120).is_success
 
 
 def is_closed(link: socket.socket) -> bool:
@@ -81,7 +81,7 @@ def is_closed(link: socket.socket) -> bool:
 
 def closed(cell: Cell, service: str) -> str:
     """The metrics of connections that the server has ended."""
-    text = httpx.get(f"{cell.url(service)}/metrics", timeout=30).text
+    text = httpx.get(f"{cell.url(service)}/metrics", timeout=120).text
     return "\n".join(line for line in text.splitlines() if line.startswith("handover_http_connections"))
 
 
@@ -173,7 +173,7 @@ def test_a_body_that_comes_in_pieces_but_fast_enough_is_taken(cell: Cell) -> Non
         b"x" * 3000
     )
     head = NO_BODY.replace(b"50000", b"%d" % len(body)) % WRITTEN["context_broker"]
-    with socket.create_connection(("127.0.0.1", cell.ports["context_broker"]), timeout=60) as link:
+    with socket.create_connection(("127.0.0.1", cell.ports["context_broker"]), timeout=120) as link:
         link.sendall(head)
         for start in range(0, len(body), 200):
             link.sendall(body[start : start + 200])
@@ -208,7 +208,7 @@ def test_there_are_only_so_many_websockets(cell: Cell) -> None:
     url = f"ws://127.0.0.1:{cell.ports['trajectory_tool']}/robots/ur10-1/joint_states"
     with ExitStack() as stack:
         for _ in range(3):
-            assert stack.enter_context(connect(url, proxy=None)).recv(timeout=30)
+            assert stack.enter_context(connect(url, proxy=None)).recv(timeout=120)
         with pytest.raises(InvalidStatus) as refused:
             connect(url, proxy=None).__enter__()
         assert refused.value.response.status_code == 503

@@ -1,9 +1,7 @@
 """A cell with a broker and a ROS bridge, both processes, and a robot on a ROS graph of its own."""
 
-import asyncio
 import random
 import textwrap
-import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -20,8 +18,9 @@ from ros_fiware_bridge.graph.joining import JoinSettings, join
 from ros_fiware_bridge.graph.port import Publisher, Received, Subscription
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.conftest import new_cell
 from tests.integration.ros_fiware_bridge.everyday import ASKING, BOTH_WAYS
+from tests.kit.cell import new_cell
+from tests.kit.waiting import until
 
 
 class Shop:
@@ -80,26 +79,18 @@ class Shop:
 
     def rule(self, name: str) -> dict[str, Any]:
         """Return what the bridge says of a rule."""
-        answer = httpx.get(f"{self.cell.url('ros_fiware_bridge')}/rules/{name}", timeout=10)
+        answer = httpx.get(f"{self.cell.url('ros_fiware_bridge')}/rules/{name}", timeout=120)
         assert answer.is_success, answer.text
         found: dict[str, Any] = answer.json()
         return found
 
     def post(self, path: str) -> httpx.Response:
         """Ask the bridge for something."""
-        return httpx.post(f"{self.cell.url('ros_fiware_bridge')}{path}", timeout=10)
+        return httpx.post(f"{self.cell.url('ros_fiware_bridge')}{path}", timeout=120)
 
     async def until(self, condition: Callable[[], Any], within_s: float = 15.0, why: str = "") -> Any:
         """Wait until `condition` holds; return what it gives."""
-        deadline_s = time.monotonic() + within_s
-        while True:
-            found = condition()
-            if asyncio.iscoroutine(found):
-                found = await found
-            if found:
-                return found
-            assert time.monotonic() < deadline_s, f"{why or 'it never came'}: {self._log()}"
-            await asyncio.sleep(0.02)
+        return await until(condition, within_s, lambda: f"{why or 'it never came'}: {self._log()}")
 
     async def value(self, entity_id: str, attribute: str) -> Any:
         """Return the value of an attribute; None while there is none."""

@@ -20,8 +20,8 @@ from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
 from ros_fiware_bridge.graph.port import GoalEnded, GoalStatus, Message, ServedGoal
 from ros_fiware_bridge.graph.qos import SENSOR_DATA
-from tests.conftest import new_cell
 from tests.integration.ros_fiware_bridge.conftest import Shop
+from tests.kit.cell import new_cell
 
 pytestmark = pytest.mark.slow
 
@@ -179,7 +179,7 @@ async def test_a_task_moves_the_arm_along_a_trajectory_to_where_it_is_asked(shop
     times = [one["time_from_start"]["sec"] * 10**9 + one["time_from_start"]["nanosec"] for one in points]
     assert times == sorted(set(times))
     assert [arm.at[name] for name in JOINTS] == pytest.approx(AWAY, abs=1e-5)
-    shown = httpx.get(f"{shop.cell.url('trajectory_tool')}/robots/ur10-1", timeout=10).json()
+    shown = httpx.get(f"{shop.cell.url('trajectory_tool')}/robots/ur10-1", timeout=120).json()
     assert shown["joints"]["position"] == pytest.approx(AWAY, abs=0.002)
     await shop.until(lambda: no_orders(shop), why="the order is still in the broker")
 
@@ -241,7 +241,7 @@ async def test_the_gripper_says_whether_it_holds_something(shop: Shop, arm: Arm)
     assert picked["gripped"]
     assert arm.grips == [0.0]
     free = f"{shop.cell.url('trajectory_tool')}/robots/ur10-1/gripper/free"
-    freed = await asyncio.to_thread(httpx.post, free, timeout=20)
+    freed = await asyncio.to_thread(httpx.post, free, timeout=120)
     assert freed.is_success, freed.text
     assert arm.grips == [0.0, 0.085]
     assert freed.json()["gripper"] == {"closed": False, "holds": None}

@@ -8,9 +8,9 @@ import pytest
 
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, join
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.conftest import Cell
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.integration.ros_fiware_bridge.graph.rosbridge_server import running
+from tests.kit.cell import Cell
 
 pytestmark = pytest.mark.slow
 

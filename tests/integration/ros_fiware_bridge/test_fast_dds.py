@@ -10,9 +10,9 @@ import pytest
 
 from datamodels.times import iso
 from ros_fiware_bridge.graph.joining import Adapter, installed
-from tests.conftest import NO_ROS
 from tests.integration.ros_fiware_bridge.conftest import Shop
 from tests.integration.ros_fiware_bridge.graph.conftest import TYPES, running_peer
+from tests.kit.skipping import NO_ROS
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS)]
 

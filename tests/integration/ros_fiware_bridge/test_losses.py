@@ -10,8 +10,9 @@ import httpx
 import pytest
 
 from ros_fiware_bridge.graph.qos import History, Qos
-from tests.conftest import new_cell, next_free_port
 from tests.integration.ros_fiware_bridge.conftest import Shop
+from tests.kit.cell import new_cell
+from tests.kit.ports import next_free_port
 
 pytestmark = pytest.mark.slow
 
@@ -91,7 +92,7 @@ async def alert(shop: Shop, key: str) -> str:
 
 
 def metric(shop: Shop, name: str, rule: str, cause: str) -> float:
-    text = httpx.get(f"{shop.cell.url('ros_fiware_bridge')}/metrics", timeout=10).text
+    text = httpx.get(f"{shop.cell.url('ros_fiware_bridge')}/metrics", timeout=120).text
     wanted = f'{name}{{cause="{cause}",rule="{rule}"}} '
     return sum(float(line.removeprefix(wanted)) for line in text.splitlines() if line.startswith(wanted))
 

@@ -45,7 +45,7 @@ async def test_what_is_latched_is_there_for_who_comes_late(own_shop: Any) -> Non
     assert (refused.status_code, refused.json()["title"]) == (404, "No such rule")
     process = shop.cell.processes.pop("ros_fiware_bridge")
     process.terminate()
-    process.wait(timeout=20)
+    process.wait(timeout=120)
     assert await _names(shop) == [], "who ends in good order leaves no subscription behind"
 
 

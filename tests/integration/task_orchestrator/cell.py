@@ -1,10 +1,7 @@
 """A cell for tests: broker, orchestrator and a scripted performer as real processes that can be killed."""
 
-import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,26 +10,20 @@ from typing import Any, TypeVar
 import httpx
 
 from handover.settings import Settings
-from tests import lifeline
+from tests.kit import processes
+from tests.kit.waiting import wait_for
 
-PATIENCE_S = 60.0
 CONTEXT = (
     f"<{Settings.model_fields['context_url'].default}>; "
     'rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
 )
-T = TypeVar("T")
 FreePort = Callable[[], int]
+T = TypeVar("T")
 
 
-def eventually(look: Callable[[], T | None], what: str, patience_s: float = PATIENCE_S) -> T:
-    """Return what `look` gives as soon as it is true; fail with `what` when patience ends."""
-    ends = time.monotonic() + patience_s
-    while True:
-        seen = look()
-        if seen:
-            return seen
-        assert time.monotonic() < ends, f"{what} did not come about within {patience_s} s"
-        time.sleep(0.03)
+def eventually(look: Callable[[], T | None], what: str) -> T:
+    """Return the first true value of `look`; fail with `what` if there is none."""
+    return wait_for(look, 60, f"{what} did not come about")
 
 
 class Member:
@@ -50,15 +41,7 @@ class Member:
 
     def start(self) -> None:
         """Start it and wait until it answers."""
-        with self._log.open("ab") as log:
-            self._process = subprocess.Popen(
-                self._command,
-                env={**self._environment, **lifeline.TOLD},
-                cwd=self._log.parent,
-                stdin=lifeline.STDIN,
-                stdout=log,
-                stderr=log,
-            )
+        self._process = processes.spawn(self._command, self._environment, self._log, self._log.parent)
         self.wait()
 
     def run(self) -> None:
@@ -68,27 +51,17 @@ class Member:
 
     def wait(self) -> None:
         """Wait until it answers."""
-        eventually(self._answers, f"{self.name} being up ({self._log})")
-
-    def _answers(self) -> bool:
-        assert self._process is not None
-        assert self._process.poll() is None, f"{self.name} has ended: {self.log()[-2000:]}"
-        try:
-            return httpx.get(self._ready, trust_env=False, timeout=5).status_code == 200
-        except httpx.TransportError:
-            return False
+        processes.wait_ready(self._process, self._ready, self.log, 60)
 
     def kill(self) -> None:
         """End it as a power cut does."""
         assert self._process is not None
-        self._process.send_signal(signal.SIGKILL)
-        self._process.wait()
+        processes.kill(self._process)
 
     def stop(self) -> None:
         """End it in good order."""
         if self._process is not None and self._process.poll() is None:
-            self._process.terminate()
-            self._process.wait(10)
+            processes.stop(self._process)
 
     def log(self) -> str:
         """Return what it has logged."""
@@ -110,7 +83,7 @@ class Cell:
         self.script_file = folder / "script.json"
         self.script_file.write_text("{}")
         environment = {
-            **{name: value for name, value in os.environ.items() if not name.startswith("HANDOVER_")},
+            **processes.clean_environment(),
             "PYTHONUNBUFFERED": "1",
             "HANDOVER_DATA_DIR": str(folder),
             "HANDOVER_BROKER_PORT": str(broker),
@@ -151,12 +124,12 @@ class Cell:
             f"http://127.0.0.1:{performer}/healthz",
         )
         self.members = (self.broker, self.orchestrator, self.performer)
-        self.api = httpx.Client(base_url=f"http://127.0.0.1:{orchestrator}", trust_env=False, timeout=10)
+        self.api = httpx.Client(base_url=f"http://127.0.0.1:{orchestrator}", trust_env=False, timeout=120)
         self.entities = httpx.Client(
             base_url=f"http://127.0.0.1:{broker}/ngsi-ld/v1/entities",
             headers={"Link": CONTEXT},
             trust_env=False,
-            timeout=10,
+            timeout=120,
         )
 
     def begin(self, definition: str, **parameters: Any) -> str:
@@ -174,7 +147,7 @@ class Cell:
 
     def ended(self, process: str) -> dict[str, Any]:
         """Wait until the process has ended and return it."""
-        return eventually(lambda: self._if_ended(process), f"the end of {process}")
+        return wait_for(lambda: self._if_ended(process), 60, f"{process} has not ended")
 
     def _if_ended(self, process: str) -> dict[str, Any] | None:
         seen = self.look(process)

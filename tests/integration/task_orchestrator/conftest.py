@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import next_free_port
 from tests.integration.task_orchestrator.cell import Cell, cell
+from tests.kit.ports import next_free_port
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import next_free_port
 from tests.integration.task_orchestrator.cell import Cell, cell, eventually
 from tests.integration.task_orchestrator.test_retry import deploy, play, retry, steps
+from tests.kit.ports import next_free_port
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, end, path, start
 
 pytestmark = pytest.mark.slow

@@ -10,7 +10,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from tests.conftest import Cell, wait_until
+from tests.kit.cell import Cell
+from tests.kit.waiting import wait_for
 
 NAMES = [
     "shoulder_pan_joint",
@@ -44,7 +45,7 @@ def tool(shared_cell: Cell) -> Cell:
         except httpx.TransportError:
             return False
 
-    wait_until(answers, 30)
+    wait_for(answers, 30)
     return cell
 
 
@@ -71,7 +72,7 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
     assert {part["place"] for part in scene["parts"]} == set(scene["bins"])
 
     with joint_states(tool) as stream:
-        frames = [json.loads(stream.recv(timeout=10)) for _ in range(20)]
+        frames = [json.loads(stream.recv(timeout=120)) for _ in range(20)]
     assert frames[0]["name"] == NAMES
     assert frames[0]["position"] == robot["joints"]["position"]
     assert len(frames[0]["velocity"]) == 6
@@ -79,8 +80,8 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
     assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
 
     with joint_states(tool, "?hz=125") as fast, joint_states(tool, "?hz=5") as slow:
-        assert json.loads(fast.recv(timeout=10))["name"] == NAMES
-        first, second = (json.loads(slow.recv(timeout=10))["stamp"] for _ in range(2))
+        assert json.loads(fast.recv(timeout=120))["name"] == NAMES
+        first, second = (json.loads(slow.recv(timeout=120))["stamp"] for _ in range(2))
         assert second - first > 0.1
 
     unready = httpx.get(f"{tool.url('trajectory_tool')}/readyz")
@@ -97,7 +98,7 @@ def test_what_cannot_be_answered_says_why(tool: Cell) -> None:
     assert "there is ur10-1" in unknown.json()["detail"]
     for query, robot, code in (("", "ur10-9", 4404), ("?hz=0", "ur10-1", 4400), ("?hz=nan", "ur10-1", 4400)):
         with joint_states(tool, query, robot) as stream, pytest.raises(ConnectionClosed) as closed:
-            stream.recv(timeout=10)
+            stream.recv(timeout=120)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == code
     garbage = httpx.post(f"{tool.url('trajectory_tool')}/notifications", json={"data": []})
@@ -121,7 +122,7 @@ def test_a_wrong_setting_is_one_readable_line(cell: Cell, setting: str, value: s
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
     )
     assert done.returncode == 2
     assert complaint in done.stderr

@@ -88,7 +88,7 @@ def look(cell: Any) -> Iterator[Callable[[], Viewer]]:
 def browser(cell: Any) -> Iterator[httpx.Client]:
     """What a page calls, with the headers that a browser sends."""
     url = cell.url("webui")
-    with httpx.Client(base_url=url, headers={"Origin": url}, timeout=20, trust_env=False) as client:
+    with httpx.Client(base_url=url, headers={"Origin": url}, timeout=120, trust_env=False) as client:
         yield client
 
 

@@ -5,7 +5,8 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.conftest import Cell, wait_until
+from tests.kit.cell import Cell
+from tests.kit.waiting import wait_for
 from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing
 
 pytestmark = pytest.mark.slow
@@ -23,14 +24,14 @@ def test_a_page_opened_after_a_process_was_archived_shows_it(cell: Cell, look: A
         orchestrator.post("/definitions", content=drawing(ONE_STEP), headers=xml).raise_for_status()
         process = orchestrator.post("/processes", json={"definition": "p"}).json()["id"]
         task = f"urn:ngsi-ld:Task:demo:{process}-work-1"
-        wait_until(lambda: broker.get(f"/{task}").is_success)
+        wait_for(lambda: broker.get(f"/{task}").is_success)
         first = look()
         first.read_until(lambda: first.process().get("status") == "inProgress")
         change = {"status": {"type": "Property", "value": "completed", "observedAt": "2040-01-01T00:00:00Z"}}
         broker.post(f"/{task}/attrs", json=change).raise_for_status()
         first.read_until(lambda: first.process().get("status") == "completed")
-        wait_until(lambda: orchestrator.get(f"/processes/{process}").json()["archivedAt"])
-        wait_until(lambda: broker.get(f"/{task}").status_code == 404)
+        wait_for(lambda: orchestrator.get(f"/processes/{process}").json()["archivedAt"])
+        wait_for(lambda: broker.get(f"/{task}").status_code == 404)
     cell.kill("webui")
     cell.start("webui")
     second = look()

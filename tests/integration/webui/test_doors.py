@@ -6,7 +6,7 @@ from http.client import HTTPConnection
 import httpx
 import pytest
 
-from tests.conftest import Cell
+from tests.kit.cell import Cell
 
 pytestmark = pytest.mark.slow
 
@@ -101,7 +101,7 @@ def test_nobody_rings_the_brokers_bell_from_here(cell: Cell, browser: httpx.Clie
         (".%5cnotifications", 400),
         (".\\notifications", 400),
     ):
-        asked = HTTPConnection(host, port, timeout=20)  # it sends a path as it is
+        asked = HTTPConnection(host, port, timeout=120)  # it sends a path as it is
         headers = {"Content-Type": "application/json"}
         asked.request("POST", f"/api/gesture-controller/{path}", json.dumps({"data": []}), headers)
         assert asked.getresponse().status == status, path

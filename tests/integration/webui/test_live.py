@@ -62,7 +62,7 @@ class Broker:
 def broker(cell: Any) -> Iterator[Broker]:
     url = f"{cell.url('context_broker')}/ngsi-ld/v1"
     context = '<https://w3id.org/handover/context.jsonld>; rel="http://www.w3.org/ns/json-ld#context"'
-    with httpx.Client(base_url=url, headers={"Link": context}, timeout=20, trust_env=False) as http:
+    with httpx.Client(base_url=url, headers={"Link": context}, timeout=120, trust_env=False) as http:
         yield Broker(http)
 
 

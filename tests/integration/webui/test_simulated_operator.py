@@ -9,7 +9,7 @@ import httpx
 import psutil
 import pytest
 
-from tests.conftest import Cell
+from tests.kit.cell import Cell
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
 

@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 import httpx
 import pytest
 
-from tests.conftest import Cell
+from tests.kit.cell import Cell
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +28,7 @@ def upload() -> Iterator[Callable[..., socket.socket]]:
     with ExitStack() as stack:
 
         def begun(port: int, path: bytes, sent: bytes) -> socket.socket:
-            link = socket.create_connection(("127.0.0.1", port), timeout=60)
+            link = socket.create_connection(("127.0.0.1", port), timeout=120)
             stack.callback(link.close)
             link.sendall(HEAD % path + sent)
             return link
@@ -39,12 +39,12 @@ def upload() -> Iterator[Callable[..., socket.socket]]:
 @pytest.fixture
 def page(cell: Cell) -> Iterator[httpx.Client]:
     """A client of the page's server."""
-    with httpx.Client(base_url=cell.url("webui"), timeout=30) as client:
+    with httpx.Client(base_url=cell.url("webui"), timeout=120) as client:
         yield client
 
 
 def value_of(url: str, metric: str) -> float:
-    text = httpx.get(f"{url}/metrics", timeout=30).text
+    text = httpx.get(f"{url}/metrics", timeout=120).text
     return sum(
         float(one) for one in re.findall(rf"^{re.escape(metric)}(?:\{{.*\}})? (\S+)$", text, re.MULTILINE)
     )
@@ -87,7 +87,7 @@ def test_eighty_trickling_uploads_block_no_service(
 
 
 def unfinished_at(url: str, series: str) -> float:
-    text = httpx.get(f"{url}/metrics", timeout=30).text
+    text = httpx.get(f"{url}/metrics", timeout=120).text
     return next(float(line.split()[-1]) for line in text.splitlines() if line.startswith(series))
 
 

@@ -39,7 +39,7 @@ async def settled(broker: Broker, making: Making, keeping: Keeping, *queries: An
     await keeping.keep(tenant, made)
     exchange = Exchange(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
     making.begin(exchange, made, context)
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(120):
         while tenant.snapshots["urn:x:1"].status is Status.PREPARING:
             await asyncio.sleep(0.005)
     async with keeping.one_at_a_time:

@@ -22,10 +22,11 @@ from services.gesture_controller.gloves import Gloves
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.settings import ControllerSettings
+from tests.kit.waiting import until
 
 HELLO: dict[str, Any] = {"type": "hello", "version": 1, "glove": "glove-1", "hand": "right"}
 FRAME = b'{"type":"frame","seq":1,"t":%f,"bend":[700,300,300,300,300]}\n'
-WITHIN_S = 10.0
+WITHIN_S = 120.0
 
 Open = Callable[..., Any]
 
@@ -73,9 +74,7 @@ class Site:
         return line
 
     async def until(self, condition: Callable[[], object]) -> None:
-        async with asyncio.timeout(WITHIN_S):
-            while not condition():
-                await asyncio.sleep(0.005)
+        await until(condition)
 
 
 OpenSite = Callable[..., Awaitable[Site]]

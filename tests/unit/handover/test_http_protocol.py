@@ -7,7 +7,7 @@ from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from tests.conftest import REPOSITORY
+from tests.kit.paths import REPOSITORY
 
 TESTED = (0, 54)
 """The newest uvicorn that was tested; for another one run the tests, raise the bound and this."""

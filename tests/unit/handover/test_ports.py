@@ -13,7 +13,7 @@ import pytest
 from handover import ports
 from handover.errors import UsageError
 from handover.ports import PortLeaving, held, hold, hold_when_free, require_free, unreserved
-from tests.conftest import NO_IPV6
+from tests.kit.skipping import NO_IPV6
 
 HERE = "127.0.0.1"
 SETTING = "HANDOVER_LAMP_PORT"
@@ -54,7 +54,7 @@ async def test_a_port_that_a_leaving_connection_holds_is_waited_for(connection: 
         hold(HERE, port, SETTING)
     told: list[str] = []
     waiting = asyncio.create_task(held(HERE, port, SETTING, say=told.append))
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(120):
         while not told:
             await asyncio.sleep(0)
     assert f"port {port}" in told[0]

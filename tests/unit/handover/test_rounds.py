@@ -24,7 +24,7 @@ class Walk:
         return not self._bad(self.gone)
 
     async def has_gone(self, rounds: int) -> None:
-        async with asyncio.timeout(10), self.moved:
+        async with asyncio.timeout(120), self.moved:
             await self.moved.wait_for(lambda: self.gone >= rounds)
 
 

@@ -1,6 +1,5 @@
 """A cell whose time is its own: the robot's thread waits on a clock that jumps."""
 
-import asyncio
 import threading
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.simulated_ur10 import Clock
 from services.trajectory_tool.work import Work
+from tests.kit.waiting import until
 
 
 class JumpingTime:
@@ -90,9 +90,4 @@ async def worker(settings: TrajectorySettings, time: JumpingTime) -> AsyncIterat
 def eventually_true() -> Callable[..., Any]:
     """Wait for a condition with a bound, letting others run meanwhile."""
 
-    async def wait(condition: Callable[[], object], within_s: float = 10.0) -> None:
-        async with asyncio.timeout(within_s):
-            while not condition():
-                await asyncio.sleep(0.005)
-
-    return wait
+    return until

@@ -54,7 +54,7 @@ async def test_the_stream_ends_when_its_reader_leaves(worker: Any, eventually_tr
     reader.says.put_nowait({"type": "websocket.receive", "bytes": b"\xff"})
     await eventually_true(lambda: len(reader.got) >= 3)
     reader.leave()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(120):
         await streaming
 
 
@@ -69,5 +69,5 @@ async def test_a_slow_reader_gets_fewer_joints_and_the_newest(worker: Any, event
     assert reader.got[after + 1]["position"] == list(TARGET)
     assert dropped() - before >= 10
     reader.leave()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(120):
         await streaming

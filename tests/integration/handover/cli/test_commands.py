@@ -44,7 +44,7 @@ def handover(cell: Any) -> Handover:
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=120,
         )
 
     return command

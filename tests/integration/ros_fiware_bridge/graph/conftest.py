@@ -13,7 +13,7 @@ import pytest
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.conftest import ROS_TYPES
+from tests.kit.skipping import ROS_TYPES
 
 # An installed ROS keeps to this machine too; our own DDS is told so by its settings.
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -62,7 +62,7 @@ def running_peer(adapter: Adapter, domain_id: int, *type_paths: Path) -> Iterato
         finally:
             process.stdin.close()
             try:
-                process.wait(10)
+                process.wait(120)
             finally:
                 process.kill()
 

@@ -35,7 +35,7 @@ def genuine(domain_id: int, *arguments: str) -> Iterator[None]:
         finally:
             process.stdin.close()
             try:
-                process.wait(10)
+                process.wait(120)
             finally:
                 process.kill()
 
@@ -52,7 +52,7 @@ async def test_a_service_and_an_action_of_a_genuine_node_are_called(graph: RosGr
     with genuine(domain_id):
         assert await graph.call("/trigger", TRIGGER, {}, 20) == {"success": True, "message": "done"}
         action = await graph.action_client("/fibonacci", "test_msgs/action/Fibonacci")
-        ended = await (await action.send_goal({"order": 6}, timeout_s=20)).result(20)
+        ended = await (await action.send_goal({"order": 6}, timeout_s=120)).result(120)
         assert ended.status is GoalStatus.SUCCEEDED
         assert ended.result["sequence"].tolist() == [0, 1, 1, 2, 3, 5]
         # What is called so must not be shown as a fault either.

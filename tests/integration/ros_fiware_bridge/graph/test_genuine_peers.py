@@ -14,8 +14,8 @@ from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
 from ros_fiware_bridge.mapping import parse
 from ros_fiware_bridge.rules import plan
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.conftest import NO_ROS
 from tests.integration.ros_fiware_bridge.graph.conftest import running_peer, true
+from tests.kit.skipping import NO_ROS
 
 pytestmark = [
     pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS),

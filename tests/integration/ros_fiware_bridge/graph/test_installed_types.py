@@ -11,7 +11,7 @@ import pytest
 
 from ros_fiware_bridge.errors import UnsupportedType
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.conftest import NO_ROS
+from tests.kit.skipping import NO_ROS
 
 
 def shares() -> list[Path]:

@@ -14,8 +14,8 @@ from ros_fiware_bridge import learning
 from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.conftest import NO_ROS
 from tests.integration.ros_fiware_bridge.graph.conftest import true
+from tests.kit.skipping import NO_ROS
 
 pytestmark = [
     pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS),
@@ -42,7 +42,7 @@ def robot(domain_id: int) -> Iterator[None]:
         finally:
             process.stdin.close()
             try:
-                process.wait(10)
+                process.wait(120)
             finally:
                 process.kill()
 

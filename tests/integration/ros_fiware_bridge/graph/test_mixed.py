@@ -11,9 +11,9 @@ from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, jo
 from ros_fiware_bridge.graph.mixed import MixedGraph
 from ros_fiware_bridge.graph.port import GoalStatus, RosGraph
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.conftest import NO_ROS
 from tests.integration.ros_fiware_bridge.graph.conftest import repeated, running_peer, true
 from tests.integration.ros_fiware_bridge.graph.test_genuine_cyclone import TRIGGER, genuine
+from tests.kit.skipping import NO_ROS
 
 pytestmark = [
     pytest.mark.skipif(Adapter.RCLPY not in installed(), reason=NO_ROS),
@@ -44,7 +44,7 @@ async def test_services_and_actions_on_fast_dds_are_called(graph: RosGraph) -> N
     assert await repeated(graph, "ab", 2, 30) == ["ab", "ab"]
     action = await graph.action_client("/fibonacci", "test_msgs/action/Fibonacci")
     told: list[Any] = []
-    goal = await action.send_goal({"order": 6}, on_feedback=told.append, timeout_s=30)
+    goal = await action.send_goal({"order": 6}, on_feedback=told.append, timeout_s=120)
     ended = await goal.result(30)
     assert ended.status is GoalStatus.SUCCEEDED
     assert ended.result["sequence"].tolist() == [0, 1, 1, 2, 3, 5]

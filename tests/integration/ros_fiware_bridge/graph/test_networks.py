@@ -125,7 +125,7 @@ def node(namespace: str, role: str, **settings: Any) -> Iterator[Node]:
         finally:
             process.stdin.close()
             try:
-                process.wait(10)
+                process.wait(120)
             finally:
                 process.kill()
 

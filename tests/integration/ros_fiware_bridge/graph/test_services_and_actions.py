@@ -80,9 +80,9 @@ async def test_a_goal_runs_to_its_end_with_feedback(graph: RosGraph) -> None:
     assert await action.available(10)
     told: list[list[int]] = []
     goal = await action.send_goal(
-        {"order": 6}, on_feedback=lambda one: told.append(one["sequence"].tolist()), timeout_s=10
+        {"order": 6}, on_feedback=lambda one: told.append(one["sequence"].tolist()), timeout_s=120
     )
-    ended = await goal.result(10)
+    ended = await goal.result(120)
     assert ended.status is GoalStatus.SUCCEEDED
     assert ended.result["sequence"].tolist() == [0, 1, 1, 2, 3, 5]
     assert goal.status is GoalStatus.SUCCEEDED
@@ -93,11 +93,11 @@ async def test_a_goal_runs_to_its_end_with_feedback(graph: RosGraph) -> None:
 
 async def test_a_goal_is_cancelled(graph: RosGraph) -> None:
     action = await graph.action_client("/fibonacci", FIBONACCI)
-    goal = await action.send_goal({"order": 900}, timeout_s=10)
+    goal = await action.send_goal({"order": 900}, timeout_s=120)
     with pytest.raises(CallTimeout, match=r"the goal did not end within 0\.1 s"):
         await goal.result(0.1)
     assert await goal.cancel(10)
-    ended = await goal.result(10)
+    ended = await goal.result(120)
     assert ended.status is GoalStatus.CANCELED
     assert ended.result["sequence"].tolist()[:2] == [0, 1]
     assert not await goal.cancel(10)
@@ -106,14 +106,14 @@ async def test_a_goal_is_cancelled(graph: RosGraph) -> None:
 async def test_a_goal_is_refused_aborted_and_its_fault_survived(graph: RosGraph) -> None:
     action = await graph.action_client("/fibonacci", FIBONACCI)
     with pytest.raises(GoalRefused, match="/fibonacci: the server did not accept the goal"):
-        await action.send_goal({"order": 5000}, timeout_s=10)
-    aborted = await (await action.send_goal({"order": 40}, timeout_s=10)).result(10)
+        await action.send_goal({"order": 5000}, timeout_s=120)
+    aborted = await (await action.send_goal({"order": 40}, timeout_s=120)).result(120)
     assert aborted.status is GoalStatus.ABORTED
     assert aborted.result["sequence"].tolist() == [0, 1, 1, 2, 3]
-    fault = await (await action.send_goal({"order": 41}, timeout_s=10)).result(10)
+    fault = await (await action.send_goal({"order": 41}, timeout_s=120)).result(120)
     assert fault.status is GoalStatus.ABORTED
     assert (
-        await (await action.send_goal({"order": 3}, timeout_s=10)).result(10)
+        await (await action.send_goal({"order": 3}, timeout_s=120)).result(120)
     ).status is GoalStatus.SUCCEEDED
 
 
@@ -127,10 +127,10 @@ async def test_goals_of_others_are_served(joined: Joined, graph: RosGraph) -> No
     async with joined(node="other") as other:
         action = await other.action_client("/work", FIBONACCI)
         told: list[Any] = []
-        goal = await action.send_goal({"order": 1}, on_feedback=told.append, timeout_s=10)
+        goal = await action.send_goal({"order": 1}, on_feedback=told.append, timeout_s=120)
         await true(lambda: goal.status is GoalStatus.EXECUTING)
         assert await goal.cancel(10)
-        assert (await goal.result(10)).result["sequence"].tolist() == [1, 2]
+        assert (await goal.result(120)).result["sequence"].tolist() == [1, 2]
         assert served.calls == 1
 
 
@@ -142,7 +142,7 @@ async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
     async with joined(domain_id=elsewhere) as graph:
         action = await graph.action_client("/fibonacci", FIBONACCI)
         with running_peer(adapter, elsewhere) as peer:
-            goal = await action.send_goal({"order": 900}, timeout_s=10)
+            goal = await action.send_goal({"order": 900}, timeout_s=120)
             waiting = asyncio.ensure_future(goal.result())
             await asyncio.sleep(0.2)
             peer.kill()
@@ -150,7 +150,7 @@ async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
             with pytest.raises(ServiceUnavailable, match=r"the server of .* went away before"):
                 await asyncio.wait_for(waiting, 40)
         with running_peer(adapter, elsewhere):
-            ended = await (await action.send_goal({"order": 4}, timeout_s=10)).result(10)
+            ended = await (await action.send_goal({"order": 4}, timeout_s=120)).result(120)
             assert ended.status is GoalStatus.SUCCEEDED
 
 
@@ -165,7 +165,7 @@ async def test_a_goal_ends_when_another_server_has_taken_the_place_of_its_own(
     action = await graph.action_client("/replaced", FIBONACCI)
     async with joined(node="first") as first:
         await first.serve_action("/replaced", FIBONACCI, work)
-        goal = await action.send_goal({"order": 1}, timeout_s=20)
+        goal = await action.send_goal({"order": 1}, timeout_s=120)
         waiting = asyncio.ensure_future(goal.result())
         async with joined(node="second") as second:
             await second.serve_action("/replaced", FIBONACCI, work)

@@ -21,7 +21,7 @@ from services.gesture_controller.recognition.registry import (
     recognizers,
 )
 from services.gesture_controller.thresholds import Threshold, Thresholds
-from tests.conftest import REPOSITORY
+from tests.kit.paths import REPOSITORY
 
 SAME = Thresholds((Threshold(600, 400),) * 5)
 GESTURES = Gestures(M2O2P_GESTURES)

@@ -63,7 +63,7 @@ async def allowed_by_the_launcher(data_dir: Path, services: Sequence[Service]) -
     launcher = Launcher(services, Settings.load(data_dir=data_dir), lambda _: None)
     await launcher.add("asked", [sys.executable, "-c", script])
     log = data_dir / "logs" / "asked.log"
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(120):
         while not (said := log.read_text().strip()):
             await asyncio.sleep(0.01)
     await launcher.stop()

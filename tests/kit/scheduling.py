@@ -1,7 +1,7 @@
-"""Shares: how the tests of a run are shared out among workers.
+"""How tests are distributed to the workers of a run.
 
-A file stays together, so that what its tests have in common is started once; so do files that have something
-in common. Files whose tests are long and have nothing in common are taken apart.
+The tests of a file stay together, so that what they share is started once. The same holds for groups of files
+that share something. The tests of the files in `SEPARATE` take long and share nothing: each may run anywhere.
 """
 
 from fnmatch import fnmatch
@@ -10,27 +10,27 @@ from typing import Final
 from xdist.scheduler.loadscope import LoadScopeScheduling
 
 TOGETHER: Final = {
-    "tests/e2e/test_*_page.py": "screen",  # one browser at a time is what two cores bear
+    "tests/e2e/test_*_page.py": "screen",  # two cores bear one browser at a time
     "tests/integration/context_broker/test_distributed_*.py": "registered brokers",
     "tests/integration/ros_fiware_bridge/test_both_ways.py": "everyday shop with a robot",
     "tests/integration/ros_fiware_bridge/test_asking.py": "everyday shop with a robot",
 }
-APART: Final = (
+SEPARATE: Final = (
     "tests/e2e/test_demo.py",
     "tests/integration/context_broker/test_crashes*.py",
     "tests/integration/webui/test_live.py",
 )
 
 
-class Shares(LoadScopeScheduling):
-    """Gives each worker the next share, in the order of the folders: what is long comes first."""
+class GroupScheduling(LoadScopeScheduling):
+    """Gives each worker the next group, in the order of the folders: long tests come first."""
 
     def __init__(self, *parts: object) -> None:
-        super().__init__(*parts)  # type: ignore[arg-type]  # whatever pytest-xdist hands over
+        super().__init__(*parts)  # type: ignore[arg-type]  # whatever pytest-xdist passes
         self.config.option.loadscopereorder = False
 
     def _split_scope(self, nodeid: str) -> str:
         file = nodeid.partition("::")[0]
-        if any(fnmatch(file, pattern) for pattern in APART):
+        if any(fnmatch(file, pattern) for pattern in SEPARATE):
             return nodeid
         return next((name for pattern, name in TOGETHER.items() if fnmatch(file, pattern)), file)

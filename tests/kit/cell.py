@@ -1,0 +1,134 @@
+"""A cell for a test: the real services as processes, on free ports, in a directory of their own."""
+
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from handover.settings import Settings
+from tests.kit import processes
+from tests.kit.ports import next_free_port
+from tests.kit.waiting import scaled
+
+TOP_LEVEL = frozenset({"webui", "ros_fiware_bridge"})
+"""Services whose folder is not in `services`."""
+
+SERVICES = (
+    "context_broker",
+    "task_orchestrator",
+    "gesture_controller",
+    "trajectory_tool",
+    "glove",
+    "webui",
+    "ros_fiware_bridge",
+)
+"""What has a port of its own; `glove` is the controller's TCP port for gloves."""
+
+
+@dataclass
+class Cell:
+    """The services of one cell; `start` and `kill` them by the name of their folder."""
+
+    data_dir: Path
+    ports: dict[str, int]
+    extra: dict[str, str] = field(default_factory=dict)
+    """Settings of this cell beside the usual ones."""
+    processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    host: "Cell | None" = None
+    """The cell whose broker this cell uses, as a tenant of its own."""
+    tenant: str = ""
+
+    @property
+    def settings(self) -> Settings:
+        """The settings of a client of this cell's broker."""
+        return Settings.load(broker_url=self.url("context_broker"), broker_tenant=self.tenant or None)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The environment of this cell's processes."""
+        return {
+            **processes.clean_environment(),
+            "HANDOVER_DATA_DIR": str(self.data_dir),
+            "HANDOVER_BROKER_URL": self.url("context_broker"),
+            "HANDOVER_BROKER_PORT": str(self.ports["context_broker"]),
+            "HANDOVER_ORCHESTRATOR_PORT": str(self.ports["task_orchestrator"]),
+            "HANDOVER_CONTROLLER_PORT": str(self.ports["gesture_controller"]),
+            "HANDOVER_TRAJECTORY_PORT": str(self.ports["trajectory_tool"]),
+            "HANDOVER_GLOVE_PORT": str(self.ports["glove"]),
+            "HANDOVER_WEBUI_PORT": str(self.ports["webui"]),
+            "HANDOVER_BRIDGE_PORT": str(self.ports["ros_fiware_bridge"]),
+            "HANDOVER_RECONCILE_S": "1",
+            **({"HANDOVER_BROKER_TENANT": self.tenant} if self.tenant else {}),
+            "COLUMNS": "200",
+            "NO_COLOR": "1",
+            **self.extra,
+        }
+
+    def url(self, service: str) -> str:
+        """Return the base URL of a service."""
+        return f"http://127.0.0.1:{self.ports[service]}"
+
+    def log(self, service: str) -> str:
+        """Return what a service has logged."""
+        return self._log_file(service).read_text(errors="replace")
+
+    def _log_file(self, service: str) -> Path:
+        return self.data_dir / f"{service}.log"
+
+    def start(self, *services: str, within_s: float = 30.0) -> None:
+        """Start services and wait until each is ready."""
+        if self.host and "context_broker" in services:
+            self.host.start("context_broker")
+            services = tuple(service for service in services if service != "context_broker")
+        for service in services:
+            module = service if service in TOP_LEVEL else f"services.{service}"
+            self.processes[service] = processes.spawn(
+                processes.module_command(module), self.environment, self._log_file(service), self.data_dir
+            )
+        for service in services:
+            self.wait_ready(service, within_s)
+
+    def run(self, *services: str) -> None:
+        """Start those of the services that do not run."""
+        self.start(*(service for service in services if not self.runs(service)))
+
+    def runs(self, service: str) -> bool:
+        """Return whether a service has been started and has not ended."""
+        if self.host and service == "context_broker":
+            return self.host.runs(service)
+        process = self.processes.get(service)
+        return process is not None and process.poll() is None
+
+    def wait_ready(self, service: str, within_s: float = 30.0) -> None:
+        """Wait until a service is ready."""
+        process = self.processes.get(service)
+        processes.wait_ready(process, f"{self.url(service)}/readyz", lambda: self.log(service), within_s)
+
+    def kill(self, service: str) -> None:
+        """End a service as a power cut would."""
+        if self.host and service == "context_broker":
+            self.host.kill(service)
+            return
+        processes.kill(self.processes.pop(service))
+
+    def stop(self) -> None:
+        """End every service; kill those that do not end in time."""
+        for process in self.processes.values():
+            process.terminate()
+        for process in self.processes.values():
+            try:
+                process.wait(scaled(10))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@contextmanager
+def new_cell(data_dir: Path) -> Iterator[Cell]:
+    """Make a cell of which nothing runs yet; its processes are ended with the context."""
+    cell = Cell(data_dir, {name: next_free_port() for name in SERVICES})
+    try:
+        yield cell
+    finally:
+        cell.stop()
