@@ -10,6 +10,7 @@ import pytest
 from handover.alerts import alert_id, clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.settings import Settings
+from tests.kit.waiting import until
 
 pytestmark = pytest.mark.slow
 
@@ -171,9 +172,12 @@ async def test_a_shelved_alert_returns_by_itself_after_a_restart_too(
             )
         )
         viewer.read_until(lambda: viewer.happened("alert.unshelved"))
-        while (await broker.retrieve(first))["alertState"]["value"] == "shelved":
-            viewer.read()
-        assert (await broker.retrieve(second))["alertState"]["value"] == "acknowledged"
+
+        async def are_unshelved() -> bool:
+            states = [(await broker.retrieve(one))["alertState"]["value"] for one in (first, second)]
+            return states == ["new", "acknowledged"]
+
+        await until(are_unshelved)
 
 
 async def test_an_alert_that_is_shelved_stays_so_when_it_is_raised_again(

@@ -60,7 +60,7 @@ async def test_a_port_that_a_leaving_connection_holds_is_waited_for(connection: 
     assert f"port {port}" in told[0]
     assert "is held by a connection to " in told[0]  # maybe another one, with the same local port
     reset(connection)
-    (await asyncio.wait_for(waiting, 10)).close()
+    (await asyncio.wait_for(waiting, 120)).close()
     assert len(told) == 1
 
 
