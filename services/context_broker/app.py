@@ -32,20 +32,22 @@ from services.context_broker.contexts.fetching import Fetcher
 from services.context_broker.contexts.kept import Documents
 from services.context_broker.contexts.operations import ContextOperations
 from services.context_broker.contexts.own_address import OwnAddress
-from services.context_broker.distribution.distribution import Distribution, Handling
-from services.context_broker.distribution.forwarding import Forwarder
-from services.context_broker.distribution.subscriptions import SubscriptionRelays
 from services.context_broker.entities.batch_operations import BatchOperations
 from services.context_broker.entities.discovery_operations import DiscoveryOperations
 from services.context_broker.entities.entity_operations import EntityOperations
+from services.context_broker.federation.distribution.distributed_operations import Distribution, Handler
+from services.context_broker.federation.distribution.forwarding import Forwarder
+from services.context_broker.federation.distribution.subscription_forwarding import SubscriptionForwarder
+from services.context_broker.federation.entity_maps.operations import EntityMapOperations, wants_map
+from services.context_broker.federation.registrations.registration_operations import RegistrationOperations
+from services.context_broker.federation.registrations.source_subscription_operations import (
+    SourceSubscriptionOperations,
+)
 from services.context_broker.garbage import look_rarely
-from services.context_broker.network.http_sender import HttpAsker
+from services.context_broker.network.http_client import BodyReadingHttpClient
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshots.entity_map_operations import EntityMapOperations, wants_map
-from services.context_broker.snapshots.making import HEADER as SNAPSHOT
 from services.context_broker.snapshots.operations import OUTSIDE_SNAPSHOTS, SnapshotOperations
-from services.context_broker.sources.registration_operations import RegistrationOperations
-from services.context_broker.sources.source_subscription_operations import SourceSubscriptionOperations
+from services.context_broker.snapshots.snapshot_creation import HEADER as SNAPSHOT
 from services.context_broker.storage.attempts import made_again, was_overtaken
 from services.context_broker.storage.database import Database, SqliteDatabase
 from services.context_broker.storage.entries import Entries, Kind
@@ -97,10 +99,12 @@ class Broker:
         self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
         self.entity_maps = EntityMapOperations(self._by_name)
         self.snapshots = SnapshotOperations(self.tenants, self._answered, self._by_name)
-        asker = HttpAsker(policy, ca_file)
-        forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, asker)
-        self.relays = SubscriptionRelays(self.tenants, self.contexts, forwarder, settings.broker_public_url)
-        self.distribution = Distribution(forwarder, self._handlings)
+        http_client = BodyReadingHttpClient(policy, ca_file)
+        forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, http_client)
+        self.subscription_forwarder = SubscriptionForwarder(
+            self.tenants, self.contexts, forwarder, settings.broker_public_url
+        )
+        self.distribution = Distribution(forwarder, self._handlers)
         self.directory = Directory(
             operation
             for room in (
@@ -110,7 +114,7 @@ class Broker:
                 self.subscriptions,
                 self.registrations,
                 self.source_subscriptions,
-                self.relays,
+                self.subscription_forwarder,
                 self.entity_maps,
                 self.snapshots,
                 ContextOperations(self.contexts),
@@ -144,7 +148,7 @@ class Broker:
         self.snapshots.start(self.journal)
         self.tenants.ends.start()
         self.leadership.start(self._turn, self.tenants.commits.look)
-        await self.relays.start(self.journal)
+        await self.subscription_forwarder.start(self.journal)
         self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
         LEADS.set_function(lambda: self.leadership.leads)
@@ -162,8 +166,8 @@ class Broker:
             tenant.source_notifier.stop()
         await self.tenants.outbound.close()
         self.contexts.usage.write()
-        self.relays.stop()
-        self.distribution.forwarder.asker.close()
+        self.subscription_forwarder.stop()
+        self.distribution.forwarder.http_client.close()
         await self.retention.stop()
         await self.tenants.commits.stop()
         await asyncio.to_thread(self.leadership.stop)
@@ -241,12 +245,12 @@ class Broker:
             return await operation.answer(exchange)
         return await self.distribution.answer(operation, exchange)
 
-    def _handlings(self) -> Mapping[str, Handling]:
+    def _handlers(self) -> Mapping[str, Handler]:
         """Return how operations are carried out together with context sources."""
         # Most brokers have no sources: they start without what it takes to ask them.
-        from services.context_broker.distribution.handlings import HANDLINGS  # noqa: PLC0415 - as said
+        from services.context_broker.federation.distribution.handlers import HANDLERS  # noqa: PLC0415 - as said
 
-        return {**HANDLINGS, **self.relays.handlings()}
+        return {**HANDLERS, **self.subscription_forwarder.handlers()}
 
     async def _by_name(self, name: str, exchange: Exchange) -> Answer:
         """Carry out an operation that another one needs."""
@@ -272,9 +276,9 @@ class Broker:
         following.on(Kind.COUNTS, self._follow_counts)
         following.on(Kind.REGISTRATION, self._follow_registration)
         following.on(Kind.ENTITY_MAP, self._follow_entity_map)
-        following.on(Kind.RELAY, self.relays.follow)
+        following.on(Kind.RELAY, self.subscription_forwarder.follow)
         following.on(Kind.SNAPSHOT, self.snapshots.follow)
-        following.on(Kind.SNAPSHOT_TELLING, self.snapshots.tellings.follow)
+        following.on(Kind.SNAPSHOT_TELLING, self.snapshots.notifier.follow)
         following.on(Kind.IDENTITY, self._follow_identity)
         following.on(Kind.ATTEMPTS, self._follow_attempts)
 
@@ -308,7 +312,7 @@ class Broker:
 
     async def _follow_entity_map(self, tenant: str, one: str, body: bytes | None) -> None:
         maps = self.tenants.kept(tenant).entity_maps
-        maps.forget(one) if body is None else maps.take(body)
+        maps.forget(one) if body is None else maps.load(body)
 
     async def _follow_identity(self, _: str, __: str, body: bytes | None) -> None:
         if body is not None:
@@ -316,7 +320,7 @@ class Broker:
 
     async def _follow_attempts(self, tenant: str, one: str, body: bytes | None) -> None:
         if body is not None:
-            self.tenants.kept(tenant).registry.count_on(one, body)
+            self.tenants.kept(tenant).registry.restore_attempts(one, body)
 
     async def _follow_counts(self, tenant: str, subscription_id: str, body: bytes | None) -> None:
         kept = self.tenants.kept(tenant)

@@ -36,7 +36,7 @@ from services.context_broker.api.problems import (
 )
 from services.context_broker.api.words import shown
 from services.context_broker.contexts.book import Context, ContextBook
-from services.context_broker.snapshots.entity_maps import EntityMap, Listed
+from services.context_broker.federation.entity_maps.entity_map import EntityMap, Listed
 from services.context_broker.storage.tenants import Tenant
 
 __all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Answer", "Disconnected", "Exchange", "Request"]

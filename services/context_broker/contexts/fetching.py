@@ -19,7 +19,7 @@ from handover.errors import Problem
 from handover.settings import PASSWORD_IN_URL, STARS
 from services.context_broker.api.problems import bad_request_data, context_not_available
 from services.context_broker.api.words import shown
-from services.context_broker.network.http_sender import HttpAsker, SendError
+from services.context_broker.network.http_client import BodyReadingHttpClient, SendError
 from services.context_broker.network.outbound_policy import OutboundPolicy
 
 LARGEST_CONTEXT: Final = 1024 * 1024
@@ -57,7 +57,7 @@ class Fetcher:
 
     def __init__(self, timeout_s: float, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
         self._timeout_s = timeout_s
-        self._asker = HttpAsker(policy, ca_file, LARGEST_CONTEXT)
+        self._asker = BodyReadingHttpClient(policy, ca_file, LARGEST_CONTEXT)
         self._on_their_way: dict[str, asyncio.Task[Fetched]] = {}
         self._failed: dict[str, tuple[float, Problem]] = {}
 
@@ -112,7 +112,7 @@ class Fetcher:
         try:
             async with asyncio.timeout(self._timeout_s):
                 for _ in range(MAX_REDIRECTS + 1):
-                    reply = await self._asker.ask("GET", at, _HEADERS, b"", self._timeout_s)
+                    reply = await self._asker.request("GET", at, _HEADERS, b"", self._timeout_s)
                     if reply.status not in _REDIRECTS:
                         break
                     at = _redirected(at, reply.headers.get("location", ""))

@@ -28,6 +28,7 @@ from services.context_broker.entities.entity_operations import (
 )
 from services.context_broker.entities.geojson import OFFERED
 from services.context_broker.entities.intake import Nulls, read_change, read_entity
+from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS
 from services.context_broker.queries.asking import answered, asking_of
 from services.context_broker.queries.query_document import query_parameters, selectors_of
 from services.context_broker.queries.reading import (
@@ -36,7 +37,6 @@ from services.context_broker.queries.reading import (
     WALK_PARAMETERS,
     options_of,
 )
-from services.context_broker.snapshots.entity_maps import MAP_PARAMETERS
 from services.context_broker.storage.attempts import made_again
 from services.context_broker.storage.replica import Overtaken
 from services.context_broker.storage.store import Store

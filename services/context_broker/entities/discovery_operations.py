@@ -17,8 +17,8 @@ from services.context_broker.api.operation import Operation, brief
 from services.context_broker.api.problems import not_found
 from services.context_broker.api.words import require_name, shown, timestamp_now
 from services.context_broker.contexts.book import Context
+from services.context_broker.federation.registrations.registration import Information
 from services.context_broker.queries.reading import json_headers
-from services.context_broker.sources.registration import Information
 
 _LIST: Final = frozenset({"details", "count", "local"})
 _ONE: Final = frozenset({"local"})

@@ -30,6 +30,7 @@ from services.context_broker.entities.intake import (
 )
 from services.context_broker.entities.purge import PURGE_PARAMETERS, purge
 from services.context_broker.entities.rendering import render
+from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS
 from services.context_broker.queries.asking import answered, asking_of, join_of
 from services.context_broker.queries.reading import (
     LINK_PARAMETERS,
@@ -39,7 +40,6 @@ from services.context_broker.queries.reading import (
     view_of,
 )
 from services.context_broker.queries.type_selection import type_selection
-from services.context_broker.snapshots.entity_maps import MAP_PARAMETERS
 from services.context_broker.storage.store import Store
 
 DONE: Final = Answer(204)

@@ -70,7 +70,7 @@ _ALWAYS_REFUSED: Final = frozenset({Kind.LINK_LOCAL, Kind.METADATA, Kind.MULTICA
 """Kinds that a broker refuses which listens on loopback alone."""
 
 
-class Refused(Exception):
+class AddressRefused(Exception):
     """The destination is refused; the text names the rule and the setting."""
 
 
@@ -140,7 +140,7 @@ class OutboundPolicy:
         allowed = [one for one, fault in faults.items() if fault is None]
         if not allowed:
             why = next((fault for fault in faults.values() if fault), f"{host} has no address")
-            raise Refused(why if host in faults else f"{host} resolves to {why}")
+            raise AddressRefused(why if host in faults else f"{host} resolves to {why}")
         return allowed
 
     async def require_open(self, host: str, what: str) -> None:
@@ -148,7 +148,7 @@ class OutboundPolicy:
         try:
             async with asyncio.timeout(LOOKUP_TIMEOUT_S):
                 await self.resolved(host, 0)
-        except Refused as refused:
+        except AddressRefused as refused:
             raise bad_request_data(f"{what}: {refused}") from None
         except (OSError, TimeoutError, UnicodeError):
             return

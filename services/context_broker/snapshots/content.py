@@ -3,18 +3,18 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from services.context_broker.distribution.fragments import limited
 from services.context_broker.entities.entity import Entity
+from services.context_broker.federation.distribution.fragments import limited
 from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind
 from services.context_broker.storage.tenants import Tenant
 from services.context_broker.temporal.archive import END_OF_TIME, DepartedRow
 
-AT_ONCE = 2000
+ENTITIES_PER_COMMIT = 2000
 """Entities in one commit, so that others get their turn."""
 
 
 @dataclass(slots=True)
-class Content:
+class SnapshotContent:
     """The entities of a snapshot that is being made. What several queries find is kept as found first."""
 
     entities: list[Entity] = field(default_factory=list)
@@ -34,30 +34,33 @@ class Content:
         del self.entities[count:]
 
 
-async def written(inner: Tenant, content: Content) -> None:
+async def write_content(inner: Tenant, content: SnapshotContent) -> None:
     """Write the content of a snapshot; it becomes visible all at once. Raises `NotStored`."""
     made = [replace(one, seq=inner.store.next_seq(), rendered={}) for one in content.entities]
-    for start in range(0, len(made), AT_ONCE):
-        rows = {one.seq: EntityRow(inner.name, one.id, one.stored()) for one in made[start : start + AT_ONCE]}
+    for start in range(0, len(made), ENTITIES_PER_COMMIT):
+        rows = {
+            one.seq: EntityRow(inner.name, one.id, one.stored())
+            for one in made[start : start + ENTITIES_PER_COMMIT]
+        }
         await inner.commits.store(Entries(entities=rows))
     for one in made:
         inner.store.take(one)
 
 
-def end_of(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iterator[Entries]:
+def deletion_entries(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iterator[Entries]:
     """Yield what takes all that belongs to a snapshot off the disk.
 
     `departed` are place and id of the entities that are only history there.
     """
-    for start in range(0, len(departed), AT_ONCE):
-        gone_by = departed[start : start + AT_ONCE]
+    for start in range(0, len(departed), ENTITIES_PER_COMMIT):
+        gone_by = departed[start : start + ENTITIES_PER_COMMIT]
         yield Entries(
             departed={place: DepartedRow(inner.name, one, None) for place, one in gone_by},
             cleared=[(place, END_OF_TIME) for place, _ in gone_by],
         )
     entities = inner.store.candidates()
-    for start in range(0, len(entities), AT_ONCE):
-        some = entities[start : start + AT_ONCE]
+    for start in range(0, len(entities), ENTITIES_PER_COMMIT):
+        some = entities[start : start + ENTITIES_PER_COMMIT]
         yield Entries(
             entities={one.seq: EntityRow(inner.name, one.id, None) for one in some},
             cleared=[(one.seq, END_OF_TIME) for one in some],

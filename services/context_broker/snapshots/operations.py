@@ -17,25 +17,25 @@ from services.context_broker.api.exchange import PREFIX, Answer, Exchange
 from services.context_broker.api.operation import Operation
 from services.context_broker.api.problems import already_exists, not_found
 from services.context_broker.api.words import inside, moment, outside, require_uri
-from services.context_broker.snapshots.keeping import Keeping, entries
-from services.context_broker.snapshots.making import HEADER, Answering, Making
-from services.context_broker.snapshots.past import Perform
-from services.context_broker.snapshots.purge import purged
+from services.context_broker.federation.registrations.registration_operations import answer, with_context
+from services.context_broker.snapshots.history_copy import PerformByName
+from services.context_broker.snapshots.purge import purge_filter
 from services.context_broker.snapshots.snapshot import (
     QUERIES,
     Snapshot,
-    checked,
-    checked_change,
-    ending,
+    expiry_of,
     new_snapshot,
+    require_valid,
+    require_valid_change,
 )
-from services.context_broker.snapshots.telling import Tellings, restored
-from services.context_broker.sources.registration_operations import answer, with_context
+from services.context_broker.snapshots.snapshot_creation import HEADER, CarryOut, SnapshotCreator
+from services.context_broker.snapshots.snapshot_notifications import SnapshotNotifier, restored
+from services.context_broker.snapshots.snapshot_store import SnapshotStore, entries
 from services.context_broker.storage.entries import Kind
 from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.tenants import Tenant, Tenants
 
-USE_NOTED_S: Final = 10.0
+USE_WRITE_INTERVAL_S: Final = 10.0
 """How often the time of the last use is written, at most: it is not worth a write for each use."""
 OUTSIDE_SNAPSHOTS: Final = frozenset(
     {"createSnapshot", "purgeSnapshots", "retrieveSnapshotStatus", "updateSnapshotStatus", "deleteSnapshot",
@@ -49,15 +49,15 @@ _PURGE: Final = frozenset({"q"})
 class SnapshotOperations:
     """What can be done to snapshots."""
 
-    def __init__(self, tenants: Tenants, carry_out: Answering, by_name: Perform) -> None:
+    def __init__(self, tenants: Tenants, carry_out: CarryOut, by_name: PerformByName) -> None:
         self._tenants = tenants
-        self._keeping = Keeping(tenants)
-        self._making = Making(tenants, self._keeping, carry_out, by_name)
+        self._snapshots = SnapshotStore(tenants)
+        self._creator = SnapshotCreator(tenants, self._snapshots, carry_out, by_name)
 
     @property
-    def tellings(self) -> Tellings:
+    def notifier(self) -> SnapshotNotifier:
         """Return what is to be told of snapshots."""
-        return self._keeping.tellings
+        return self._snapshots.notifier
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
@@ -76,25 +76,25 @@ class SnapshotOperations:
 
         What was not told is told now, and that what was being made has failed.
         """
-        owed = [restored(*stored) for stored in journal.documents(Kind.SNAPSHOT_TELLING)]
-        for telling in sorted(owed, key=lambda one: one.at):
-            self.tellings.take(telling)
+        pending = [restored(*stored) for stored in journal.documents(Kind.SNAPSHOT_TELLING)]
+        for notification in sorted(pending, key=lambda one: one.at):
+            self.notifier.add(notification)
         kept: set[str] = set()
         for tenant in self._tenants:
             kept.update(inside(tenant.name, one) for one in tenant.snapshots)
             for one in tenant.snapshots.values():
-                self._keeping.see_to_its_end(tenant, one)
+                self._snapshots.schedule_expiry(tenant, one)
         if self._tenants.leadership.leads:
-            self._making.give_up_what_was_cut_short()
+            self._creator.fail_interrupted()
         for tenant in self._tenants:
             if outside(tenant.name)[1] is not None and tenant.name not in kept:
-                self._keeping.later(self._keeping.clear(tenant))
+                self._snapshots.later(self._snapshots.clear(tenant))
 
     def turn(self, *, leads: bool) -> None:
         """Take up what only one of several brokers does, or leave it to another."""
         if leads:
-            self._making.give_up_what_was_cut_short()
-        self.tellings.turn(leads=leads)
+            self._creator.fail_interrupted()
+        self.notifier.turn(leads=leads)
 
     async def follow(self, name: str, snapshot_id: str, body: bytes | None) -> None:
         """Take what another broker did to a snapshot of the tenant of that name."""
@@ -102,18 +102,18 @@ class SnapshotOperations:
         if body is None:
             tenant.snapshots.pop(snapshot_id, None)
         else:
-            self._keeping.take(tenant, Snapshot(snapshot_id, orjson.loads(body)))
+            self._snapshots.publish(tenant, Snapshot(snapshot_id, orjson.loads(body)))
 
     def stop(self) -> None:
         """Make no more; what is unfinished has failed at the next start."""
-        self._keeping.stop()
+        self._snapshots.stop()
 
     def inside(self, exchange: Exchange) -> Tenant:
         """Return what a request with NGSILD-Snapshot is about (clause 6.3.22); raise a problem (404)."""
         tenant = exchange.tenant
         found = _existing(tenant, exchange.headers[HEADER].decode("latin-1").strip())
         found.used()
-        if time.monotonic() - found.written_s > USE_NOTED_S:
+        if time.monotonic() - found.written_s > USE_WRITE_INTERVAL_S:
             found.written_s = time.monotonic()
             tenant.commits.store_later(entries(tenant, found))
         return self._tenants.inside(tenant, found.id)
@@ -121,67 +121,67 @@ class SnapshotOperations:
     async def create(self, exchange: Exchange) -> Answer:
         """POST snapshots."""
         given, _ = await exchange.body()
-        made = new_snapshot(_named(given), checked(given, has_queries=True))
-        await self._begin(exchange, made)
-        self._making.begin(exchange, made, given.get("@context"))
+        made = new_snapshot(_named(given), require_valid(given, has_queries=True))
+        await self._start(exchange, made)
+        self._creator.start(exchange, made, given.get("@context"))
         return _created(made)
 
     async def clone(self, exchange: Exchange) -> Answer:
         """POST snapshots/{id}/clone: a copy that ends, and changes, by itself (clause 5.16.2)."""
         original = _existing(exchange.tenant, exchange.names[0])
-        given = checked((await exchange.body())[0], has_queries=False)
+        given = require_valid((await exchange.body())[0], has_queries=False)
         queries: dict[str, Any] = {
             name: original.document[name] for name in QUERIES if name in original.document
         }
         made = new_snapshot(_named(given), {**given, **queries})
-        await self._begin(exchange, made)
-        self._making.begin_copy(exchange, original, made)
+        await self._start(exchange, made)
+        self._creator.start_copy(exchange, original, made)
         return _created(made)
 
     async def retrieve(self, exchange: Exchange) -> Answer:
         """GET snapshots/{id}."""
-        return await _told(exchange, _existing(exchange.tenant, exchange.names[0]))
+        return await _snapshot_answer(exchange, _existing(exchange.tenant, exchange.names[0]))
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH snapshots/{id}: its priority, its lifetime, and who is told of it."""
-        change = checked_change((await exchange.body())[0])
+        change = require_valid_change((await exchange.body())[0])
         members = {name: value for name, value in change.items() if name not in {"type", "@context"}}
         await self._require_open(exchange.tenant, members)
-        async with self._keeping.one_at_a_time:
+        async with self._snapshots.lock:
             before = _existing(exchange.tenant, exchange.names[0])
             if "snapshotLifetime" in members:
                 created_s = moment(before.document["createdAt"]) or time.time()
                 start = datetime.fromtimestamp(created_s, UTC)
-                members["expiresAt"] = ending(start, members["snapshotLifetime"])
+                members["expiresAt"] = expiry_of(start, members["snapshotLifetime"])
             after = before.changed(**members)
             if after.document.get("snapshotPriority") is None:
                 after.document["snapshotPriority"] = before.document["snapshotPriority"]
-            await self._keeping.keep(exchange.tenant, after, tells=True)
-        return await _told(exchange, after)
+            await self._snapshots.keep(exchange.tenant, after, notify=True)
+        return await _snapshot_answer(exchange, after)
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE snapshots/{id}."""
-        async with self._keeping.one_at_a_time:
-            await self._keeping.take_away(exchange.tenant, _existing(exchange.tenant, exchange.names[0]))
+        async with self._snapshots.lock:
+            await self._snapshots.remove(exchange.tenant, _existing(exchange.tenant, exchange.names[0]))
         return _DONE
 
     async def purge(self, exchange: Exchange) -> Answer:
         """DELETE snapshots: those for which q holds (clause 5.16.7)."""
         context = await exchange.reader_context()
-        wants = purged(exchange.parameter("q"), context)
-        async with self._keeping.one_at_a_time:
+        wants = purge_filter(exchange.parameter("q"), context)
+        async with self._snapshots.lock:
             for one in [found for found in exchange.tenant.snapshots.values() if wants(found)]:
-                await self._keeping.take_away(exchange.tenant, one)
+                await self._snapshots.remove(exchange.tenant, one)
         return _DONE
 
-    async def _begin(self, exchange: Exchange, made: Snapshot) -> None:
+    async def _start(self, exchange: Exchange, made: Snapshot) -> None:
         tenant = exchange.tenant
         await self._require_open(tenant, made.document)
-        async with self._keeping.one_at_a_time:
+        async with self._snapshots.lock:
             if made.id in tenant.snapshots:
                 raise already_exists(f"there is a snapshot {made.id} already; choose another id")
-            await self._keeping.make_room_for_one(tenant)
-            await self._keeping.keep(tenant, made)
+            await self._snapshots.evict_for_one(tenant)
+            await self._snapshots.keep(tenant, made)
 
     async def _require_open(self, tenant: Tenant, document: Mapping[str, Any]) -> None:
         if document.get("endpoint") is not None:
@@ -208,6 +208,6 @@ def _created(one: Snapshot) -> Answer:
     return Answer(201, b"", [(b"location", f"{PREFIX}snapshots/{quote(one.id, safe=':')}".encode())])
 
 
-async def _told(exchange: Exchange, one: Snapshot) -> Answer:
+async def _snapshot_answer(exchange: Exchange, one: Snapshot) -> Answer:
     media_type, context = exchange.accept(), await exchange.reader_context()
     return answer(with_context(one.document, media_type, context), media_type, context)

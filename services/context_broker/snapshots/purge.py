@@ -12,7 +12,7 @@ from services.context_broker.queries.selection import Selection, compiled
 from services.context_broker.snapshots.snapshot import MEMBERS, TYPE, Snapshot
 
 
-def purged(q: str | None, context: Context) -> Callable[[Snapshot], bool]:
+def purge_filter(q: str | None, context: Context) -> Callable[[Snapshot], bool]:
     """Return what says of a snapshot whether it is to go; raise a problem (400) for a query that cannot."""
     if not q:
         raise bad_request_data("a purge of snapshots has a q, for example q=snapshotPriority<5; add it")

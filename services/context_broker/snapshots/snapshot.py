@@ -26,14 +26,14 @@ from services.context_broker.api.words import (
 
 TYPE: Final = "Snapshot"
 DEFAULT_LIFETIME_S: Final = 86400.0
-LONGEST_LIFETIME_S: Final = 30 * 86400.0
+MAX_LIFETIME_S: Final = 30 * 86400.0
 """A snapshot costs as much memory as its entities; nobody's is forgotten for longer than a month."""
-MOST_SNAPSHOTS: Final = 64
+MAX_SNAPSHOTS: Final = 64
 """Snapshots of a tenant; the one of lowest priority, of these the longest unused, gives way to a new one."""
-MOST_ENTITIES: Final = 200_000
+MAX_ENTITIES: Final = 200_000
 """Entities in one snapshot."""
 DEFAULT_PRIORITY: Final = 5
-MOST_HELD: Final = 1_000_000
+MAX_TOTAL_ENTITIES: Final = 1_000_000
 """Entities in all snapshots of a tenant, after the same rule."""
 PRESENT: Final = "snapshotQueries"
 PAST: Final = "snapshotTemporalQueries"
@@ -114,20 +114,20 @@ def new_snapshot(snapshot_id: str, given: Mapping[str, Any]) -> Snapshot:
         "createdAt": at,
         "modifiedAt": at,
         "lastUsedAt": at,
-        "expiresAt": ending(now, given.get("snapshotLifetime")),
+        "expiresAt": expiry_of(now, given.get("snapshotLifetime")),
     }
     document.setdefault("snapshotPriority", DEFAULT_PRIORITY)
     return Snapshot(snapshot_id, document)
 
 
-def ending(start: datetime, lifetime: str | None) -> str:
+def expiry_of(start: datetime, lifetime: str | None) -> str:
     """Return when a snapshot made at `start` ends that is wanted for a time, within the broker's bounds."""
     wanted_s = DEFAULT_LIFETIME_S if lifetime is None else duration_s(lifetime, '"snapshotLifetime"')
-    lasts_s = min(max(wanted_s, 1.0), LONGEST_LIFETIME_S)
+    lasts_s = min(max(wanted_s, 1.0), MAX_LIFETIME_S)
     return timestamp(datetime.fromtimestamp(start.timestamp() + lasts_s, UTC))
 
 
-def checked(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
+def require_valid(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
     """Return a document that makes a snapshot; raise a problem (400) if it cannot."""
     if not isinstance(given, Mapping):
         raise bad_request_data(f"a snapshot is a JSON object, not {shown(given)}")
@@ -142,7 +142,7 @@ def checked(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
     return given
 
 
-def checked_change(given: Any) -> Mapping[str, Any]:
+def require_valid_change(given: Any) -> Mapping[str, Any]:
     """Return a document that changes a snapshot; raise a problem (400) if it cannot."""
     if not isinstance(given, Mapping):
         raise bad_request_data(f"a change of a snapshot is a JSON object, not {shown(given)}")
@@ -152,10 +152,10 @@ def checked_change(given: Any) -> Mapping[str, Any]:
 
 def details(status: Status, problem: Problem | None = None) -> dict[str, Any]:
     """Return what became of one query (clause 5.2.42)."""
-    told: dict[str, Any] = {"resultStatus": status.value}
+    result: dict[str, Any] = {"resultStatus": status.value}
     if problem is not None:
-        told["problemDetails"] = problem.body()
-    return told
+        result["problemDetails"] = problem.body()
+    return result
 
 
 def status_of(results: list[dict[str, Any]]) -> Status:

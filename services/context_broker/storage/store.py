@@ -167,21 +167,21 @@ class Store:
             hits.update(self._rarest(kinds))
         return in_order(hits.values())
 
-    def mixed(
+    def overlay(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
-    ) -> "Mix":
+    ) -> "OverlayStore":
         """Return a store, for one answer, of the entities with these ids or else types (None: of all).
 
         `others` are how entities are when other sources are heard too; None stands for one that is not to
         be shown. Nothing may be written to it.
         """
-        mix = Mix(self, others)
+        overlay = OverlayStore(self, others)
         for one in self.candidates(ids, None if types is None else of_types(tuple(types))):
             if one.id not in others:
-                mix.take(one)
+                overlay.take(one)
         for entity in in_order(one for one in others.values() if one is not None):
-            mix.take(entity)
-        return mix
+            overlay.take(entity)
+        return overlay
 
     # What writers do
 
@@ -314,7 +314,7 @@ class Store:
         return index
 
 
-class Mix(Store):
+class OverlayStore(Store):
     """Entities as they are when other sources are heard too; what it lacks is looked up in the store."""
 
     def __init__(self, store: Store, others: Mapping[str, Entity | None]) -> None:

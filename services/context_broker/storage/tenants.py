@@ -14,12 +14,12 @@ from services.context_broker.api.problems import bad_request_data, no_such_tenan
 from services.context_broker.api.words import LONGEST_TENANT, TENANT, inside, outside, shown
 from services.context_broker.entities.entity import Entity
 from services.context_broker.entities.transient import Ends
-from services.context_broker.network.http_sender import HttpSender
+from services.context_broker.federation.entity_maps.entity_map import EntityMaps
+from services.context_broker.federation.registrations.registry import Registry
+from services.context_broker.federation.registrations.source_subscriptions import SourceNotifier
+from services.context_broker.network.http_client import PooledHttpClient
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshots.entity_maps import EntityMaps
 from services.context_broker.snapshots.snapshot import Snapshot, restored
-from services.context_broker.sources.registry import Registry
-from services.context_broker.sources.source_subscriptions import SourceOffice
 from services.context_broker.storage.commits import CommitQueue, Commits, Failed, stored
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.following import Following
@@ -59,7 +59,7 @@ class Tenant:
         self.registry.watchers.append(lambda *_: tenants.on_registration(self))
         self.entity_maps = EntityMaps(name, self.commits)
         self.snapshots: dict[str, Snapshot] = {}
-        self.source_notifier = SourceOffice(name, self.commits, tenants.outbound, self.registry)
+        self.source_notifier = SourceNotifier(name, self.commits, tenants.outbound, self.registry)
         """Tells of registrations that come, change and go; it hears of no entity."""
 
     @property
@@ -140,7 +140,7 @@ class Tenants:
         self.places = Places(journal.last_place(), secrets.randbelow(SLOTS) if self._shares else None)
         self.outbound = Outbound(
             journal,
-            HttpSender(policy, ca_file),
+            PooledHttpClient(policy, ca_file),
             MqttSender(policy, ca_file),
             policy,
             self.leadership,
@@ -154,7 +154,7 @@ class Tenants:
         for tenant, _, body in journal.documents(Kind.SNAPSHOT):
             self._tenants[tenant].snapshots.update(restored(body))
         for tenant, _, body in journal.documents(Kind.ENTITY_MAP):
-            self._tenants[tenant].entity_maps.take(body)
+            self._tenants[tenant].entity_maps.load(body)
         for tenant, body in journal.entities():
             self._tenants[tenant].store.take(Entity.restored(body))
 

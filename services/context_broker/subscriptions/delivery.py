@@ -8,7 +8,7 @@ from prometheus_client import Counter
 
 from handover.telemetry import get_logger
 from services.context_broker.api.words import timestamp_now
-from services.context_broker.network.http_sender import SendError
+from services.context_broker.network.http_client import SendError
 from services.context_broker.storage.entries import Notice
 from services.context_broker.storage.journal import Journal
 from services.context_broker.subscriptions.lines import Line

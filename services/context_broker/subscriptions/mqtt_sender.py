@@ -7,8 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
-from services.context_broker.network.http_sender import SendError, TooSlow
-from services.context_broker.network.outbound_policy import OutboundPolicy, Refused
+from services.context_broker.network.http_client import ResponseTimeout, SendError
+from services.context_broker.network.outbound_policy import AddressRefused, OutboundPolicy
 from services.context_broker.subscriptions.mqtt_address import MqttAddress
 
 GOODBYE_WITHIN_S: Final = 1.0
@@ -59,7 +59,7 @@ class _Connection:
                     await self._publish(topic, qos, payload, timeout_s)
         except TimeoutError:
             self._drop(self._connecting if was_there else None)
-            raise TooSlow(f"no answer within {timeout_s:g} s") from None
+            raise ResponseTimeout(f"no answer within {timeout_s:g} s") from None
 
     async def _publish(self, topic: str, qos: int, payload: bytes, timeout_s: float) -> None:
         from aiomqtt import MqttError  # noqa: PLC0415 - takes time to load, and few subscribers want it
@@ -71,7 +71,7 @@ class _Connection:
             # A connection that takes longer than we wait is there for the next attempt.
             client = await asyncio.shield(connecting)
             await client.publish(topic, payload, qos=qos, timeout=timeout_s)
-        except Refused as refused:
+        except AddressRefused as refused:
             self._drop(connecting)
             raise SendError(str(refused)) from None
         except (MqttError, OSError, ValueError) as error:

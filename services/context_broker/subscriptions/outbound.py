@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, field
 from weakref import WeakValueDictionary
 
-from services.context_broker.network.http_sender import HttpSender
+from services.context_broker.network.http_client import PooledHttpClient
 from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.leadership import Leadership
@@ -24,7 +24,7 @@ class Outbound:
     """
 
     journal: Journal
-    sender: HttpSender
+    sender: PooledHttpClient
     mqtt: MqttSender
     policy: OutboundPolicy
     leadership: Leadership

@@ -11,13 +11,13 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.temporal.durations import LAST_TIME, Duration, written_time
+from services.context_broker.temporal.durations import MAX_TIME, Duration, written_time
 
 COUNTED_ONLY: Final = frozenset(
     {"Relationship", "ListRelationship", "LanguageProperty", "VocabProperty", "JsonProperty", "GeoProperty"}
 )
 """Kinds of attributes of which no value is more than another."""
-_LARGEST_INTEGER: Final = 2**63 - 1
+_MAX_INTEGER: Final = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def periods(points: Sequence[tuple[int, Any]], duration: Duration, origin: int, 
     found: list[Period] = []
     until = -1
     for at, said in points:
-        if at >= until and not (found and until >= LAST_TIME):
+        if at >= until and not (found and until >= MAX_TIME):
             number = duration.number(origin, at)
             until = duration.boundary(origin, number + 1)
             found.append(Period(duration.boundary(origin, number), until, []))
@@ -120,7 +120,7 @@ def _text(said: Any) -> str | None:
 def _fitting(number: float) -> float | None:
     """Return a number as JSON can carry it: whole up to 64 bits, truths as numbers; None if it cannot."""
     if isinstance(number, int):
-        return int(number) if abs(number) <= _LARGEST_INTEGER else float(number)
+        return int(number) if abs(number) <= _MAX_INTEGER else float(number)
     return number if math.isfinite(number) else None
 
 

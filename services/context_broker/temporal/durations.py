@@ -13,8 +13,8 @@ from services.context_broker.api.words import shown
 
 MICROS: Final = 1_000_000
 """Microseconds in a second: times here are whole microseconds since 1970."""
-MOST_MONTHS: Final = 12 * 10_000
-LAST_TIME: Final = 253_402_300_799 * MICROS
+MAX_MONTHS: Final = 12 * 10_000
+MAX_TIME: Final = 253_402_300_799 * MICROS
 """The end of the year 9999: the calendar knows nothing after it."""
 
 _DURATION: Final = re.compile(
@@ -45,8 +45,8 @@ class Duration:
             try:
                 start += _plus_months(origin, count * self.months) - origin
             except (OverflowError, ValueError):
-                return LAST_TIME
-        return min(start, LAST_TIME)
+                return MAX_TIME
+        return min(start, MAX_TIME)
 
     def number(self, origin: int, at: int) -> int:
         """Return the number of the period from `origin` that `at` lies in; `at` is not before `origin`."""
@@ -54,7 +54,7 @@ class Duration:
             return (at - origin) // self.micros
         longest = self.months * 31 * _DAY + self.micros
         number = max(0, (at - origin) // longest)
-        while self.boundary(origin, number + 1) <= at < LAST_TIME:
+        while self.boundary(origin, number + 1) <= at < MAX_TIME:
             number += 1
         return number
 
@@ -71,7 +71,7 @@ def read_duration(given: str, what: str) -> Duration:
     years, months, weeks, days, hours, minutes, seconds = (int(part or 0) for part in whole)
     micros = (((weeks * 7 + days) * 24 + hours) * 60 + minutes) * 60 + seconds
     months += years * 12
-    if months > MOST_MONTHS or micros * MICROS > LAST_TIME:
+    if months > MAX_MONTHS or micros * MICROS > MAX_TIME:
         raise bad_request_data(f"{what} is longer than the calendar ({shown(given)}); ask for PT0S instead")
     return Duration(months, micros * MICROS + int((fraction or "0").ljust(6, "0")))
 

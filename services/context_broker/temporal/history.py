@@ -164,7 +164,7 @@ class Departed:
     deleted_at: str | None
     expires_at: str | None = None
 
-    def is_over(self, now_s: float) -> bool:
+    def has_expired_at(self, now_s: float) -> bool:
         """Say whether its past is to be forgotten."""
         return has_expired(self.expires_at, now_s)
 

@@ -17,7 +17,7 @@ from services.context_broker.entities.intake import (
 )
 from services.context_broker.temporal.history import SCOPE
 
-MOST_INSTANCES: Final = 100_000
+MAX_INSTANCES: Final = 100_000
 """Instances that are read in one request."""
 
 _MEMBERS: Final = frozenset(
@@ -76,8 +76,8 @@ def read_past(document: Any, terms: Terms) -> Past:
             raise bad_request_data(f"attribute {shown(name)} is given twice, once by another name of {iri}")
         attributes[iri] = _instances(name, given, terms)
         total += len(attributes[iri])
-    if total > MOST_INSTANCES:
-        raise bad_request_data(f"the body has {total} instances; {MOST_INSTANCES} are taken at once")
+    if total > MAX_INSTANCES:
+        raise bad_request_data(f"the body has {total} instances; {MAX_INSTANCES} are taken at once")
     return Past(head.id, head.types, attributes, head.expires_at)
 
 

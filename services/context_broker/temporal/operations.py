@@ -16,6 +16,7 @@ from services.context_broker.api.words import require_uri, shown
 from services.context_broker.contexts.book import Context
 from services.context_broker.entities.entity_operations import absent, nothing_left
 from services.context_broker.entities.rendering import with_context
+from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS
 from services.context_broker.queries.ordering import Ordering, ordering
 from services.context_broker.queries.pages import PLACE
 from services.context_broker.queries.query_document import query_parameters, selectors_of
@@ -28,36 +29,42 @@ from services.context_broker.queries.reading import (
     selection_of,
 )
 from services.context_broker.queries.selection import Selection
-from services.context_broker.snapshots.entity_maps import MAP_PARAMETERS
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.temporal.archive import Archive
-from services.context_broker.temporal.chronicle import Found, Question, tell, tell_one
+from services.context_broker.temporal.history_reader import (
+    EvolutionPage,
+    HistoryRequest,
+    read_evolution,
+    read_evolutions,
+)
 from services.context_broker.temporal.query import (
     AGGREGATION_PARAMETERS,
     TIME_PARAMETERS,
-    Telling,
+    Representation,
     TemporalQuery,
     TemporalView,
     temporal_query,
     temporal_view,
     temporal_window,
 )
-from services.context_broker.temporal.rendering import content_range, told
+from services.context_broker.temporal.rendering import content_range, render_evolution
 from services.context_broker.temporal.subjects import subjects_of
 
-READERS: Final = 2
+READER_THREADS: Final = 2
 """Threads that look into the past: long looks wait for one another, and keep nothing else waiting."""
 
 _OF_THE_PRESENT: Final = LINK_PARAMETERS | {PLACE, "geometryProperty", "orderFrom", "orderGeometry"}
 """What can be asked of entities as they are, and not of how they have been."""
-_TELLING: Final = (VIEW_PARAMETERS - _OF_THE_PRESENT) | TIME_PARAMETERS | AGGREGATION_PARAMETERS
-QUERYING: Final = (QUERY_PARAMETERS - _OF_THE_PRESENT) | _TELLING
+_REPRESENTATION_PARAMETERS: Final = (
+    (VIEW_PARAMETERS - _OF_THE_PRESENT) | TIME_PARAMETERS | AGGREGATION_PARAMETERS
+)
+QUERYING: Final = (QUERY_PARAMETERS - _OF_THE_PRESENT) | _REPRESENTATION_PARAMETERS
 
-Told = TypeVar("Told")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
-class _Wish:
+class _ReadOptions:
     """What is asked for, and how it is to be told."""
 
     context: Context
@@ -71,7 +78,7 @@ class TemporalOperations:
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
-        self._readers = ThreadPoolExecutor(READERS, "past")
+        self._readers = ThreadPoolExecutor(READER_THREADS, "past")
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations of this room."""
@@ -84,33 +91,33 @@ class TemporalOperations:
                 "retrieveTemporal",
                 "6.19.3.1",
                 self.retrieve,
-                _TELLING | MAP_PARAMETERS,
+                _REPRESENTATION_PARAMETERS | MAP_PARAMETERS,
             ),
             Operation("POST", query, "queryTemporalBatch", "6.24.3.1", self.query_by_document, QUERYING),
         )
 
     async def retrieve(self, exchange: Exchange) -> Answer:
         """GET temporal/entities/{id}."""
-        wish = await self._wish(exchange, await exchange.reader_context())
+        options = await self._read_options(exchange, await exchange.reader_context())
         entity_id = require_uri(exchange.names[0], "the entity id in the path")
         live = exchange.tenant.store.get(entity_id)
-        question = Question(wish.query, wish.view.wants, None, wish.view.view.datasets)
+        request = HistoryRequest(options.query, options.view.wants, None, options.view.view.datasets)
 
-        def look() -> tuple[Found, list[bytes]] | None:
+        def look() -> tuple[EvolutionPage, list[bytes]] | None:
             departed = self._archive.departed(exchange.tenant.name, entity_id)
             subjects = subjects_of(() if live is None else (live,), departed)
             if not subjects:
                 return None
-            found = tell_one(self._archive, subjects[0], question)
-            return found, _texts(found, wish)
+            found = read_evolution(self._archive, subjects[0], request)
+            return found, _texts(found, options)
 
         answered = await self._looked(look)
         if answered is None:
             raise absent(entity_id)
         found, (text,) = answered
-        if text in {b"{}", with_context(b"{}", wish.context)}:
+        if text in {b"{}", with_context(b"{}", options.context)}:
             raise nothing_left(entity_id)
-        return _answer(text, found, wish)
+        return _answer(text, found, options)
 
     async def query(self, exchange: Exchange) -> Answer:
         """GET temporal/entities."""
@@ -122,17 +129,19 @@ class TemporalOperations:
         exchange.parameters = {**exchange.parameters, **temporal_parameters(document)}
         return await self._queried(exchange, context, selectors_of(document, context))
 
-    async def _wish(self, exchange: Exchange, context: Context) -> _Wish:
+    async def _read_options(self, exchange: Exchange, context: Context) -> _ReadOptions:
         accept = exchange.accept()
         view = temporal_view(exchange, context)
-        query = temporal_query(exchange.parameters, aggregates=view.telling is Telling.AGGREGATED)
-        return _Wish(context, query, view, accept)
+        query = temporal_query(
+            exchange.parameters, aggregates=view.representation is Representation.AGGREGATED
+        )
+        return _ReadOptions(context, query, view, accept)
 
     async def _queried(
         self, exchange: Exchange, context: Context, any_of: tuple[Selection, ...] = ()
     ) -> Answer:
-        wish = await self._wish(exchange, context)
-        if wish.query.relation is None:
+        options = await self._read_options(exchange, context)
+        if options.query.relation is None:
             raise bad_request_data(
                 "a query of the past needs a time that it is about: timerel and timeAt; add them, such as "
                 "timerel=after&timeAt=1970-01-01T00:00:00Z for all the past"
@@ -145,18 +154,18 @@ class TemporalOperations:
             )
         narrowing = replace(selection, attributes=None, query=None, places=None, scopes=None)
         by_values = selection.query is not None or selection.places is not None
-        question = Question(
-            wish.query,
-            wish.view.wants,
+        request = HistoryRequest(
+            options.query,
+            options.view.wants,
             selection.attributes,
-            wish.view.view.datasets,
+            options.view.view.datasets,
             replace(selection, scopes=None).wants if by_values else None,
             selection.scopes,
         )
         live = exchange.tenant.store.candidates(selection.ids, selection.types)
         name = exchange.tenant.name
 
-        def look() -> tuple[Found, list[bytes]]:
+        def look() -> tuple[EvolutionPage, list[bytes]]:
             ids: tuple[str | None, ...] = (
                 (None,) if selection.ids is None else tuple(dict.fromkeys(selection.ids))
             )
@@ -164,18 +173,20 @@ class TemporalOperations:
             wanted = [one for one in known if narrowing.wants(one.as_entity())]
             if order is not None:
                 wanted.sort(key=lambda one: order.place_of(one.as_entity()))
-            found = tell(self._archive, wanted, question, window.offset, window.limit, count=window.count)
-            return found, _texts(found, wish)
+            found = read_evolutions(
+                self._archive, wanted, request, window.offset, window.limit, count=window.count
+            )
+            return found, _texts(found, options)
 
         found, texts = await self._looked(look)
-        answer = _answer(b"[" + b",".join(texts) + b"]", found, wish)
+        answer = _answer(b"[" + b",".join(texts) + b"]", found, options)
         if window.count:
             answer.headers.append((b"ngsild-results-count", str(found.total).encode()))
         if exchange.method == "GET":
-            answer.headers += page_links(exchange, window, wish.accept, more=found.more)
+            answer.headers += page_links(exchange, window, options.accept, more=found.more)
         return answer
 
-    async def _looked(self, look: Callable[[], Told]) -> Told:
+    async def _looked(self, look: Callable[[], Result]) -> Result:
         """Look into the database in a thread; raise a problem (503) when it cannot be read."""
         try:
             return await asyncio.get_running_loop().run_in_executor(self._readers, look)
@@ -183,18 +194,22 @@ class TemporalOperations:
             raise not_read(str(error)) from error
 
 
-def _texts(found: Found, wish: _Wish) -> list[bytes]:
-    terms = wish.context.terms
-    texts = [orjson.dumps(told(one, wish.query, wish.view, terms)) for one in found.evolutions]
-    return [with_context(text, wish.context) for text in texts] if wish.accept == JSON_LD else texts
+def _texts(found: EvolutionPage, options: _ReadOptions) -> list[bytes]:
+    terms = options.context.terms
+    texts = [
+        orjson.dumps(render_evolution(one, options.query, options.view, terms)) for one in found.evolutions
+    ]
+    return [with_context(text, options.context) for text in texts] if options.accept == JSON_LD else texts
 
 
-def _answer(body: bytes, found: Found, wish: _Wish) -> Answer:
-    headers = [(b"content-type", JSON_LD.encode())] if wish.accept == JSON_LD else json_headers(wish.context)
-    told_of = content_range(found, wish.query)
-    if told_of is None:
+def _answer(body: bytes, found: EvolutionPage, options: _ReadOptions) -> Answer:
+    headers = (
+        [(b"content-type", JSON_LD.encode())] if options.accept == JSON_LD else json_headers(options.context)
+    )
+    content = content_range(found, options.query)
+    if content is None:
         return Answer(200, body, headers)
-    return Answer(206, body, [*headers, (b"content-range", told_of)])
+    return Answer(206, body, [*headers, (b"content-range", content)])
 
 
 def _order_of(exchange: Exchange, context: Context) -> Ordering | None:

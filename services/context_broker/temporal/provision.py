@@ -29,11 +29,11 @@ from services.context_broker.temporal.history import SCOPE, Change, Departed, Re
 from services.context_broker.temporal.intake import Past, read_past
 from services.context_broker.temporal.subjects import Subject, subjects_of
 
-INSTANCES_A_ROW: Final = 100
+INSTANCES_PER_ROW: Final = 100
 """Instances of one request that are kept in one row: so many are read where one of them is wanted."""
 LONG_BODY_BYTES: Final = 256 * 1024
 """From here on reading a body takes longer than others should wait."""
-ROWS_A_COMMIT: Final = 500
+ROWS_PER_COMMIT: Final = 500
 """Rows that are rewritten or deleted in one commit, so that others get their turn between."""
 
 _LOCAL: Final = frozenset({"local"})
@@ -116,7 +116,7 @@ class TemporalProvision:
             subject = await self._existing(tenant, entity_id)
             for place in subject.places:
                 while True:
-                    bound = await asyncio.to_thread(self._archive.bound_of, place, ROWS_A_COMMIT)
+                    bound = await asyncio.to_thread(self._archive.bound_of, place, ROWS_PER_COMMIT)
                     await _commit(tenant, Entries(cleared=[(place, END_OF_TIME if bound is None else bound)]))
                     if bound is None:
                         break
@@ -294,10 +294,10 @@ class TemporalProvision:
         self, place: int, after: int, cut: Callable[[Change], bool]
     ) -> tuple[list[HistoryRow], int | None]:
         """Return those of the next rows that `cut` has changed, and the seq to go on after, if any."""
-        found = self._archive.changes_after(place, after, ROWS_A_COMMIT)
+        found = self._archive.changes_after(place, after, ROWS_PER_COMMIT)
         changed = [(seq, change) for seq, body in found if cut(change := Change.restored(body))]
         rows = [_row(place, seq, change) for seq, change in changed]
-        return rows, found[-1][0] if len(found) == ROWS_A_COMMIT else None
+        return rows, found[-1][0] if len(found) == ROWS_PER_COMMIT else None
 
     @asynccontextmanager
     async def _turn(self, tenant: Tenant, entity_id: str) -> AsyncIterator[None]:
@@ -338,11 +338,11 @@ def _row(place: int, seq: int, change: Change) -> HistoryRow:
 def _pieces(attributes: Attributes) -> Iterator[Attributes]:
     """Yield the instances in pieces of a row each, those of nearby times together."""
     instances = [(name, one) for name, several in attributes.items() for one in several]
-    if len(instances) > INSTANCES_A_ROW:
+    if len(instances) > INSTANCES_PER_ROW:
         instances.sort(key=lambda one: moment(one[1].get("observedAt", "")) or 0.0)
-    for start in range(0, len(instances), INSTANCES_A_ROW):
+    for start in range(0, len(instances), INSTANCES_PER_ROW):
         piece: Attributes = {}
-        for name, one in instances[start : start + INSTANCES_A_ROW]:
+        for name, one in instances[start : start + INSTANCES_PER_ROW]:
             piece.setdefault(name, []).append(one)
         yield piece
 

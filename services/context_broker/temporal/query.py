@@ -26,13 +26,13 @@ OBSERVED: Final = "observedAt"
 TIME_PROPERTIES: Final = (OBSERVED, "createdAt", "modifiedAt", "deletedAt")
 TIME_PARAMETERS: Final = frozenset({"timerel", "timeAt", "endTimeAt", "timeproperty", "lastN"})
 AGGREGATION_PARAMETERS: Final = frozenset({"aggrMethods", "aggrPeriodDuration"})
-LARGEST_LAST_N: Final = 10**9
+MAX_LAST_N: Final = 10**9
 
 
 _DRIFT: Final = int(DRIFT_S * MICROS)
 
 
-class Telling(StrEnum):
+class Representation(StrEnum):
     """A way to tell how an entity has been."""
 
     NORMALIZED = "normalized"
@@ -41,8 +41,8 @@ class Telling(StrEnum):
     AGGREGATED = "aggregatedValues"
 
 
-_TELLINGS: Final = {**{one.value: one for one in Telling}, "simplified": Telling.VALUES}
-_OPTIONS: Final = frozenset({*_TELLINGS, "sysAttrs", "count"})
+_REPRESENTATIONS: Final = {**{one.value: one for one in Representation}, "simplified": Representation.VALUES}
+_OPTIONS: Final = frozenset({*_REPRESENTATIONS, "sysAttrs", "count"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class TemporalQuery:
 class TemporalView:
     """How the asker wants what has been told."""
 
-    telling: Telling
+    representation: Representation
     view: View
 
     def wants(self, attribute: str) -> bool:
@@ -150,7 +150,7 @@ def temporal_query(parameters: Mapping[str, str], *, aggregates: bool) -> Tempor
         name = OBSERVED
     last = parameters.get("lastN")
     if last is not None and not (
-        last.isascii() and last.isdigit() and len(last) <= 10 and 0 < int(last) <= LARGEST_LAST_N
+        last.isascii() and last.isdigit() and len(last) <= 10 and 0 < int(last) <= MAX_LAST_N
     ):
         raise bad_request_data(f"lastN is a whole number from 1 on, not {shown(last)}")
     return TemporalQuery(
@@ -167,19 +167,21 @@ def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
     """Return how the asker wants what has been; raise a problem (400) for contradictions."""
     parameters = exchange.parameters
     options = options_of(exchange, _OPTIONS)
-    tellings = {_TELLINGS[one] for one in options if one in _TELLINGS}
+    representations = {_REPRESENTATIONS[one] for one in options if one in _REPRESENTATIONS}
     wanted = parameters.get("format")
     if wanted is not None:
-        if wanted not in _TELLINGS:
-            raise invalid_request(f"format is one of {', '.join(_TELLINGS)}, not {shown(wanted)}")
-        tellings = {_TELLINGS[wanted]}  # it comes before what options say (clause 6.3.12)
-    if len(tellings) > 1:
-        raise invalid_request(f"more than one form is asked for ({', '.join(sorted(tellings))}); choose one")
-    telling = tellings.pop() if tellings else Telling.NORMALIZED
+        if wanted not in _REPRESENTATIONS:
+            raise invalid_request(f"format is one of {', '.join(_REPRESENTATIONS)}, not {shown(wanted)}")
+        representations = {_REPRESENTATIONS[wanted]}  # it comes before what options say (clause 6.3.12)
+    if len(representations) > 1:
+        raise invalid_request(
+            f"more than one form is asked for ({', '.join(sorted(representations))}); choose one"
+        )
+    representation = representations.pop() if representations else Representation.NORMALIZED
     if "aggrMethods" in parameters:
-        if tellings or telling not in {Telling.NORMALIZED, Telling.AGGREGATED}:
+        if representations or representation not in {Representation.NORMALIZED, Representation.AGGREGATED}:
             raise bad_request_data("aggrMethods goes with format=aggregatedValues; choose one form")
-        telling = Telling.AGGREGATED
+        representation = Representation.AGGREGATED
     projection = read_projection(parameters.get("pick"), parameters.get("omit"), context.terms)
     if projection is not None and projection.linked:
         raise bad_request_data("the past of linked entities cannot be told; leave the braces out")
@@ -188,7 +190,7 @@ def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
         raise bad_request_data(
             "attrs goes together with neither pick nor omit; name attributes in one of them"
         )
-    form = Form.CONCISE if telling is Telling.CONCISE else Form.NORMALIZED
+    form = Form.CONCISE if representation is Representation.CONCISE else Form.NORMALIZED
     view = View(
         form,
         "sysAttrs" in options,
@@ -197,7 +199,7 @@ def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
         None if languages is None else preferences(languages),
         datasets_of(parameters.get("datasetId")),
     )
-    return TemporalView(telling, view)
+    return TemporalView(representation, view)
 
 
 def temporal_window(exchange: Exchange) -> Window:

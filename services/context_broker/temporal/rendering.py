@@ -9,10 +9,10 @@ from services.context_broker.entities.entity import Terms
 from services.context_broker.entities.language import in_language
 from services.context_broker.entities.rendering import Form, written
 from services.context_broker.temporal.aggregation import written_totals
-from services.context_broker.temporal.chronicle import Evolution, Found, Point, Series
 from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.history import SCOPE
-from services.context_broker.temporal.query import Telling, TemporalQuery, TemporalView
+from services.context_broker.temporal.history_reader import Evolution, EvolutionPage, Point, Series
+from services.context_broker.temporal.query import Representation, TemporalQuery, TemporalView
 
 _SAYS_MANY: Final = {
     "Property": "values",
@@ -27,7 +27,9 @@ _SAYS_MANY: Final = {
 """Each kind of attribute and the member that holds its pairs of value and time."""
 
 
-def told(evolution: Evolution, query: TemporalQuery, view: TemporalView, terms: Terms) -> dict[str, Any]:
+def render_evolution(
+    evolution: Evolution, query: TemporalQuery, view: TemporalView, terms: Terms
+) -> dict[str, Any]:
     """Return how an entity has been as a JSON object."""
     subject, projection = evolution.subject, view.view.projection
     types = [terms.compact(kind) for kind in subject.types]
@@ -45,7 +47,7 @@ def told(evolution: Evolution, query: TemporalQuery, view: TemporalView, terms: 
         many = [series for series in named.values() if series.points or series.totals]
         if not many:
             continue
-        if view.telling in {Telling.NORMALIZED, Telling.CONCISE}:
+        if view.representation in {Representation.NORMALIZED, Representation.CONCISE}:
             result[key] = [_instance(point, query, view, terms) for series in many for point in series.points]
             if name == SCOPE:  # not observed (clause 4.18), so that nothing else tells when it was so
                 points = (point for series in many for point in series.points)
@@ -71,7 +73,7 @@ def _instance(point: Point, query: TemporalQuery, view: TemporalView, terms: Ter
 
 def _pairs(series: Series, query: TemporalQuery, view: TemporalView, terms: Terms) -> dict[str, Any]:
     kind = series.kind
-    if view.telling is Telling.AGGREGATED:
+    if view.representation is Representation.AGGREGATED:
         result: dict[str, Any] = {"type": kind}
         if series.dataset is not None:
             result["datasetId"] = series.dataset
@@ -89,7 +91,7 @@ def _pairs(series: Series, query: TemporalQuery, view: TemporalView, terms: Term
     return result
 
 
-def content_range(found: Found, query: TemporalQuery) -> bytes | None:
+def content_range(found: EvolutionPage, query: TemporalQuery) -> bytes | None:
     """Return the Content-Range of an answer that holds less than was asked for, None for one that holds all.
 
     Clause 6.3.10: from where to where it tells, backwards if the last instances were asked for. The next

@@ -19,14 +19,14 @@ from services.context_broker.temporal.history import Departed, seq_before
 
 log = get_logger(__name__)
 
-FIRST_S: Final = 60.0
+INITIAL_DELAY_S: Final = 60.0
 """After the start: first the broker takes up its work."""
-EVERY_S: Final = 6 * 3600.0
-PIECE: Final = 500
+INTERVAL_S: Final = 6 * 3600.0
+CHANGES_PER_COMMIT: Final = 500
 """Changes that are forgotten in one commit: a few milliseconds, for which other commits wait."""
 PAUSE_S: Final = 0.05
 """Between pieces, so that clearing takes a small part of the disk's time."""
-PLACES_A_LOOK: Final = 500
+PLACES_PER_SCAN: Final = 500
 """Entities that are looked at before others get their turn."""
 
 
@@ -63,7 +63,7 @@ class Retention:
                 await self._task
 
     async def _work(self) -> None:
-        await asyncio.sleep(FIRST_S)
+        await asyncio.sleep(INITIAL_DELAY_S)
         while True:
             if self._is_due():
                 try:
@@ -72,7 +72,7 @@ class Retention:
                     log.info("old history cleared", pieces=cleared, ended=ended)
                 except NotStored as error:
                     log.warning("old history cannot be cleared now", error=str(error))
-            await asyncio.sleep(EVERY_S)
+            await asyncio.sleep(INTERVAL_S)
 
     async def clear(self, before: int) -> int:
         """Forget all changes with a seq below `before`; return in how many pieces.
@@ -108,7 +108,7 @@ class Retention:
             before: dict[str, list[int]] = {}
             for place, entity_id, body in self._archive.departed(tenant):
                 before.setdefault(entity_id, []).append(place)
-                if Departed.restored(body).is_over(now_s):
+                if Departed.restored(body).has_expired_at(now_s):
                     found += [(tenant, entity_id, one) for one in before.pop(entity_id)]
         return found
 
@@ -117,7 +117,7 @@ class Retention:
         pieces = 0
         bound: int | None = 0
         while bound is not None:
-            bound = await asyncio.to_thread(self._archive.bound_of, place, PIECE, before)
+            bound = await asyncio.to_thread(self._archive.bound_of, place, CHANGES_PER_COMMIT, before)
             await self._commits.store(Entries(cleared=[(place, before if bound is None else bound)]))
             pieces += 1
             await asyncio.sleep(PAUSE_S)
@@ -126,7 +126,7 @@ class Retention:
     def _next_with_old(self, after: int, before: int) -> tuple[int, bool]:
         """Return the next place with something to clear, else how far has been looked, -1 at the end."""
         place = after
-        for _ in range(PLACES_A_LOOK):
+        for _ in range(PLACES_PER_SCAN):
             found = self._archive.first_change(place)
             if found is None:
                 return -1, False

@@ -26,7 +26,7 @@ class Subject:
     deleted_at: str | None
     places: tuple[int, ...]
     expires_at: str | None = None
-    is_hearsay: bool = False
+    is_temporal_only: bool = False
 
     def as_entity(self) -> Entity:
         """Return the entity that it is or was, without its attributes."""
@@ -55,7 +55,7 @@ def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, b
     now_s = time.time()
     for place, entity_id, body in departed:
         it = Departed.restored(body)
-        if it.is_over(now_s):
+        if it.has_expired_at(now_s):
             found.pop(entity_id, None)
             continue
         known = found.get(entity_id)
@@ -70,7 +70,7 @@ def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, b
             it.deleted_at,
             places,
             it.expires_at,
-            is_hearsay=it.deleted_at is None,
+            is_temporal_only=it.deleted_at is None,
         )
     for entity in entities:
         known = found.get(entity.id)

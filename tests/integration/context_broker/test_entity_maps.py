@@ -10,8 +10,8 @@ import httpx
 import pytest
 
 from services.context_broker.app import create_broker
+from services.context_broker.federation.entity_maps import pages as entity_map_pages
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshots import entity_map_pages
 
 from .conftest import BrokerProcess
 
@@ -283,7 +283,7 @@ def test_one_entity_is_retrieved_by_a_map_too(http: httpx.Client, path: str) -> 
 async def test_others_are_served_while_a_large_map_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(entity_map_pages, "CHECKED_AT_ONCE", 2)
+    monkeypatch.setattr(entity_map_pages, "CHECK_BATCH_SIZE", 2)
     broker = create_broker(BrokerSettings(data_dir=tmp_path))
     await broker._broker.start()
     transport = httpx.ASGITransport(broker)

@@ -17,7 +17,7 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from services.context_broker.network.http_sender import SendError
+from services.context_broker.network.http_client import SendError
 from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.subscriptions.mqtt_address import mqtt_address
 from services.context_broker.subscriptions.mqtt_sender import MqttSender

@@ -14,8 +14,8 @@ from services.context_broker.entities.entity import Entity, Event, Instance
 from services.context_broker.entities.intake import read_change, read_entity
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.journal import Journal
-from services.context_broker.temporal.chronicle import Found, Question, tell_one
 from services.context_broker.temporal.history import Recorder
+from services.context_broker.temporal.history_reader import EvolutionPage, HistoryRequest, read_evolution
 from services.context_broker.temporal.query import TemporalQuery
 from services.context_broker.temporal.subjects import Subject, subjects_of
 
@@ -83,5 +83,5 @@ class Life:
         (found,) = subjects_of(() if self.entity is None else (self.entity,), departed)
         return found
 
-    def told(self, query: TemporalQuery) -> Found:
-        return tell_one(self.journal.archive, self.subject(), Question(query, lambda _: True))
+    def told(self, query: TemporalQuery) -> EvolutionPage:
+        return read_evolution(self.journal.archive, self.subject(), HistoryRequest(query, lambda _: True))

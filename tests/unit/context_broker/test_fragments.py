@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import TermMap, resolve
 from handover.errors import Problem
-from services.context_broker.distribution.fragments import (
+from services.context_broker.entities.entity import Attributes, Entity
+from services.context_broker.federation.distribution.fragments import (
     Fragment,
     limited,
     merged,
     read_fragment,
-    still_there,
+    without_expired,
 )
-from services.context_broker.distribution.translation import translated
-from services.context_broker.entities.entity import Attributes, Entity
+from services.context_broker.federation.distribution.translation import translated
 
 TERMS = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"
@@ -145,7 +145,7 @@ def test_the_times_that_a_source_gives_are_kept() -> None:
 
 def test_what_has_expired_is_not_there_any_more() -> None:
     over, to_come = {"expiresAt": EARLY}, {"expiresAt": "2999-01-01T00:00:00Z"}
-    assert still_there({"id": "urn:x:1", "type": "T", **over}, 2e9) is None
+    assert without_expired({"id": "urn:x:1", "type": "T", **over}, 2e9) is None
     told: dict[str, Any] = {
         "id": "urn:x:1",
         "type": "T",
@@ -156,7 +156,7 @@ def test_what_has_expired_is_not_there_any_more() -> None:
         "d": {"value": []},
     }
     left = {name: said for name, said in told.items() if name not in {"a", "b", "c"}}
-    assert still_there(told, 2e9) == {**left, "b": told["b"][1:]}
+    assert without_expired(told, 2e9) == {**left, "b": told["b"][1:]}
 
 
 PIECES = st.sampled_from(
@@ -174,7 +174,7 @@ ANYTHING = st.recursive(
 @given(ANYTHING)
 def test_anything_that_a_source_says_is_an_entity_or_a_problem(said: Any) -> None:
     try:
-        found = read_fragment(still_there(said, 2e9), TERMS, 1)
+        found = read_fragment(without_expired(said, 2e9), TERMS, 1)
     except Problem:
         return
     assert merged([Fragment(found, (1, "urn:x:r")), Fragment(found, (0, ""))]).id == found.id

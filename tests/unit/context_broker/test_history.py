@@ -16,9 +16,8 @@ from services.context_broker.entities.entity import Instance
 from services.context_broker.entities.intake import read_change, read_entity
 from services.context_broker.storage.database import SqliteDatabase
 from services.context_broker.storage.journal import Journal
-from services.context_broker.temporal import chronicle
+from services.context_broker.temporal import history_reader
 from services.context_broker.temporal.aggregation import Aggregation
-from services.context_broker.temporal.chronicle import Found, Question, tell, tell_one
 from services.context_broker.temporal.durations import MICROS, read_duration
 from services.context_broker.temporal.history import (
     Change,
@@ -28,6 +27,12 @@ from services.context_broker.temporal.history import (
     micros_of,
     place_of,
     time_of,
+)
+from services.context_broker.temporal.history_reader import (
+    EvolutionPage,
+    HistoryRequest,
+    read_evolution,
+    tell,
 )
 from services.context_broker.temporal.query import TemporalQuery
 from services.context_broker.temporal.rendering import content_range
@@ -50,7 +55,7 @@ def without_id(instance: Instance) -> Instance:
     return {member: value for member, value in instance.items() if member != "instanceId"}
 
 
-def points_of(found: Found) -> list[tuple[str, int, Instance]]:
+def points_of(found: EvolutionPage) -> list[tuple[str, int, Instance]]:
     (evolution,) = found.evolutions
     return [
         (name, at, one)
@@ -164,7 +169,7 @@ def test_asking_on_where_an_answer_ended_tells_all_and_only_its_last_instant_twi
     )
     found: list[int] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chronicle, "MOST_OF_ATTRIBUTE", most)
+        patch.setattr(history_reader, "MAX_INSTANCES_PER_ATTRIBUTE", most)
         for _ in range(2 * len(minutes) + 1):
             told = life.told(query)
             found += [one["value"] for _, _, one in points_of(told)]
@@ -199,7 +204,7 @@ def test_totals_are_asked_on_for_where_an_answer_ended(
     query = TemporalQuery("after", micros_of(timestamp(START)) - 1, None, "observedAt", None, wanted)
     counted = 0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chronicle, "MOST_OF_ATTRIBUTE", most)
+        patch.setattr(history_reader, "MAX_INSTANCES_PER_ATTRIBUTE", most)
         for _ in range(2 * len(minutes) + 1):
             found = life.told(query)
             series = [one for evolution in found.evolutions for one in evolution.all()]
@@ -225,7 +230,7 @@ def test_of_several_instances_of_one_time_the_last_written_are_the_last(journal:
 def test_too_much_to_aggregate_is_refused_with_the_way_out(
     journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(chronicle, "MOST_AGGREGATED", 3)
+    monkeypatch.setattr(history_reader, "MAX_AGGREGATED_VALUES", 3)
     life = Life(journal)
     life.create({})
     for number in range(9):
@@ -242,7 +247,7 @@ def test_too_much_to_aggregate_is_refused_with_the_way_out(
 def test_an_answer_over_many_entities_ends_at_one_time_for_all(
     journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(chronicle, "MOST_IN_ANSWER", 10)
+    monkeypatch.setattr(history_reader, "MAX_INSTANCES_PER_ANSWER", 10)
     lives = [Life(journal) for _ in range(3)]
     for life in lives:
         life.create({})
@@ -250,7 +255,7 @@ def test_an_answer_over_many_entities_ends_at_one_time_for_all(
         for life in lives:
             seen = timestamp(START + timedelta(minutes=minute))
             life.change({"speed": {"type": "Property", "value": minute, "observedAt": seen}})
-    question = Question(TemporalQuery(time_property="observedAt"), lambda _: True)
+    question = HistoryRequest(TemporalQuery(time_property="observedAt"), lambda _: True)
     found = tell(journal.archive, [life.subject() for life in lives], question, 0, 10, count=True)
     assert found.total == 3
     assert found.edge is not None
@@ -263,7 +268,7 @@ def test_pages_of_entities_hold_each_once(journal: Journal) -> None:
     for number, life in enumerate(lives):
         life.create({"speed": number} if number % 2 else {"heading": number})
     subjects = [life.subject() for life in lives]
-    question = Question(TemporalQuery(), lambda _: True, requires=frozenset({TERMS.expand("speed")}))
+    question = HistoryRequest(TemporalQuery(), lambda _: True, requires=frozenset({TERMS.expand("speed")}))
     pages = [tell(journal.archive, subjects, question, offset, 2, count=False) for offset in (0, 2)]
     assert [one.subject.id for page in pages for one in page.evolutions] == [
         f"urn:x:{life.place}" for life in lives[1::2]
@@ -287,8 +292,8 @@ def test_an_entity_that_was_made_again_has_one_past(journal: Journal) -> None:
     (subject,) = subjects_of((life.entity,), journal.archive.departed("", entity_id))
     assert subject.places == (first, life.place)
     assert subject.deleted_at is None
-    found = tell_one(
-        journal.archive, subject, Question(TemporalQuery(time_property="modifiedAt"), lambda _: True)
+    found = read_evolution(
+        journal.archive, subject, HistoryRequest(TemporalQuery(time_property="modifiedAt"), lambda _: True)
     )
     assert [one["value"] for _, _, one in points_of(found)] == [1, 2]
 

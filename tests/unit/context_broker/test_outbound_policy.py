@@ -10,14 +10,19 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem, UsageError
-from services.context_broker.network.http_sender import (
-    HttpAsker,
-    HttpSender,
+from services.context_broker.network.http_client import (
+    BodyReadingHttpClient,
+    PooledHttpClient,
+    ResponseTooLarge,
     SendError,
-    TooLarge,
-    inflated,
+    inflate,
 )
-from services.context_broker.network.outbound_policy import SETTING, OutboundPolicy, Refused, is_loopback
+from services.context_broker.network.outbound_policy import (
+    SETTING,
+    AddressRefused,
+    OutboundPolicy,
+    is_loopback,
+)
 from services.context_broker.settings import BrokerSettings
 
 ON_LOOPBACK, BEYOND = OutboundPolicy(), OutboundPolicy(listens_beyond_loopback=True)
@@ -90,7 +95,7 @@ def test_an_entry_that_is_neither_host_nor_network_is_named(wrong: str) -> None:
 
 @pytest.mark.parametrize("host", ["localhost", "127.1", "2130706433", "0x7f.1", "0177.0.0.1"])
 def test_names_and_odd_spellings_are_judged_by_what_they_resolve_to(host: str) -> None:
-    with pytest.raises(Refused, match="own machine"):
+    with pytest.raises(AddressRefused, match="own machine"):
         asyncio.run(BEYOND.resolved(host, 80))
     with pytest.raises(Problem) as refused:
         asyncio.run(BEYOND.require_open(host, "the endpoint"))
@@ -101,11 +106,11 @@ def test_names_and_odd_spellings_are_judged_by_what_they_resolve_to(host: str) -
 def test_a_name_that_does_not_resolve_yet_passes_and_fails_when_used() -> None:
     asyncio.run(BEYOND.require_open("nobody.invalid", "the endpoint"))
     with pytest.raises(SendError):
-        asyncio.run(HttpSender(BEYOND).post("http://nobody.invalid/", [], b"", 5))
+        asyncio.run(PooledHttpClient(BEYOND).post("http://nobody.invalid/", [], b"", 5))
 
 
-@pytest.mark.parametrize("client", [HttpSender, HttpAsker])
-def test_a_refused_address_is_refused_again_when_it_is_used(client: type[HttpSender]) -> None:
+@pytest.mark.parametrize("client", [PooledHttpClient, BodyReadingHttpClient])
+def test_a_refused_address_is_refused_again_when_it_is_used(client: type[PooledHttpClient]) -> None:
     with pytest.raises(SendError, match=SETTING):
         asyncio.run(client(BEYOND).post("http://127.0.0.1:9/", [], b"", 5))
 
@@ -138,9 +143,9 @@ def test_a_connection_goes_to_the_address_that_was_judged_whatever_the_name_reso
 
         loop.getaddrinfo = rebinding  # type: ignore[method-assign]  # stands for the name server
         policy = OutboundPolicy.of("0.0.0.0", "127.0.0.1")
-        assert await HttpSender(policy).post(f"http://rebound.example:{port}/", [], b"", 5) == 204
+        assert await PooledHttpClient(policy).post(f"http://rebound.example:{port}/", [], b"", 5) == 204
         with pytest.raises(SendError, match=SETTING):
-            await HttpSender(policy).post(f"http://rebound.example:{port}/", [], b"", 5)
+            await PooledHttpClient(policy).post(f"http://rebound.example:{port}/", [], b"", 5)
         server.close()
         return served, lookups
 
@@ -166,15 +171,15 @@ def test_the_address_that_the_broker_listens_on_decides(host: str, *, beyond: bo
 
 @pytest.mark.parametrize("pack", [gzip.compress, zlib.compress])
 def test_a_body_is_inflated_up_to_the_limit_and_no_farther(pack: Any) -> None:
-    assert inflated(pack(b"x" * 1000), 1000) == b"x" * 1000
-    with pytest.raises(TooLarge, match="inflates to more than 999 bytes"):
-        inflated(pack(b"x" * 1000), 999)
+    assert inflate(pack(b"x" * 1000), 1000) == b"x" * 1000
+    with pytest.raises(ResponseTooLarge, match="inflates to more than 999 bytes"):
+        inflate(pack(b"x" * 1000), 999)
     with pytest.raises(SendError, match="cut"):
-        inflated(pack(bytes(range(256)) * 9)[:-9], 10_000)
+        inflate(pack(bytes(range(256)) * 9)[:-9], 10_000)
     bomb = pack(bytes(200 * 1024 * 1024))
     tracemalloc.start()
-    with pytest.raises(TooLarge):
-        inflated(bomb, 1024 * 1024)
+    with pytest.raises(ResponseTooLarge):
+        inflate(bomb, 1024 * 1024)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 16 * 1024 * 1024
@@ -182,4 +187,4 @@ def test_a_body_is_inflated_up_to_the_limit_and_no_farther(pack: Any) -> None:
 
 def test_what_cannot_be_inflated_is_an_error() -> None:
     with pytest.raises(SendError, match="cannot be inflated"):
-        inflated(b"no gzip at all", 1000)
+        inflate(b"no gzip at all", 1000)

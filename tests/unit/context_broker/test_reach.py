@@ -6,11 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.context_broker.distribution.questions import reach_of
 from services.context_broker.entities.entity import Entity
+from services.context_broker.federation.distribution.query_targets import coverage_of
+from services.context_broker.federation.registrations.coverage import (
+    CoverageQuery,
+    has_matching_place,
+    may_hold,
+    placement_filter,
+)
 from services.context_broker.queries.geo_query import geo_query
 from services.context_broker.queries.scope_query import scope_query
-from services.context_broker.sources.reach import Reach, is_surely_there, may_hold, taking_in
 from tests.unit.context_broker.test_registry import CONTEXT, TASKS, registered
 
 EXPAND = CONTEXT.terms.expand
@@ -75,7 +80,7 @@ AUTUMN = {"startAt": "2026-09-01T00:00:00Z", "endAt": "2026-11-15T00:00:00Z"}
 def test_a_source_is_left_alone_where_it_can_have_nothing(
     members: dict[str, Any], asked: dict[str, str], may_be_there: bool
 ) -> None:
-    assert reach_of(asked, EXPAND).may_be_at(registered(TASKS, **members)) is may_be_there
+    assert coverage_of(asked, EXPAND).may_match(registered(TASKS, **members)) is may_be_there
 
 
 GRID = st.integers(-4, 4)
@@ -99,8 +104,8 @@ def test_whatever_is_in_the_place_of_a_source_is_asked_for_there(
     )
     assert query is not None
     if query.fits(place):
-        assert Reach(place=query).may_be_at(source)
-        assert is_surely_there(query, source)
+        assert CoverageQuery(place=query).may_match(source)
+        assert has_matching_place(query, source)
 
 
 SCOPE = st.lists(st.sampled_from(["a", "b"]), min_size=1, max_size=3).map(
@@ -120,7 +125,7 @@ def test_whatever_is_in_the_scope_of_a_source_or_below_is_asked_for_there(
     source, query = registered(TASKS, scope=scope), scope_query(wanted)
     for one in (scope, scope + below):
         if query.wants([one]):
-            assert Reach(scope=query).may_be_at(source)
+            assert CoverageQuery(scope=query).may_match(source)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +144,7 @@ def test_whatever_is_in_the_scope_of_a_source_or_below_is_asked_for_there(
 def test_what_is_sent_goes_where_there_is_room_for_it(
     members: dict[str, Any], sent: dict[str, Any], has_room: bool
 ) -> None:
-    where = taking_in(sent)
+    where = placement_filter(sent)
     assert (where is None or where(registered(TASKS, **members))) is has_room
 
 

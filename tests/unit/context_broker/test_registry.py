@@ -11,9 +11,15 @@ from datamodels.contexts import TermMap
 from handover.errors import Problem
 from services.context_broker.contexts.book import CORE, Context
 from services.context_broker.entities.entity import Entity
-from services.context_broker.sources.registration import Asked, Mode, Registration, root_of, shown_document
-from services.context_broker.sources.registration_intake import kept_document, registration
-from services.context_broker.sources.registry import Registry, claims
+from services.context_broker.federation.registrations.registration import (
+    EntityTarget,
+    Mode,
+    Registration,
+    root_of,
+    shown_document,
+)
+from services.context_broker.federation.registrations.registration_intake import kept_document, registration
+from services.context_broker.federation.registrations.registry import Registry, claims
 
 CONTEXT = Context(1, TermMap(None, lambda _: None), CORE, b"", CORE)
 TASK, ROBOT = (CONTEXT.terms.expand(name) for name in ("Task", "Robot"))
@@ -58,22 +64,22 @@ ANY_SPEED = {"propertyNames": ["speed"], "relationshipNames": ["isPartOf"]}
 @pytest.mark.parametrize(
     ("piece", "asked", "ids", "attributes"),
     [
-        (TASKS, Asked(types=frozenset({TASK})), None, None),
-        (TASKS, Asked(types=frozenset({TASK, ROBOT}), attributes=frozenset({SPEED})), None, {SPEED}),
-        (TASKS, Asked(ids=(ONE, TWO)), (ONE, TWO), None),
-        (TASK_ONE, Asked(ids=(ONE, TWO)), (ONE,), None),
-        (TASK_ONE, Asked(types=frozenset({TASK})), (ONE,), None),
-        (TASK_ONE, Asked(id_pattern=re.compile("demo")), (ONE,), None),
-        (EVEN_TASKS, Asked(ids=(ONE, TWO), types=frozenset({TASK})), (TWO,), None),
-        (EVEN_TASKS, Asked(id_pattern=re.compile("1$")), None, None),
-        (SPEEDS, Asked(attributes=frozenset({SPEED, STATUS})), None, {SPEED}),
-        (SPEEDS, Asked(), None, {SPEED}),
-        (ANY_SPEED, Asked(ids=(ONE,), types=frozenset({TASK})), (ONE,), {SPEED, PART_OF}),
-        (ANY_SPEED, Asked(), None, {SPEED, PART_OF}),
+        (TASKS, EntityTarget(types=frozenset({TASK})), None, None),
+        (TASKS, EntityTarget(types=frozenset({TASK, ROBOT}), attributes=frozenset({SPEED})), None, {SPEED}),
+        (TASKS, EntityTarget(ids=(ONE, TWO)), (ONE, TWO), None),
+        (TASK_ONE, EntityTarget(ids=(ONE, TWO)), (ONE,), None),
+        (TASK_ONE, EntityTarget(types=frozenset({TASK})), (ONE,), None),
+        (TASK_ONE, EntityTarget(id_pattern=re.compile("demo")), (ONE,), None),
+        (EVEN_TASKS, EntityTarget(ids=(ONE, TWO), types=frozenset({TASK})), (TWO,), None),
+        (EVEN_TASKS, EntityTarget(id_pattern=re.compile("1$")), None, None),
+        (SPEEDS, EntityTarget(attributes=frozenset({SPEED, STATUS})), None, {SPEED}),
+        (SPEEDS, EntityTarget(), None, {SPEED}),
+        (ANY_SPEED, EntityTarget(ids=(ONE,), types=frozenset({TASK})), (ONE,), {SPEED, PART_OF}),
+        (ANY_SPEED, EntityTarget(), None, {SPEED, PART_OF}),
     ],
 )
 def test_a_source_serves_what_both_sides_name(
-    piece: dict[str, Any], asked: Asked, ids: tuple[str, ...] | None, attributes: set[str] | None
+    piece: dict[str, Any], asked: EntityTarget, ids: tuple[str, ...] | None, attributes: set[str] | None
 ) -> None:
     (match,) = registry(registered(piece)).matching("queryEntity", asked)
     assert match.ids == ids
@@ -83,15 +89,15 @@ def test_a_source_serves_what_both_sides_name(
 @pytest.mark.parametrize(
     ("piece", "asked"),
     [
-        (TASKS, Asked(types=frozenset({ROBOT}))),
-        (TASK_ONE, Asked(ids=(TWO,))),
-        (TASK_ONE, Asked(id_pattern=re.compile("2$"))),
-        (EVEN_TASKS, Asked(ids=(ONE,))),
-        (SPEEDS, Asked(attributes=frozenset({STATUS}))),
-        (ANY_SPEED, Asked(types=frozenset({TASK}), attributes=frozenset({STATUS}))),
+        (TASKS, EntityTarget(types=frozenset({ROBOT}))),
+        (TASK_ONE, EntityTarget(ids=(TWO,))),
+        (TASK_ONE, EntityTarget(id_pattern=re.compile("2$"))),
+        (EVEN_TASKS, EntityTarget(ids=(ONE,))),
+        (SPEEDS, EntityTarget(attributes=frozenset({STATUS}))),
+        (ANY_SPEED, EntityTarget(types=frozenset({TASK}), attributes=frozenset({STATUS}))),
     ],
 )
-def test_a_source_is_left_alone_when_it_has_nothing_of_it(piece: dict[str, Any], asked: Asked) -> None:
+def test_a_source_is_left_alone_when_it_has_nothing_of_it(piece: dict[str, Any], asked: EntityTarget) -> None:
     assert registry(registered(piece)).matching("queryEntity", asked) == []
 
 
@@ -125,7 +131,7 @@ def test_matches_come_in_the_order_of_their_say() -> None:
         registered(TASKS, number=3, mode="redirect"),
         registered({**TASK_ONE, "propertyNames": ["speed"]}, number=4, mode="exclusive"),
         registered(TASKS, number=5),
-    ).matching("retrieveEntity", Asked(ids=(ONE,)))
+    ).matching("retrieveEntity", EntityTarget(ids=(ONE,)))
     assert [match.registration.id[-1] for match in found] == ["4", "3", "1", "5", "2"]
 
 
@@ -135,7 +141,7 @@ def test_attributes_are_told_for_each_entity() -> None:
             {**TASK_ONE, "propertyNames": ["speed"]},
             {"entities": [{"type": "Task", "id": TWO}], "propertyNames": ["status"]},
         )
-    ).matching("queryEntity", Asked(types=frozenset({TASK})))
+    ).matching("queryEntity", EntityTarget(types=frozenset({TASK})))
     assert match.attributes_for(ONE) == frozenset({SPEED})
     assert match.attributes_for(TWO) == frozenset({STATUS})
     assert match.ids == (ONE, TWO)
@@ -166,7 +172,7 @@ pieces = st.fixed_dictionaries(
     optional={"propertyNames": st.lists(st.sampled_from(["speed", "status"]), min_size=1, max_size=2)},
 )
 questions = st.builds(
-    Asked,
+    EntityTarget,
     ids=st.none() | st.lists(ids, min_size=1, max_size=2, unique=True).map(tuple),
     types=st.none() | st.sets(st.sampled_from([TASK, ROBOT]), min_size=1).map(frozenset),
     attributes=st.none() | st.sets(st.sampled_from([SPEED, STATUS]), min_size=1).map(frozenset),
@@ -174,7 +180,9 @@ questions = st.builds(
 
 
 @given(st.lists(st.lists(pieces, min_size=1, max_size=2), max_size=4), questions)
-def test_the_index_finds_what_looking_at_each_would(kept: list[list[dict[str, Any]]], asked: Asked) -> None:
+def test_the_index_finds_what_looking_at_each_would(
+    kept: list[list[dict[str, Any]]], asked: EntityTarget
+) -> None:
     all_of_them = [registered(*information, number=number) for number, information in enumerate(kept)]
     found = registry(*all_of_them).matching("queryEntity", asked)
     assert [match.registration for match in found] == [one for one in all_of_them if one.parts(asked)]
@@ -183,17 +191,17 @@ def test_the_index_finds_what_looking_at_each_would(kept: list[list[dict[str, An
 def test_an_exclusive_source_shares_with_no_other_proxied_one() -> None:
     held = {**TASK_ONE, "propertyNames": ["speed"]}
     made = registry(registered(held, mode="exclusive"))
-    assert made.in_the_way_of(registered(held, number=2, mode="exclusive")) is not None
-    assert made.in_the_way_of(registered(TASKS, number=2, mode="redirect")) is not None
-    assert made.in_the_way_of(registered(TASKS, number=2)) is None
+    assert made.conflicting_with(registered(held, number=2, mode="exclusive")) is not None
+    assert made.conflicting_with(registered(TASKS, number=2, mode="redirect")) is not None
+    assert made.conflicting_with(registered(TASKS, number=2)) is None
     other = {**TASK_ONE, "propertyNames": ["status"]}
-    assert made.in_the_way_of(registered(other, number=2, mode="exclusive")) is None
-    assert made.in_the_way_of(registered(held, mode="exclusive")) is None, "itself, when it is changed"
+    assert made.conflicting_with(registered(other, number=2, mode="exclusive")) is None
+    assert made.conflicting_with(registered(held, mode="exclusive")) is None, "itself, when it is changed"
 
 
 def test_redirect_sources_may_overlap() -> None:
     made = registry(registered(TASKS, mode="redirect"))
-    assert made.in_the_way_of(registered(TASKS, number=2, mode="redirect")) is None
+    assert made.conflicting_with(registered(TASKS, number=2, mode="redirect")) is None
 
 
 def test_a_claim_looks_at_types_and_attributes() -> None:
@@ -296,9 +304,9 @@ def test_counts_tell_how_the_last_attempt_went() -> None:
     one = registered(TASKS, management={"cooldown": 60_000})
     made = registry(one)
     assert "status" not in shown_document(one, CONTEXT, sys_attrs=False)
-    made.note(one, succeeded=True)
-    assert not made.rests(one)
-    made.note(one, succeeded=False)
-    assert made.rests(one)
+    made.record_attempt(one, succeeded=True)
+    assert not made.is_cooling_down(one)
+    made.record_attempt(one, succeeded=False)
+    assert made.is_cooling_down(one)
     shown = shown_document(one, CONTEXT, sys_attrs=False)
     assert (shown["status"], shown["timesSent"], shown["timesFailed"]) == ("failed", 2, 1)

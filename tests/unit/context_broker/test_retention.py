@@ -38,9 +38,9 @@ class Straight:
 async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.context_broker.temporal.retention.PIECE", 3)
+    monkeypatch.setattr("services.context_broker.temporal.retention.CHANGES_PER_COMMIT", 3)
     monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
-    monkeypatch.setattr("services.context_broker.temporal.retention.PLACES_A_LOOK", 1)
+    monkeypatch.setattr("services.context_broker.temporal.retention.PLACES_PER_SCAN", 1)
     own = Journal(SqliteDatabase(tmp_path / "broker.db"))
     own.open()
     living, gone, young = Life(own), Life(own), Life(own, now=START + timedelta(days=2))
@@ -71,7 +71,7 @@ async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
 async def test_the_past_of_what_has_ended_is_forgotten_with_all_that_was_before(
     own: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.context_broker.temporal.retention.PIECE", 2)
+    monkeypatch.setattr("services.context_broker.temporal.retention.CHANGES_PER_COMMIT", 2)
     monkeypatch.setattr("services.context_broker.temporal.retention.PAUSE_S", 0)
     at, end = "2026-01-01T00:00:00Z", "2026-01-02T00:00:00Z"
     recorder, entries = Recorder(), Entries()

@@ -11,9 +11,9 @@ from services.context_broker.api.exchange import Answer, Exchange, Request
 from services.context_broker.api.operation import Operation
 from services.context_broker.app import Broker
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshots.keeping import Keeping
-from services.context_broker.snapshots.making import Making
 from services.context_broker.snapshots.snapshot import Snapshot, Status, new_snapshot
+from services.context_broker.snapshots.snapshot_creation import SnapshotCreator
+from services.context_broker.snapshots.snapshot_store import SnapshotStore
 from services.context_broker.storage.database import SqliteDatabase
 from services.context_broker.storage.entries import Kind
 from services.context_broker.storage.journal import Journal
@@ -32,17 +32,19 @@ async def broker(tmp_path: Path) -> AsyncIterator[Broker]:
     await made.stop()
 
 
-async def settled(broker: Broker, making: Making, keeping: Keeping, *queries: Any, context: Any) -> Snapshot:
+async def settled(
+    broker: Broker, making: SnapshotCreator, keeping: SnapshotStore, *queries: Any, context: Any
+) -> Snapshot:
     """Make a snapshot; return it once it is no longer being made."""
     tenant = broker.tenants.of(b"", makes=False)
     made = new_snapshot("urn:x:1", {"snapshotQueries": list(queries)})
     await keeping.keep(tenant, made)
     exchange = Exchange(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
-    making.begin(exchange, made, context)
+    making.start(exchange, made, context)
     async with asyncio.timeout(120):
         while tenant.snapshots["urn:x:1"].status is Status.PREPARING:
             await asyncio.sleep(0.005)
-    async with keeping.one_at_a_time:
+    async with keeping.lock:
         return tenant.snapshots["urn:x:1"]
 
 
@@ -60,8 +62,8 @@ async def test_a_query_that_breaks_is_told_and_the_others_are_carried_out(broker
             raise ZeroDivisionError
         return await operation.answer(exchange)
 
-    keeping = Keeping(broker.tenants)
-    making = Making(broker.tenants, keeping, carry_out, broker._by_name)
+    keeping = SnapshotStore(broker.tenants)
+    making = SnapshotCreator(broker.tenants, keeping, carry_out, broker._by_name)
     one = await settled(broker, making, keeping, QUERY, QUERY, context=None)
     assert one.status is Status.PARTIAL
     broken, empty = one.document["snapshotQueriesDetails"]
@@ -70,8 +72,8 @@ async def test_a_query_that_breaks_is_told_and_the_others_are_carried_out(broker
 
 
 async def test_a_making_that_breaks_ends_in_failure_with_the_reason_on_disk(broker: Broker) -> None:
-    keeping = Keeping(broker.tenants)
-    making = Making(broker.tenants, keeping, broker._answered, broker._by_name)
+    keeping = SnapshotStore(broker.tenants)
+    making = SnapshotCreator(broker.tenants, keeping, broker._answered, broker._by_name)
     one = await settled(broker, making, keeping, 5, context="https://no.query.at.all")
     assert one.status is Status.FAILURE
     (broken,) = one.document["snapshotQueriesDetails"]

@@ -8,14 +8,14 @@ import pytest
 from handover.errors import Problem
 from services.context_broker.api.words import inside, moment, outside, tenant_headers
 from services.context_broker.entities.entity import Entity
-from services.context_broker.snapshots.content import Content
+from services.context_broker.snapshots.content import SnapshotContent
 from services.context_broker.snapshots.snapshot import (
-    LONGEST_LIFETIME_S,
+    MAX_LIFETIME_S,
     Status,
-    checked,
     details,
-    ending,
+    expiry_of,
     new_snapshot,
+    require_valid,
     restored,
     status_of,
 )
@@ -40,15 +40,15 @@ def test_a_snapshot_is_as_good_as_its_queries(queries: list[str], snapshot: str)
 
 
 @pytest.mark.parametrize(
-    ("wanted", "lasts_s"), [("PT1H", 3600.0), ("PT0S", 1.0), ("P100Y", LONGEST_LIFETIME_S), (None, 86400.0)]
+    ("wanted", "lasts_s"), [("PT1H", 3600.0), ("PT0S", 1.0), ("P100Y", MAX_LIFETIME_S), (None, 86400.0)]
 )
 def test_a_snapshot_lasts_as_wished_within_bounds(wanted: str | None, lasts_s: float) -> None:
     start = datetime(2026, 1, 1, tzinfo=UTC)
-    assert (moment(ending(start, wanted)) or 0.0) - start.timestamp() == lasts_s
+    assert (moment(expiry_of(start, wanted)) or 0.0) - start.timestamp() == lasts_s
 
 
 def test_a_snapshot_that_could_not_be_made_has_the_reason_at_each_query() -> None:
-    made = new_snapshot("urn:x:1", checked({"snapshotQueries": [QUERY, QUERY]}, has_queries=True))
+    made = new_snapshot("urn:x:1", require_valid({"snapshotQueries": [QUERY, QUERY]}, has_queries=True))
     assert made.status is Status.PREPARING
     failed = restored(made.failed(Problem(500, "Internal error", "no luck")).stored())["urn:x:1"]
     assert failed.status is Status.FAILURE
@@ -59,7 +59,7 @@ def test_a_snapshot_that_could_not_be_made_has_the_reason_at_each_query() -> Non
 
 
 def test_nothing_stays_of_a_query_that_failed_halfway() -> None:
-    content, at = Content(), "2026-01-01T00:00:00Z"
+    content, at = SnapshotContent(), "2026-01-01T00:00:00Z"
     one, other = (Entity(f"urn:x:{each}", ("urn:t",), {}, at, at) for each in (1, 2))
     content.add([one], None)
     content.add([one, other], None)
@@ -82,4 +82,4 @@ def test_what_belongs_to_a_snapshot_is_told_by_headers_and_named_by_none(tenant:
 
 def test_members_that_are_for_the_broker_to_say_are_refused() -> None:
     with pytest.raises(Problem, match="for the broker to say"):
-        checked({"snapshotQueries": [QUERY], "snapshotStatus": "success"}, has_queries=True)
+        require_valid({"snapshotQueries": [QUERY], "snapshotStatus": "success"}, has_queries=True)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 
 from handover.errors import Problem
-from services.context_broker.distribution.told_changes import told_change
 from services.context_broker.entities.entity import Entity
+from services.context_broker.federation.distribution.source_notifications import change_of_notification
 from services.context_broker.subscriptions.notification import told_of
 from services.context_broker.subscriptions.subscription import subscription
 from tests.unit.context_broker.test_fragments import ANYTHING
@@ -28,7 +28,7 @@ LISTENER = subscription(
 
 def told(own: Entity | None = None, **attributes: Any) -> Any:
     document = {"id": "urn:x:1", "type": "Task", **attributes}
-    return told_change(document, registered(TASKS), own, CONTEXT.terms)
+    return change_of_notification(document, registered(TASKS), own, CONTEXT.terms)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from datamodels.contexts import TermMap, resolve
-from services.context_broker.distribution.translation import older, translated
-from services.context_broker.distribution.via import chain, lengthened
+from services.context_broker.federation.distribution.translation import older, translated
+from services.context_broker.federation.distribution.via import append_to_via, chain
 
 CORE = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"
@@ -81,5 +81,5 @@ def test_whom_a_request_has_passed_is_read_with_care(via: bytes, names: tuple[st
 
 
 def test_a_broker_puts_itself_at_the_end_of_the_chain() -> None:
-    assert lengthened(b"", "me") == "1.1 me"
-    assert lengthened(b"1.1 a", "me") == "1.1 a, 1.1 me"
+    assert append_to_via(b"", "me") == "1.1 me"
+    assert append_to_via(b"1.1 a", "me") == "1.1 a, 1.1 me"

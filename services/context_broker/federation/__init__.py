@@ -1,0 +1,1 @@
+"""Federation: context source registrations, operations distributed to them, and entity maps."""

@@ -1,0 +1,331 @@
+"""Many entities changed at several sources at once (clauses 5.6.7 to 5.6.10 and 5.6.20).
+
+Each entity is shared as if it came alone; each source gets its shares as one batch, or one by one if it takes
+no batches. What the broker refuses of its own share as invalid is not passed on. An entity of which one part
+succeeds and another fails is listed both as a success and as an error (clause 5.6.7.4).
+"""
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import JSON, Answer, Exchange
+from services.context_broker.api.words import require_uri
+from services.context_broker.contexts.book import Context
+from services.context_broker.federation.distribution import outcomes
+from services.context_broker.federation.distribution.distributed_operations import (
+    Handler,
+    Perform,
+    Sources,
+    derived,
+    gather_all,
+)
+from services.context_broker.federation.distribution.forwarding import (
+    SILENT,
+    SourceDialect,
+    SourceError,
+    SourceRequest,
+    in_dialect,
+    quoted,
+)
+from services.context_broker.federation.distribution.instances import (
+    Instances,
+    attributes_in,
+    instances_in,
+    part_of,
+    types_in,
+)
+from services.context_broker.federation.distribution.outcomes import Outcome
+from services.context_broker.federation.distribution.write_routing import (
+    WriteRoute,
+    WriteRouting,
+    route_write,
+)
+from services.context_broker.federation.registrations.coverage import placement_filter
+from services.context_broker.federation.registrations.registration import EntityTarget, Registration
+
+MAX_BATCH_SIZE: Final = 1000
+"""Entities in one batch that is passed on."""
+MAX_CONCURRENT_REQUESTS: Final = 16
+"""Requests under way to one source that takes no batches."""
+_SINGLY: Final = {
+    "createBatch": ("createEntity", "POST", "entities"),
+    "upsertBatch": ("createEntity", "POST", "entities"),
+    "updateBatch": ("appendAttrs", "POST", "entities/{id}/attrs"),
+    "mergeBatch": ("mergeEntity", "PATCH", "entities/{id}"),
+    "deleteBatch": ("deleteEntity", "DELETE", "entities/{id}"),
+}
+"""What an entity of a batch is when it comes alone: the operation, its method, its path."""
+_WHOLE: Final = frozenset({"createBatch", "upsertBatch"})
+"""Operations that say all of an entity: where it is and in which scopes, too."""
+
+
+@dataclass(slots=True)
+class _Item:
+    """One entity of a batch; `given` is it, or its id if it is to be deleted."""
+
+    given: Any
+    entity_id: Any
+    context: Context
+    names: Mapping[str, str]
+    routing: WriteRouting
+    outcomes: list[Outcome] = field(default_factory=list)
+    is_new: bool = False
+
+    def part(self, instances: Instances) -> Any:
+        """Return the entity with no instances of attributes but these."""
+        return part_of(self.given, self.names, instances) if isinstance(self.given, Mapping) else self.given
+
+    @property
+    def own_part(self) -> Any:
+        """Return what of it is the broker's own to do."""
+        proxied = any(one.registration.mode.is_proxied for one in self.routing.others)
+        return self.part(self.routing.own or frozenset()) if proxied else self.given
+
+
+def batch(operation: str) -> Handler:
+    """Return what carries out a batch operation, named as in table 4.20-1."""
+
+    async def handler(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+        return await _Batch(sources, exchange, perform, operation).answer()
+
+    return handler
+
+
+class _Batch:
+    """One batch on its way."""
+
+    def __init__(self, sources: Sources, exchange: Exchange, perform: Perform, operation: str) -> None:
+        self._sources = sources
+        self._exchange = exchange
+        self._perform = perform
+        self._operation = operation
+        given = exchange.parameters
+        names = ("options", "format", "observedAt", "lang")
+        self._parameters = tuple((name, given[name]) for name in names if name in given)
+
+    async def answer(self) -> Answer:
+        """Carry the batch out."""
+        documents = self._exchange.document()
+        if not isinstance(documents, list):
+            return await self._perform(self._exchange)
+        media_type = self._exchange.content_type()
+        items = [await self._item(given, media_type) for given in documents]
+        if not any(item.routing.others for item in items):
+            return await self._perform(self._exchange)
+        await self._do_own([item for item in items if item.routing.own is not None])
+        await self._forward([item for item in items if not _is_refused(item)])
+        return self._result(items)
+
+    async def _item(self, given: Any, media_type: str) -> _Item:
+        nothing = WriteRouting((), frozenset())
+        singly = _SINGLY[self._operation][0]
+        try:
+            if self._operation == "deleteBatch":
+                entity_id = require_uri(given, "an entity id")
+                context = await self._exchange.reader_context()
+                known = self._exchange.tenant.store.latest(entity_id)
+                types = None if known is None else frozenset(known.types)
+                target = EntityTarget((entity_id,), None, types)
+                routing = route_write(self._sources, (self._operation, singly), target, None)
+                return _Item(given, entity_id, context, {}, routing)
+            context = await self._exchange.context_of(given, media_type)
+            entity_id = require_uri(given.get("id", given.get("@id")), "the entity id")
+            names = attributes_in(given, context)
+            known = self._exchange.tenant.store.latest(entity_id)
+            types = types_in(given, context) or (None if known is None else frozenset(known.types))
+            target = EntityTarget((entity_id,), None, types)
+            operations = (self._operation, singly)
+            where = placement_filter(given) if self._operation in _WHOLE else None
+            routing = route_write(self._sources, operations, target, instances_in(given, names), where)
+            return _Item(given, entity_id, context, names, routing)
+        except (Problem, AttributeError):  # which the broker's own share will tell of
+            core = await self._sources.forwarder.contexts.of(None)
+            result = given.get("id") if isinstance(given, dict) else given
+            return _Item(given, result, core, {}, nothing)
+
+    async def _do_own(self, items: list[_Item]) -> None:
+        if not items:
+            return
+        raw = orjson.dumps([item.own_part for item in items])
+        answer = await self._perform(derived(self._exchange, raw=raw))
+        result = orjson.loads(answer.body) if answer.body else None
+        errors = _errors_in(result)
+        created = set(result) if answer.status == 201 and isinstance(result, list) else set()
+        for item in items:
+            names = item.routing.own_names
+            problem = errors.get(_key(item.entity_id))
+            status = answer.status if problem is None else _status_of(problem)
+            item.outcomes.append(Outcome(None, names, status, problem))
+            item.is_new = item.is_new or item.entity_id in created
+
+    async def _forward(self, items: list[_Item]) -> None:
+        groups: dict[
+            tuple[Any, ...], tuple[Registration, SourceDialect, str, list[tuple[_Item, WriteRoute]]]
+        ] = {}
+        for item in items:
+            for route in item.routing.others:
+                one = route.registration
+                if route.operation is None:
+                    item.outcomes.append(outcomes.of_refusal(one, route.names, self._operation))
+                    continue
+                try:
+                    dialect = await self._sources.forwarder.dialect(
+                        one, item.context, body=self._exchange.content_type()
+                    )
+                except Problem as problem:
+                    error = SourceError(one, SILENT, 502, problem.detail)
+                    item.outcomes.append(outcomes.of_source_error(error, route.names))
+                    continue
+                key = (one.id, route.operation, dialect.media_type, dialect.link, dialect.context.key)
+                groups.setdefault(key, (one, dialect, route.operation, []))[3].append((item, route))
+        await gather_all(*(self._forward_group(*group) for group in groups.values()))
+
+    async def _forward_group(
+        self,
+        one: Registration,
+        dialect: SourceDialect,
+        operation: str,
+        routing: list[tuple[_Item, WriteRoute]],
+    ) -> None:
+        if operation == self._operation:
+            for start in range(0, len(routing), MAX_BATCH_SIZE):
+                await self._forward_batch(one, dialect, routing[start : start + MAX_BATCH_SIZE])
+            return
+        turn = asyncio.Semaphore(MAX_CONCURRENT_REQUESTS)
+
+        async def alone(item: _Item, route: WriteRoute) -> None:
+            async with turn:
+                if (outcome := await self._forward_one(one, dialect, item, route)) is not None:
+                    item.outcomes.append(outcome)
+
+        await gather_all(*(alone(item, route) for item, route in routing))
+
+    async def _forward_batch(
+        self, one: Registration, dialect: SourceDialect, routing: list[tuple[_Item, WriteRoute]]
+    ) -> None:
+        documents = [_document(item, route, dialect) for item, route in routing]
+        path = f"entityOperations/{self._operation.removesuffix('Batch')}"
+        request = SourceRequest("POST", path, dialect, self._parameters, documents)
+        try:
+            response, _ = await self._sources.forwarder.send(one, request, self._sources.origin)
+        except SourceError as error:
+            for item, route in routing:
+                item.outcomes.append(outcomes.of_source_error(error, route.names))
+            return
+        if self._is_loop(one, response.status):
+            return
+        errors, created = _results_in(response.body) if response.status in {201, 207} else ({}, set())
+        for item, route in routing:
+            problem = errors.get(_key(item.entity_id))
+            if problem is not None:
+                status = _status_of(problem)
+                item.outcomes.append(Outcome(one, route.names, status, problem))
+            elif response.status == 207 and errors:
+                item.outcomes.append(Outcome(one, route.names, 204))
+            else:
+                item.outcomes.append(outcomes.of_response(one, route.names, response))
+            item.is_new = item.is_new or item.entity_id in created
+
+    async def _forward_one(
+        self, one: Registration, dialect: SourceDialect, item: _Item, route: WriteRoute
+    ) -> Outcome | None:
+        _, method, path = _SINGLY[self._operation]
+        outcome = await self._send_single(one, dialect, item, route, method, path)
+        if self._operation != "upsertBatch" or outcome is None:
+            return outcome
+        if outcome.status != 409:
+            item.is_new = item.is_new or outcome.problem is None
+            return outcome
+        keeps = "update" in self._exchange.parameters.get("options", "").split(",")
+        if one.takes("appendAttrs" if keeps else "replaceEntity"):
+            method, path = ("POST", "entities/{id}/attrs") if keeps else ("PUT", "entities/{id}")
+            return await self._send_single(one, dialect, item, route, method, path)
+        return outcome
+
+    async def _send_single(  # noqa: PLR0917 - the parts of one request
+        self,
+        one: Registration,
+        dialect: SourceDialect,
+        item: _Item,
+        route: WriteRoute,
+        method: str,
+        path: str,
+    ) -> Outcome | None:
+        document = None if method == "DELETE" else _document(item, route, dialect)
+        options = () if self._operation == "upsertBatch" else self._parameters
+        where = path.replace("{id}", quoted(item.entity_id))
+        request = SourceRequest(method, where, dialect, options, document)
+        try:
+            response, _ = await self._sources.forwarder.send(one, request, self._sources.origin)
+        except SourceError as error:
+            return outcomes.of_source_error(error, route.names)
+        if self._is_loop(one, response.status):
+            return None
+        return outcomes.of_response(one, route.names, response)
+
+    def _is_loop(self, one: Registration, status: int) -> bool:
+        return not one.mode.is_proxied and self._sources.is_loop_answer(one, status)
+
+    def _result(self, items: Iterable[_Item]) -> Answer:
+        success: list[Any] = []
+        errors: list[dict[str, Any]] = []
+        created: list[Any] = []
+        for item in items:
+            good, failed = outcomes.settled(item.outcomes)
+            if failed:
+                errors += outcomes.entity_errors(item.entity_id, failed)
+            if failed and not good:
+                continue
+            success.append(item.entity_id)
+            if item.is_new or self._operation == "createBatch":
+                created.append(item.entity_id)
+        if errors:
+            return outcomes.multi_status({"success": success, "errors": errors})
+        if created:
+            return Answer(201, orjson.dumps(created), [(b"content-type", JSON.encode())])
+        return Answer(204)
+
+
+def _is_refused(item: _Item) -> bool:
+    """Say whether the broker refuses an entity for good: not because it has it already, or has it not."""
+    return any(one.problem is not None and one.status not in {404, 409} for one in item.outcomes)
+
+
+def _document(item: _Item, route: WriteRoute, dialect: SourceDialect) -> Any:
+    if not isinstance(item.given, Mapping):
+        return item.given
+    return in_dialect(item.part(route.instances), item.context, dialect)
+
+
+def _results_in(body: bytes) -> tuple[dict[Any, dict[str, Any]], set[Any]]:
+    """Return the errors in what a source answers to a batch, by id, and the ids of what it created."""
+    try:
+        result = orjson.loads(body) if body else None
+    except orjson.JSONDecodeError:
+        return {}, set()
+    return _errors_in(result), {one for one in result if isinstance(one, str)} if isinstance(
+        result, list
+    ) else set()
+
+
+def _errors_in(result: Any) -> dict[Any, dict[str, Any]]:
+    errors = result.get("errors") if isinstance(result, dict) else None
+    return {
+        _key(one.get("entityId")): one["error"]
+        for one in (errors if isinstance(errors, list) else ())
+        if isinstance(one, dict) and isinstance(one.get("error"), dict)
+    }
+
+
+def _status_of(problem: Mapping[str, Any]) -> int:
+    result = problem.get("status")
+    return result if isinstance(result, int) and 400 <= result < 600 else 400
+
+
+def _key(entity_id: Any) -> Any:
+    return entity_id if isinstance(entity_id, str) else None

@@ -1,0 +1,207 @@
+"""Mapping: entity maps made together with sources that make some, too (clauses 4.3.6.7, 5.14.4, 5.14.5).
+
+A source's map lists what the source has of the query, and is linked from the broker's: later pages are asked
+for by it, so that the source, too, need not look around again. Where conditions have to wait until an entity
+is put together, the entities are read as well.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import Answer, Exchange
+from services.context_broker.api.words import require_uri
+from services.context_broker.contexts.book import Context
+from services.context_broker.federation.distribution.distributed_operations import (
+    Perform,
+    Sources,
+    derived,
+    gather_all,
+)
+from services.context_broker.federation.distribution.entity_fetching import (
+    fetch_entities,
+    is_queryable,
+    narrowed,
+)
+from services.context_broker.federation.distribution.forwarding import (
+    INVALID,
+    SILENT,
+    SourceError,
+    SourceRequest,
+)
+from services.context_broker.federation.distribution.fragment_collector import FragmentCollector
+from services.context_broker.federation.distribution.query_targets import (
+    FILTERS,
+    refuse_order,
+    selector_parameters,
+    target_of,
+)
+from services.context_broker.federation.distribution.source_responses import query_source
+from services.context_broker.federation.distribution.temporal_fetching import of_the_past, who
+from services.context_broker.federation.entity_maps.entity_map import Listed
+from services.context_broker.federation.registrations.registration import Match, Registration
+from services.context_broker.temporal.operations import temporal_parameters
+
+CREATE_ENTITY_MAP: Final = "createEntityMapQueryEntity"
+CREATE_TEMPORAL_MAP: Final = "createEntityMapQueryTemporal"
+_LIFETIME: Final = "entityMapLifetime"
+_PAGE: Final = 1000
+_MAX_PAGES: Final = 100
+"""Pages of entities of the past that are read from a source that makes no maps."""
+
+
+class EntityMapCollector:
+    """Has sources make maps of the answers to one query; `listed` is what comes of it."""
+
+    def __init__(self, sources: Sources, context: Context, lifetime: str | None) -> None:
+        self._sources = sources
+        self._context = context
+        self._lifetime = () if lifetime is None else ((_LIFETIME, lifetime),)
+        self.listed = Listed()
+
+    async def collect(
+        self, match: Match, parameters: Mapping[str, str], into: FragmentCollector, *, is_split: bool
+    ) -> None:
+        """Have a source make a map if it does, and read its entities if that is not enough."""
+        registration = match.registration
+        is_listed = False
+        if registration.takes(CREATE_ENTITY_MAP):
+            try:
+                dialect = await self._sources.forwarder.dialect(registration, self._context, body=None)
+                questions = list(narrowed(match, parameters, self._context, dialect, is_split=is_split))
+                if len(questions) == 1:
+                    plain = [one for one in questions[0] if one[0] != "options"]
+                    request = SourceRequest("GET", "entityMaps", dialect, (*plain, *self._lifetime))
+                    is_listed = await self._take(registration, request)
+            except SourceError as error:
+                self._sources.add_error(error)
+                return
+            except Problem as problem:  # its @context
+                self._sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
+                return
+        if is_queryable(match) and (not is_listed or _needs_entities(registration, parameters, is_split)):
+            self.listed.entities = {
+                one: rest
+                for one, who_has in self.listed.entities.items()
+                if (rest := [each for each in who_has if each != registration.id])
+            }  # these are candidates: what is read decides
+            await fetch_entities(self._sources, match, parameters, self._context, into, is_split=is_split)
+
+    async def _take(self, registration: Registration, request: SourceRequest) -> bool:
+        """Take the map that a source makes; say whether it made one. Raises `Unheard` if it is silent."""
+        try:
+            response = await query_source(self._sources, registration, request)
+        except SourceError as error:
+            if error.answered is None:
+                raise
+            return False  # it makes no maps, whatever its registration says
+        if response is None:
+            return False
+        try:
+            document = orjson.loads(response.body)
+        except orjson.JSONDecodeError:
+            document = None
+        entities = document.get("entityMap") if isinstance(document, dict) else None
+        map_id = document.get("id") if isinstance(document, dict) else None
+        if not isinstance(entities, dict) or not isinstance(map_id, str):
+            self._sources.add_warning(
+                INVALID, f"{registration.endpoint} answers something else than an entity map"
+            )
+            return False
+        self.listed.linked[registration.id] = map_id
+        for one in entities:
+            if _may_have(registration, one):
+                self.listed.entities.setdefault(one, []).append(registration.id)
+        return True
+
+    async def collect_temporal(self, match: Match, parameters: Mapping[str, str]) -> None:
+        """Have a source make a map of the past if it does; else read which entities it tells of."""
+        registration = match.registration
+        try:
+            dialect = await self._sources.forwarder.dialect(registration, self._context, body=None)
+            target = [*who(match, parameters, dialect.name)]
+            target += of_the_past(match, parameters, dialect, same=dialect.context is self._context)
+            if registration.takes(CREATE_TEMPORAL_MAP):
+                request = SourceRequest("GET", "temporal/entityMaps", dialect, (*target, *self._lifetime))
+                if await self._take(registration, request):
+                    return
+            if registration.takes("queryTemporal"):
+                await self._read_ids(
+                    registration, SourceRequest("GET", "temporal/entities", dialect, tuple(target))
+                )
+        except SourceError as error:
+            self._sources.add_error(error)
+        except Problem as problem:
+            self._sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
+
+    async def _read_ids(self, registration: Registration, request: SourceRequest) -> None:
+        plain = [one for one in request.parameters if one[0] not in {"lastN", "options", "format"}]
+        for page in range(_MAX_PAGES):
+            window = (("lastN", "1"), ("limit", str(_PAGE)), ("offset", str(page * _PAGE)))
+            target = SourceRequest("GET", request.path, request.dialect, (*plain, *window))
+            response = await query_source(self._sources, registration, target)
+            try:
+                documents = orjson.loads(response.body) if response is not None and response.body else []
+            except orjson.JSONDecodeError:
+                documents = None
+            if not isinstance(documents, list):
+                why = f"{registration.endpoint} answers no temporal entities"
+                raise SourceError(registration, INVALID, 502, why)
+            ids = {one.get("id") for one in documents if isinstance(one, dict)}
+            fresh = [one for one in ids if isinstance(one, str) and self._is_new(one, registration)]
+            for one in sorted(fresh):
+                self.listed.entities.setdefault(one, []).append(registration.id)
+            if not fresh or len(documents) < _PAGE:
+                return
+
+    def _is_new(self, entity_id: str, registration: Registration) -> bool:
+        return registration.id not in self.listed.entities.get(entity_id, ())
+
+
+async def map_temporal(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """GET or POST temporal/entityMaps."""
+    if exchange.method == "GET":
+        context, parameters = await exchange.reader_context(), dict(exchange.parameters)
+        questions = [parameters]
+    else:
+        document, context = await exchange.body()
+        if not isinstance(document, dict):
+            return await perform(exchange)
+        parameters = {**exchange.parameters, **temporal_parameters(document)}
+        plain = {name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}}
+        questions = list(selector_parameters(plain, parameters))
+    map_collector = EntityMapCollector(sources, context, exchange.parameter(_LIFETIME))
+    asking = []
+    for each in questions:
+        target, where = target_of(each, context, None)
+        found = sources.registry.matching((CREATE_TEMPORAL_MAP, "queryTemporal"), target, where)
+        refuse_order(each, sources.unvisited(found, uses_map=False))
+        asking += [map_collector.collect_temporal(match, each) for match in sources.unvisited(found)]
+    if not asking:
+        return await perform(exchange)
+    own = derived(
+        exchange, parameters={**exchange.parameters, "local": "true"}, elsewhere=map_collector.listed
+    )
+    await gather_all(*asking)
+    return await perform(own)
+
+
+def _needs_entities(registration: Registration, parameters: Mapping[str, str], is_split: bool) -> bool:
+    """Say whether a list of ids is not enough to know which entities answer a query."""
+    if "join" in parameters:
+        return True
+    has_other_names = any(name.lower() == "jsonldcontext" for name, _ in registration.source_info)
+    return (is_split or has_other_names) and any(name in parameters for name in FILTERS)
+
+
+def _may_have(registration: Registration, entity_id: Any) -> bool:
+    try:
+        require_uri(entity_id, "an id in an entity map")
+    except Problem:
+        return False
+    return any(
+        not piece.entities or any(one.has(entity_id) for one in piece.entities)
+        for piece in registration.information
+    )

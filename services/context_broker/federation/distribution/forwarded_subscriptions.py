@@ -1,0 +1,174 @@
+"""Relays: subscriptions that were passed on to context sources, with the broker itself as the subscriber.
+
+A relay is written before its source hears of it, and forgotten after the source has: whatever happens in
+between, what is there is known, and can be taken back.
+"""
+
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.contexts.book import ContextBook
+from services.context_broker.federation.distribution.forwarding import SourceDialect
+from services.context_broker.federation.registrations.registration import EntityTarget, Registration
+from services.context_broker.federation.registrations.registration_intake import registration
+from services.context_broker.queries.type_selection import TypeSelection
+from services.context_broker.subscriptions.documents import NAMES_IN, shown_document
+from services.context_broker.subscriptions.subscription import Subscription
+
+PATH: Final = "relayedNotifications"
+_NOT_PASSED_ON: Final = (
+    "id", "status", "isActive", "jsonldContext", "csf", "throttling", "lang", "datasetId", "localOnly",
+    "notification", "createdAt", "modifiedAt", "watchedAttributes", "splitEntities", "ngsildConformance",
+)  # fmt: skip
+"""What is the broker's own to heed, or is said anew."""
+_FILTERS: Final = ("q", "geoQ", "scopeQ", "expandValues", "jsonKeys")
+
+
+@dataclass(frozen=True, slots=True)
+class ForwardedSubscription:
+    """One subscription at one source. `token` names it there and where its notifications come in.
+
+    `said` tells what the source was told from what it would be told now, `base` at which address of the
+    broker its notifications come in, `is_there` that the source knows of it.
+    """
+
+    token: str
+    tenant: str
+    subscription: str
+    registration: Registration
+    said: str
+    base: str
+    is_there: bool
+
+    @property
+    def id(self) -> str:
+        """Return the id of the subscription at the source."""
+        return f"urn:ngsi-ld:Subscription:{self.token}"
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Return which subscription is passed on by which registration."""
+        return self.subscription, self.registration.id
+
+    def there(self) -> "ForwardedSubscription":
+        """Return the relay once its source knows it."""
+        return replace(self, is_there=True)
+
+    def stored(self) -> bytes:
+        """Return the relay as the journal keeps it."""
+        source = self.registration
+        return orjson.dumps(
+            [
+                self.subscription,
+                source.document,
+                source.context.document,
+                self.said,
+                self.base,
+                self.is_there,
+            ]
+        )
+
+
+async def restored(token: str, tenant: str, stored: bytes, contexts: ContextBook) -> ForwardedSubscription:
+    """Return the relay that `stored` had been; raises a problem if its source makes no sense any more."""
+    subscription, document, context, said, base, is_there = orjson.loads(stored)
+    source = registration(document, await contexts.as_before(context))
+    return ForwardedSubscription(token, tenant, subscription, source, said, base, is_there)
+
+
+def questions(one: Subscription) -> list[EntityTarget]:
+    """Return what a subscription is about, as registrations are asked for it."""
+    watched = one.triggers.watched
+    names = None if watched is None else frozenset(watched)
+    if not one.selectors:
+        return [EntityTarget(attributes=names)]
+    found = []
+    for selector in one.selectors:
+        types = None
+        if selector.types is not None and not selector.types.is_every:
+            types = frozenset(selector.types.names())
+        ids = None if selector.ids is None else tuple(sorted(selector.ids))
+        found.append(EntityTarget(ids, selector.id_pattern, types, names))
+    return found
+
+
+def passed_on(one: Subscription, source: Registration, dialect: SourceDialect) -> dict[str, Any]:
+    """Return the subscription that a source is to have, without where its notifications go.
+
+    What it is told with conditions is looked at here, on the whole entity: conditions go along only where the
+    source has whole entities, and where they are in names that it is spoken to in.
+    """
+    document = shown_document(one, dialect.context, 0.0, sys_attrs=False)
+    for name in _NOT_PASSED_ON:
+        document.pop(name, None)
+    if (entities := _entities(one, source, dialect)) is not None:
+        document["entities"] = entities
+    is_whole = not one.document.get("splitEntities") and all(
+        piece.attributes is None for piece in source.information
+    )
+    if not is_whole or dialect.context.key != one.names.key or NAMES_IN in one.document:
+        for name in _FILTERS:
+            document.pop(name, None)
+    names = _watched(one, source)
+    if names is not None and one.interval_s is None:
+        document["watchedAttributes"] = sorted(dialect.name(name) for name in names)
+    if one.shows_changes:
+        document["notification"] = {"showChanges": True}
+    if dialect.link is not None:
+        document["jsonldContext"] = dialect.link
+    return document
+
+
+def _entities(one: Subscription, source: Registration, dialect: SourceDialect) -> list[dict[str, Any]] | None:
+    """Return the entity selectors, narrowed to what a source is registered for; None for any entity."""
+    found: dict[str, dict[str, Any]] = {}
+    for selector, target in zip(one.selectors or (None,), questions(one), strict=True):
+        for part in source.parts(target):
+            narrowed: dict[str, Any] = {}
+            types = () if selector is None or selector.types is None else selector.types.alternatives
+            if part.types is not None:
+                some = tuple(kinds for kinds in types if kinds and not kinds.isdisjoint(part.types))
+                types = some or tuple(frozenset({kind}) for kind in sorted(part.types))
+            if types:
+                narrowed["type"] = TypeSelection(types).written(dialect.name)
+            if part.ids is None and selector is not None and selector.id_pattern is not None:
+                narrowed["idPattern"] = selector.id_pattern.pattern
+            for each in part.ids or (None,):
+                chosen = narrowed if each is None else {"id": each, **narrowed}
+                if chosen:
+                    found[str(chosen)] = chosen
+    return list(found.values()) or None
+
+
+def _watched(one: Subscription, source: Registration) -> frozenset[str] | None:
+    """Return the attributes that a source is to look at, None for all: watched ones that it has."""
+    watched = one.triggers.watched
+    registered: frozenset[str] | None = frozenset()
+    for piece in source.information:
+        if registered is None or piece.attributes is None:
+            registered = None
+        else:
+            registered |= piece.attributes
+    if watched is None or registered is None:
+        return registered if watched is None else frozenset(watched)
+    return frozenset(watched) & registered
+
+
+def with_endpoint(document: dict[str, Any], base: str, token: str) -> dict[str, Any]:
+    """Return the subscription with the broker as its subscriber."""
+    uri = f"{base}/ngsi-ld/v1/{PATH}/{token}"
+    notification = {
+        "format": "normalized",
+        "sysAttrs": True,
+        **document.get("notification", {}),
+        "endpoint": {"uri": uri, "accept": "application/json"},
+    }
+    return {**document, "id": f"urn:ngsi-ld:Subscription:{token}", "notification": notification}
+
+
+def digest(document: dict[str, Any]) -> str:
+    """Return what tells two subscriptions that are passed on apart."""
+    return sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()[:32]

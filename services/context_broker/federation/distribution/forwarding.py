@@ -1,0 +1,304 @@
+"""Forwarding: one question to one context source over HTTP, in the words and headers that it wants.
+
+Clauses 4.3.6.5 and 4.3.6.6 (what contextSourceInfo says), 6.3.17 (what may go wrong), 6.3.18 (Via, local).
+"""
+
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+from urllib.parse import quote
+
+import orjson
+
+from handover.telemetry import get_logger
+from services.context_broker.api.exchange import JSON, JSON_LD
+from services.context_broker.contexts.book import CORE, Context, ContextBook
+from services.context_broker.federation.distribution.translation import older, translated
+from services.context_broker.federation.distribution.via import append_to_via, chain
+from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.federation.registrations.registry import Registry
+from services.context_broker.network.http_client import (
+    BodyReadingHttpClient,
+    HttpResponse,
+    ResponseTimeout,
+    ResponseTooLarge,
+    SendError,
+)
+
+log = get_logger(__name__)
+
+FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
+"""Stands in contextSourceInfo for the value of the same header in the request (clause 4.3.6.5)."""
+MAX_CACHED_RESPONSES: Final = 256
+"""Answers that are kept for sources whose registration allows it (localCache)."""
+MAX_ALIASES: Final = 10_000
+"""Sources whose own names are remembered."""
+MAX_CACHED_BYTES: Final = 1024 * 1024
+"""Bytes of such an answer."""
+_PROCESSED: Final = frozenset({"jsonldcontext", "accept", "contenttype", "ngsildconformance"})
+_NOT_THEIRS: Final = frozenset(
+    {"host", "content-length", "content-type", "transfer-encoding", "connection", "keep-alive", "upgrade",
+     "te", "trailer", "expect", "via", "ngsild-tenant", "link"}
+)  # fmt: skip
+"""Headers that belong to the way a request travels: contextSourceInfo cannot set them."""
+
+STALE, INVALID, SILENT, REFUSED = 110, 111, 199, 299
+"""What NGSILD-Warning tells (table 6.3.17-1): data that was kept, an answer that cannot be used, no answer in
+time or a loop, an answer that is an error."""
+
+
+class SourceError(Exception):
+    """A source did not answer the question: `warning` for those who read, `status` for those who write.
+
+    `answered` is the status of an answer that was a refusal.
+    """
+
+    def __init__(
+        self, registration: Registration, warning: int, status: int, why: str, answered: int | None = None
+    ) -> None:
+        super().__init__(why)
+        self.registration = registration
+        self.warning = warning
+        self.status = status
+        self.why = why
+        self.answered = answered
+
+
+@dataclass(frozen=True, slots=True)
+class RequestOrigin:
+    """On whose behalf sources are asked: the headers of the request, and the chain that it has come by."""
+
+    headers: Mapping[bytes, bytes]
+    name: str
+    """The alias of this broker for the tenant of the request."""
+    registry: Registry
+    timed_out: set[str] = field(default_factory=set)
+    """Registrations whose source did not answer this request in time: it is not asked again for this one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceDialect:
+    """How a source is spoken to: the @context of names, the media type of bodies, the Link to the context."""
+
+    context: Context
+    media_type: str
+    link: str | None
+
+    def name(self, iri: str) -> str:
+        """Return what a type or an attribute is called there."""
+        return self.context.terms.compact(iri)
+
+
+@dataclass(frozen=True, slots=True)
+class SourceRequest:
+    """What a source is asked; `path` is what comes after the root of the API, percent-encoded."""
+
+    method: str
+    path: str
+    dialect: SourceDialect
+    parameters: tuple[tuple[str, str], ...] = ()
+    document: Any = None
+    headers: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(slots=True)
+class _CachedResponse:
+    response: HttpResponse
+    until_s: float
+
+
+@dataclass(slots=True)
+class Forwarder:
+    """Asks the context sources of all tenants."""
+
+    contexts: ContextBook
+    timeout_s: float
+    http_client: BodyReadingHttpClient = field(default_factory=BodyReadingHttpClient)
+    small_pages: set[str] = field(default_factory=set)
+    """Endpoints of sources that refuse large pages."""
+    _aliases: dict[tuple[str, str], str] = field(default_factory=dict)
+    _cached: OrderedDict[tuple[Any, ...], _CachedResponse] = field(default_factory=OrderedDict)
+
+    def alias_of(self, registration: Registration) -> str | None:
+        """Return what a source calls itself in Via: as it is registered, or as it has answered once."""
+        if registration.alias is not None:
+            return registration.alias
+        return self._aliases.get((registration.endpoint, registration.tenant))
+
+    def is_ourselves(self, registration: Registration, registry: Registry, name: str) -> bool:
+        """Say whether a source is this very broker and tenant, whose alias is `name`: it need not ask itself.
+
+        An address that is not known as the broker's own gives itself away with its first answer.
+        """
+        if self.alias_of(registration) == name:
+            return True
+        return registration.tenant == registry.tenant and self.contexts.is_ours(registration.endpoint)
+
+    def patience_s(self, registration: Registration) -> float:
+        """Return how long one answer of a source is waited for."""
+        return registration.management.timeout_s or self.timeout_s
+
+    async def dialect(
+        self, registration: Registration, context: Context, *, body: str | None
+    ) -> SourceDialect:
+        """Return how to speak to a source when the request was made in `context`.
+
+        `body` is the media type of the request's body, None if nothing is sent: JSON-LD is passed on as
+        JSON-LD. Raises a problem (504) when the source's own @context cannot be loaded.
+        """
+        wanted = _info(registration, "jsonldContext")
+        if wanted is not None:
+            return SourceDialect(await self.contexts.of(wanted), JSON, wanted)
+        media_type = _info(registration, "contentType")
+        if body is not None and (media_type or body) == JSON_LD:
+            return SourceDialect(context, JSON_LD, None)
+        if context.document == CORE:
+            return SourceDialect(context, JSON, None)
+        if context.link is not None:
+            return SourceDialect(context, JSON, context.link)
+        if body is not None and media_type is None:
+            return SourceDialect(context, JSON_LD, None)
+        return SourceDialect(await self.contexts.of(None), JSON, None)  # no Link can carry it: names in full
+
+    async def send(
+        self, registration: Registration, request: SourceRequest, origin: RequestOrigin
+    ) -> tuple[HttpResponse, bool]:
+        """Return the answer, whatever its status, and whether it was one that had been kept.
+
+        Raises `Unheard` when there is none: the source is silent, out of reach or in its cooldown. A cooldown
+        is only what its registration sets (clause 5.2.34); without one, the next request asks it again.
+        """
+        headers = _headers(registration, request, origin)
+        url = _url(registration, request)
+        is_kept = request.method == "GET" and registration.management.cache_s > 0
+        key = (registration.id, url, *headers)
+        if is_kept and (kept := self._cached.get(key)) and kept.until_s > time.monotonic():
+            return kept.response, True
+        _refuse_at_rest(registration, origin)
+        response = await self._sent(registration, request, origin, url, headers)
+        if is_kept and response.status == 200 and len(response.body) <= MAX_CACHED_BYTES:
+            self._cache(key, response, registration.management.cache_s)
+        return response, False
+
+    async def _sent(
+        self,
+        registration: Registration,
+        request: SourceRequest,
+        origin: RequestOrigin,
+        url: str,
+        headers: list[tuple[str, str]],
+    ) -> HttpResponse:
+        timeout_s, registry = self.patience_s(registration), origin.registry
+        try:
+            response = await self.http_client.request(
+                request.method, url, headers, _body(registration, request), timeout_s
+            )
+        except SendError as error:
+            if isinstance(error, ResponseTimeout):
+                origin.timed_out.add(registration.id)
+            registry.record_attempt(registration, succeeded=False)
+            warning = INVALID if isinstance(error, ResponseTooLarge) else SILENT
+            why = f"{registration.endpoint}: {error}"
+            log.info("context source failed", registration=registration.id, why=why)
+            raise SourceError(
+                registration, warning, 504 if isinstance(error, ResponseTimeout) else 502, why
+            ) from None
+        registry.record_attempt(registration, succeeded=response.status < 500 or response.status == 508)
+        if names := chain(response.headers.get("via", "").encode("latin-1", "replace")):
+            if len(self._aliases) >= MAX_ALIASES:
+                self._aliases.clear()
+            self._aliases[registration.endpoint, registration.tenant] = names[0]
+        return response
+
+    def _cache(self, key: tuple[Any, ...], response: HttpResponse, seconds: float) -> None:
+        self._cached[key] = _CachedResponse(response, time.monotonic() + seconds)
+        self._cached.move_to_end(key)
+        if len(self._cached) > MAX_CACHED_RESPONSES:
+            self._cached.popitem(last=False)
+
+
+def _refuse_at_rest(registration: Registration, origin: RequestOrigin) -> None:
+    if registration.id in origin.timed_out:
+        why = f"{registration.endpoint} did not answer another part of this request in time"
+        raise SourceError(registration, SILENT, 504, why)
+    if origin.registry.is_cooling_down(registration):
+        why = f"{registration.endpoint} failed within the cooldown that its registration sets"
+        raise SourceError(registration, SILENT, 504, why)
+
+
+def _info(registration: Registration, key: str) -> str | None:
+    wanted = key.lower()
+    return next((value for name, value in registration.source_info if name.lower() == wanted), None)
+
+
+def _url(registration: Registration, request: SourceRequest) -> str:
+    parameters: Iterable[tuple[str, str]] = request.parameters
+    if registration.management.local_only:
+        parameters = (*parameters, ("local", "true"))
+    query = "&".join(f"{name}={quote(value, safe=_PLAIN_IN_QUERIES)}" for name, value in parameters)
+    url = registration.url(request.path)
+    return f"{url}?{query}" if query else url
+
+
+_PLAIN_IN_QUERIES: Final = ":,/()*"
+"""Signs that need no escape in a query and that make it easier to read in logs."""
+
+
+def _body(registration: Registration, request: SourceRequest) -> bytes:
+    if request.document is None:
+        return b""
+    version = _info(registration, "ngsildConformance")
+    document = request.document if version is None else older(request.document, version)
+    if request.dialect.media_type == JSON_LD:
+        document = _with_context(document, request.dialect.context.document)
+    return orjson.dumps(document)
+
+
+def _with_context(document: Any, context: Any) -> Any:
+    if isinstance(document, list):
+        return [_with_context(one, context) for one in document]
+    return {"@context": context, **document} if isinstance(document, dict) else document
+
+
+def _headers(
+    registration: Registration, request: SourceRequest, origin: RequestOrigin
+) -> list[tuple[str, str]]:
+    dialect = request.dialect
+    headers = [
+        ("Accept", _info(registration, "accept") or JSON),
+        ("Via", append_to_via(origin.headers.get(b"via", b""), origin.name)),
+        *request.headers,
+    ]
+    if request.document is not None:
+        headers.append(("Content-Type", dialect.media_type))
+    if dialect.link is not None and (request.document is None or dialect.media_type != JSON_LD):
+        link = f'<{dialect.link}>; rel="http://www.w3.org/ns/json-ld#context"; type="{JSON_LD}"'
+        headers.append(("Link", link))
+    if registration.tenant:
+        headers.append(("NGSILD-Tenant", registration.tenant))
+    for name, value in registration.source_info:
+        if name.lower() in _PROCESSED or name.lower() in _NOT_THEIRS:
+            continue
+        if value == FROM_THE_REQUEST:
+            value = origin.headers.get(name.lower().encode("latin-1", "replace"), b"").decode("latin-1")  # noqa: PLW2901
+        if value and value.isprintable() and value.isascii() and _TOKEN.issuperset(name):
+            headers.append((name, value))
+    return headers
+
+
+_TOKEN: Final = frozenset("!#$%&'*+-.^_`|~0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ")
+
+
+def in_dialect(document: Any, context: Context, dialect: SourceDialect) -> Any:
+    """Return a document whose names are in `context` with the names of the source, without @context."""
+    if isinstance(document, list):
+        return [in_dialect(one, context, dialect) for one in document]
+    plain = {name: said for name, said in document.items() if name != "@context"}
+    return plain if dialect.context is context else translated(plain, context.terms, dialect.context.terms)
+
+
+def quoted(part: str) -> str:
+    """Return a part of a path, percent-encoded."""
+    return quote(part, safe=":")

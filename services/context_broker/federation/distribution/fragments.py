@@ -1,0 +1,179 @@
+"""Fragments: one entity told by several sources becomes one entity again (clauses 4.3.6 and 4.5.5.3).
+
+The newest instance of each attribute counts; what tells nothing of its age gives way; where that leaves a
+tie, a fixed rule decides, so that the order in which sources answer never matters.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.api.words import moment, timestamp_now
+from services.context_broker.entities.entity import Attributes, Entity, Instance, Terms, dataset_of
+from services.context_broker.entities.intake import expand, read_entity
+
+_TIMES: Final = ("createdAt", "modifiedAt")
+_UNKNOWN: Final = float("-inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Fragment:
+    """What one source tells of an entity.
+
+    `rank` decides between equals, the lowest wins: the broker's own fragment has (0, ""), the others their
+    mode and the id of their registration. One that only `fills_gaps` is from an auxiliary source.
+    """
+
+    entity: Entity
+    rank: tuple[int, str]
+    fills_gaps: bool = False
+
+
+def merged(fragments: Iterable[Fragment]) -> Entity:
+    """Return the entity that all fragments (at least one, all of one id) are part of."""
+    ordered = sorted(fragments, key=_strength)
+    if len(ordered) == 1:
+        return ordered[0].entity
+    first = ordered[0].entity
+    primary = [one for one in ordered if not one.fills_gaps]
+    attributes = _merged_attributes(primary)
+    for name, instances in _merged_attributes(one for one in ordered if one.fills_gaps).items():
+        attributes.setdefault(name, instances)
+    entities = [one.entity for one in ordered]
+    return Entity(
+        first.id,
+        tuple(dict.fromkeys(kind for one in entities for kind in one.types)),
+        attributes,
+        min(one.created_at for one in entities),
+        max(one.modified_at for one in entities),
+        min(one.seq for one in entities),
+        tuple(dict.fromkeys(scope for one in entities for scope in one.scopes)),
+        next((one.expires_at for one in entities if one.expires_at is not None), None),
+    )
+
+
+def limited(entity: Entity, names: frozenset[str] | None, without: frozenset[str] = frozenset()) -> Entity:
+    """Return the entity with no attributes but those `names` (None for all), and not those `without`."""
+    kept = {
+        name: instances
+        for name, instances in entity.attributes.items()
+        if (names is None or name in names) and name not in without
+    }
+    if len(kept) == len(entity.attributes):
+        return entity
+    return Entity(
+        entity.id,
+        entity.types,
+        kept,
+        entity.created_at,
+        entity.modified_at,
+        entity.seq,
+        entity.scopes,
+        entity.expires_at,
+    )
+
+
+def without_expired(document: Any, now_s: float) -> Any:
+    """Return what a source told of an entity without what has expired since; None if all of it has (4.22)."""
+    if not isinstance(document, dict):
+        return document
+    if _is_over(document, now_s):
+        return None
+    kept: dict[str, Any] = {}
+    for name, said in document.items():
+        if isinstance(said, list) and any(_is_over(one, now_s) for one in said):
+            kept[name] = [one for one in said if not _is_over(one, now_s)]
+        elif name in _NO_ATTRIBUTES or not _is_over(said, now_s):
+            kept[name] = said
+    return {name: said for name, said in kept.items() if said != [] or document[name] == []}
+
+
+def _is_over(said: Any, now_s: float) -> bool:
+    ends = said.get("expiresAt") if isinstance(said, dict) else None
+    at_s = moment(ends) if isinstance(ends, str) else None
+    return at_s is not None and at_s <= now_s
+
+
+def read_fragment(document: Any, terms: Terms, seq: int) -> Entity:
+    """Return the entity that a source told of, with the times that the source gives; raise a problem if none.
+
+    `seq` is its place among others, as it was not created here.
+    """
+    if not isinstance(document, Mapping):
+        raise bad_request_data("an entity is a JSON object")
+    change = read_entity({name: said for name, said in document.items() if name != "@context"}, terms)
+    entity_id = change.id or ""
+    attributes = dict(change.attributes)
+    for name, given in document.items():
+        if name not in _NO_ATTRIBUTES and (iri := expand(name, terms)) in attributes:
+            attributes[iri] = _with_times(attributes[iri], given)
+    now = timestamp_now()
+    created = _time(document.get("createdAt")) or now
+    return Entity(
+        entity_id,
+        change.types,
+        attributes,
+        created,
+        _time(document.get("modifiedAt")) or created,
+        seq,
+        change.scopes or (),
+        change.expires_at,
+    )
+
+
+_NO_ATTRIBUTES: Final = frozenset(
+    {"id", "@id", "type", "@type", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}
+)
+
+
+def _with_times(instances: list[Instance], given: Any) -> list[Instance]:
+    said = given if isinstance(given, list) else [given]
+    if len(said) != len(instances):
+        return instances
+    return [
+        {**instance, **{name: one[name] for name in _TIMES if _time(one.get(name))}}
+        if isinstance(one, Mapping)
+        else instance
+        for instance, one in zip(instances, said, strict=True)
+    ]
+
+
+def _time(given: Any) -> str | None:
+    return given if isinstance(given, str) and moment(given) is not None else None
+
+
+def _strength(fragment: Fragment) -> tuple[bool, tuple[int, str], bytes]:
+    return fragment.fills_gaps, fragment.rank, _written(fragment.entity.attributes)
+
+
+def _merged_attributes(fragments: Iterable[Fragment]) -> Attributes:
+    best: dict[str, dict[str | None, tuple[Any, Instance]]] = {}
+    for fragment in fragments:
+        for name, instances in fragment.entity.attributes.items():
+            found = best.setdefault(name, {})
+            for instance in instances:
+                dataset = dataset_of(instance)
+                age = _age(instance)
+                if dataset not in found or age > found[dataset][0]:
+                    found[dataset] = age, instance
+    return {name: [instance for _, instance in found.values()] for name, found in best.items()}
+
+
+def _age(instance: Instance) -> tuple[float, float]:
+    """Return what the newer of two instances has more of: when it was observed, then when it was written.
+
+    The fragments come in the order of their rank, so that of equals the first stays.
+    """
+    return _moment(instance.get("observedAt")), _moment(instance.get("modifiedAt"))
+
+
+def _moment(text: Any) -> float:
+    at = moment(text) if isinstance(text, str) else None
+    return _UNKNOWN if at is None else at
+
+
+def _written(attributes: Attributes) -> bytes:
+    return orjson.dumps(attributes, option=orjson.OPT_SORT_KEYS)

@@ -1,0 +1,105 @@
+"""Instances: what a change is about, by attribute and datasetId, and the part of it that some of these are.
+
+A source may have an attribute with some datasetIds only (clauses 4.3.6.1 and 5.2.9): it is sent these, and
+the others stay, or go elsewhere.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+from services.context_broker.api.words import require_name
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand
+from services.context_broker.federation.registrations.registration import Registration
+
+NO_ATTRIBUTES: Final = frozenset(
+    {"id", "@id", "type", "@type", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}
+)
+"""Members of an entity that go along with any part of it."""
+ANY: Final = "*"
+"""Stands for a datasetId that is not known, or for all of them."""
+_MANY: Final = "dataset"
+"""The member that holds what several instances say, in simplified form (clause 4.5.4)."""
+
+Instances = frozenset[tuple[str, str | None]]
+"""Instances by attribute (IRI) and datasetId; None for the default one."""
+
+
+def attributes_in(document: Mapping[str, Any], context: Context) -> dict[str, str]:
+    """Return the attributes of a document as they are named there, with their IRIs."""
+    return {
+        name: expand(require_name(name, "the attribute name"), context.terms)
+        for name in document
+        if name not in NO_ATTRIBUTES
+    }
+
+
+def types_in(document: Mapping[str, Any], context: Context) -> frozenset[str] | None:
+    """Return the types (IRIs) that a document names, None if it names none."""
+    given = document.get("type", document.get("@type"))
+    names: Iterable[Any] = given if isinstance(given, list) else [given]
+    return frozenset(context.terms.expand(one) for one in names if isinstance(one, str) and one) or None
+
+
+def instances_in(document: Mapping[str, Any], names: Mapping[str, str]) -> Instances:
+    """Return the instances that a document tells of; `names` are its attributes with their IRIs."""
+    return frozenset((iri, dataset) for name, iri in names.items() for dataset in datasets_in(document[name]))
+
+
+def datasets_in(said: Any) -> set[str | None]:
+    """Return the datasetIds of what is said of one attribute, in whichever form it is said."""
+    if _is_list_of_instances(said):
+        return {_dataset_of(one) for one in said}
+    if _is_many_simplified(said):
+        return {_named(one) for one in said[_MANY]}
+    return {_dataset_of(said)}
+
+
+def part_of(document: Mapping[str, Any], names: Mapping[str, str], wanted: Instances) -> dict[str, Any]:
+    """Return a document with no instances but these; what is no attribute goes along."""
+    by_attribute: dict[str | None, set[str | None]] = {}
+    for iri, dataset in wanted:
+        by_attribute.setdefault(iri, set()).add(dataset)
+    part: dict[str, Any] = {}
+    for member, said in document.items():
+        datasets = by_attribute.get(names.get(member), set())
+        if member in NO_ATTRIBUTES or datasets_in(said) <= datasets:
+            part[member] = said
+        elif datasets.isdisjoint(datasets_in(said)):
+            continue
+        elif _is_many_simplified(said):
+            part[member] = {
+                _MANY: {one: each for one, each in said[_MANY].items() if _named(one) in datasets}
+            }
+        else:
+            part[member] = [one for one in said if _dataset_of(one) in datasets]
+    return part
+
+
+def had_by(registration: Registration, instances: Instances, names: frozenset[str] | None) -> Instances:
+    """Return those instances that a source may have: of attributes (IRIs, None for all), in its datasets."""
+    datasets = registration.datasets
+    if names is None and datasets is None:
+        return instances
+    return frozenset(
+        (iri, dataset)
+        for iri, dataset in instances
+        if (names is None or iri in names) and (datasets is None or dataset == ANY or dataset in datasets)
+    )
+
+
+def _is_list_of_instances(said: Any) -> bool:
+    return isinstance(said, list) and bool(said) and all(isinstance(one, Mapping) for one in said)
+
+
+def _is_many_simplified(said: Any) -> bool:
+    return isinstance(said, Mapping) and said.keys() == {_MANY} and isinstance(said[_MANY], Mapping)
+
+
+def _dataset_of(said: Any) -> str | None:
+    given = said.get("datasetId") if isinstance(said, Mapping) else None
+    return _named(given) if isinstance(given, str) else None
+
+
+def _named(dataset: str) -> str | None:
+    return None if dataset == DEFAULT_INSTANCE else dataset

@@ -1,0 +1,145 @@
+"""Outcomes: what became of the shares of one change, and what is answered for all of them (clause 6.3.17)."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import JSON, Answer
+from services.context_broker.api.problems import ERRORS
+from services.context_broker.federation.distribution.forwarding import SourceError
+from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.network.http_client import HttpResponse
+
+_PASSED_ON: Final = frozenset({404, 409})
+"""Failures of a single source that are the asker's to know as they are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one share: of the broker's own (no registration) or of a source's.
+
+    `names` are the attributes (IRIs) that it is about; `problem` says why it failed, None if it did not.
+    `is_held` says of the broker's own share that it has the entity, so that a 404 is about an attribute.
+    """
+
+    registration: Registration | None
+    names: frozenset[str]
+    status: int
+    problem: dict[str, Any] | None = None
+    is_held: bool = False
+
+    @property
+    def is_absence(self) -> bool:
+        """Say whether there was just nothing to change, where there need not be anything."""
+        if self.status != 404 or self.problem is None:
+            return False
+        return not self.is_held if self.registration is None else not self.registration.mode.is_proxied
+
+
+def of_response(registration: Registration, names: frozenset[str], response: HttpResponse) -> Outcome:
+    """Return the outcome that a source's answer tells of."""
+    if 200 <= response.status < 300 and response.status != 207:
+        return Outcome(registration, names, response.status)
+    return Outcome(registration, names, response.status, problem_in(response, registration))
+
+
+def problem_in(response: HttpResponse, registration: Registration) -> dict[str, Any]:
+    """Return the problem that a source answers, or one that tells of what it answers instead."""
+    try:
+        document = orjson.loads(response.body) if response.body else None
+    except orjson.JSONDecodeError:
+        document = None
+    if isinstance(document, dict) and isinstance(document.get("title"), str):
+        return {**document, "status": response.status}
+    detail = f"{registration.endpoint} answers {response.status}"
+    if response.status == 207:
+        detail = f"{registration.endpoint} did a part of it: {response.body[:500].decode('utf-8', 'replace')}"
+    return Problem(response.status, "Context source failed", detail, ERRORS + "InternalError").body()
+
+
+def of_source_error(error: SourceError, names: frozenset[str]) -> Outcome:
+    """Return the outcome of a share whose source was not heard."""
+    title = {504: "Gateway timeout", 508: "Loop detected"}.get(error.status, "Bad gateway")
+    kind = "LoopDetected" if error.status == 508 else "InternalError"
+    problem = Problem(error.status, title, error.why, ERRORS + kind)
+    return Outcome(error.registration, names, error.status, problem.body())
+
+
+def of_refusal(registration: Registration, names: frozenset[str], operation: str) -> Outcome:
+    """Return the outcome of a share whose source does not take the operation."""
+    detail = (
+        f"registration {registration.id} has what this is about to itself and does not take {operation}; "
+        "add the operation to it, or change the source directly"
+    )
+    return Outcome(registration, names, 409, Problem(409, "Conflict", detail, ERRORS + "Conflict").body())
+
+
+def settled(outcomes: Iterable[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
+    """Return the outcomes that are good and those that are to be told of as failed.
+
+    An absence is not told of where somebody else did what was to be done, or may have what it is about.
+    """
+    everything = list(outcomes)
+    good = [one for one in everything if one.problem is None]
+    done = frozenset(name for one in good for name in one.names)
+    elsewhere = bool(good) or any(one.problem is not None and not one.is_absence for one in everything)
+    failed = [
+        one
+        for one in everything
+        if one.problem is not None and not (one.is_absence and elsewhere and one.names <= done)
+    ]
+    return good, failed
+
+
+def failure(failed: list[Outcome]) -> Answer | None:
+    """Return the answer when nothing was done; None if the shares failed in different ways.
+
+    What the broker itself could not do with an entity that it has comes first: AlreadyExists or
+    ResourceNotFound (clauses 5.6.1.4 and 5.6.19.4), with the failures of the sources as "errors".
+    """
+    own = next((one for one in failed if one.registration is None and not one.is_absence), None)
+    if own is not None and own.problem is not None:
+        others = [one.problem for one in failed if one is not own]
+        return _problem_answer(own.status, {**own.problem, **({"errors": others} if others else {})}, None)
+    statuses = {one.status for one in failed}
+    if len(statuses) > 1:
+        return None
+    first = failed[0]
+    assert first.problem is not None  # noqa: S101 - it is a failure
+    if first.registration is None or first.status in _PASSED_ON or first.status in {504, 508}:
+        return _problem_answer(first.status, first.problem, first.registration)
+    detail = f"{first.registration.endpoint} could not do it: {first.problem.get('detail') or first.status}"
+    problem = Problem(502, "Bad gateway", detail, ERRORS + "InternalError").body()
+    return _problem_answer(502, problem, first.registration)
+
+
+def entity_result(entity_id: str, good: list[Outcome], failed: list[Outcome]) -> Answer:
+    """Return 207 with what became of an entity (clause 5.2.16, BatchOperationResult)."""
+    return multi_status({"success": [entity_id] if good else [], "errors": entity_errors(entity_id, failed)})
+
+
+def entity_errors(entity_id: Any, failed: Iterable[Outcome]) -> list[dict[str, Any]]:
+    """Return failures as errors about an entity (clause 5.2.17)."""
+    return [
+        {
+            "entityId": entity_id,
+            **({"registrationId": one.registration.id} if one.registration is not None else {}),
+            "error": one.problem,
+        }
+        for one in failed
+    ]
+
+
+def multi_status(body: dict[str, Any]) -> Answer:
+    """Return 207 with a body."""
+    return Answer(207, orjson.dumps(body), [(b"content-type", JSON.encode())])
+
+
+def _problem_answer(status: int, problem: dict[str, Any], registration: Registration | None) -> Answer:
+    body = {**problem, "status": status}
+    if registration is not None:
+        body["registrationId"] = registration.id
+    return Answer(status, orjson.dumps(body), [(b"content-type", JSON.encode())])

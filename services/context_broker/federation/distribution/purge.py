@@ -1,0 +1,140 @@
+"""Entities purged at several sources (clause 5.6.21).
+
+A source purges no more than it is registered for: of the types it has registered, and where it has registered
+attributes, these attributes and not the entities. Where one entity may be spread over several sources, it is
+found out first which meet the conditions as a whole: a part alone may look as if it did.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import Answer, Exchange
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.purge import selection_to_purge
+from services.context_broker.federation.distribution import outcomes, reading
+from services.context_broker.federation.distribution.distributed_operations import (
+    Perform,
+    Sources,
+    derived,
+    gather_all,
+)
+from services.context_broker.federation.distribution.entity_fetching import MAX_CONCURRENT_REQUESTS, MAX_IDS
+from services.context_broker.federation.distribution.forwarding import (
+    SILENT,
+    SourceDialect,
+    SourceError,
+    SourceRequest,
+)
+from services.context_broker.federation.distribution.outcomes import Outcome
+from services.context_broker.federation.distribution.query_targets import FILTERS, may_be_split, target_of
+from services.context_broker.federation.registrations.registration import EntityTarget, Match
+from services.context_broker.queries.reading import selection_of
+from services.context_broker.queries.selection import hits_of
+
+_NAMING: Final = frozenset({"q", "geoproperty"})
+_AS_THEY_ARE: Final = ("q", "scopeQ", "georel", "geometry", "coordinates", "geoproperty", "idPattern")
+
+
+async def purge(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """DELETE entities: the broker's own first, then those of all sources at once."""
+    context = await exchange.reader_context()
+    target, where = target_of(exchange.parameters, context, None)
+    matches = sources.unvisited(sources.registry.matching("purgeEntity", target, where))
+    conditions = any(name in exchange.parameters for name in (*FILTERS, "attrs"))
+    if conditions and may_be_split(exchange.parameters, matches):
+        hits = await _whole_hits(sources, exchange, context)
+        if not hits:
+            return Answer(204)
+        gone = {name: exchange.parameters[name] for name in ("drop", "keep") if name in exchange.parameters}
+        exchange = derived(exchange, parameters={**gone, "id": ",".join(hits), "local": "true"})
+        named = EntityTarget(tuple(hits), None, target.types)
+        matches = sources.unvisited(sources.registry.matching("purgeEntity", named, where))
+    own = await perform(exchange)
+    pieces = [piece for one in matches for piece in one.split_by_ids(MAX_IDS)]
+    found: list[Outcome] = []
+    for start in range(0, len(pieces), MAX_CONCURRENT_REQUESTS):
+        some = pieces[start : start + MAX_CONCURRENT_REQUESTS]
+        found += await gather_all(*(_purge_at(sources, one, exchange.parameters, context) for one in some))
+    failed = [one for one in found if one.problem is not None and one.status != 404]
+    if not failed:
+        return own
+    body: dict[str, Any] = {"success": [], "errors": []}
+    if own.status == 207:
+        body |= orjson.loads(own.body)
+    body["errors"] = [*body["errors"], *outcomes.entity_errors(None, failed)]
+    return outcomes.multi_status(body)
+
+
+async def _whole_hits(sources: Sources, exchange: Exchange, context: Context) -> list[str]:
+    """Return the ids of the entities that meet the conditions, all that sources tell of them included."""
+    selection_to_purge(exchange, context)
+    asking = {name: said for name, said in exchange.parameters.items() if name not in {"drop", "keep"}}
+    found: list[str] = []
+
+    async def collect(over: Exchange) -> Answer:
+        selection = selection_of({**over.parameters, "local": "true"}, context)
+        found.extend(one.id for one in await hits_of(over.tenant.store, selection))
+        return Answer(200)
+
+    await reading.query(sources, derived(exchange, parameters=asking), collect)
+    return found
+
+
+async def _purge_at(
+    sources: Sources, match: Match, parameters: Mapping[str, str], context: Context
+) -> Outcome:
+    one, nothing = match.registration, frozenset[str]()
+    try:
+        dialect = await sources.forwarder.dialect(one, context, body=None)
+        if dialect.context is not context and not _NAMING.isdisjoint(parameters):
+            return outcomes.of_refusal(one, nothing, "conditions on attributes in names that are not its own")
+        wanted = _narrowed(match, parameters, context, dialect)
+        if wanted is None:
+            return Outcome(one, nothing, 204)
+        request = SourceRequest("DELETE", "entities", dialect, tuple(wanted))
+        response, _ = await sources.forwarder.send(one, request, sources.origin)
+        if sources.is_loop_answer(one, response.status):
+            return Outcome(one, nothing, 204)
+    except SourceError as error:
+        return outcomes.of_source_error(error, nothing)
+    except Problem as problem:  # its @context
+        return outcomes.of_source_error(SourceError(one, SILENT, 502, problem.detail), nothing)
+    return outcomes.of_response(one, nothing, response)
+
+
+def _narrowed(
+    match: Match, parameters: Mapping[str, str], context: Context, dialect: SourceDialect
+) -> list[tuple[str, str]] | None:
+    """Return what to ask of a source, None if nothing that it is registered for is to go."""
+    one = match.registration
+    types = {kind for part in match.parts for kind in part.types or ()} or {
+        kind for piece in one.information for each in piece.entities for kind in each.types
+    }
+    wanted = [("type", _joined(types, dialect))] if types else []
+    if match.ids:
+        wanted.append(("id", ",".join(match.ids)))
+    wanted += [(name, parameters[name]) for name in _AS_THEY_ARE if name in parameters]
+    gone = _attributes(parameters.get("drop"), context)
+    kept = _attributes(parameters.get("keep"), context)
+    if all(piece.attributes is not None for piece in one.information):
+        names = {name for piece in one.information for name in piece.attributes or ()}
+        gone = (names if gone is None else names & gone) - (kept or set())
+        if not gone:
+            return None
+        kept = None
+    if gone is not None:
+        wanted.append(("drop", _joined(gone, dialect)))
+    if kept is not None:
+        wanted.append(("keep", _joined(kept, dialect)))
+    return wanted
+
+
+def _attributes(given: str | None, context: Context) -> set[str] | None:
+    return None if given is None else {context.terms.expand(one) for one in given.split(",") if one}
+
+
+def _joined(names: Iterable[str], dialect: SourceDialect) -> str:
+    return ",".join(sorted(dialect.name(one) for one in names))

@@ -1,0 +1,131 @@
+"""Questions: what a request asks for, in the words in which registrations are looked through for it."""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.intake import expand
+from services.context_broker.federation.registrations.coverage import CoverageQuery, period_of
+from services.context_broker.federation.registrations.registration import EntityTarget, Match, SourceFilter
+from services.context_broker.queries import geo_query
+from services.context_broker.queries.patterns import pattern
+from services.context_broker.queries.reading import datasets_of
+from services.context_broker.queries.scope_query import scope_query
+from services.context_broker.queries.selection import compiled
+
+FILTERS: Final = (
+    "q", "expandValues", "jsonKeys", "scopeQ", "georel", "geometry", "coordinates", "geoproperty"
+)  # fmt: skip
+"""Parameters that are conditions on whole entities."""
+_NEEDS_MORE: Final = (*FILTERS, "join")
+"""Parameters for which attributes count that are not to be shown."""
+_TYPE_SIGNS: Final = re.compile(r"[,;|()]+")
+
+
+def selector_parameters(
+    document: Mapping[str, Any], parameters: Mapping[str, str]
+) -> Iterable[dict[str, str]]:
+    """Yield the parameters that a GET for the same, or for one of its selectors, would have."""
+    plain = {name: said for name, said in {**parameters, **document}.items() if isinstance(said, str)}
+    for name in ("attrs", "pick", "omit", "datasetId", "expandValues", "jsonKeys"):
+        if isinstance(document.get(name), list):
+            plain[name] = ",".join(str(one) for one in document[name])
+    geo = document.get("geoQ")
+    if isinstance(geo, dict):
+        for name in ("georel", "geometry", "geoproperty", "coordinates"):
+            if name in geo:
+                said = geo[name]
+                plain[name] = said if isinstance(said, str) else orjson.dumps(said).decode()
+    if isinstance(document.get("ordering"), dict):
+        plain["orderBy"] = ",".join(str(one) for one in document["ordering"].get("orderBy") or ())
+    plain.pop("type", None)  # which is that of the document, "Query"
+    selectors = document.get("entities")
+    if not isinstance(selectors, list) or not selectors:
+        yield plain
+        return
+    for one in selectors:
+        if isinstance(one, dict):
+            yield {
+                **plain,
+                **{
+                    name: said if isinstance(said, str) else ",".join(str(part) for part in said)
+                    for name, said in one.items()
+                    if isinstance(said, str | list)
+                },
+            }
+
+
+def refuse_order(parameters: Mapping[str, str], matches: Iterable[Match]) -> None:
+    """Raise a problem (400) for a query that wants an order and that a source has a share in (4.23.1)."""
+    if "orderBy" in parameters and (match := next(iter(matches), None)) is not None:
+        raise bad_request_data(
+            f"no order is made across context sources, and registration {match.registration.id} matches this "
+            "query; leave orderBy out, or ask for what this broker has itself with local=true"
+        )
+
+
+def target_of(
+    parameters: Mapping[str, str], context: Context, names: frozenset[str] | None
+) -> tuple[EntityTarget, SourceFilter | None]:
+    """Return what query parameters ask for, of which the attributes `names` (None for all), and of whom."""
+    ids, wanted, csf = parameters.get("id"), parameters.get("idPattern"), parameters.get("csf")
+    target = EntityTarget(
+        tuple(dict.fromkeys(ids.split(","))) if ids else None,
+        pattern(wanted) if wanted else None,
+        types_of(parameters.get("type"), context),
+        names,
+    )
+    return target, source_filter(csf, context, coverage_of(parameters, context.terms.expand))
+
+
+def coverage_of(parameters: Mapping[str, str], expand: Callable[[str], str]) -> CoverageQuery:
+    """Return what query parameters ask for; raises a problem (400) when they cannot be read."""
+    scope, datasets = parameters.get("scopeQ"), parameters.get("datasetId")
+    return CoverageQuery(
+        geo_query.geo_query(parameters, expand) if "georel" in parameters else None,
+        scope_query(scope) if scope else None,
+        period_of(parameters),
+        datasets_of(datasets) if datasets else None,
+    )
+
+
+def source_filter(csf: str | None, context: Context, coverage: CoverageQuery) -> SourceFilter | None:
+    """Return which sources may have what is asked for and meet a context source filter; None for all."""
+    holds = compiled(csf, context).holds if csf else None
+    if holds is None:
+        return None if coverage.is_unrestricted else coverage.may_match
+    return lambda one: holds(one.described) and coverage.may_match(one)
+
+
+def types_of(given: str | None, context: Context) -> frozenset[str] | None:
+    """Return all types (IRIs) that a type selection names, None if there is none."""
+    names = [one.strip() for one in _TYPE_SIGNS.split(given or "") if one.strip()]
+    return frozenset(context.terms.expand(one) for one in names) if names else None
+
+
+def names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
+    """Return the attributes that the answer needs, None if that may be all."""
+    given = parameters.get("attrs") or parameters.get("pick")
+    if not given or any(name in parameters for name in _NEEDS_MORE) or not _PLAIN_NAMES.fullmatch(given):
+        return None
+    names = [one for one in given.split(",") if one not in {"id", "type", "scope"}]
+    return frozenset(expand(one, context.terms) for one in names) or None
+
+
+_PLAIN_NAMES: Final = re.compile(r"[^{}()\[\].|;]+")
+
+
+def may_be_split(parameters: Mapping[str, str], matches: Iterable[Match]) -> bool:
+    """Say whether one entity may be told by several sources, each a part, so that filters must wait.
+
+    The standard leaves it to the deployment where splitEntities is not given (clause 5.7.2.4). Here entities
+    are taken to be split where a registration names attributes: then its source has a part of them.
+    """
+    given = parameters.get("splitEntities")
+    if given is not None:
+        return given == "true"
+    return any(piece.attributes is not None for one in matches for piece in one.registration.information)

@@ -1,0 +1,217 @@
+"""Entities read from several sources: retrieve and query (clauses 5.7.1.4, 5.7.2.4 and 4.5.5.3).
+
+Whoever may know something is asked for the plain data; the fragments become entities; and the room that
+answers for the broker's own entities answers for these: filters, pages and forms are applied once, to
+whole entities.
+"""
+
+import copy
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any, Final
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import Answer, Exchange, problem_answer
+from services.context_broker.api.words import require_uri
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.entity import Entity
+from services.context_broker.federation.distribution.distributed_operations import (
+    Perform,
+    Sources,
+    derived,
+    gateway_problem,
+    gather_all,
+)
+from services.context_broker.federation.distribution.entity_fetching import (
+    ONE,
+    fetch_entities,
+    fetch_entity,
+    queryable_matches,
+)
+from services.context_broker.federation.distribution.entity_map_collection import (
+    CREATE_ENTITY_MAP,
+    EntityMapCollector,
+)
+from services.context_broker.federation.distribution.fragment_collector import FragmentCollector
+from services.context_broker.federation.distribution.query_targets import (
+    may_be_split,
+    names_of,
+    refuse_order,
+    selector_parameters,
+    source_filter,
+    target_of,
+    types_of,
+)
+from services.context_broker.federation.registrations.coverage import CoverageQuery
+from services.context_broker.federation.registrations.registration import EntityTarget, Match
+from services.context_broker.queries.reading import datasets_of
+from services.context_broker.queries.type_selection import of_types
+
+MAX_LINKING_ENTITIES: Final = 1000
+"""Of so many of the broker's own entities the links are followed to other sources."""
+MAX_LEVELS: Final = 10
+"""Levels of linked entities that sources are asked for."""
+
+
+async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """GET entities/{id}, from all that may know it."""
+    context = await exchange.reader_context()
+    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    own = exchange.tenant.store.get(entity_id)
+    types = types_of(exchange.parameter("type"), context)
+    if types is None and own is not None:
+        types = frozenset(own.types)
+    target = EntityTarget((entity_id,), None, types, names_of(exchange.parameters, context))
+    datasets = CoverageQuery(datasets=datasets_of(exchange.parameter("datasetId")))
+    matches = sources.unvisited(
+        sources.registry.matching(ONE, target, source_filter(None, context, datasets))
+    )
+    if not matches and (own is None or not _wants_links(exchange)):
+        return await perform(exchange)
+    collector = FragmentCollector()
+    await gather_all(*(fetch_entity(sources, one, entity_id, context, collector) for one in matches))
+    if exchange.elsewhere is not None:
+        exchange.elsewhere.entities = collector.origins(exchange.tenant.store)
+    proxied = [one.registration for one in matches if one.registration.mode.is_proxied]
+    others = {entity_id: collector.entity(own, entity_id, proxied)}
+    await _add_linked(sources, exchange, context, others)
+    overlay_store = exchange.tenant.store.overlay((entity_id,), None, others)
+    try:
+        return await perform(_over(exchange, overlay_store))
+    except Problem as problem:
+        silent = [one for one in sources.source_errors if one.registration.mode.is_proxied]
+        if problem.status == 404 and silent:  # it may well be there, where nobody else can tell of it
+            return problem_answer(gateway_problem(silent[0]))
+        raise
+
+
+async def query(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """GET entities, and entities of all that may know some."""
+    context = await exchange.reader_context()
+    return await _query(sources, exchange, perform, context, [dict(exchange.parameters)])
+
+
+async def query_batch(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """POST entityOperations/query."""
+    document, context = await exchange.body()
+    if not isinstance(document, dict):
+        return await perform(exchange)
+    return await _query(
+        sources, exchange, perform, context, list(selector_parameters(document, exchange.parameters))
+    )
+
+
+async def map_entities(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """GET or POST entityMaps, which ask as the two queries do (clause 5.14.4)."""
+    if exchange.method == "GET":
+        context, questions = await exchange.reader_context(), [dict(exchange.parameters)]
+    else:
+        document, context = await exchange.body()
+        if not isinstance(document, dict):
+            return await perform(exchange)
+        questions = list(selector_parameters(document, exchange.parameters))
+    map_collector = EntityMapCollector(sources, context, exchange.parameter("entityMapLifetime"))
+    return await _query(sources, exchange, perform, context, questions, map_collector=map_collector)
+
+
+async def _query(
+    sources: Sources,
+    exchange: Exchange,
+    perform: Perform,
+    context: Context,
+    questions: list[dict[str, str]],
+    *,
+    map_collector: EntityMapCollector | None = None,
+) -> Answer:
+    collector = FragmentCollector()
+    matched: list[tuple[Match, dict[str, str], bool]] = []
+    wanted: list[EntityTarget] = []
+    for parameters in questions:
+        target, where = target_of(parameters, context, names_of(parameters, context))
+        wanted.append(target)
+        or_takes = None if map_collector is None else CREATE_ENTITY_MAP
+        if "orderBy" in parameters:
+            refuse_order(
+                parameters, queryable_matches(sources, target, where, uses_map=False, or_takes=or_takes)
+            )
+        matches = queryable_matches(sources, target, where, or_takes=or_takes)
+        is_split = may_be_split(parameters, matches)
+        matched += [(match, parameters, is_split) for match in matches]
+    times = Counter(match.registration.id for match, _, _ in matched)
+    registrations = {match.registration.id: match.registration for match, _, _ in matched}
+    requests: list[Any] = [
+        map_collector.collect(match, parameters, collector, is_split=is_split)
+        if map_collector is not None
+        and times[match.registration.id] == 1  # of several maps one could be linked
+        else fetch_entities(sources, match, parameters, context, collector, is_split=is_split)
+        for match, parameters, is_split in matched
+    ]
+    wants_links = _wants_links(exchange)
+    if not requests and not wants_links:
+        return await perform(exchange)
+    await gather_all(*requests)
+    ids = None if any(one.ids is None for one in wanted) else [i for one in wanted for i in one.ids or ()]
+    types = (
+        None if any(one.types is None for one in wanted) else [t for one in wanted for t in one.types or ()]
+    )
+    store = exchange.tenant.store
+    claims = [one for one in registrations.values() if one.mode.is_proxied]
+    touched = set(collector.fragments)
+    if claims or wants_links:
+        own = store.candidates(ids, None if types is None else of_types(types))
+        touched |= {one.id for one in (own if claims else own[:MAX_LINKING_ENTITIES])}
+    others = {one: collector.entity(store.get(one), one, claims) for one in touched}
+    await _add_linked(sources, exchange, context, others)
+    overlay_store = store.overlay(ids, None if ids is not None else types, others)
+    overlay_store.origins = collector.origins(store)
+    overlay = _over(exchange, overlay_store)
+    overlay.elsewhere = None if map_collector is None else map_collector.listed
+    return await perform(overlay)
+
+
+def _wants_links(exchange: Exchange) -> bool:
+    return exchange.parameter("join") in {"inline", "flat"}
+
+
+async def _add_linked(
+    sources: Sources, exchange: Exchange, context: Context, others: dict[str, Entity | None]
+) -> None:
+    """Add the entities that a reader wants to have joined and that other sources may know (clause 4.5.23)."""
+    if not _wants_links(exchange):
+        return
+    given = exchange.parameter("joinLevel") or "1"
+    levels = min(int(given), MAX_LEVELS) if given.isascii() and given.isdecimal() else 1
+    store = exchange.tenant.store
+    edge = [one for one in others.values() if one is not None]
+    for _ in range(levels):
+        ids = [one for one in dict.fromkeys(_objects(edge)) if one not in others]
+        if not ids:
+            return
+        collector = FragmentCollector()
+        target = EntityTarget(ids=tuple(ids))
+        matches = queryable_matches(sources, target, uses_map=False)
+        await gather_all(
+            *(fetch_entities(sources, match, {}, context, collector, is_split=True) for match in matches)
+        )
+        proxied = [one.registration for one in matches if one.registration.mode.is_proxied]
+        found = {one: collector.entity(store.get(one), one, proxied) for one in ids}
+        edge = [one for one in found.values() if one is not None]
+        others.update({one.id: one for one in edge})
+
+
+def _objects(entities: Iterable[Entity]) -> Iterable[str]:
+    for entity in entities:
+        for instances in entity.attributes.values():
+            for instance in instances:
+                said = instance.get("object")
+                yield from said if isinstance(said, list) else [said] if isinstance(said, str) else ()
+                for one in instance.get("objectList") or ():
+                    if isinstance(one, dict) and isinstance(one.get("object"), str):
+                        yield one["object"]
+
+
+def _over(exchange: Exchange, overlay_store: Any) -> Exchange:
+    """Return the exchange with the mix in the place of the tenant's own entities."""
+    tenant = copy.copy(exchange.tenant)
+    tenant.store = overlay_store
+    return derived(exchange, tenant=tenant)

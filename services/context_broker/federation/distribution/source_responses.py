@@ -1,0 +1,104 @@
+"""What sources answer to those who read: entities, nothing, or a reason to warn (clause 6.3.17)."""
+
+import asyncio
+import hashlib
+import re
+import time
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.entity import Entity
+from services.context_broker.federation.distribution.distributed_operations import Sources
+from services.context_broker.federation.distribution.forwarding import (
+    INVALID,
+    REFUSED,
+    SILENT,
+    STALE,
+    SourceDialect,
+    SourceError,
+    SourceRequest,
+)
+from services.context_broker.federation.distribution.fragments import read_fragment, without_expired
+from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.network.http_client import HttpResponse
+
+_FROM_ELSEWHERE: Final = 1 << 62
+"""Places in the order from here on are those of entities that were created elsewhere, by a hash of their id:
+the same at every request, so that pages do not shift."""
+
+
+_ENTITIES_PER_STEP: Final = 200
+"""Entities that are read in one go, then others get their turn."""
+
+
+async def query_source(
+    sources: Sources, registration: Registration, request: SourceRequest
+) -> HttpResponse | None:
+    """Return what a source answers to a question, None if it knows nothing; raises `Unheard`."""
+    response, was_kept = await sources.forwarder.send(registration, request, sources.origin)
+    if was_kept:
+        sources.add_warning(STALE, f"what {registration.endpoint} told was kept from a moment ago")
+    if response.status == 404 or sources.is_loop_answer(registration, response.status):
+        return None
+    if response.status == 508:
+        raise SourceError(registration, SILENT, 508, f"{registration.endpoint} sees a loop of registrations")
+    if not 200 <= response.status < 300:
+        raise SourceError(
+            registration, REFUSED, 502, f"{registration.endpoint} answers {response.status}", response.status
+        )
+    return response
+
+
+async def read_entities(
+    sources: Sources,
+    registration: Registration,
+    response: HttpResponse,
+    dialect: SourceDialect,
+    *,
+    single: bool = False,
+) -> list[Entity]:
+    """Return the entities in an answer; raises `Unheard` (111) when it is no NGSI-LD."""
+    try:
+        found = orjson.loads(response.body) if response.body else ({} if single else [])
+        documents = [found] if single else found
+        if not isinstance(documents, list):
+            raise TypeError("it is no list of entities")  # noqa: TRY301 - one way out for all that is wrong
+        context = await answered_context(sources, response, dialect)
+        entities = []
+        for number, given in enumerate(documents, 1):
+            if not number % _ENTITIES_PER_STEP:
+                await asyncio.sleep(0)
+            one = without_expired(given, time.time())
+            if one is None or (not one and single):
+                continue
+            inline = one.get("@context") if isinstance(one, dict) else None
+            terms = (context if inline is None else await sources.forwarder.contexts.of(inline)).terms
+            entities.append(read_fragment(one, terms, place_of(one)))
+    except (orjson.JSONDecodeError, TypeError, Problem) as error:
+        why = error.detail if isinstance(error, Problem) else str(error)
+        invalid = f"{registration.endpoint} answers what is no NGSI-LD: {why}"
+        raise SourceError(registration, INVALID, 502, invalid) from None
+    return entities
+
+
+async def answered_context(sources: Sources, response: HttpResponse, dialect: SourceDialect) -> Context:
+    """Return the @context of an answer in plain JSON: that of its Link, else the one asked with."""
+    found = _CONTEXT_LINK.search(response.headers.get("link", ""))
+    if found is None or found.group(1) == dialect.link:
+        return dialect.context
+    return await sources.forwarder.contexts.of(found.group(1))
+
+
+_CONTEXT_LINK: Final = re.compile(r'<([^>]*)>[^,<]*rel\s*=\s*"?http://www\.w3\.org/ns/json-ld#context"?')
+
+
+def place_of(document: Any) -> int:
+    """Return the place in the order of an entity that was created elsewhere."""
+    entity_id = document.get("id") if isinstance(document, dict) else None
+    if not isinstance(entity_id, str):
+        return _FROM_ELSEWHERE
+    digest = hashlib.blake2b(entity_id.encode("utf-8", "replace"), digest_size=7).digest()
+    return _FROM_ELSEWHERE | int.from_bytes(digest)

@@ -1,0 +1,167 @@
+"""Conditions on how entities have been, where one entity's past may be spread over several sources (5.7.4.4).
+
+A condition on one attribute must not hide what another source has of the same entity: everybody is asked
+without conditions, and those are looked at once the evolutions are whole.
+"""
+
+from collections.abc import Awaitable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import Exchange
+from services.context_broker.entities.entity import Entity, Instance
+from services.context_broker.entities.intake import expand, read_attribute
+from services.context_broker.federation.distribution import temporal_merge
+from services.context_broker.federation.distribution.distributed_operations import Perform, Sources, derived
+from services.context_broker.federation.distribution.query_targets import FILTERS
+from services.context_broker.federation.distribution.temporal_fetching import (
+    SHOWING,
+    FetchPart,
+    TemporalPart,
+    TemporalRequest,
+    ask_source,
+    edge_of,
+    plain,
+    values_of,
+)
+from services.context_broker.federation.distribution.temporal_merge import Evolution
+from services.context_broker.federation.registrations.registration import Match, Registration
+from services.context_broker.queries.query_document import selectors_of
+from services.context_broker.queries.reading import LARGEST_LIMIT, selection_of
+from services.context_broker.queries.selection import Selection
+from services.context_broker.temporal.query import TIME_PARAMETERS
+
+MAX_PAGES: Final = 20
+"""Pages of a thousand entities that are read of one source."""
+_CONDITIONS: Final = frozenset({"q", "geoQ", "scopeQ", "expandValues", "jsonKeys"})
+"""Members of a Query document that are conditions."""
+_IN_DOCUMENTS: Final = _CONDITIONS | {"aggrParams", "attrs", "datasetId", "lang", *SHOWING}
+_NOT_ASKED: Final = frozenset({*FILTERS, "lastN", "count", "offset", "limit", "attrs", "datasetId", "lang"})
+"""What is looked at when evolutions are whole, or is about how they are shown."""
+_NOT_SAID: Final = frozenset({"instanceId", "createdAt", "modifiedAt", "expiresAt"})
+_TIMES: Final = ("createdAt", "modifiedAt")
+
+
+async def split_hits(
+    sources: Sources,
+    exchange: Exchange,
+    perform: Perform,
+    matched: Iterable[tuple[Match, Mapping[str, str]]],
+    request: TemporalRequest,
+) -> list[str]:
+    """Return the ids of the entities whose evolution, put together, meets the conditions; in order."""
+    asked = {name: said for name, said in request.parameters.items() if name not in _NOT_ASKED}
+    everything = replace(request.view.view, attributes=None, projection=None, datasets=None)
+    whole = TemporalRequest(
+        request.context, asked, replace(request.query, last=None), replace(request.view, view=everything)
+    )
+    readers: list[tuple[Registration | None, FetchPart]] = [(None, _pages_of_own(exchange, perform, request))]
+    readers += [(match.registration, _pages_of(sources, match, request)) for match, _ in matched]
+    known: dict[str, list[temporal_merge.SourceEvolution]] = {}
+    for registration, document in await values_of(readers, whole):
+        known.setdefault(document["id"], []).append((registration, document))
+    selection = _selection(exchange, request)
+    return [
+        one
+        for one, parts in known.items()
+        if selection.wants(_as_entity(temporal_merge.merge_evolutions(parts, request.context, None), request))
+    ]
+
+
+def narrowed_to(exchange: Exchange, ids: list[str]) -> Exchange:
+    """Return the request for these entities alone, without conditions."""
+    gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
+    kept = {name: said for name, said in exchange.parameters.items() if name not in gone}
+    shape = {"limit": str(len(ids))}
+    if exchange.method == "GET":
+        return derived(exchange, parameters={**kept, **shape, "id": ",".join(ids)})
+    document = {name: said for name, said in exchange.document().items() if name not in _CONDITIONS}
+    document.pop("entityMap", None)
+    document["entities"] = [
+        {"id": ids, **({"type": one["type"]} if "type" in one else {})}
+        for one in document.get("entities") or [{}]
+    ]
+    return derived(exchange, parameters={**kept, **shape}, raw=orjson.dumps(document))
+
+
+def _selection(exchange: Exchange, request: TemporalRequest) -> Selection:
+    any_of = () if exchange.method == "GET" else selectors_of(exchange.document(), request.context)
+    return selection_of(request.parameters, request.context, any_of)
+
+
+def _pages_of(sources: Sources, match: Match, request: TemporalRequest) -> FetchPart:
+    def of_source(parameters: Mapping[str, str]) -> Awaitable[TemporalPart]:
+        return ask_source(sources, match, "temporal/entities", parameters, request.context)
+
+    return _all_pages(of_source, request)
+
+
+def _pages_of_own(exchange: Exchange, perform: Perform, request: TemporalRequest) -> FetchPart:
+    async def of_own(parameters: Mapping[str, str]) -> TemporalPart:
+        asked = derived(exchange, parameters=parameters)
+        if exchange.method == "POST":
+            document = {name: said for name, said in exchange.document().items() if name not in _IN_DOCUMENTS}
+            times = {name: parameters[name] for name in TIME_PARAMETERS if name in parameters}
+            asked.raw = orjson.dumps({**document, "temporalQ": times})
+            asked.parameters = {name: parameters[name] for name in ("options", "offset", "limit")}
+        parts = await perform(asked)
+        return TemporalPart([plain(one) for one in orjson.loads(parts.body)], edge_of(parts))
+
+    return _all_pages(of_own, request)
+
+
+def _all_pages(ask: FetchPart, request: TemporalRequest) -> FetchPart:
+    """Return how to ask for all entities, page by page."""
+
+    async def all_of_them(parameters: Mapping[str, str]) -> TemporalPart:
+        documents: dict[str, Evolution] = {}
+        edges: list[int | None] = []
+        for number in range(MAX_PAGES):
+            window = {"offset": str(number * LARGEST_LIMIT), "limit": str(LARGEST_LIMIT)}
+            part = await ask({**parameters, **window})
+            before = len(documents)
+            documents |= {one["id"]: one for one in part.documents}
+            edges.append(part.edge)
+            if len(part.documents) < LARGEST_LIMIT or len(documents) == before:
+                break
+        return TemporalPart(list(documents.values()), temporal_merge.common_edge(edges, request.query))
+
+    return all_of_them
+
+
+def _as_entity(document: Evolution, request: TemporalRequest) -> Entity:
+    """Return an entity that holds all instances of an evolution at once, for conditions to be put to it."""
+    terms = request.context.terms
+    attributes: dict[str, list[Instance]] = {}
+    for name in document.keys() - temporal_merge.MEMBERS:
+        said = document[name]
+        for one in said if isinstance(said, list) else [said]:
+            if not isinstance(one, dict) or "deletedAt" in one:
+                continue
+            given = {member: value for member, value in one.items() if member not in _NOT_SAID}
+            try:
+                (instance,) = read_attribute(name, given, terms)
+            except (Problem, ValueError):  # which no condition can be about
+                continue
+            times = {member: one[member] for member in _TIMES if isinstance(one.get(member), str)}
+            attributes.setdefault(expand(name, terms), []).append({**instance, **times})
+    kinds = document.get("type")
+    types = [kind for kind in (kinds if isinstance(kinds, list) else [kinds]) if isinstance(kind, str)]
+    return Entity(
+        document["id"],
+        tuple(terms.expand(kind) for kind in types),
+        attributes,
+        str(document.get("createdAt", "")),
+        str(document.get("modifiedAt", "")),
+        scopes=tuple(_scopes(document.get("scope"))),
+    )
+
+
+def _scopes(said: Any) -> Iterator[str]:
+    """Yield the scopes that an entity has had: each as it is, or in the instances of a series."""
+    for one in said if isinstance(said, list) else [said]:
+        parts = one.get("value") if isinstance(one, dict) else one
+        yield from (each for each in (parts if isinstance(parts, list) else [parts]) if isinstance(each, str))

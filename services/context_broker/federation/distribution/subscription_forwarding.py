@@ -1,0 +1,355 @@
+"""Subscriptions at several sources: passed on, taken back, and what is heard of them told (clause 5.8).
+
+Whenever subscriptions or registrations change, what should be passed on is compared with what is, and the
+difference carried out; what fails is tried again. What sources tell comes in here and goes to the subscriber
+through the outbox, as the broker's own notifications do.
+"""
+
+import asyncio
+import time
+from collections.abc import Iterable
+from typing import Any, Final
+from uuid import uuid4
+
+from handover.errors import Problem
+from handover.telemetry import get_logger
+from services.context_broker.api.exchange import JSON, Answer, Exchange
+from services.context_broker.api.operation import Operation
+from services.context_broker.api.problems import bad_request_data, not_found, not_stored
+from services.context_broker.api.words import shown
+from services.context_broker.contexts.book import Context, ContextBook
+from services.context_broker.federation.distribution.distributed_operations import (
+    Handler,
+    Perform,
+    Sources,
+    gather_all,
+)
+from services.context_broker.federation.distribution.forwarded_subscriptions import (
+    PATH,
+    ForwardedSubscription,
+    digest,
+    passed_on,
+    questions,
+    restored,
+    with_endpoint,
+)
+from services.context_broker.federation.distribution.forwarding import (
+    SILENT,
+    Forwarder,
+    RequestOrigin,
+    SourceError,
+    SourceRequest,
+    quoted,
+)
+from services.context_broker.federation.distribution.query_targets import source_filter
+from services.context_broker.federation.distribution.source_notifications import change_of_notification
+from services.context_broker.federation.distribution.via import chain
+from services.context_broker.federation.registrations.coverage import CoverageQuery
+from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.network.http_client import HttpResponse
+from services.context_broker.storage.entries import Entries, Kind, Notice
+from services.context_broker.storage.journal import Journal, NotStored
+from services.context_broker.storage.tenants import Tenant, Tenants
+from services.context_broker.subscriptions.documents import CAME_BY
+from services.context_broker.subscriptions.notification import notification, told_of
+from services.context_broker.subscriptions.subscription import Subscription
+
+log = get_logger(__name__)
+
+SETTLE_S: Final = 0.05
+"""So long registrations may go on changing before subscriptions are brought in step with them."""
+RETRY_S: Final = 10.0
+"""After so long, what could not be passed on or taken back is tried again."""
+
+
+class SubscriptionForwarder:
+    """Keeps what is passed on in step with subscriptions and registrations, for all tenants.
+
+    Sources tell of changes at `public_url`; if there is none, at the address by which the broker was last
+    called by a subscriber.
+    """
+
+    def __init__(
+        self, tenants: Tenants, contexts: ContextBook, forwarder: Forwarder, public_url: str | None
+    ) -> None:
+        self._public_url = public_url
+        self._tenants = tenants
+        self._contexts = contexts
+        self._forwarder = forwarder
+        self._relays: dict[str, ForwardedSubscription] = {}
+        self._refused: dict[tuple[str, str, str], str] = {}
+        self._locks: dict[str, asyncio.Lock] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._waking: set[str] = set()
+        self._retrying: set[str] = set()
+        self._base = ""
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return where sources tell of what was passed on."""
+        path = f"{PATH}/{{token}}"
+        name = "relayNotification"
+        return (Operation("POST", path, name, "6.3.8", self.receive, frozenset(), of_no_tenant=True),)
+
+    def handlers(self) -> dict[str, Handler]:
+        """Return what is to be done when subscriptions change."""
+        names = ("createSubscription", "updateSubscription", "deleteSubscription")
+        return dict.fromkeys(names, self._changed)
+
+    async def start(self, journal: Journal) -> None:
+        """Take up what was passed on before, and bring it in step."""
+        self._base = self._contexts.base({})
+        for tenant, token, stored in journal.documents(Kind.RELAY):
+            await self.follow(tenant, token, stored)
+        for forwarded in self._relays.values():
+            self._base = self._public_url or forwarded.base
+        self._tenants.on_registration = self.wake
+        for one in self._tenants:
+            if not one.registry.is_empty or self._of(one):
+                self.wake(one)
+
+    def stop(self) -> None:
+        """Leave everything as it is."""
+        for task in self._tasks:
+            task.cancel()
+
+    async def follow(self, tenant: str, token: str, stored: bytes | None) -> None:
+        """Take a relay as the journal has it."""
+        if stored is None:
+            self._relays.pop(token, None)
+            return
+        try:
+            self._relays[token] = await restored(token, tenant, stored, self._contexts)
+        except Problem as problem:
+            log.exception("what was passed on cannot be taken up", forwarded=token, why=problem.detail)
+
+    def wake(self, tenant: Tenant) -> None:
+        """Bring a tenant's relays in step soon: once for registrations that come in a row."""
+        self._align_later(tenant, SETTLE_S, self._waking)
+
+    def _align_later(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
+        if tenant.name in waiting:
+            return
+        waiting.add(tenant.name)
+
+        async def later() -> None:
+            await asyncio.sleep(after_s)
+            waiting.discard(tenant.name)
+            await self.align(tenant)
+
+        task = asyncio.get_running_loop().create_task(later())
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("subscriptions cannot be passed on", exc_info=error)
+
+    async def _changed(self, sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+        answer = await perform(exchange)
+        self._base = self._contexts.base(exchange.headers)
+        for why in await self.align(exchange.tenant):
+            sources.add_warning(SILENT, why)
+        return answer
+
+    # Passing on and taking back
+
+    async def align(self, tenant: Tenant) -> list[str]:
+        """Pass on what should be and is not, take back what should not be; return what failed and why."""
+        if not tenant.notifier.outbound.leadership.leads:
+            self._again_later(tenant)  # it may lead by then
+            return []
+        async with self._locks.setdefault(tenant.name, asyncio.Lock()):
+            wanted = await self._wanted(tenant)
+            held = {one.key: one for one in self._of(tenant)}
+            gone = [
+                one for key, one in held.items() if key not in wanted or self._is_other(one, wanted[key][3])
+            ]
+            kept = [one for one in held.values() if one not in gone]
+            failed = [why for why in await gather_all(*(self._take_back(tenant, one) for one in gone)) if why]
+            fresh = [
+                self._pass_on(tenant, *wanted[key])
+                for key in wanted
+                if not any(one.key == key and one.is_there for one in kept)
+            ]
+            failed += [why for why in await gather_all(*fresh) if why]
+        if failed:
+            self._again_later(tenant)
+        return failed
+
+    def _again_later(self, tenant: Tenant) -> None:
+        self._align_later(tenant, RETRY_S, self._retrying)
+
+    def _is_other(self, forwarded: ForwardedSubscription, said: str) -> bool:
+        return forwarded.said != said or (self._public_url is not None and forwarded.base != self._public_url)
+
+    async def _wanted(
+        self, tenant: Tenant
+    ) -> dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]]:
+        found: dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]] = {}
+        if tenant.registry.is_empty:
+            return found
+        for one in tenant.notifier.all():
+            if not one.is_active(time.time()) or one.document.get("localOnly"):
+                continue
+            for source in self._sources_of(tenant, one):
+                try:
+                    dialect = await self._forwarder.dialect(source, one.names, body=JSON)
+                except Problem as problem:
+                    log.warning("a source cannot be spoken to", registration=source.id, why=problem.detail)
+                    continue
+                document = passed_on(one, source, dialect)
+                found[one.id, source.id] = (
+                    one,
+                    source,
+                    document,
+                    digest(document),
+                )
+        return found
+
+    def _sources_of(self, tenant: Tenant, one: Subscription) -> Iterable[Registration]:
+        """Return the registrations by which a subscription is to be passed on."""
+        coverage = CoverageQuery(one.places, one.scopes, None, one.view.datasets)
+        where = source_filter(one.document.get("csf"), one.names, coverage)
+        passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
+        found: dict[str, Registration] = {}
+        for target in questions(one):
+            for match in tenant.registry.matching("createSubscription", target, where):
+                source = match.registration
+                if self._forwarder.alias_of(source) not in passed and not self._forwarder.is_ourselves(
+                    source, tenant.registry, tenant.alias
+                ):
+                    found[source.id] = source
+        return found.values()
+
+    async def _pass_on(
+        self, tenant: Tenant, one: Subscription, source: Registration, document: dict[str, Any], said: str
+    ) -> str | None:
+        """Return why a source could not be told, None if it could or will never take it."""
+        refused = (tenant.name, one.id, source.id)
+        if self._refused.get(refused) == said:
+            return None
+        held = next(
+            (forwarded for forwarded in self._of(tenant) if forwarded.key == (one.id, source.id)), None
+        )
+        made = held or ForwardedSubscription(
+            uuid4().hex, tenant.name, one.id, source, said, self._base, is_there=False
+        )
+        try:
+            if held is None:
+                await self._keep(tenant, made)
+            dialect = await self._forwarder.dialect(source, one.names, body=JSON)
+            body = with_endpoint(document, made.base, made.token)
+            request = SourceRequest("POST", "subscriptions", dialect, (), body)
+            response, _ = await self._forwarder.send(source, request, self._origin_of(tenant, one))
+        except SourceError as error:
+            return error.why
+        except (NotStored, Problem) as error:
+            return str(error)
+        if response.status in {201, 409}:  # there already: an answer was lost
+            await self._keep(tenant, made.there())
+            return None
+        if response.status >= 500 and response.status != 508:
+            return f"{source.endpoint} answers {response.status} to a subscription"
+        log.warning("a source refuses a subscription", registration=source.id, status=response.status)
+        self._refused[refused] = said
+        await self._forget(tenant, made)
+        return None if response.status == 508 else _refusal(source, response)
+
+    async def _take_back(self, tenant: Tenant, forwarded: ForwardedSubscription) -> str | None:
+        try:
+            source, path = forwarded.registration, f"subscriptions/{quoted(forwarded.id)}"
+            dialect = await self._forwarder.dialect(source, await self._contexts.of(None), body=JSON)
+            if source.takes("deleteSubscription"):
+                request = SourceRequest("DELETE", path, dialect)
+            elif source.takes("updateSubscription"):
+                request = SourceRequest(
+                    "PATCH", path, dialect, (), {"type": "Subscription", "isActive": False}
+                )
+            else:  # it learns from the answer to its next notification that nobody listens any more
+                await self._forget(tenant, forwarded)
+                return None
+            origin = RequestOrigin({}, tenant.alias, tenant.registry)
+            response, _ = await self._forwarder.send(forwarded.registration, request, origin)
+            if response.status >= 500:
+                return f"{forwarded.registration.endpoint} answers {response.status}"
+            await self._forget(tenant, forwarded)
+        except SourceError as error:
+            return error.why
+        except (NotStored, Problem) as error:
+            return str(error)
+        return None
+
+    def _origin_of(self, tenant: Tenant, one: Subscription) -> RequestOrigin:
+        came_by = str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")
+        return RequestOrigin({b"via": came_by} if came_by else {}, tenant.alias, tenant.registry)
+
+    def _of(self, tenant: Tenant) -> list[ForwardedSubscription]:
+        return [one for one in self._relays.values() if one.tenant == tenant.name]
+
+    async def _keep(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
+        key = (Kind.RELAY, tenant.name, forwarded.token)
+        await tenant.commits.store(Entries(documents={key: forwarded.stored()}))
+        self._relays[forwarded.token] = forwarded
+
+    async def _forget(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
+        await tenant.commits.store(Entries(documents={(Kind.RELAY, tenant.name, forwarded.token): None}))
+        self._relays.pop(forwarded.token, None)
+
+    # What is heard
+
+    async def receive(self, exchange: Exchange) -> Answer:
+        """POST relayedNotifications/{token}: a source tells of what was passed on to it."""
+        forwarded = self._relays.get(exchange.names[0])
+        if forwarded is None:
+            raise not_found("nothing is subscribed to from here any more; delete the subscription")
+        document, context = await exchange.body()
+        data = document.get("data") if isinstance(document, dict) else None
+        if not isinstance(data, list):
+            raise bad_request_data(f'a notification has "data", a list of entities, not {shown(data)}')
+        tenant = self._tenants.kept(forwarded.tenant)
+        one = tenant.notifier.get(forwarded.subscription)
+        if one is None or not one.is_active(time.time()):
+            return Answer(200)
+        entities = [
+            (entity_id, said)
+            for each in data
+            if (said := self._notification_entity(each, forwarded, one, tenant, context)) is not None
+            and (entity_id := str(each.get("id")))
+        ]
+        notices = list(_notices(tenant.name, one, entities))
+        if notices:
+            try:
+                await tenant.commits.store(Entries(owed=notices))
+            except NotStored as error:
+                raise not_stored(str(error)) from error
+            tenant.notifier.deliver(notices)
+        return Answer(200)
+
+    @staticmethod
+    def _notification_entity(
+        given: Any, forwarded: ForwardedSubscription, one: Subscription, tenant: Tenant, context: Context
+    ) -> bytes | None:
+        """Return what a subscriber is told of an entity that a source tells of; None if not at all."""
+        if not isinstance(given, dict):
+            raise bad_request_data(f"an entity is a JSON object, not {shown(given)}")
+        entity_id = given.get("id")
+        own = tenant.store.get(entity_id) if isinstance(entity_id, str) else None
+        change = change_of_notification(given, forwarded.registration, own, context.terms)
+        if change is None or (change.after is not None and not one.selects(change.after)):
+            return None
+        return told_of(one, change)
+
+
+def _refusal(source: Registration, response: HttpResponse) -> str:
+    return f"{source.endpoint} does not take the subscription ({response.status})"
+
+
+def _notices(tenant: str, one: Subscription, entities: list[tuple[str, bytes]]) -> Iterable[Notice]:
+    now_s = time.time()
+    if one.throttling_s:
+        for entity_id, said in entities:
+            yield Notice(tenant, one.id, entity_id, now_s, b"[" + said + b"]")
+    elif entities:
+        body = notification(one, [said for _, said in entities])
+        yield Notice(tenant, one.id, entities[0][0], now_s, body)

@@ -1,0 +1,316 @@
+"""Fetching the past: how entities have been, read from one source or from the broker itself.
+
+A source is asked for what it is registered for, in the form that is wanted; or for the values and times that
+totals are made of, part by part.
+"""
+
+import time
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import Answer, Exchange
+from services.context_broker.api.problems import too_many_results
+from services.context_broker.contexts.book import Context
+from services.context_broker.federation.distribution import temporal_merge
+from services.context_broker.federation.distribution.distributed_operations import (
+    Perform,
+    Sources,
+    derived,
+    gather_all,
+)
+from services.context_broker.federation.distribution.entity_fetching import MAX_IDS
+from services.context_broker.federation.distribution.forwarding import (
+    INVALID,
+    SILENT,
+    SourceDialect,
+    SourceError,
+    SourceRequest,
+)
+from services.context_broker.federation.distribution.source_responses import answered_context, query_source
+from services.context_broker.federation.distribution.temporal_merge import Evolution
+from services.context_broker.federation.distribution.translation import translated
+from services.context_broker.federation.registrations.registration import Match, Registration
+from services.context_broker.network.http_client import HttpResponse
+from services.context_broker.temporal.durations import written_time
+from services.context_broker.temporal.query import (
+    AGGREGATION_PARAMETERS,
+    TIME_PARAMETERS,
+    Representation,
+    TemporalQuery,
+    TemporalView,
+)
+
+SHOWING: Final = ("pick", "omit")
+"""What is left of evolutions once they are put together."""
+MAX_PARTS: Final = 100
+"""Parts in which the values of one source are read, a thousand of an attribute in each."""
+READ_TIMEOUT_S: Final = 30.0
+"""So long values may be read for totals: about as long as askers wait for an answer."""
+_NOT_PASSED_ON: Final = frozenset(
+    {"local", "id", "idPattern", "type", "attrs", "pick", "omit", "limit", "offset", "count", "csf",
+     "splitEntities", "entities", "temporalQ", "aggrParams", "entityMapLifetime"}
+)  # fmt: skip
+_NAMING: Final = frozenset({"q", "geoproperty"})
+_FORMS: Final = frozenset({"options", "format", *AGGREGATION_PARAMETERS, *SHOWING})
+
+
+@dataclass(frozen=True, slots=True)
+class TemporalRequest:
+    """What is asked for, by parameters, and how it is to be told."""
+
+    context: Context
+    parameters: Mapping[str, str]
+    query: TemporalQuery
+    view: TemporalView
+
+    @property
+    def is_for_totals(self) -> bool:
+        """Say whether totals are wanted, not values."""
+        return self.view.representation is Representation.AGGREGATED
+
+    def for_values(self) -> dict[str, str]:
+        """Return the parameters that ask for values with their times, in place of totals of them."""
+        kept = {name: said for name, said in self.parameters.items() if name not in _FORMS}
+        return {**kept, "options": "sysAttrs"}
+
+
+@dataclass(frozen=True, slots=True)
+class TemporalPart:
+    """What one source tells: documents in the names of the reader, and up to when if there is more."""
+
+    documents: list[Evolution]
+    edge: int | None = None
+
+
+_NOTHING: Final = TemporalPart([])
+FetchPart = Callable[[Mapping[str, str]], Awaitable[TemporalPart]]
+"""Asks somebody with these parameters."""
+
+
+async def values_of(
+    readers: Iterable[tuple[Registration | None, FetchPart]],
+    request: TemporalRequest,
+    timeout_s: float = READ_TIMEOUT_S,
+) -> list[temporal_merge.SourceEvolution]:
+    """Return all values that are told, with their times, part by part.
+
+    Raises a problem (403) when there are too many, or reading them takes longer than `patience_s`.
+    """
+
+    async def read(registration: Registration | None, ask: FetchPart) -> list[temporal_merge.SourceEvolution]:
+        known: dict[str, Evolution] = {}
+        parameters: dict[str, str] | None = request.for_values()
+        parts, until_s = 0, time.monotonic() + timeout_s
+        while parameters is not None:
+            part = await ask(parameters)
+            for document in part.documents:
+                said = temporal_merge.shown(document, request.view, request.context)
+                one = document["id"]
+                known[one] = (
+                    temporal_merge.merge_evolutions([(None, known[one]), (None, said)], request.context, None)
+                    if one in known
+                    else said
+                )
+            parts += 1
+            parameters = None if part.edge is None else _after(parameters, part.edge, request.query)
+            if parameters is not None and (parts >= MAX_PARTS or time.monotonic() > until_s):
+                raise _too_many()
+        return [(registration, document) for document in known.values()]
+
+    return [one for some in await gather_all(*(read(*teller) for teller in readers)) for one in some]
+
+
+def _after(parameters: dict[str, str], edge: int, asked: TemporalQuery) -> dict[str, str] | None:
+    """Return the parameters that ask for what is after the edge; None if nothing can be."""
+    if asked.last is not None or asked.time_property is None:
+        raise _too_many()
+    if asked.end is None:
+        return {**parameters, "timerel": "after", "timeAt": written_time(edge)}
+    if edge + 1 >= asked.end:
+        return None
+    between = {"timerel": "between", "timeAt": written_time(edge + 1), "endTimeAt": written_time(asked.end)}
+    return {**parameters, **between}
+
+
+def _too_many() -> Problem:
+    return too_many_results(
+        "several sources tell of one entity, and of more values than can be put together into totals; ask "
+        "for a shorter time with timerel, timeAt and endTimeAt"
+    )
+
+
+def asking_sources(
+    sources: Sources,
+    matched: Iterable[tuple[Match, Mapping[str, str]]],
+    context: Context,
+    ids: tuple[str, ...],
+) -> list[tuple[Registration | None, FetchPart]]:
+    """Return how the sources are asked for some entities alone."""
+
+    def of_source(match: Match) -> FetchPart:
+        def ask(parameters: Mapping[str, str]) -> Awaitable[TemporalPart]:
+            wanted = {**parameters, "limit": str(len(ids))}
+            return ask_source(sources, match, "temporal/entities", wanted, context)
+
+        return ask
+
+    found: list[tuple[Registration | None, FetchPart]] = []
+    for match, _ in matched:
+        parts = tuple(
+            replace(part, ids=some)
+            for part in match.parts
+            if (some := tuple(one for one in ids if part.ids is None or one in part.ids))
+        )
+        if parts:
+            found.append((match.registration, of_source(Match(match.registration, parts))))
+    return found
+
+
+def asking_own(exchange: Exchange, perform: Perform, ids: tuple[str, ...]) -> FetchPart:
+    """Return how the broker itself is asked for some entities alone."""
+    narrowed = {"offset": "0", "limit": str(len(ids))}
+    hidden = {"aggrParams", *SHOWING}
+
+    async def ask(parameters: Mapping[str, str]) -> TemporalPart:
+        given = {name: said for name, said in parameters.items() if name != "count"}
+        if exchange.method == "GET":
+            wanted = derived(exchange, parameters={**given, **narrowed, "id": ",".join(ids)})
+        else:
+            document = {name: said for name, said in exchange.document().items() if name not in hidden}
+            selectors = document.get("entities") or [{}]
+            document["entities"] = [{**one, "id": list(ids)} for one in selectors]
+            times = {name: given[name] for name in TIME_PARAMETERS if name in given}
+            document["temporalQ"] = {**times, **({"lastN": int(times["lastN"])} if "lastN" in times else {})}
+            forms = {name: given[name] for name in ("options", "lang") if name in given}
+            raw = orjson.dumps(document)
+            wanted = derived(exchange, parameters={**forms, **narrowed}, raw=raw)
+        answer = await perform(wanted)
+        return TemporalPart([plain(one) for one in orjson.loads(answer.body)], edge_of(answer))
+
+    return ask
+
+
+async def ask_source(
+    sources: Sources,
+    match: Match,
+    path: str,
+    parameters: Mapping[str, str],
+    context: Context,
+    *,
+    single: bool = False,
+) -> TemporalPart:
+    """Return what a source tells, as documents in the names of `context`."""
+    pieces = [match] if single else list(match.split_by_ids(MAX_IDS))
+    if len(pieces) == 1:
+        return await _asked(sources, match, path, parameters, context, single=single)
+    parts = await gather_all(*(_asked(sources, one, path, parameters, context) for one in pieces))
+    edges = [part.edge for part in parts if part.edge is not None]
+    edge = None if not edges else max(edges) if "lastN" in parameters else min(edges)
+    return TemporalPart([document for part in parts for document in part.documents], edge)
+
+
+async def _asked(
+    sources: Sources,
+    match: Match,
+    path: str,
+    parameters: Mapping[str, str],
+    context: Context,
+    *,
+    single: bool = False,
+) -> TemporalPart:
+    registration = match.registration
+    try:
+        dialect = await sources.forwarder.dialect(registration, context, body=None)
+        wanted = [] if single else who(match, parameters, dialect.name)
+        wanted += of_the_past(match, parameters, dialect, same=dialect.context is context)
+        if not single:
+            wanted += [
+                (name, parameters[name]) for name in ("limit", "offset") if parameters.get(name, "0") != "0"
+            ]
+        headers = sources.map_headers(registration)
+        source_request = SourceRequest("GET", path, dialect, tuple(wanted), headers=headers)
+        response = await query_source(sources, registration, source_request)
+        if response is None:
+            return _NOTHING
+        documents = _documents(registration, response, single=single)
+        there = await answered_context(sources, response, dialect)
+    except SourceError as error:
+        sources.add_error(error)
+        return _NOTHING
+    except Problem as problem:
+        sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
+        return _NOTHING
+    in_ours = (translated(plain(one), there.terms, context.terms) for one in documents)
+    edge = temporal_merge.edge_in(response.headers.get("content-range")) if response.status == 206 else None
+    return TemporalPart([_limited(one, match.attributes, context) for one in in_ours], edge)
+
+
+def of_the_past(
+    match: Match, parameters: Mapping[str, str], dialect: SourceDialect, *, same: bool
+) -> list[tuple[str, str]]:
+    """Return the parameters that a source is asked with, besides those that say which entities.
+
+    `same`: it is spoken to in the names of the request.
+    """
+    names = match.attributes
+    wanted = [] if names is None else [("attrs", ",".join(sorted(dialect.name(one) for one in names)))]
+    return wanted + [
+        (name, said)
+        for name, said in parameters.items()
+        if name not in _NOT_PASSED_ON and (same or name not in _NAMING)
+    ]
+
+
+def who(match: Match, parameters: Mapping[str, str], name: Callable[[str], str]) -> list[tuple[str, str]]:
+    """Return the parameters that say which entities a source is asked for."""
+    types = {kind for part in match.parts for kind in part.types or ()} or {
+        kind for piece in match.registration.information for one in piece.entities for kind in one.types
+    }
+    wanted = [("type", ",".join(sorted(name(kind) for kind in types)))] if types else []
+    ids = match.ids
+    if ids:
+        wanted.append(("id", ",".join(ids)))
+    elif "idPattern" in parameters:
+        wanted.append(("idPattern", parameters["idPattern"]))
+    return wanted
+
+
+def _documents(registration: Registration, response: HttpResponse, *, single: bool) -> list[Evolution]:
+    try:
+        found = orjson.loads(response.body) if response.body else ({} if single else [])
+    except orjson.JSONDecodeError as error:
+        why = f"{registration.endpoint} answers no JSON: {error}"
+        raise SourceError(registration, INVALID, 502, why) from None
+    documents = [found] if single and found else found
+    if documents == {} and single:
+        return []
+    if not isinstance(documents, list) or not all(
+        isinstance(one, dict) and isinstance(one.get("id"), str) for one in documents
+    ):
+        raise SourceError(registration, INVALID, 502, f"{registration.endpoint} answers no temporal entities")
+    return documents
+
+
+def plain(document: Evolution) -> Evolution:
+    """Return an evolution without its @context."""
+    return {name: said for name, said in document.items() if name != "@context"}
+
+
+def _limited(document: Evolution, names: frozenset[str] | None, context: Context) -> Evolution:
+    if names is None:
+        return document
+    return {
+        name: said
+        for name, said in document.items()
+        if name in temporal_merge.MEMBERS or context.terms.expand(name) in names
+    }
+
+
+def edge_of(answer: Answer) -> int | None:
+    """Return up to when the broker's own answer tells; None for one that tells everything."""
+    content_range = next((value for name, value in answer.headers if name == b"content-range"), b"")
+    return temporal_merge.edge_in(content_range.decode())

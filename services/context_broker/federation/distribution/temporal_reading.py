@@ -1,0 +1,347 @@
+"""How things have been, told by several sources (clauses 5.7.3.4 and 5.7.4.4).
+
+Everybody is asked in the form that is wanted, and `evolutions` puts together what they tell. Totals over
+periods cannot be put together: where several tell of one entity they are asked once more, for the values.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import JSON_LD, Answer, Exchange, problem_answer
+from services.context_broker.api.words import require_uri
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.intake import expand
+from services.context_broker.federation.distribution import temporal_merge
+from services.context_broker.federation.distribution.distributed_operations import (
+    Perform,
+    Sources,
+    derived,
+    gateway_problem,
+    gather_all,
+)
+from services.context_broker.federation.distribution.forwarding import quoted
+from services.context_broker.federation.distribution.query_targets import (
+    FILTERS,
+    coverage_of,
+    may_be_split,
+    refuse_order,
+    selector_parameters,
+    source_filter,
+    target_of,
+)
+from services.context_broker.federation.distribution.split_temporal_queries import narrowed_to, split_hits
+from services.context_broker.federation.distribution.temporal_fetching import (
+    SHOWING,
+    FetchPart,
+    TemporalPart,
+    TemporalRequest,
+    ask_source,
+    asking_own,
+    asking_sources,
+    edge_of,
+    plain,
+    values_of,
+)
+from services.context_broker.federation.distribution.temporal_merge import Evolution
+from services.context_broker.federation.entity_maps.entity_map import OWN
+from services.context_broker.federation.registrations.registration import EntityTarget, Match, Registration
+from services.context_broker.queries.pages import Window
+from services.context_broker.queries.reading import DEFAULT_LIMIT, LARGEST_LIMIT, json_headers, page_links
+from services.context_broker.temporal.operations import temporal_parameters
+from services.context_broker.temporal.query import (
+    Representation,
+    temporal_query,
+    temporal_view,
+)
+
+
+async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """GET temporal/entities/{id}."""
+    context = await exchange.reader_context()
+    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    target = EntityTarget((entity_id,), None, None, _names_of(exchange.parameters, context))
+    where = source_filter(None, context, coverage_of(exchange.parameters, context.terms.expand))
+    matches = sources.unvisited(sources.registry.matching("retrieveTemporal", target, where))
+    if not matches:
+        return await perform(exchange)
+    request = _temporal_request(exchange, context, exchange.parameters)
+    path = f"temporal/entities/{quoted(entity_id)}"
+
+    def of_source(match: Match) -> FetchPart:
+        return lambda parameters: ask_source(sources, match, path, parameters, context, single=True)
+
+    async def of_own(parameters: Mapping[str, str]) -> TemporalPart:
+        collected = await perform(derived(exchange, parameters=parameters))
+        return TemporalPart([plain(orjson.loads(collected.body))], edge_of(collected))
+
+    asking = [of_source(one) for one in matches]
+    parts = await gather_all(*(ask(request.parameters) for ask in asking))
+    try:
+        own: Answer | None = await perform(exchange)
+    except Problem as problem:
+        silent = [one for one in sources.source_errors if one.registration.mode.is_proxied]
+        has_documents = any(one.documents for one in parts)
+        if problem.status == 404 and not has_documents and silent:
+            return problem_answer(gateway_problem(silent[0]))
+        if problem.status != 404 or not has_documents:
+            raise
+        own = None
+    readers: list[tuple[Registration | None, FetchPart]] = [
+        (match.registration, ask)
+        for match, ask, part in zip(matches, asking, parts, strict=True)
+        if part.documents
+    ]
+    if not readers:
+        assert own is not None  # noqa: S101 - else it was raised
+        return own
+    if own is not None:
+        readers.insert(0, (None, of_own))
+    if exchange.elsewhere is not None:
+        who = [OWN if registration is None else registration.id for registration, _ in readers]
+        exchange.elsewhere.entities = {entity_id: who}
+    if request.is_for_totals and len(readers) > 1:
+        values = await values_of(readers, request)
+        document = temporal_merge.aggregated(
+            temporal_merge.merge_evolutions(values, context, request.query.last), request.query
+        )
+        return _answer(exchange, request, [document], None, single=True)
+    collected: list[temporal_merge.SourceEvolution] = [
+        (match.registration, temporal_merge.shown(document, request.view, context))
+        for match, part in zip(matches, parts, strict=True)
+        for document in part.documents
+    ]
+    edges = [part.edge for part in parts]
+    if own is not None:
+        collected.insert(0, (None, plain(orjson.loads(own.body))))
+        edges.append(edge_of(own))
+    last = None if request.is_for_totals else request.query.last
+    edge = temporal_merge.common_edge(edges, request.query)
+    return _answer(
+        exchange, request, [temporal_merge.merge_evolutions(collected, context, last)], edge, single=True
+    )
+
+
+async def query(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """GET temporal/entities."""
+    context = await exchange.reader_context()
+    parameters = dict(exchange.parameters)
+    return await _query(sources, exchange, perform, _Asked(context, parameters, [parameters]))
+
+
+async def query_batch(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """POST temporal/entityOperations/query."""
+    document, context = await exchange.body()
+    if not isinstance(document, dict):
+        return await perform(exchange)
+    plain = {name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}}
+    flat = {**exchange.parameters, **temporal_parameters(document)}
+    return await _query(
+        sources, exchange, perform, _Asked(context, flat, list(selector_parameters(plain, flat)))
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What a query asks: all its parameters, and those of each of its selectors."""
+
+    context: Context
+    parameters: Mapping[str, str]
+    questions: list[dict[str, str]]
+
+
+async def _query(sources: Sources, exchange: Exchange, perform: Perform, given: _Asked) -> Answer:
+    context = given.context
+    matched: list[tuple[Match, dict[str, str]]] = []
+    for parameters in given.questions:
+        target, where = target_of(parameters, context, _names_of(parameters, context))
+        found = sources.registry.matching("queryTemporal", target, where)
+        refuse_order(parameters, sources.unvisited(found, uses_map=False))
+        matches = sources.unvisited(found)
+        matched += [(match, parameters) for match in matches]
+    if not matched:
+        return await perform(exchange)
+    conditions = {name for name in FILTERS if name in given.parameters}
+    if conditions and may_be_split(given.parameters, [match for match, _ in matched]):
+        hits = await split_hits(
+            sources, exchange, perform, matched, _temporal_request(exchange, context, given.parameters)
+        )
+        return await _page_of(hits, sources, exchange, perform, given)
+    window = _window(exchange)
+    most = min(window.offset + window.limit, LARGEST_LIMIT) if not window.count else LARGEST_LIMIT
+    paged = {"offset": "0", "limit": str(most)}
+    own = await perform(_for_all_members(exchange, paged))
+    request = _temporal_request(exchange, context, given.parameters)
+    collected: list[TemporalPart] = await gather_all(
+        *(
+            ask_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
+            for match, parameters in matched
+        )
+    )
+    known: dict[str, list[temporal_merge.SourceEvolution]] = {
+        one["id"]: [(None, temporal_merge.shown(plain(one), request.view, context))]
+        for one in orjson.loads(own.body)
+    }
+    mine = len(known)
+    _take(known, matched, collected, request)
+    order = list(known)
+    page = order[window.offset : window.offset + window.limit]
+    if page and (
+        full := [one for one, part in zip(matched, collected, strict=True) if len(part.documents) >= most]
+    ):
+        await _add_rest(known, sources, full, page, request)
+    edge = temporal_merge.common_edge([edge_of(own), *(part.edge for part in collected)], request.query)
+    if request.is_for_totals:
+        edge = None
+        shared = tuple(one for one in page if len(known[one]) > 1)
+        documents = [known[one][0][1] for one in page]
+        if shared:
+            asking = asking_sources(sources, matched, context, shared)
+            asking.insert(0, (None, asking_own(exchange, perform, shared)))
+            values = await values_of(asking, request)
+            made = {
+                one: temporal_merge.aggregated(
+                    temporal_merge.merge_evolutions(
+                        [each for each in values if each[1]["id"] == one], context, request.query.last
+                    ),
+                    request.query,
+                )
+                for one in shared
+            }
+            documents = [made.get(document["id"], document) for document in documents]
+    else:
+        documents = [temporal_merge.merge_evolutions(known[one], context, request.query.last) for one in page]
+    result = _answer(exchange, request, documents, edge)
+    result.headers += [
+        (name, str(int(value) + len(order) - mine).encode())
+        for name, value in own.headers
+        if name == b"ngsild-results-count"
+    ]
+    if exchange.method == "GET":
+        more = len(order) > window.offset + window.limit
+        result.headers += page_links(exchange, window, exchange.accept(), more=more)
+    return result
+
+
+def _take(
+    known: dict[str, list[temporal_merge.SourceEvolution]],
+    matched: list[tuple[Match, dict[str, str]]],
+    found: list[TemporalPart],
+    request: TemporalRequest,
+) -> None:
+    """Add what sources tell, one source after the other: as long as one has more, the next is not reached.
+
+    So pages neither repeat nor miss anything, though each is read from the beginning.
+    """
+    for (match, _), part in zip(matched, found, strict=True):
+        for document in part.documents:
+            collected = known.setdefault(document["id"], [])
+            if not any(one is match.registration for one, _ in collected):
+                collected.append(
+                    (match.registration, temporal_merge.shown(document, request.view, request.context))
+                )
+
+
+async def _add_rest(
+    known: dict[str, list[temporal_merge.SourceEvolution]],
+    sources: Sources,
+    full: list[tuple[Match, dict[str, str]]],
+    page: list[str],
+    request: TemporalRequest,
+) -> None:
+    """Add what sources that have more than they were asked for have of the entities of a page."""
+    asking = asking_sources(sources, full, request.context, tuple(page))
+    parts = await gather_all(*(ask(request.parameters) for _, ask in asking))
+    for (registration, _), part in zip(asking, parts, strict=True):
+        for document in part.documents:
+            collected = known.get(document["id"])
+            if collected is not None and not any(one is registration for one, _ in collected):
+                collected.append(
+                    (registration, temporal_merge.shown(document, request.view, request.context))
+                )
+
+
+async def _page_of(
+    hits: list[str], sources: Sources, exchange: Exchange, perform: Perform, given: _Asked
+) -> Answer:
+    """Answer with a page of the entities that meet all conditions, in the form that is wanted."""
+    window = _window(exchange)
+    some = hits[window.offset : window.offset + window.limit]
+    narrowed = narrowed_to(exchange, some or [_NOBODY])
+    gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
+    shape = {"id": ",".join(some or [_NOBODY]), "limit": str(max(1, len(some)))}
+
+    def without(parameters: Mapping[str, str]) -> dict[str, str]:
+        return {**{name: said for name, said in parameters.items() if name not in gone}, **shape}
+
+    target = _Asked(given.context, without(given.parameters), [without(one) for one in given.questions])
+    result = await _query(sources, narrowed, perform, target)
+    headers = [one for one in result.headers if one[0] != b"link" or b"json-ld#context" in one[1]]
+    if window.count:
+        headers.append((b"ngsild-results-count", str(len(hits)).encode()))
+    if exchange.method == "GET":
+        more = window.offset + window.limit < len(hits)
+        headers += page_links(exchange, window, exchange.accept(), more=more)
+    return Answer(result.status, result.body, headers)
+
+
+_NOBODY: Final = "urn:ngsi-ld:Entity:nobody"
+"""Asked for where a page has nothing, so that an empty answer looks as the asker wants it."""
+
+
+def _for_all_members(exchange: Exchange, window: Mapping[str, str]) -> Exchange:
+    """Return the query without what would hide members: they are needed to put evolutions together."""
+    kept = {name: said for name, said in exchange.parameters.items() if name not in SHOWING}
+    result = derived(exchange, parameters={**kept, **window})
+    if exchange.method == "POST" and not set(SHOWING).isdisjoint(document := exchange.document()):
+        result.raw = orjson.dumps({name: said for name, said in document.items() if name not in SHOWING})
+    return result
+
+
+def _temporal_request(exchange: Exchange, context: Context, parameters: Mapping[str, str]) -> TemporalRequest:
+    view = temporal_view(derived(exchange, parameters=parameters), context)
+    target = temporal_query(parameters, aggregates=view.representation is Representation.AGGREGATED)
+    return TemporalRequest(context, parameters, target, view)
+
+
+def _names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
+    given = parameters.get("attrs")
+    if not given or "q" in parameters:
+        return None
+    return frozenset(expand(one, context.terms) for one in given.split(",") if one) or None
+
+
+def _window(exchange: Exchange) -> Window:
+    def number(name: str, default: int) -> int:
+        given = exchange.parameter(name) or ""
+        return int(given) if given.isascii() and given.isdecimal() and len(given) < 10 else default
+
+    options = (exchange.parameter("options") or "").split(",")
+    counts = exchange.parameter("count") == "true" or "count" in options
+    return Window(number("offset", 0), number("limit", DEFAULT_LIMIT), counts)
+
+
+def _answer(
+    exchange: Exchange,
+    request: TemporalRequest,
+    documents: list[Evolution],
+    edge: int | None,
+    *,
+    single: bool = False,
+) -> Answer:
+    context = request.context
+    if edge is not None:
+        documents = [temporal_merge.kept_to(one, edge, request.query) for one in documents]
+    collected = b"" if edge is None else temporal_merge.content_range_of(documents, edge, request.query)
+    documents = [temporal_merge.with_members(one, request.query, request.view) for one in documents]
+    headers = json_headers(context)
+    if exchange.accept() == JSON_LD:
+        documents = [{"@context": context.document, **one} for one in documents]
+        headers = [(b"content-type", JSON_LD.encode())]
+    body = orjson.dumps(documents[0] if single else documents)
+    if edge is None:
+        return Answer(200, body, headers)
+    return Answer(206, body, [*headers, (b"content-range", collected)])

@@ -1,0 +1,93 @@
+"""Translation: a document in other names, or in the words of an older version of NGSI-LD.
+
+Names of one @context become those of another (clause 4.3.6.6, jsonldContext); what an older source does not
+know is said in a way that it does (clause 4.3.6.8, ngsildConformance).
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from services.context_broker.api import conformance
+from services.context_broker.api.negotiation import Version, version_of
+from services.context_broker.entities.entity import SAYS, Terms
+
+_NAMES_NOTHING: Final = frozenset(
+    {"id", "@id", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt", "observedAt",
+     "unitCode", "datasetId", "instanceId", "valueType", "lang", *SAYS.values()}
+)  # fmt: skip
+"""Members whose names are the same in every @context and whose content is not to be touched."""
+_OF_TERMS: Final = frozenset({"type", "@type", "vocab", "objectType"})
+"""Members whose content is a term or a list of terms."""
+_KINDS: Final = frozenset(SAYS)
+
+
+def translated(document: Mapping[str, Any], before: Terms, after: Terms) -> dict[str, Any]:
+    """Return an entity, a part of one or an attribute (normalized or concise) with other names."""
+    result: dict[str, Any] = {}
+    for name, said in document.items():
+        if name in _OF_TERMS:
+            result[name] = _terms(said, before, after)
+        elif name in _NAMES_NOTHING:
+            result[name] = said
+        else:
+            result[after.compact(before.expand(name))] = _attribute(said, before, after)
+    return result
+
+
+def older(document: Any, version: str) -> Any:
+    """Return an entity, a part of one, an attribute or a list of them as `version` (such as "1.6") has it."""
+    at = version_of(version.removeprefix("v"))
+    if at is None or at >= conformance.OURS:
+        return document
+    if isinstance(document, list):
+        return [older(one, version) for one in document]
+    if not isinstance(document, dict) or document.get("type") in {"Query", "Subscription"}:
+        return _older_question(document, at) if isinstance(document, dict) else document
+    if "id" in document and "type" in document:
+        return conformance.conformed(document, at)
+    if not _KEYS.isdisjoint(document):
+        return conformance.conformed({**_ANYTHING, _PART: document}, at)[_PART]
+    whole = conformance.conformed({**_ANYTHING, **document}, at)
+    return {name: said for name, said in whole.items() if name in document}
+
+
+def _older_question(document: dict[str, Any], at: Version) -> dict[str, Any]:
+    """Return a query or a subscription without what came later: who does not know it refuses all of it."""
+    kept = {name: said for name, said in document.items() if at >= _LATE_MEMBERS.get(name, at)}
+    notification = document.get("notification")
+    if isinstance(notification, dict):
+        late = {name for name, since in _LATE_IN_NOTIFICATION.items() if at < since}
+        kept["notification"] = {name: said for name, said in notification.items() if name not in late}
+    return kept
+
+
+_LATE_MEMBERS: Final = {
+    "scopeQ": (1, 4),
+    "notificationTrigger": (1, 6),
+    "jsonldContext": (1, 7),
+    "expandValues": (1, 8),
+    "jsonKeys": (1, 8),
+}
+"""Members of a query or a subscription, and since which version it may have them."""
+_LATE_IN_NOTIFICATION: Final = {"showChanges": (1, 6), "sysAttrs": (1, 6)}
+_ANYTHING: Final = {"id": "urn:ngsi-ld:Part:1", "type": "Part"}
+_PART: Final = "part"
+
+
+def _terms(said: Any, before: Terms, after: Terms) -> Any:
+    if isinstance(said, list):
+        return [_terms(one, before, after) for one in said]
+    if not isinstance(said, str) or said in _KINDS:
+        return said
+    return after.compact(before.expand(said))
+
+
+def _attribute(said: Any, before: Terms, after: Terms) -> Any:
+    if isinstance(said, list) and all(isinstance(one, dict) and one.get("type") in _KINDS for one in said):
+        return [_attribute(one, before, after) for one in said]
+    if isinstance(said, dict) and (said.get("type") in _KINDS or not _KEYS.isdisjoint(said)):
+        return translated(said, before, after)
+    return said
+
+
+_KEYS: Final = frozenset(SAYS.values())

@@ -1,0 +1,313 @@
+"""Entities, and their past, changed at several sources: create, replace, merge, append, update, delete.
+
+Clauses 5.6.1 to 5.6.6 and 5.6.11 to 5.6.19, each where it speaks of registrations. The broker's own
+share comes first: a change that it refuses as invalid goes nowhere. Then all others are asked at once, also
+when the broker has the entity already (create) or has it without the attribute: that part has failed, and the
+answer is 207 if any other succeeds.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+from urllib.parse import quote
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import PREFIX, Answer, Exchange
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.api.words import require_name, require_uri, shown
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.intake import expand
+from services.context_broker.federation.distribution import outcomes
+from services.context_broker.federation.distribution.distributed_operations import (
+    Perform,
+    Sources,
+    derived,
+    gather_all,
+)
+from services.context_broker.federation.distribution.forwarding import (
+    SILENT,
+    SourceError,
+    SourceRequest,
+    in_dialect,
+    quoted,
+)
+from services.context_broker.federation.distribution.instances import (
+    ANY,
+    attributes_in,
+    datasets_in,
+    instances_in,
+    part_of,
+    types_in,
+)
+from services.context_broker.federation.distribution.outcomes import Outcome
+from services.context_broker.federation.distribution.write_routing import (
+    WriteRoute,
+    WriteRouting,
+    route_write,
+)
+from services.context_broker.federation.registrations.coverage import placement_filter
+from services.context_broker.federation.registrations.registration import EntityTarget
+from services.context_broker.queries.reading import datasets_of
+from services.context_broker.queries.type_selection import type_selection
+
+_PASSED_ON: Final = ("options", "format", "observedAt", "lang", "datasetId", "deleteAll")
+_DONE: Final = Answer(204)
+
+
+async def create(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """POST entities, or temporal/entities."""
+    document, context = await exchange.body()
+    if not isinstance(document, Mapping):
+        return await perform(exchange)
+    operation, root = ("upsertTemporal", "temporal/") if _is_temporal(exchange) else ("createEntity", "")
+    entity_id = require_uri(document.get("id", document.get("@id")), "the entity id")
+    names = attributes_in(document, context)
+    types = types_in(document, context)
+    target = EntityTarget((entity_id,), None, types)
+    routing = route_write(
+        sources, (operation,), target, instances_in(document, names), placement_filter(document)
+    )
+    if not routing.others:
+        return await perform(exchange)
+    location = f"{PREFIX}{root}entities/{quote(entity_id, safe=':')}".encode()
+    made = Answer(201, b"", [(b"location", location)])
+    path = f"{root}entities"
+    change = DistributedWrite(sources, exchange, perform, context, document, names, operation, path)
+    return await change.entity_answer(entity_id, routing, made)
+
+
+async def change_entity(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """PUT or PATCH entities/{id}."""
+    operation = "replaceEntity" if exchange.method == "PUT" else "mergeEntity"
+    change, entity_id, routing = await _of_document(sources, exchange, perform, operation, "")
+    if not routing.others:
+        return await perform(exchange)
+    return await change.entity_answer(entity_id, routing, _DONE)
+
+
+async def change_attributes(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """POST or PATCH entities/{id}/attrs, or POST temporal/entities/{id}/attrs."""
+    operation = "appendAttrs" if exchange.method == "POST" else "updateEntity"
+    if _is_temporal(exchange):
+        operation = "appendAttrsTemporal"
+    change, _, routing = await _of_document(sources, exchange, perform, operation, "/attrs")
+    if not routing.others:
+        return await perform(exchange)
+    return await change.attributes_answer(routing)
+
+
+async def change_attribute(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """PATCH, PUT or DELETE entities/{id}/attrs/{name}; the same (and one instance) of temporal/entities."""
+    operation = {"PATCH": "updateAttrs", "PUT": "replaceAttrs"}.get(exchange.method, "deleteAttrs")
+    if _is_temporal(exchange):
+        operation = "deleteAttrsTemporal"
+        if len(exchange.names) > 2:
+            is_end = exchange.method == "DELETE"
+            operation = "deleteAttrInstanceTemporal" if is_end else "updateAttrInstanceTemporal"
+    if exchange.method == "DELETE":
+        document, context = None, await exchange.reader_context()
+    else:
+        document, context = await exchange.body()
+    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    name = exchange.names[1]
+    iri = expand(require_name(name, "the attribute name in the path"), context.terms)
+    target = EntityTarget(
+        (entity_id,), None, _types_of(sources, exchange, entity_id, context), frozenset({iri})
+    )
+    instances = frozenset((iri, dataset) for dataset in _datasets_of(exchange, document))
+    routing = route_write(sources, (operation,), target, instances)
+    if not routing.others:
+        return await perform(exchange)
+    change = DistributedWrite(sources, exchange, perform, context, document, {name: iri}, operation, None)
+    return await change.attributes_answer(routing)
+
+
+async def delete(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    """DELETE entities/{id}, or temporal/entities/{id}."""
+    operation, root = ("deleteTemporal", "temporal/") if _is_temporal(exchange) else ("deleteEntity", "")
+    context = await exchange.reader_context()
+    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    target = EntityTarget((entity_id,), None, _types_of(sources, exchange, entity_id, context))
+    routing = route_write(sources, (operation,), target, None)
+    if not routing.others:
+        return await perform(exchange)
+    path = f"{root}entities/{quoted(entity_id)}"
+    change = DistributedWrite(sources, exchange, perform, context, None, {}, operation, path)
+    return await change.entity_answer(entity_id, routing, _DONE)
+
+
+def _is_temporal(exchange: Exchange) -> bool:
+    return exchange.path.startswith(f"{PREFIX}temporal/")
+
+
+class DistributedWrite:
+    """One change on its way to all that have a share in it. `names` are the attributes of the document (or
+    the one in the path) as they are named there, with their IRIs.
+    """
+
+    def __init__(  # noqa: PLR0917 - the parts of one request
+        self,
+        sources: Sources,
+        exchange: Exchange,
+        perform: Perform,
+        context: Context,
+        document: Mapping[str, Any] | None,
+        names: Mapping[str, str],
+        operation: str,
+        path: str | None,
+    ) -> None:
+        self._sources = sources
+        self._exchange = exchange
+        self._perform = perform
+        self._context = context
+        self._document = document
+        self._names = names
+        self._operation = operation
+        self._path = path
+        given = exchange.parameters
+        self._parameters = tuple((name, given[name]) for name in _PASSED_ON if name in given)
+
+    async def entity_answer(self, entity_id: str, routing: WriteRouting, well: Answer) -> Answer:
+        """Carry the change out and return the answer of an operation on an entity."""
+        own, found = await self._carried_out(routing)
+        good, failed = outcomes.settled(found)
+        if not failed:
+            return own if own is not None and own.status < 400 else well
+        if not good and (answer := outcomes.failure(failed)) is not None:
+            return answer
+        return outcomes.entity_result(entity_id, good, failed)
+
+    async def attributes_answer(self, routing: WriteRouting) -> Answer:
+        """Carry the change out and return the answer of an operation on attributes (clause 5.2.18).
+
+        Names in it are IRIs, for it has no @context (clause 6.3.6).
+        """
+        own, found = await self._carried_out(routing)
+        good, failed = outcomes.settled(found)
+        result = orjson.loads(own.body) if own is not None and own.status == 207 else None
+        if not failed and result is None:
+            return own if own is not None and own.status < 400 else _DONE
+        if not good and result is None and (answer := outcomes.failure(failed)) is not None:
+            return answer
+        left = list(result["notUpdated"]) if result is not None else []
+        results = {one.get("attributeName") for one in left}
+        for one in failed:
+            reason = str((one.problem or {}).get("detail") or f"answered {one.status}")
+            by = {"registrationId": one.registration.id} if one.registration is not None else {}
+            left += [{"attributeName": name, "reason": reason, **by} for name in sorted(one.names)]
+        done = {name for one in good for name in one.names}
+        if result is not None:
+            done |= set(result.get("updated", []))
+        return outcomes.multi_status({"updated": sorted(done - results), "notUpdated": left})
+
+    async def _carried_out(self, routing: WriteRouting) -> tuple[Answer | None, list[Outcome]]:
+        """Return the broker's own answer if it had a share, and all outcomes; raises what it refuses."""
+        own, found = None, list[Outcome]()
+        if routing.own is not None:
+            try:
+                own = await self._perform(self._own_part(routing))
+                if own.status != 207:
+                    found.append(Outcome(None, routing.own_names, own.status))
+            except Problem as problem:
+                if problem.status not in {404, 409} or problem.__cause__ is not None:
+                    raise
+                is_held = problem.status == 409 or self._is_held()
+                found.append(Outcome(None, routing.own_names, problem.status, problem.body(), is_held))
+        results = await gather_all(*(self.forwarded(route) for route in routing.others))
+        found += [one for one in results if one is not None]
+        return own, found
+
+    def _is_held(self) -> bool:
+        """Say whether the broker itself has the current entity that the path names, of the type asked for."""
+        known = (
+            None
+            if _is_temporal(self._exchange)
+            else self._exchange.tenant.store.latest(self._exchange.names[0])
+        )
+        wanted = self._exchange.parameter("type")
+        if known is None or wanted is None:
+            return known is not None
+        return type_selection(wanted, self._context.terms.expand).wants(known.types)
+
+    def _own_part(self, routing: WriteRouting) -> Exchange:
+        if self._document is None or not any(one.registration.mode.is_proxied for one in routing.others):
+            return self._exchange
+        own = routing.own or frozenset()
+        if self._path is None and own:  # one attribute, in the path
+            return self._exchange
+        return derived(self._exchange, raw=orjson.dumps(part_of(self._document, self._names, own)))
+
+    def _attribute_path(self, name: str) -> str:
+        """Return the path of the one attribute, or of an instance of it, under the name that it has there."""
+        entity_id, _, *instance = self._exchange.names
+        root = "temporal/" if _is_temporal(self._exchange) else ""
+        return "/".join((f"{root}entities", quoted(entity_id), "attrs", quoted(name), *map(quoted, instance)))
+
+    async def forwarded(self, route: WriteRoute) -> Outcome | None:
+        """Return what became of a source's share; None if the request has passed the source before."""
+        registration, names = route.registration, route.names
+        if route.operation is None:
+            return outcomes.of_refusal(registration, names, self._operation)
+        try:
+            body = None if self._document is None else self._exchange.content_type()
+            dialect = await self._sources.forwarder.dialect(registration, self._context, body=body)
+            path = self._path
+            document = None
+            if path is None:
+                (iri,) = self._names.values()
+                path = self._attribute_path(dialect.name(iri))
+                document = (
+                    None if self._document is None else in_dialect(self._document, self._context, dialect)
+                )
+            elif self._document is not None:
+                part = part_of(self._document, self._names, route.instances)
+                part.pop("@context", None)
+                document = in_dialect(part, self._context, dialect)
+            request = SourceRequest(self._exchange.method, path, dialect, self._parameters, document)
+            response, _ = await self._sources.forwarder.send(registration, request, self._sources.origin)
+        except SourceError as error:
+            return outcomes.of_source_error(error, names)
+        except Problem as problem:  # its @context
+            return outcomes.of_source_error(SourceError(registration, SILENT, 502, problem.detail), names)
+        if not registration.mode.is_proxied and self._sources.is_loop_answer(registration, response.status):
+            return None
+        return outcomes.of_response(registration, names, response)
+
+
+async def _of_document(
+    sources: Sources, exchange: Exchange, perform: Perform, operation: str, below: str
+) -> tuple[DistributedWrite, str, WriteRouting]:
+    document, context = await exchange.body()
+    entity_id = require_uri(exchange.names[0], "the entity id in the path")
+    if not isinstance(document, Mapping):
+        raise bad_request_data(f"the body is a JSON object, not {shown(document)}")
+    names = attributes_in(document, context)
+    types = types_in(document, context) or _types_of(sources, exchange, entity_id, context)
+    target = EntityTarget((entity_id,), None, types)
+    where = placement_filter(document) if operation == "replaceEntity" else None
+    routing = route_write(sources, (operation,), target, instances_in(document, names), where)
+    root = "temporal/" if _is_temporal(exchange) else ""
+    path = f"{root}entities/{quoted(entity_id)}{below}"
+    change = DistributedWrite(sources, exchange, perform, context, document, names, operation, path)
+    return change, entity_id, routing
+
+
+def _datasets_of(exchange: Exchange, document: Any) -> set[str | None]:
+    """Return the datasetIds of the instances that a change of one attribute is about."""
+    if len(exchange.names) > 2 or exchange.parameter("deleteAll") == "true":
+        return {ANY}
+    if document is not None:
+        return datasets_in(document)
+    given = exchange.parameter("datasetId")
+    return {None} if given is None else set(datasets_of(given) or {None})
+
+
+def _types_of(
+    sources: Sources, exchange: Exchange, entity_id: str, context: Context
+) -> frozenset[str] | None:
+    """Return the types of an entity as far as they are known: as the asker says, or as the broker has it."""
+    if given := exchange.parameter("type"):
+        return frozenset(context.terms.expand(one) for one in given.split(",") if one) or None
+    known = sources.exchange.tenant.store.latest(entity_id)
+    return None if known is None else frozenset(known.types)

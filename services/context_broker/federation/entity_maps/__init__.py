@@ -1,0 +1,1 @@
+"""Entity maps: the ids that answer a query, kept so that its pages stay the same."""

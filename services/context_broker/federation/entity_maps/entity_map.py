@@ -1,0 +1,202 @@
+"""Entity maps: which entities answer a query, and who has them, noted once so that its pages stay the same.
+
+A map (clauses 4.5.25, 5.2.39 and 5.5.14) lists the ids of all hits, each with the registrations whose sources
+told of it and `@none` where the broker has it itself. A query that names a map is answered from its ids, page
+by page, and entities that no longer answer it are removed from the map meanwhile (`entity_map_pages`); of
+sources only what a page needs is asked for. A source that makes maps is asked by its own.
+"""
+
+import time
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from typing import Any, Final
+from uuid import uuid4
+
+import orjson
+
+from services.context_broker.api.problems import bad_request_data, not_found, too_many_results
+from services.context_broker.api.words import (
+    duration_s,
+    has_expired,
+    moment,
+    require_future,
+    require_uri,
+    shown,
+    timestamp,
+)
+from services.context_broker.storage.commits import Commits
+from services.context_broker.storage.entries import Entries, Kind
+
+MAP_PARAMETERS: Final = frozenset({"entityMap", "entityMapLifetime"})
+"""What a query has that wants a map."""
+OWN: Final = "@none"
+"""Stands for the broker itself among those that have an entity."""
+TYPE: Final = "EntityMap"
+DEFAULT_LIFETIME_S: Final = 3600.0
+MAX_LIFETIME_S: Final = 86400.0
+"""A map is for walking through pages, which nobody does for longer than a day."""
+MAX_ENTITIES: Final = 100_000
+"""Entities in one map."""
+MAX_TOTAL_ENTITIES: Final = 1_000_000
+"""Entities in all maps of a tenant; the maps that end first give way to new ones."""
+
+
+@dataclass(slots=True)
+class Listed:
+    """What the maps of sources list: entities with the registrations that have them, maps by registration."""
+
+    entities: dict[str, list[str]] = field(default_factory=dict)
+    linked: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class EntityMap:
+    """The ids of the entities that answer a query, in order, each with those that have it.
+
+    `linked` are the ids of the maps that sources made for the same query, by registration. `query` tells the
+    query from others.
+    """
+
+    id: str
+    entities: Mapping[str, list[str]]
+    expires_at: str
+    linked: Mapping[str, str] = field(default_factory=dict)
+    query: str = ""
+
+    def has_expired_at(self, now_s: float) -> bool:
+        """Say whether it has expired."""
+        return has_expired(self.expires_at, now_s)
+
+    def document(self) -> dict[str, Any]:
+        """Return the map as a reader gets it."""
+        return {
+            "id": self.id,
+            "type": TYPE,
+            "expiresAt": self.expires_at,
+            "entityMap": self.entities,
+            "linkedMaps": self.linked,
+        }
+
+    def stored(self) -> bytes:
+        """Return the map as it is kept."""
+        return orjson.dumps({**self.document(), "query": self.query})
+
+
+class EntityMaps:
+    """The entity maps of a tenant: kept on disk, ending by themselves, and so many at most."""
+
+    def __init__(self, tenant: str, commits: Commits) -> None:
+        self._tenant = tenant
+        self._commits = commits
+        self._all: dict[str, EntityMap] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the ids of all maps."""
+        return iter(list(self._all))
+
+    def load(self, body: bytes) -> None:
+        """Take up what was kept."""
+        document = orjson.loads(body)
+        self._all[document["id"]] = EntityMap(
+            document["id"],
+            document["entityMap"],
+            document["expiresAt"],
+            document.get("linkedMaps", {}),
+            document.get("query", ""),
+        )
+
+    def forget(self, map_id: str) -> None:
+        """Forget a map that another broker deleted."""
+        self._all.pop(map_id, None)
+
+    def find(self, map_id: str) -> EntityMap | None:
+        """Return a map; None if it is not there or has expired."""
+        require_uri(map_id, "the id of an entity map")
+        found = self._all.get(map_id)
+        return None if found is None or found.has_expired_at(time.time()) else found
+
+    def get(self, map_id: str) -> EntityMap:
+        """Return a map; raise a problem (404) if it is not there or has expired."""
+        found = self.find(map_id)
+        if found is None:
+            raise not_found(
+                f"there is no entity map {map_id}, or it has expired; make another with GET entityMaps"
+            )
+        return found
+
+    async def make(
+        self, entities: Mapping[str, list[str]], lifetime: str | None, linked: Mapping[str, str], query: str
+    ) -> EntityMap:
+        """Keep a new map; raises a problem (403) if it has too many entities, `NotStored` if it cannot."""
+        if len(entities) > MAX_ENTITIES:
+            raise too_many_results(
+                f"{len(entities)} entities answer the query, a map has {MAX_ENTITIES} at most; ask for fewer"
+            )
+        expires_s = time.time() + lifetime_s(lifetime)
+        made = EntityMap(
+            f"urn:ngsi-ld:EntityMap:{uuid4()}",
+            entities,
+            timestamp(datetime.fromtimestamp(expires_s, UTC)),
+            linked,
+            query,
+        )
+        entries = self._entries(made)
+        for gone in self._in_excess_of(len(entities)):
+            self._all.pop(gone, None)
+            entries.documents[Kind.ENTITY_MAP, self._tenant, gone] = None
+        await self._commits.store(entries)
+        self._all[made.id] = made
+        return made
+
+    async def update(self, map_id: str, document: Any) -> None:
+        """Change when a map ends: all that can be changed (clauses 5.14.2 and 5.5.14)."""
+        found = self.get(map_id)
+        if not isinstance(document, Mapping):
+            raise bad_request_data(f"a change of an entity map is a JSON object, not {shown(document)}")
+        if document.get("type", TYPE) != TYPE:
+            raise bad_request_data(f'the type of an entity map is "{TYPE}", not {shown(document["type"])}')
+        if "expiresAt" not in document:
+            return  # what else it has is the broker's to say, and is ignored
+        wanted_s = moment(require_future(document["expiresAt"], '"expiresAt"')) or 0.0
+        ends_s = min(wanted_s, time.time() + MAX_LIFETIME_S)
+        changed = replace(found, expires_at=timestamp(datetime.fromtimestamp(ends_s, UTC)))
+        await self._commits.store(self._entries(changed))
+        self._all[map_id] = changed
+
+    async def drop(self, map_id: str, gone: Collection[str]) -> None:
+        """Remove entities from a map that is still there; they are gone for readers at once."""
+        found = self._all.get(map_id)
+        if found is not None:
+            left = {one: who_has for one, who_has in found.entities.items() if one not in gone}
+            self._all[map_id] = changed = replace(found, entities=left)
+            await self._commits.store(self._entries(changed))
+
+    async def delete(self, map_id: str) -> None:
+        """Delete a map."""
+        self.get(map_id)
+        await self._commits.store(Entries(documents={(Kind.ENTITY_MAP, self._tenant, map_id): None}))
+        self._all.pop(map_id, None)
+
+    def _entries(self, one: EntityMap) -> Entries:
+        return Entries(documents={(Kind.ENTITY_MAP, self._tenant, one.id): one.stored()})
+
+    def _in_excess_of(self, more: int) -> list[str]:
+        """Return the maps that have to go: those that are over, and the next to end if there are too many."""
+        now_s = time.time()
+        ordered = sorted(self._all.values(), key=lambda one: one.expires_at)
+        held = more + sum(1 + len(one.entities) for one in ordered)
+        gone: list[str] = []
+        for one in ordered:
+            if not one.has_expired_at(now_s) and held <= MAX_TOTAL_ENTITIES:
+                break
+            held -= 1 + len(one.entities)
+            gone.append(one.id)
+        return gone
+
+
+def lifetime_s(given: str | None) -> float:
+    """Return how long a map is to live: what is wished for, within the broker's bounds."""
+    if given is None:
+        return DEFAULT_LIFETIME_S
+    return min(max(duration_s(given, "entityMapLifetime"), 1.0), MAX_LIFETIME_S)

@@ -1,0 +1,228 @@
+"""Operations on entity maps, and queries that are answered by one (clauses 5.14, 6.32, 6.34 and 6.35)."""
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, Final
+from urllib.parse import quote, unquote
+
+import orjson
+
+from services.context_broker.api.exchange import PREFIX, Answer, Exchange
+from services.context_broker.api.operation import Operation
+from services.context_broker.api.problems import not_stored
+from services.context_broker.federation.distribution.distributed_operations import derived
+from services.context_broker.federation.entity_maps.entity_map import (
+    MAP_PARAMETERS,
+    MAX_ENTITIES,
+    OWN,
+    EntityMap,
+    Listed,
+)
+from services.context_broker.federation.entity_maps.pages import (
+    MAP_OPTION,
+    SHAPING,
+    Perform,
+    for_the_query,
+    map_page,
+    query_mark,
+)
+from services.context_broker.federation.registrations.registration_operations import answer, with_context
+from services.context_broker.queries.ordering import ordering
+from services.context_broker.queries.query_document import query_parameters, selectors_of
+from services.context_broker.queries.reading import QUERY_PARAMETERS, selection_of
+from services.context_broker.queries.selection import Selection, hits_of
+from services.context_broker.storage.journal import NotStored
+from services.context_broker.storage.store import OverlayStore, Store
+from services.context_broker.temporal.operations import QUERYING
+
+HEADER: Final = b"ngsild-entitymap"
+OF_ONE: Final = frozenset({"retrieveEntity", "retrieveTemporal"})
+"""Operations on one entity: a map tells them whom to ask for it (clauses 5.7.1.4 and 5.7.3.4)."""
+THROUGH_A_MAP: Final = OF_ONE | {"queryEntity", "queryBatch", "queryTemporal"}
+"""Operations that can be answered by a map."""
+_LOCAL: Final = frozenset({"local"})
+_DONE: Final = Answer(204)
+_PAGE: Final = 1000
+
+
+class EntityMapOperations:
+    """What can be done to entity maps. `perform` carries out an operation by its name."""
+
+    def __init__(self, perform: Callable[[str, Exchange], Awaitable[Answer]]) -> None:
+        self._perform = perform
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        one, all_of_them, temporal = "entityMaps/{id}", "entityMaps", "temporal/entityMaps"
+        asking = QUERY_PARAMETERS | MAP_PARAMETERS
+        name, past = "createEntityMapQueryEntity", "createEntityMapQueryTemporal"
+        return (
+            Operation("GET", one, "retrieveEntityMap", "6.32.3.1", self.retrieve, _LOCAL),
+            Operation("PATCH", one, "updateEntityMap", "6.32.3.2", self.update, _LOCAL),
+            Operation("DELETE", one, "deleteEntityMap", "6.32.3.3", self.delete, _LOCAL),
+            Operation("GET", all_of_them, name, "6.34.3.1", self.create, asking),
+            Operation("POST", all_of_them, name, "6.34.3.2", self.create, asking),
+            Operation("GET", temporal, past, "6.35.3.1", self.create_temporal, QUERYING | MAP_PARAMETERS),
+            Operation("POST", temporal, past, "6.35.3.2", self.create_temporal, QUERYING | MAP_PARAMETERS),
+        )
+
+    async def retrieve(self, exchange: Exchange) -> Answer:
+        """GET entityMaps/{id}."""
+        return await _map_answer(exchange, exchange.tenant.entity_maps.get(exchange.names[0]), 200)
+
+    async def update(self, exchange: Exchange) -> Answer:
+        """PATCH entityMaps/{id}."""
+        document, _ = await exchange.body()
+        try:
+            await exchange.tenant.entity_maps.update(exchange.names[0], document)
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+        return _DONE
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """DELETE entityMaps/{id}."""
+        try:
+            await exchange.tenant.entity_maps.delete(exchange.names[0])
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+        return _DONE
+
+    async def create(self, exchange: Exchange) -> Answer:
+        """GET or POST entityMaps (clause 5.14.4): the map of what a query finds."""
+        exchange.accept()
+        any_of: tuple[Selection, ...] = ()
+        if exchange.method == "GET":
+            context, parameters = await exchange.reader_context(), exchange.parameters
+        else:
+            document, context = await exchange.body()
+            parameters, any_of = query_parameters(document), selectors_of(document, context)
+        store = exchange.tenant.store
+        hits = await hits_of(store, selection_of(parameters, context, any_of), MAX_ENTITIES + 1)
+        order = ordering(parameters, context.terms.expand)
+        if order is not None:
+            hits = sorted(hits, key=order.place_of)
+        return await self._kept(exchange, {one.id: list(_origins(store, one.id)) for one in hits})
+
+    async def create_temporal(self, exchange: Exchange) -> Answer:
+        """GET or POST temporal/entityMaps (clause 5.14.5)."""
+        exchange.accept()
+        name = "queryTemporal" if exchange.method == "GET" else "queryTemporalBatch"
+        mapped: dict[str, list[str]] = {}
+        plain = _without(exchange.parameters, MAP_PARAMETERS | SHAPING)
+        while True:
+            parameters = {**plain, "limit": str(_PAGE), "offset": str(len(mapped)), "lastN": "1"}
+            result = await self._perform(name, _plainly(exchange, parameters))
+            if result.status >= 300:
+                return result
+            page = [one["id"] for one in orjson.loads(result.body)]
+            before = len(mapped)
+            mapped.update((one, [OWN]) for one in page)
+            if len(page) < _PAGE or len(mapped) == before:
+                break
+        return await self._kept(exchange, mapped)
+
+    async def answer(self, operation: Operation, exchange: Exchange, perform: Perform) -> Answer:
+        """Answer a query that names a map, or wants one made (clauses 5.5.14 and 6.4.3.2).
+
+        Where the map that is named is not there, or not any more, one is made (clause 5.7.2.4).
+        """
+        named = _named(exchange)
+        if operation.name in OF_ONE:
+            return await self._entity(exchange, named, perform)
+        if named is not None:
+            return await self._page(exchange, named, perform)
+        past = operation.name == "queryTemporal"
+        making = "createEntityMapQueryTemporal" if past else "createEntityMapQueryEntity"
+        parameters = for_the_query(exchange.parameters)
+        if "entityMapLifetime" in exchange.parameters:
+            parameters["entityMapLifetime"] = exchange.parameters["entityMapLifetime"]
+        made = await self._perform(making, _plainly(exchange, parameters))
+        if made.status >= 300:
+            return made
+        map_id = orjson.loads(made.body)["id"]
+        result = await self._page(exchange, exchange.tenant.entity_maps.get(map_id), perform)
+        result.headers += [one for one in made.headers if one[0] == b"ngsild-warning"]
+        return Answer(201 if result.status == 200 else result.status, result.body, result.headers)
+
+    async def _entity(self, exchange: Exchange, one: EntityMap | None, perform: Perform) -> Answer:
+        """Answer with one entity, asking those who have it by the map; without one, note who they are."""
+        listed = Listed()
+        parameters = for_the_query(exchange.parameters)
+        asking = derived(exchange, entity_map=one, elsewhere=listed, parameters=parameters)
+        result = await perform(asking)
+        if result.status >= 300:
+            return result
+        if one is None:
+            entities = listed.entities or {exchange.names[0]: [OWN]}
+            one = await self._made(exchange, entities, listed)
+        return Answer(result.status, result.body, [*result.headers, _location(one)])
+
+    @staticmethod
+    async def _page(exchange: Exchange, one: EntityMap, perform: Perform) -> Answer:
+        result = await map_page(exchange, one, perform)
+        return Answer(result.status, result.body, [*result.headers, _location(one)])
+
+    @staticmethod
+    async def _made(exchange: Exchange, entities: dict[str, list[str]], elsewhere: Listed) -> EntityMap:
+        lifetime = exchange.parameter("entityMapLifetime")
+        try:
+            query = query_mark(exchange)
+            return await exchange.tenant.entity_maps.make(entities, lifetime, elsewhere.linked, query)
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+
+    async def _kept(self, exchange: Exchange, entities: dict[str, list[str]]) -> Answer:
+        """Keep a map of the entities that were found here and of those that the maps of sources list."""
+        elsewhere = exchange.elsewhere or Listed()
+        for one, registrations in elsewhere.entities.items():
+            known = entities.setdefault(one, [])
+            known += [registration for registration in registrations if registration not in known]
+        return await _map_answer(exchange, await self._made(exchange, entities, elsewhere), 201)
+
+
+async def _map_answer(exchange: Exchange, one: EntityMap, status: int) -> Answer:
+    media_type, context = exchange.accept(), await exchange.reader_context()
+    result = answer(with_context(one.document(), media_type, context), media_type, context)
+    return Answer(status, result.body, [*result.headers, _location(one)])
+
+
+def _named(exchange: Exchange) -> EntityMap | None:
+    """Return the map that a request names; None if it names none, or one that is not there any more."""
+    named = exchange.headers.get(HEADER)
+    if named is None:
+        return None
+    map_id = unquote(named.decode("latin-1").strip().rstrip("/").rpartition("/")[2])
+    return exchange.tenant.entity_maps.find(map_id)
+
+
+def _location(one: EntityMap) -> tuple[bytes, bytes]:
+    return HEADER, f"{PREFIX}entityMaps/{quote(one.id, safe=':')}".encode()
+
+
+def _origins(store: Store, entity_id: str) -> list[str]:
+    result = store.origins.get(entity_id) if isinstance(store, OverlayStore) else None
+    return result or [OWN]
+
+
+def _without(given: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
+    return {name: value for name, value in given.items() if name not in names}
+
+
+def _plainly(exchange: Exchange, parameters: Mapping[str, str]) -> Exchange:
+    return derived(exchange, parameters=parameters, headers=_without(exchange.headers, {b"accept"}))
+
+
+def wants_map(operation: Operation, exchange: Exchange) -> bool:
+    """Say whether a query is to be answered by a map that it names, or wants to have made.
+
+    It says the latter with entityMap=true or with entityMap among its options.
+    """
+    parameters = exchange.parameters
+    if HEADER not in exchange.headers and "entityMap" not in parameters and "options" not in parameters:
+        return False
+    if operation.name not in THROUGH_A_MAP:
+        return False
+    return (
+        HEADER in exchange.headers
+        or exchange.flag("entityMap")
+        or MAP_OPTION in parameters.get("options", "").split(",")
+    )

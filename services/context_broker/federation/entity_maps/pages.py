@@ -1,0 +1,239 @@
+"""Pages of entity maps: always full, and without entities that no longer fit (clause 5.5.9.3).
+
+A map fixes which entities are candidates; whether they still fit is checked when a page is made:
+
+1. The page's entities are asked for by their ids, with the filters of the query. If all are found, that is
+   the page: one pass, the usual case.
+2. If some are missing, the candidates from the page's offset on are checked in pieces of `CHECKED_AT_ONCE`,
+   those that no longer fit are dropped, and the page is made anew from those that are left.
+3. With a count, all candidates are checked first.
+
+What is dropped is removed from the map, if the request asks the query that the map was made of; another query
+(a narrower q, say) leaves the map as it is. While a source does not answer nothing is dropped, for what is
+missing may be there: the page is shorter then, and the answer has a warning.
+
+Links carry offsets in what is left of the map. What is removed lies behind the page's offset, or is
+subtracted from the offsets in the links, so a walk neither repeats nor skips.
+"""
+
+import asyncio
+import hashlib
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from typing import Any, Final
+from urllib.parse import quote
+
+import orjson
+
+from services.context_broker.api.exchange import Answer, Exchange
+from services.context_broker.federation.distribution.distributed_operations import derived
+from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS, EntityMap
+from services.context_broker.queries import linked, ordering
+from services.context_broker.queries.pages import PLACE, Window
+from services.context_broker.queries.reading import LARGEST_LIMIT, window_of
+from services.context_broker.storage.journal import NotStored
+from services.context_broker.temporal.query import temporal_window
+
+Perform = Callable[[Exchange], Awaitable[Answer]]
+"""Carries a query out, sources included."""
+
+MAP_OPTION: Final = "entityMap"
+CHECK_BATCH_SIZE: Final = LARGEST_LIMIT
+"""Candidates that are checked in one go."""
+SHAPING: Final = frozenset({"options", "format", "count", "pick", "omit", "lang", "datasetId"})
+"""Parameters that say how hits look, not which they are."""
+_WINDOW: Final = frozenset({"offset", "limit", PLACE})
+_UNMARKED: Final = (
+    SHAPING
+    | MAP_PARAMETERS
+    | _WINDOW
+    | linked.PARAMETERS
+    | ordering.PARAMETERS
+    | {"geometryProperty", "local", "id"}
+)
+"""Parameters in which requests for pages of one map may differ."""
+_COUNT: Final = b"ngsild-results-count"
+_NOBODY: Final = "urn:ngsi-ld:EntityMap:nobody"
+"""Asked for where a page has nothing, so that an empty answer looks as the asker wants it."""
+
+
+async def map_page(exchange: Exchange, one: EntityMap, perform: Perform) -> Answer:
+    """Answer with the page of a map that is asked for; drop from the map what no longer fits."""
+    page = _Page(derived(exchange, parameters=for_the_query(exchange.parameters)), one, perform)
+    return await page.answer()
+
+
+class _Page:
+    """One page on its way: `_ids` are the candidates, `_gone` those that have turned out not to fit."""
+
+    def __init__(self, wanted: Exchange, one: EntityMap, perform: Perform) -> None:
+        self._wanted = wanted
+        self._map = one
+        self._perform = perform
+        self._is_temporal = "/temporal/" in wanted.path
+        self._window: Window = (temporal_window if self._is_temporal else window_of)(wanted)
+        given = _ids_in(wanted)
+        self._ids = [entity for entity in one.entities if given is None or entity in given]
+        self._gone: set[str] = set()
+
+    async def answer(self) -> Answer:
+        """Return the answer, with links to the pages before and after."""
+        window = self._window
+        if window.count:
+            for start in range(0, len(self._ids), CHECK_BATCH_SIZE):
+                await self._check(self._ids[start : start + CHECK_BATCH_SIZE])
+        while True:
+            some = self._left(window.limit)
+            result, found = await self._shown(some)
+            if found >= len(some) or _is_warned(result):
+                break
+            before = len(self._gone)
+            await self._check(self._left(CHECK_BATCH_SIZE))
+            if len(self._gone) == before:
+                break
+        if result.status >= 300:
+            return result
+        is_dropped = bool(self._gone) and self._map.query == query_mark(self._wanted)
+        if is_dropped:
+            with suppress(NotStored):  # they are dropped again after a restart
+                await self._wanted.tenant.entity_maps.drop(self._map.id, self._gone)
+        headers = [one for one in result.headers if not _is_page_header(one)]
+        if window.count:
+            headers.append((_COUNT, str(len(self._ids) - len(self._gone)).encode()))
+        headers += self._links(len(some), headers, is_dropped=is_dropped)
+        return Answer(result.status, result.body, headers)
+
+    def _left(self, limit: int) -> list[str]:
+        """Return so many candidates from the offset on that have not turned out to be gone."""
+        left: list[str] = []
+        for entity in self._ids[self._window.offset :]:
+            if len(left) >= limit:
+                break
+            if entity not in self._gone:
+                left.append(entity)
+        return left
+
+    async def _shown(self, some: list[str]) -> tuple[Answer, int]:
+        """Return the entities in the form that is wanted, and how many of them were found."""
+        ids = some or [_NOBODY]
+        plain = _without(self._wanted.parameters, {"offset", "idPattern", PLACE})
+        parameters = {**plain, "limit": str(len(ids)), "count": "true"}
+        result = await self._perform(self._asking(parameters, ids, self._wanted.document))
+        return result, _count_in(result) if result.status < 300 else len(some)
+
+    async def _check(self, ids: list[str]) -> None:
+        """Note which of the candidates do not fit any more, if all that may have them answer."""
+        await asyncio.sleep(0)  # other requests are served between the pieces of a large map
+        parameters = _without(self._wanted.parameters, _UNMARKED - {"local"} | {"idPattern"})
+        parameters["limit"] = str(len(ids))
+        parameters |= {"lastN": "1"} if self._is_temporal else {"pick": "id"}
+        asking = self._asking(parameters, ids, lambda: _unshaped(self._wanted.document()))
+        headers = _without(asking.headers, {b"accept", b"prefer"})
+        result = await self._perform(derived(asking, headers=headers))
+        if result.status < 300 and not _is_warned(result):
+            self._gone |= set(ids) - {one["id"] for one in orjson.loads(result.body)}
+
+    def _asking(self, parameters: Mapping[str, str], ids: list[str], document: Callable[[], Any]) -> Exchange:
+        """Return the request for some ids, by the map: in the parameters, or in the selectors of a Query."""
+        if self._wanted.method == "GET":
+            parameters = {**parameters, "id": ",".join(ids)}
+            return derived(self._wanted, entity_map=self._map, parameters=parameters)
+        raw = _narrowed(document(), ids)
+        if raw is None:
+            return derived(self._wanted, entity_map=self._map, parameters=parameters)
+        return derived(self._wanted, entity_map=self._map, parameters=parameters, raw=raw)
+
+    def _links(
+        self, shown: int, headers: list[tuple[bytes, bytes]], *, is_dropped: bool
+    ) -> list[tuple[bytes, bytes]]:
+        """Return the links to the pages before and after; `is_dropped`: what is gone has left the map."""
+        start, limit = self._window.offset, self._window.limit
+        if not limit:
+            return []
+        end = start
+        while shown and end < len(self._ids):
+            shown -= self._ids[end] not in self._gone
+            end += 1
+        has_more = any(entity not in self._gone for entity in self._ids[end:])
+        if is_dropped:
+            start, end = (at - sum(one in self._gone for one in self._ids[:at]) for at in (start, end))
+        media_type = next((value for name, value in headers if name == b"content-type"), b"").decode()
+        links = [_page_link(self._wanted, max(0, start - limit), "prev", media_type)] if start else []
+        return [*links, _page_link(self._wanted, end, "next", media_type)] if has_more else links
+
+
+def for_the_query(parameters: Mapping[str, str]) -> dict[str, str]:
+    """Return the parameters without those that are about maps."""
+    plain: dict[str, str] = _without(parameters, MAP_PARAMETERS)
+    options = parameters.get("options", "").split(",")
+    if MAP_OPTION in options:
+        plain["options"] = ",".join(one for one in options if one != MAP_OPTION)
+        if not plain["options"]:
+            del plain["options"]
+    return plain
+
+
+def query_mark(exchange: Exchange) -> str:
+    """Return what tells the query of a request from others: its filters and the names that it uses."""
+    parameters = sorted(_without(exchange.parameters, _UNMARKED).items())
+    document = None if exchange.method == "GET" else _unshaped(exchange.document())
+    said = [parameters, document, exchange.headers.get(b"link", b"").decode("latin-1")]
+    text = orjson.dumps(said, option=orjson.OPT_SORT_KEYS)
+    return hashlib.blake2b(text, digest_size=8).hexdigest()
+
+
+def _unshaped(document: Any) -> Any:
+    """Return a Query document without the members that say how hits look."""
+    shaping = SHAPING | linked.PARAMETERS | {"ordering", "geometryProperty"}
+    return _without(document, shaping) if isinstance(document, Mapping) else document
+
+
+def _narrowed(document: Any, ids: list[str]) -> bytes | None:
+    """Return a Query document with its selectors narrowed to some ids; None for what is no Query."""
+    selectors = document.get("entities", [{"type": "*"}]) if isinstance(document, Mapping) else None
+    if not isinstance(selectors, list) or not all(isinstance(one, dict) for one in selectors):
+        return None
+    narrowed = [{"id": ids, **({"type": one["type"]} if "type" in one else {})} for one in selectors]
+    return orjson.dumps({**document, "entities": narrowed})
+
+
+def _ids_in(exchange: Exchange) -> set[str] | None:
+    """Return the ids that a request asks for; None if it may be any."""
+    if exchange.method == "GET":
+        given = exchange.parameter("id")
+        return None if given is None else set(given.split(","))
+    document = exchange.document()
+    selectors = document.get("entities") if isinstance(document, dict) else None
+    found: set[str] = set()
+    for one in selectors if isinstance(selectors, list) else [None]:
+        ids = one.get("id") if isinstance(one, dict) else None
+        if ids is None:
+            return None
+        found |= {each for each in (ids if isinstance(ids, list) else [ids]) if isinstance(each, str)}
+    return found
+
+
+def _is_warned(answer: Answer) -> bool:
+    """Say whether a source was not heard; 110 warns of an answer that was kept."""
+    return any(name == b"ngsild-warning" and not said.startswith(b"110") for name, said in answer.headers)
+
+
+def _count_in(answer: Answer) -> int:
+    return next((int(value) for name, value in answer.headers if name == _COUNT), 0)
+
+
+def _is_page_header(header: tuple[bytes, bytes]) -> bool:
+    name, value = header
+    return name == _COUNT or (name == b"link" and (b'rel="next"' in value or b'rel="prev"' in value))
+
+
+def _page_link(exchange: Exchange, offset: int, relation: str, media_type: str) -> tuple[bytes, bytes]:
+    parameters = {**exchange.parameters, "offset": str(offset)}
+    query = "&".join(
+        f"{quote(name, safe='')}={quote(value, safe=':,')}" for name, value in parameters.items()
+    )
+    return b"link", f'<{exchange.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
+
+
+def _without(given: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
+    return {name: value for name, value in given.items() if name not in names}

@@ -1,0 +1,173 @@
+"""Reach: where, in which scopes, when and of which datasets a source has anything at all.
+
+Registrations may say so (clause 5.2.9); a source that cannot have what is asked for need not be asked
+(clauses 4.3.6.1, 5.10.2.4 and 5.12). One that says nothing of it may have it.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.api.words import moment, require_time, shown
+from services.context_broker.entities.entity import Entity
+from services.context_broker.entities.intake import expand
+from services.context_broker.federation.registrations.registration import Interval, Registration, SourceFilter
+from services.context_broker.queries.geo_query import Geometry, GeoQuery
+from services.context_broker.queries.geometry import fault_of
+from services.context_broker.queries.scope_query import ANY_LEVEL, ScopePattern, ScopeQuery
+from services.context_broker.queries.sphere import box_of
+
+_MANAGED_TIMES: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"})
+
+
+@dataclass(frozen=True, slots=True)
+class TimeRange:
+    """A time that is asked for, and whether the broker's own times are meant, not those of observation."""
+
+    span: Interval
+    is_managed: bool
+
+    def meets(self, one: Registration) -> bool:
+        """Say whether the source has anything of this time."""
+        has = one.managed if self.is_managed else one.observed
+        return has is not None and has[0] <= self.span[1] and has[1] >= self.span[0]
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageQuery:
+    """What a question asks for besides entities and attributes; None where it does not matter."""
+
+    place: GeoQuery | None = None
+    scope: ScopeQuery | None = None
+    period: TimeRange | None = None
+    datasets: frozenset[str | None] | None = None
+
+    @property
+    def is_unrestricted(self) -> bool:
+        """Say whether every source may have it."""
+        return self.place is None and self.scope is None and self.period is None and self.datasets is None
+
+    def may_match(self, one: Registration) -> bool:
+        """Say whether the source of a registration may have any of it."""
+        return (
+            (self.period is None or not one.is_temporal or self.period.meets(one))
+            and (self.datasets is None or one.datasets is None or not self.datasets.isdisjoint(one.datasets))
+            and (self.scope is None or not one.scopes or _may_be_in_scopes(self.scope, one.scopes))
+            and (self.place is None or _may_be_there(self.place, one) is not False)
+        )
+
+
+def period_of(given: Mapping[str, Any]) -> TimeRange | None:
+    """Return the time that a temporal query (clause 4.11) asks for; None if it asks for none."""
+    relation = given.get("timerel")
+    if relation is None:
+        return None
+    at_s = moment(require_time(given.get("timeAt"), "timeAt")) or 0.0
+    is_managed = given.get("timeproperty") in _MANAGED_TIMES
+    if relation == "before":
+        return TimeRange((float("-inf"), at_s), is_managed)
+    if relation == "after":
+        return TimeRange((at_s, float("inf")), is_managed)
+    if relation == "between":
+        end_s = moment(require_time(given.get("endTimeAt"), "endTimeAt")) or 0.0
+        return TimeRange((at_s, end_s), is_managed)
+    raise bad_request_data(f"timerel is before, after or between, not {shown(relation)}")
+
+
+def has_matching_place(query: GeoQuery, one: Registration) -> bool:
+    """Say whether a source tells of its places and may have some that fit (clause 5.10.2.4)."""
+    return bool(_may_be_there(query, one))
+
+
+def placement_filter(document: Mapping[str, Any]) -> SourceFilter | None:
+    """Return which sources an entity that is sent may be at, by its places and scopes; None for all."""
+    places = {name: found for name in _PLACES if (found := _places_in(document.get(name)))}
+    given = document.get("scope")
+    scopes = [one for one in (given if isinstance(given, list) else [given]) if isinstance(one, str)]
+    if not places and not scopes:
+        return None
+    return lambda one: _may_contain(one, places, scopes)
+
+
+def may_hold(one: Registration, entity: Entity) -> bool:
+    """Say whether the source of a registration may have an entity, by the places and scopes of the entity."""
+    if not one.places and not one.scopes:
+        return True
+    places = {
+        name: found
+        for name in one.places
+        if (found := _places_in(entity.attributes.get(expand(name, one.context.terms))))
+    }
+    return _may_contain(one, places, entity.scopes)
+
+
+def _may_contain(
+    one: Registration, places: Mapping[str, list[Mapping[str, Any]]], scopes: Iterable[str]
+) -> bool:
+    """Say whether what is in these places and scopes may be there; what is nowhere may be anywhere."""
+    named = list(scopes)
+    if named and one.scopes and not any(_is_in(scope, one.scopes) for scope in named):
+        return False
+    return all(
+        any(_touch(area, place) for place in places[name])
+        for name, area in one.places.items()
+        if name in places
+    )
+
+
+_PLACES: Final = ("location", "observationSpace", "operationSpace")
+
+
+def _may_be_there(query: GeoQuery, one: Registration) -> bool | None:
+    """Say whether something in the places of a registration may fit; None if it names no such places."""
+    areas = [
+        instance["value"]
+        for instance in one.described.attributes.get(query.attribute, ())
+        if instance["type"] == "GeoProperty"
+    ]
+    return any(_may_be_in(query, area) for area in areas) if areas else None
+
+
+def _may_be_in(query: GeoQuery, area: Any) -> bool:
+    """Say whether any place within an area may fit; more often than need be rather than too seldom."""
+    if query.fits(area):
+        return True
+    if query.relation == "disjoint":
+        return not replace(query, relation="within").fits(area)
+    if query.relation == "minDistance":
+        return bool(area.get("type") != "Point")
+    if query.relation == "maxDistance":
+        return False
+    return replace(query, relation="intersects").fits(area)
+
+
+def _touch(area: Geometry, place: Geometry) -> bool:
+    return GeoQuery("", "intersects", area, box=box_of(area)).fits(place)
+
+
+def _places_in(said: Any) -> list[Geometry]:
+    if isinstance(said, list):
+        return [place for one in said for place in _places_in(one)]
+    geometry = said.get("value", said) if isinstance(said, Mapping) else None
+    return [geometry] if isinstance(geometry, dict) and fault_of(geometry) is None else []
+
+
+def _may_be_in_scopes(query: ScopeQuery, scopes: tuple[str, ...]) -> bool:
+    return any(
+        all(any(_may_fit(pattern, scope) for scope in scopes) for pattern in patterns)
+        for patterns in query.alternatives
+    )
+
+
+def _may_fit(pattern: ScopePattern, scope: str) -> bool:
+    """Say whether a scope, or one below it, fits."""
+    levels = scope.strip("/").split("/")
+    if len(levels) > len(pattern.levels) and not pattern.below:
+        return False
+    return all(wanted in (ANY_LEVEL, level) for wanted, level in zip(pattern.levels, levels, strict=False))
+
+
+def _is_in(scope: str, scopes: tuple[str, ...]) -> bool:
+    inner = scope.strip("/") + "/"
+    return any(inner.startswith(one.strip("/") + "/") for one in scopes)

@@ -1,0 +1,54 @@
+"""What operations are called when a context source says which of them it takes (clause 4.20).
+
+Table 4.20-1 has the names, table 4.20-2 the groups that stand for several of them.
+"""
+
+from collections.abc import Iterable
+from typing import Final
+
+_DISCOVERY: Final = frozenset(
+    {"retrieveEntityTypes", "retrieveEntityTypeDetails", "retrieveEntityTypeInfo", "retrieveAttrTypes",
+     "retrieveAttrTypeDetails", "retrieveAttrTypeInfo"}
+)  # fmt: skip
+_SUBSCRIBING: Final = frozenset(
+    {"createSubscription", "updateSubscription", "retrieveSubscription", "querySubscription",
+     "deleteSubscription"}
+)  # fmt: skip
+_ENTITY_MAPS: Final = frozenset(
+    {"retrieveEntityMap", "updateEntityMap", "deleteEntityMap", "createEntityMapQueryEntity"}
+)  # fmt: skip
+_RETRIEVING: Final = frozenset({"retrieveEntity", "queryEntity"})
+_UPDATING: Final = frozenset({"updateEntity", "updateAttrs", "replaceEntity", "replaceAttrs"})
+_IDENTITY: Final = frozenset({"retrieveContextSourceIdentity"})
+_ASSOCIATING: Final = _RETRIEVING | _DISCOVERY | _SUBSCRIBING | _IDENTITY | {"queryBatch"}
+_CHANGING: Final = _UPDATING | {
+    "createEntity", "appendAttrs", "deleteAttrs", "deleteEntity", "mergeEntity", "purgeEntity"
+}  # fmt: skip
+
+TEMPORAL_READING: Final = frozenset({"retrieveTemporal", "queryTemporal", "createEntityMapQueryTemporal"})
+"""Operations that ask for how things were."""
+TEMPORAL: Final = TEMPORAL_READING | {
+    "upsertTemporal", "appendAttrsTemporal", "deleteAttrsTemporal", "updateAttrInstanceTemporal",
+    "deleteAttrInstanceTemporal", "deleteTemporal"
+}  # fmt: skip
+BATCHES: Final = frozenset({"createBatch", "upsertBatch", "updateBatch", "mergeBatch", "deleteBatch"})
+
+DEFAULT_GROUP: Final = "federationOps"
+GROUPS: Final = {
+    DEFAULT_GROUP: _ASSOCIATING | _ENTITY_MAPS,
+    "associationOps": _ASSOCIATING,
+    "updateOps": _UPDATING,
+    "retrieveOps": _RETRIEVING,
+    "redirectionOps": _CHANGING | _RETRIEVING | _DISCOVERY | _ENTITY_MAPS | _IDENTITY,
+}
+AUXILIARY_OPERATIONS: Final = _RETRIEVING
+"""What an auxiliary registration may take (clause 5.9.2.4)."""
+NAMES: Final = _ASSOCIATING | _ENTITY_MAPS | _CHANGING | TEMPORAL | BATCHES
+
+
+def operations_of(names: Iterable[str]) -> frozenset[str]:
+    """Return the operations that names of operations and of groups stand for."""
+    found: set[str] = set()
+    for name in names:
+        found |= GROUPS.get(name, {name})
+    return frozenset(found)

@@ -1,0 +1,279 @@
+"""Operations on registrations of context sources: to keep them (clauses 5.9 and 6.8) and to find them (5.10).
+
+Changes are rare and made one after the other. A registration that has expired is gone: it is taken off the
+disk when its time comes, or at the next start.
+"""
+
+import asyncio
+import time
+from collections.abc import Iterable
+from typing import Any, Final
+from urllib.parse import quote, urlsplit
+from uuid import uuid4
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.api.exchange import JSON_LD, PREFIX, Answer, Exchange
+from services.context_broker.api.operation import Operation
+from services.context_broker.api.problems import already_exists, conflict, not_found, not_stored
+from services.context_broker.api.words import require_uri, timestamp_now
+from services.context_broker.contexts.book import Context, ContextBook
+from services.context_broker.federation.registrations.registration import Mode, Registration, shown_document
+from services.context_broker.federation.registrations.registration_intake import (
+    kept_document,
+    refuse_past,
+    registration,
+    updated_document,
+)
+from services.context_broker.federation.registrations.registration_search import SEARCH_PARAMETERS, search_of
+from services.context_broker.federation.registrations.registry import claims
+from services.context_broker.federation.registrations.source_subscriptions import notices_of_change
+from services.context_broker.queries.reading import (
+    PAGE_PARAMETERS,
+    json_headers,
+    options_of,
+    page_links,
+    window_of,
+)
+from services.context_broker.queries.type_selection import of_types
+from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.journal import NotStored
+from services.context_broker.storage.tenants import Tenant
+
+DONE: Final = Answer(204)
+MAX_TIMER_S: Final = 86400.0
+"""How far ahead an end is looked for: timers count in floats, and some registrations end in a century."""
+_VIEW: Final = frozenset({"options"})
+_SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
+
+
+class RegistrationOperations:
+    """What can be done to registrations."""
+
+    def __init__(self, contexts: ContextBook) -> None:
+        self._contexts = contexts
+        self._lock = asyncio.Lock()
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        all_of_them, one = "csourceRegistrations", "csourceRegistrations/{id}"
+        searching = PAGE_PARAMETERS | SEARCH_PARAMETERS
+        return (
+            Operation("POST", all_of_them, "createCSR", "6.8.3.1", self.create, makes_tenant=True),
+            Operation("GET", all_of_them, "queryCSR", "6.8.3.2", self.search, searching),
+            Operation("GET", one, "retrieveCSR", "6.9.3.1", self.retrieve, _VIEW),
+            Operation("PATCH", one, "updateCSR", "6.9.3.2", self.update),
+            Operation("DELETE", one, "deleteCSR", "6.9.3.3", self.delete),
+        )
+
+    async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
+        """Take up the registrations of before, each with its counts, in the order of their creation."""
+        documents = [(orjson.loads(body), counts) for body, counts in kept]
+        for document, counts in sorted(documents, key=lambda one: str(one[0].get("createdAt"))):
+            made = registration(document, await self._contexts.as_before(document["context"]))
+            tenant.registry.load(made)
+            if counts is not None:
+                tenant.registry.restore_attempts(made.id, counts)
+            self._schedule_expiry(tenant, made)
+
+    async def follow(self, tenant: Tenant, registration_id: str, body: bytes | None) -> None:
+        """Take what another broker on the same database did to a registration."""
+        before = tenant.registry.get(registration_id)
+        if body is None:
+            if before is not None:
+                tenant.registry.remove(registration_id)
+            return
+        document = orjson.loads(body)
+        read = registration(document, await self._contexts.as_before(document["context"]))
+        made = read.with_attempts_of(before)
+        tenant.registry.put(made)
+        self._schedule_expiry(tenant, made)
+
+    async def renew(self, tenant: Tenant, context_id: str) -> None:
+        """Make those registrations anew whose context was fetched anew."""
+        async with self._lock:
+            for one in list(tenant.registry):
+                if one.context.is_made_of(context_id):
+                    context = await self._contexts.as_before(one.document["context"])
+                    made = registration(one.document, context).with_attempts_of(one)
+                    tenant.registry.put(made)
+                    self._schedule_expiry(tenant, made)
+
+    async def create(self, exchange: Exchange) -> Answer:
+        """POST csourceRegistrations."""
+        given, context = await exchange.body()
+        document = kept_document(given, context)
+        named = document.get("id") or f"urn:ngsi-ld:ContextSourceRegistration:{uuid4()}"
+        at = timestamp_now()
+        made = registration(
+            {
+                **{name: value for name, value in document.items() if value is not None},
+                "id": require_uri(named, "the registration id"),
+                "createdAt": at,
+                "modifiedAt": at,
+                "context": context.document,
+            },
+            context,
+        )
+        refuse_past(made.document)
+        await _require_open(exchange.tenant, made)
+        async with self._lock:
+            if exchange.tenant.registry.get(made.id) is not None:
+                raise already_exists(
+                    f"there is a registration {made.id} already; update it, or choose another id"
+                )
+            _refuse_conflicts(exchange.tenant, made)
+            await self._keep(exchange.tenant, None, made)
+        location = f"{PREFIX}csourceRegistrations/{quote(made.id, safe=':')}".encode()
+        return Answer(201, b"", [(b"location", location)])
+
+    async def update(self, exchange: Exchange) -> Answer:
+        """PATCH csourceRegistrations/{id}."""
+        given, context = await exchange.body()
+        change = kept_document(given, context)
+        async with self._lock:
+            before = _existing(exchange)
+            document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
+            made = registration(document, before.context).with_attempts_of(before)
+            if "expiresAt" in change:
+                refuse_past(document)
+            if "endpoint" in change:
+                await _require_open(exchange.tenant, made)
+            if {"mode", "information"} & change.keys():
+                _refuse_conflicts(exchange.tenant, made)
+            await self._keep(exchange.tenant, before, made)
+        return DONE
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """DELETE csourceRegistrations/{id}."""
+        async with self._lock:
+            before, tenant = _existing(exchange), exchange.tenant
+            gone = _deletion_of(tenant, before)
+            await _write(tenant, gone)
+            tenant.registry.remove(before.id)
+            tenant.source_notifier.deliver(gone.owed)
+        return DONE
+
+    async def retrieve(self, exchange: Exchange) -> Answer:
+        """GET csourceRegistrations/{id}."""
+        media_type, context = exchange.accept(), await exchange.reader_context()
+        sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
+        document = shown_document(_existing(exchange), context, sys_attrs=sys_attrs)
+        return answer(with_context(document, media_type, context), media_type, context)
+
+    async def search(self, exchange: Exchange) -> Answer:
+        """GET csourceRegistrations (clause 5.10.2): those concerned, each with what of it is."""
+        media_type, context = exchange.accept(), await exchange.reader_context()
+        window = window_of(exchange)
+        sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
+        search = search_of(exchange.parameters, context)
+        found = exchange.tenant.registry.concerned(search.targets, search.wants)
+        page = found[window.offset : window.offset + window.limit]
+        documents = [
+            shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
+            for one in page
+        ]
+        result = answer([with_context(one, media_type, context) for one in documents], media_type, context)
+        if window.count:
+            result.headers.append((b"ngsild-results-count", str(len(found)).encode()))
+        more = window.offset + window.limit < len(found)
+        result.headers += page_links(exchange, window, media_type, more=more)
+        return result
+
+    async def _keep(self, tenant: Tenant, before: Registration | None, made: Registration) -> None:
+        key = (Kind.REGISTRATION, tenant.name, made.id)
+        owed = notices_of_change(tenant.source_notifier, before, made)
+        await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}, owed=owed))
+        tenant.registry.put(made)
+        tenant.source_notifier.deliver(owed)
+        self._schedule_expiry(tenant, made)
+
+    def _schedule_expiry(self, tenant: Tenant, made: Registration) -> None:
+        """Take a registration away when it expires, unless it was changed meanwhile."""
+        left_s = made.expires_at_s - time.time()
+        if left_s == float("inf"):
+            return
+        loop = asyncio.get_running_loop()
+        if left_s > 0:
+            loop.call_later(min(left_s, MAX_TIMER_S), self._schedule_expiry, tenant, made)
+        elif tenant.registry.holds(made):
+            gone = _deletion_of(tenant, made)
+
+            def taken_away() -> None:
+                tenant.registry.remove_if_held(made)
+                tenant.source_notifier.deliver(gone.owed)
+
+            tenant.commits.submit(gone, taken_away, lambda _: None)
+
+
+def answer(body: Any, media_type: str, context: Context) -> Answer:
+    """Return registrations, or documents like them, as an answer."""
+    headers = json_headers(context)
+    if media_type == JSON_LD:
+        headers = [(b"content-type", JSON_LD.encode())]
+    return Answer(200, orjson.dumps(body), headers)
+
+
+def with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:
+    """Return a document as an answer of that media type has it."""
+    return {"@context": context.document, **document} if media_type == JSON_LD else document
+
+
+async def _require_open(tenant: Tenant, made: Registration) -> None:
+    """Raise a problem (400) if the source is at an address that this broker sends nothing to."""
+    host = urlsplit(made.endpoint).hostname or ""
+    await tenant.notifier.outbound.policy.require_open(host, '"endpoint"')
+
+
+def _existing(exchange: Exchange) -> Registration:
+    registration_id = require_uri(exchange.names[0], "the registration id in the path")
+    found = exchange.tenant.registry.get(registration_id)
+    if found is None:
+        raise _absent(registration_id)
+    return found
+
+
+def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
+    """Raise a problem (409) if a proxied registration would hide what is there (clauses 4.3.6.3, 5.9.2.4)."""
+    other = tenant.registry.conflicting_with(made)
+    if other is not None:
+        raise conflict(
+            f"registration {other.id} ({other.mode.name.lower()}) has some of these entities and attributes; "
+            "an exclusive source shares them with no other: delete it, or choose others"
+        )
+    if not made.mode.is_proxied:
+        return
+    for piece in made.information:
+        ids = [one.id for one in piece.entities if one.id is not None]
+        types = {kind for one in piece.entities for kind in one.types}
+        has_groups = not piece.entities or len(ids) < len(piece.entities)
+        for entity in tenant.store.candidates(
+            None if has_groups else ids, of_types(types) if types else None
+        ):
+            if claims(made, entity):
+                has = "entity" if made.mode is Mode.REDIRECT else "one of these attributes of entity"
+                raise conflict(
+                    f"the broker has the {has} {entity.id} itself, which a source in mode "
+                    f"{made.mode.name.lower()} would hide; delete it here first, or choose another mode"
+                )
+
+
+def _deletion_of(tenant: Tenant, one: Registration) -> Entries:
+    registered = (Kind.REGISTRATION, tenant.name, one.id)
+    attempts = (Kind.ATTEMPTS, tenant.name, one.id)
+    owed = notices_of_change(tenant.source_notifier, one, None)
+    return Entries(documents={registered: None, attempts: None}, owed=owed)
+
+
+async def _write(tenant: Tenant, entries: Entries) -> None:
+    try:
+        await tenant.commits.store(entries)
+    except NotStored as error:
+        raise not_stored(str(error)) from error
+
+
+def _absent(registration_id: str) -> Problem:
+    return not_found(
+        f"there is no registration {registration_id}; GET csourceRegistrations finds those there are"
+    )

@@ -1,0 +1,93 @@
+"""What askers of the registry look for: registrations by what their sources have (clause 5.10.2.4).
+
+Entities and attributes are compared with the information of a registration; filters (csf, q) with its own
+properties, places and scopes with those registered, and a time with its intervals.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from services.context_broker.api.problems import bad_request_data
+from services.context_broker.api.words import require_name, require_uri, shown
+from services.context_broker.contexts.book import Context
+from services.context_broker.entities.intake import expand
+from services.context_broker.federation.registrations.coverage import TimeRange, has_matching_place, period_of
+from services.context_broker.federation.registrations.registration import EntityTarget, Registration
+from services.context_broker.queries import geo_query
+from services.context_broker.queries.geo_query import GeoQuery
+from services.context_broker.queries.patterns import pattern
+from services.context_broker.queries.scope_query import ScopeQuery, scope_query
+from services.context_broker.queries.selection import Selection, compiled
+from services.context_broker.queries.type_selection import type_selection
+
+SEARCH_PARAMETERS: Final = geo_query.PARAMETERS | {
+    "id", "type", "idPattern", "attrs", "q", "csf", "timerel", "timeAt", "endTimeAt", "timeproperty", "scopeQ"
+}  # fmt: skip
+_ENOUGH: Final = ("id", "type", "idPattern", "attrs", "q", "csf", "georel", "scopeQ")
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """What is looked for: registrations that any of the `questions` concerns and for which the rest holds."""
+
+    targets: tuple[EntityTarget, ...]
+    filters: tuple[Selection, ...] = ()
+    period: TimeRange | None = None
+    place: GeoQuery | None = None
+    scope: ScopeQuery | None = None
+
+    def wants(self, one: Registration) -> bool:
+        """Say whether a registration that is about the right entities is among those looked for."""
+        if self.period is None:
+            if one.is_temporal:  # without a time the latest is meant
+                return False
+        elif not self.period.meets(one):
+            return False
+        return (
+            all(condition.wants(one.described) for condition in self.filters)
+            and (self.place is None or has_matching_place(self.place, one))
+            and (self.scope is None or self.scope.wants(one.scopes))
+        )
+
+    def finds(self, one: Registration) -> bool:
+        """Say whether a registration is one of those looked for, entities and all."""
+        return any(one.parts(target) for target in self.targets) and self.wants(one)
+
+
+def search_of(parameters: Mapping[str, str], context: Context) -> Search:
+    """Return what the parameters of GET csourceRegistrations look for. An empty parameter is none."""
+    given = {name: value for name, value in parameters.items() if value}
+    if not any(name in given for name in _ENOUGH):
+        raise bad_request_data(
+            f"a search for registrations has at least one of {', '.join(_ENOUGH)}; add one"
+        )
+    ids = given.get("id")
+    target = target_for(
+        None if ids is None else ids.split(","), given.get("idPattern"), given.get("type"), context
+    )
+    attrs = given.get("attrs")
+    names = None if attrs is None else frozenset(_expanded(attrs.split(","), context))
+    return Search(
+        (EntityTarget(target.ids, target.id_pattern, target.types, names),),
+        tuple(Selection(query=compiled(given[name], context)) for name in ("csf", "q") if name in given),
+        period_of(given),
+        geo_query.geo_query(given, context.terms.expand),
+        scope_query(given["scopeQ"]) if "scopeQ" in given else None,
+    )
+
+
+def target_for(ids: list[str] | None, id_pattern: Any, types: Any, context: Context) -> EntityTarget:
+    """Return the question for entities with these ids or a pattern, and of these types."""
+    if id_pattern is not None and not isinstance(id_pattern, str):
+        raise bad_request_data(f"idPattern is text, not {shown(id_pattern)}")
+    chosen = None if types is None else type_selection(types, context.terms.expand)
+    return EntityTarget(
+        ids=None if ids is None else tuple(require_uri(one, "an id of an entity") for one in ids),
+        id_pattern=None if id_pattern is None else pattern(id_pattern),
+        types=None if chosen is None or chosen.is_every else frozenset(chosen.names()),
+    )
+
+
+def _expanded(names: list[str], context: Context) -> list[str]:
+    return [expand(require_name(name, "a name in attrs"), context.terms) for name in names]

@@ -1,0 +1,47 @@
+"""Operations on subscriptions to registrations of context sources (clauses 5.11.2 to 5.11.6, 6.12, 6.13)."""
+
+from typing import Final
+
+from services.context_broker.api.operation import Operation
+from services.context_broker.federation.registrations.source_subscriptions import notices_of_all
+from services.context_broker.queries.reading import PAGE_PARAMETERS
+from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.tenants import Tenant
+from services.context_broker.subscriptions.courier_office import CourierOffice
+from services.context_broker.subscriptions.operations import SubscriptionOperations
+from services.context_broker.subscriptions.subscription import Subscription
+
+_VIEW: Final = frozenset({"options"})
+
+
+class SourceSubscriptionOperations(SubscriptionOperations):
+    """What can be done to subscriptions to registrations. Who begins one is told of all that match."""
+
+    KIND = Kind.SOURCE_SUBSCRIPTION
+    BESIDES = frozenset({"temporalQ"})
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        all_of_them, one = "csourceSubscriptions", "csourceSubscriptions/{id}"
+        return (
+            Operation(
+                "POST", all_of_them, "createCSRSubscription", "6.12.3.1", self.create, makes_tenant=True
+            ),
+            Operation("GET", all_of_them, "queryCSRSubscription", "6.12.3.2", self.list, PAGE_PARAMETERS),
+            Operation("GET", one, "retrieveCSRSubscription", "6.13.3.1", self.retrieve, _VIEW),
+            Operation("PATCH", one, "updateCSRSubscription", "6.13.3.2", self.update),
+            Operation("DELETE", one, "deleteCSRSubscription", "6.13.3.3", self.delete),
+        )
+
+    def book(self, tenant: Tenant) -> CourierOffice:
+        """Return who knows a tenant's subscriptions to registrations."""
+        return tenant.source_notifier
+
+    async def keep(self, tenant: Tenant, made: Subscription) -> None:
+        """Write a subscription together with the notification that tells of all that match."""
+        book = self.book(tenant)
+        entries = self.entries_of(tenant, made)
+        entries.owed = notices_of_all(book, tenant.registry, made)
+        await self.write(tenant, entries)
+        book.put(made)
+        book.deliver(entries.owed)

@@ -1,0 +1,198 @@
+"""Who wants to be told of context sources: of registrations that come to match, change, match no longer.
+
+Such a subscription (clause 5.11) looks like one to entities, is delivered by the same couriers, and asks what
+a search for registrations asks. What is owed is written in the same commit as the registration.
+"""
+
+import time
+from collections.abc import Mapping
+from enum import StrEnum
+from itertools import islice, takewhile
+from typing import Any
+from uuid import uuid4
+
+import orjson
+
+from services.context_broker.api.words import timestamp_now
+from services.context_broker.entities.rendering import with_context
+from services.context_broker.federation.registrations.coverage import period_of
+from services.context_broker.federation.registrations.registration import (
+    EntityTarget,
+    Registration,
+    shown_document,
+)
+from services.context_broker.federation.registrations.registration_search import Search, target_for
+from services.context_broker.federation.registrations.registry import Registry
+from services.context_broker.queries.geo_query import geo_query_document
+from services.context_broker.queries.scope_query import scope_query
+from services.context_broker.queries.selection import Selection, compiled
+from services.context_broker.storage.commits import Commits
+from services.context_broker.storage.entries import Notice
+from services.context_broker.subscriptions.courier_office import MOST_TOLD_AT_ONCE, CourierOffice
+from services.context_broker.subscriptions.outbound import Outbound
+from services.context_broker.subscriptions.periodic import Rounds
+from services.context_broker.subscriptions.subscription import JSON_LD, Subscription
+
+
+class Reason(StrEnum):
+    """Why somebody is told of a registration (clause 5.3.3)."""
+
+    NEWLY_MATCHING = "newlyMatching"
+    UPDATED = "updated"
+    NO_LONGER_MATCHING = "noLongerMatching"
+
+
+class SourceNotifier(CourierOffice):
+    """Keeps a tenant's subscriptions to registrations; those with a timeInterval are told in rounds."""
+
+    def __init__(self, tenant: str, commits: Commits, outbound: Outbound, registry: Registry) -> None:
+        super().__init__(tenant, commits, outbound)
+        self._registry = registry
+        self._rounds = Rounds(self._notify_all)
+
+    def stop(self) -> None:
+        """End; what is owed stays in the outbox."""
+        self._rounds.stop()
+        super().stop()
+
+    def turn(self, *, leads: bool) -> None:
+        """Begin with all that is owed, or leave it to another broker."""
+        super().turn(leads=leads)
+        self._rounds.heed(self.all() if leads else [])
+
+    def rearrange(self, changed: str | None = None) -> None:
+        """Go the rounds of the subscriptions as they are now."""
+        one = None if changed is None else self.get(changed)
+        if self.outbound.leadership.leads and self._rounds.concern(changed, one):
+            self._rounds.heed(self.all())
+
+    def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
+        """Return the first notices that have one reason: a notification gives one for all that it tells."""
+        reason = _reason_in(next(iter(notices)))
+        alike = takewhile(lambda one: _reason_in(one[0]) == reason, notices.items())
+        return dict(islice(alike, MOST_TOLD_AT_ONCE))
+
+    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+        """Return what to tell of registrations that changed while throttled, as each was last."""
+        documents = [orjson.Fragment(one.body[1:-1]) for one in notices.values() if one.body is not None]
+        return _notification(subscription, documents, _reason_in(next(iter(notices))))
+
+    async def _notify_all(self, subscription: Subscription) -> None:
+        worker = self._couriers.get(subscription.id)
+        notices = notices_of_all(self, self._registry, subscription)
+        if worker is not None and notices:
+            worker.offer([one.body for one in notices if one.body is not None])
+
+
+def search_of(subscription: Subscription) -> Search:
+    """Return which registrations a subscription is about.
+
+    `q` is about entities, which a registry does not know; `csf` is what asks for a source's properties. Which
+    attributes a source has matters where both those that are watched and those that are told are named: who
+    names none of either may be told of any (clauses 5.11.2.4 and 5.12).
+    """
+    document, context = subscription.document, subscription.context
+    watched, shown = document.get("watchedAttributes"), document["notification"].get("attributes")
+    names = frozenset((*watched, *shown)) if watched and shown else None
+    selectors: list[dict[str, Any]] = document.get("entities") or [{}]
+    targets = [
+        target_for(
+            [selector["id"]] if isinstance(selector.get("id"), str) else selector.get("id"),
+            selector.get("idPattern"),
+            selector.get("type"),
+            context,
+        )
+        for selector in selectors
+    ]
+    place = document.get("geoQ")
+    return Search(
+        tuple(EntityTarget(one.ids, one.id_pattern, one.types, names) for one in targets),
+        (Selection(query=compiled(document["csf"], context)),) if "csf" in document else (),
+        period_of(document.get("temporalQ") or {}),
+        None if place is None else geo_query_document(place, context.terms.expand),
+        scope_query(document["scopeQ"]) if "scopeQ" in document else None,
+    )
+
+
+def notices_of_change(
+    book: CourierOffice, before: Registration | None, after: Registration | None
+) -> list[Notice]:
+    """Return what a change of a registration owes to those who want to be told of it (clause 5.11.7)."""
+    now_s = time.time()
+    owed: list[Notice] = []
+    for subscription in book.all():
+        if subscription.interval_s is not None or not subscription.is_active(now_s):
+            continue
+        search = search_of(subscription)
+        matched = before is not None and search.finds(before)
+        matches = after is not None and search.finds(after)
+        reason = _reason(matched=matched, matches=matches)
+        documents = after if matches else before
+        if reason is not None and documents is not None:
+            owed += _notices(book, subscription, search, [documents], reason)
+    return owed
+
+
+def notices_of_all(book: CourierOffice, registry: Registry, subscription: Subscription) -> list[Notice]:
+    """Return what is owed to a new subscription: all that match, or nothing if none does."""
+    search = search_of(subscription)  # what cannot be asked is refused, also of one that is paused
+    if not subscription.is_active(time.time()):
+        return []
+    found = registry.concerned(search.targets, search.wants)
+    return _notices(book, subscription, search, found, Reason.NEWLY_MATCHING)
+
+
+def _reason(*, matched: bool, matches: bool) -> Reason | None:
+    if matches:
+        return Reason.UPDATED if matched else Reason.NEWLY_MATCHING
+    return Reason.NO_LONGER_MATCHING if matched else None
+
+
+def _notices(
+    book: CourierOffice, subscription: Subscription, search: Search, found: list[Registration], reason: Reason
+) -> list[Notice]:
+    now_s = time.time()
+    documents = [
+        shown_document(
+            one,
+            subscription.context,
+            sys_attrs=subscription.view.sys_attrs,
+            pieces=one.relevant(search.targets),
+        )
+        for one in found
+    ]
+    if subscription.throttling_s:
+        return [
+            Notice(book.tenant, subscription.id, f"{reason.value} {one.id}", now_s, orjson.dumps([document]))
+            for one, document in zip(found, documents, strict=True)
+        ]
+    return [
+        Notice(
+            book.tenant,
+            subscription.id,
+            subscription.id,
+            now_s,
+            _notification(subscription, documents[start : start + MOST_TOLD_AT_ONCE], reason.value),
+        )
+        for start in range(0, len(documents), MOST_TOLD_AT_ONCE)
+    ]
+
+
+def _reason_in(entity: str) -> str:
+    """Return the reason of a notice that waits for throttling; it stands before the registration's id."""
+    return entity.partition(" ")[0]
+
+
+def _notification(subscription: Subscription, data: list[Any], reason: str) -> bytes:
+    """Return a notification (clause 5.3.2)."""
+    body = orjson.dumps(
+        {
+            "id": f"urn:ngsi-ld:ContextSourceNotification:{uuid4()}",
+            "type": "ContextSourceNotification",
+            "subscriptionId": subscription.id,
+            "notifiedAt": timestamp_now(),
+            "triggerReason": reason,
+            "data": data,
+        }
+    )
+    return with_context(body, subscription.context) if subscription.endpoint.accept == JSON_LD else body

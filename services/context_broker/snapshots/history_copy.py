@@ -1,0 +1,52 @@
+"""The past in a snapshot: what a temporal query finds, sources included, written as its own past."""
+
+from collections.abc import Awaitable, Callable
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.api.exchange import JSON_LD, Answer, Exchange
+from services.context_broker.federation.distribution.distributed_operations import derived
+from services.context_broker.snapshots.snapshot import Status, details
+from services.context_broker.storage.tenants import Tenant
+
+PAGE: Final = 100
+"""Evolutions that are read at once; each may have a thousand instances of every attribute."""
+MAX_EVOLUTIONS: Final = 20_000
+"""Evolutions in one snapshot; what goes beyond is left out, and the snapshot is partial."""
+EVERYTHING: Final = {
+    "type": "Query",
+    "temporalQ": {"timerel": "after", "timeAt": "1970-01-01T00:00:00Z", "timeproperty": "createdAt"},
+}
+
+PerformByName = Callable[[str, Exchange], Awaitable[Answer]]
+"""Carries an operation out by its name, sources included."""
+
+
+async def copy_history(perform: PerformByName, exchange: Exchange, inner: Tenant) -> dict[str, Any]:
+    """Copy what a temporal query (the body of `exchange`) finds; return what became of it (clause 5.2.42)."""
+    headers = {name: value for name, value in exchange.headers.items() if name != b"link"}
+    writing_headers = {**headers, b"content-type": JSON_LD.encode()}
+    found, is_partial = 0, False
+    while found < MAX_EVOLUTIONS:
+        parameters = {**exchange.parameters, "limit": str(PAGE), "offset": str(found)}
+        asking = {**exchange.headers, b"accept": JSON_LD.encode()}
+        answer = await perform("queryTemporalBatch", derived(exchange, parameters=parameters, headers=asking))
+        if answer.status >= 300:
+            return {"resultStatus": Status.FAILURE.value, "problemDetails": orjson.loads(answer.body)}
+        # 206: an evolution has more instances than are told at once; the oldest or newest of them are there.
+        is_partial |= answer.status == 206 or any(name == b"ngsild-warning" for name, _ in answer.headers)
+        page = orjson.loads(answer.body)
+        for one in page:
+            writing = derived(
+                exchange, tenant=inner, raw=orjson.dumps(one), parameters={}, headers=writing_headers
+            )
+            await perform("upsertTemporal", writing)
+        found += len(page)
+        if len(page) < PAGE:
+            break
+    else:
+        is_partial = True
+    if is_partial:
+        return details(Status.PARTIAL)
+    return details(Status.SUCCESS if found else Status.EMPTY)

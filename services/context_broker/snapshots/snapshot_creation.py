@@ -1,0 +1,224 @@
+"""Making a snapshot: its queries are carried out as any query is, what they find is gathered (5.16.1.4).
+
+A snapshot is made after its creation has been answered, and who made it looks at its status until it is no
+longer `preparing`. So whatever goes wrong ends in `failure`, with the reason at each query that it concerns.
+"""
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from handover.telemetry import get_logger
+from services.context_broker.api.exchange import JSON, Answer, Exchange
+from services.context_broker.api.operation import Operation
+from services.context_broker.api.problems import ERRORS, not_stored, too_many_results, went_wrong
+from services.context_broker.federation.distribution.distributed_operations import derived
+from services.context_broker.queries.query_document import query_parameters, selectors_of
+from services.context_broker.queries.reading import selection_of
+from services.context_broker.queries.selection import hits_of
+from services.context_broker.snapshots.content import SnapshotContent, write_content
+from services.context_broker.snapshots.history_copy import EVERYTHING, PerformByName, copy_history
+from services.context_broker.snapshots.snapshot import (
+    MAX_ENTITIES,
+    PAST,
+    PRESENT,
+    QUERIES,
+    Snapshot,
+    Status,
+    details,
+    status_of,
+)
+from services.context_broker.snapshots.snapshot_store import SnapshotStore
+from services.context_broker.storage.journal import NotStored
+from services.context_broker.storage.tenants import Tenant, Tenants
+
+log = get_logger(__name__)
+
+HEADER: Final = b"ngsild-snapshot"
+_INTERRUPTED: Final = Problem(
+    500,
+    "Internal error",
+    "the broker ended while it was making this snapshot; delete it, and make it again with POST snapshots",
+    ERRORS + "InternalError",
+)
+
+CarryOut = Callable[[Operation, Exchange], Awaitable[Answer]]
+"""Carries an operation out, sources included."""
+
+
+class SnapshotCreator:
+    """Makes snapshots, in their own time."""
+
+    def __init__(
+        self, tenants: Tenants, snapshots: SnapshotStore, carry_out: CarryOut, by_name: PerformByName
+    ) -> None:
+        self._tenants = tenants
+        self._snapshots = snapshots
+        self._carry_out = carry_out
+        self._by_name = by_name
+        self._running: set[tuple[str, str]] = set()
+
+    def start(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
+        """Begin to carry the queries of a snapshot out; `context` is the @context they were sent with."""
+        self._start(exchange.tenant, made, self._fill(exchange, made, context))
+
+    def start_copy(self, exchange: Exchange, original: Snapshot, made: Snapshot) -> None:
+        """Begin to copy what is in another snapshot."""
+        self._start(exchange.tenant, made, self._copy(exchange, original, made))
+
+    def fail_interrupted(self) -> None:
+        """Note that what nobody makes any more has failed: the broker that made it has ended.
+
+        Another one that shares the database and is still at it says the last word when it is done.
+        """
+        for tenant in self._tenants:
+            for one in list(tenant.snapshots.values()):
+                if one.status is Status.PREPARING and (tenant.name, one.id) not in self._running:
+                    failed = one.failed(_INTERRUPTED)
+                    self._snapshots.publish(tenant, failed)
+                    self._snapshots.later(self._record_failure(tenant, failed))
+
+    def _start(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
+        self._running.add((tenant.name, made.id))
+        self._snapshots.later(self._run(tenant, made, work))
+
+    async def _run(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
+        try:
+            await work
+        except Exception as error:  # whatever it is: who waits for the snapshot must not wait for ever
+            log.exception("a snapshot could not be made", snapshot=made.id)
+            problem = error if isinstance(error, Problem) else went_wrong(error, "making the snapshot")
+            await self._fail(tenant, made, problem)
+        finally:
+            self._running.discard((tenant.name, made.id))
+
+    async def _fail(self, tenant: Tenant, made: Snapshot, problem: Problem) -> None:
+        now = tenant.snapshots.get(made.id)
+        if now is None:  # it was deleted while it was being made
+            await self._snapshots.clear(self._tenants.inside(tenant, made.id))
+            return
+        failed = now.failed(problem)
+        self._snapshots.publish(tenant, failed)  # readers are told even where the disk takes no word of it
+        await self._record_failure(tenant, failed)
+
+    async def _record_failure(self, tenant: Tenant, failed: Snapshot) -> None:
+        """Keep it that a snapshot has failed; nothing stays of what was made of it."""
+        async with self._snapshots.lock:
+            if tenant.snapshots.get(failed.id) is failed:
+                await self._snapshots.keep(tenant, failed, notify=True)
+                await self._snapshots.clear(self._tenants.inside(tenant, failed.id))
+
+    async def _fill(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
+        """Carry the queries out and keep what they find (clause 5.16.1.4)."""
+        tenant, content = exchange.tenant, SnapshotContent()
+        results: dict[str, list[dict[str, Any]]] = {}
+        for query in made.document.get(PRESENT, ()):
+            result = await result_of(
+                collect_hits(self._carry_out, query_exchange(exchange, query, context), content)
+            )
+            results.setdefault(f"{PRESENT}Details", []).append(result)
+        await self._write(tenant, made, content)
+        inner = self._tenants.inside(tenant, made.id)
+        for query in made.document.get(PAST, ()):
+            result = await result_of(
+                copy_history(self._by_name, query_exchange(exchange, query, context), inner)
+            )
+            results.setdefault(f"{PAST}Details", []).append(result)
+        await self._finish(tenant, made, results)
+
+    async def _copy(self, exchange: Exchange, original: Snapshot, made: Snapshot) -> None:
+        tenant, content = exchange.tenant, SnapshotContent()
+        content.add(self._tenants.inside(tenant, original.id).store.candidates(), None)
+        await self._write(tenant, made, content)
+        names = [f"{name}Details" for name in QUERIES]
+        results = {name: original.document[name] for name in names if name in original.document}
+        if PAST in original.document:
+            everything = derived(
+                query_exchange(exchange, EVERYTHING, None),
+                tenant=self._tenants.inside(tenant, original.id),
+                parameters={"local": "true"},
+            )
+            await copy_history(self._by_name, everything, self._tenants.inside(tenant, made.id))
+        await self._finish(tenant, made, results)
+
+    async def _write(self, tenant: Tenant, made: Snapshot, content: SnapshotContent) -> None:
+        """Write the entities of a snapshot, and make room for them. Raises a problem (507) if it cannot."""
+        async with self._snapshots.lock:
+            await self._snapshots.evict_for(tenant, made, len(content.entities))
+        try:
+            await write_content(self._tenants.inside(tenant, made.id), content)
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+
+    async def _finish(
+        self, tenant: Tenant, made: Snapshot, results: Mapping[str, list[dict[str, Any]]]
+    ) -> None:
+        status = status_of([one for several in results.values() for one in several])
+        async with self._snapshots.lock:
+            now = tenant.snapshots.get(made.id)
+            if now is None:  # it was deleted while it was being made
+                await self._snapshots.clear(self._tenants.inside(tenant, made.id))
+                return
+            await self._snapshots.keep(
+                tenant, now.changed(snapshotStatus=status.value, **results), notify=True
+            )
+
+
+def query_exchange(exchange: Exchange, query: Mapping[str, Any], context: Any) -> Exchange:
+    """Return the exchange that carries a query of a snapshot out, in the names of whoever makes it."""
+    headers = {name: value for name, value in exchange.headers.items() if name not in {HEADER, b"accept"}}
+    if context is None:
+        headers[b"content-type"] = JSON.encode()
+        return derived(exchange, raw=orjson.dumps(query), parameters={}, headers=headers)
+    document = {**query, "@context": context}
+    return derived(exchange, raw=orjson.dumps(document), parameters={}, headers=headers)
+
+
+async def result_of(query: Awaitable[dict[str, Any]]) -> dict[str, Any]:
+    """Return what became of a query (clause 5.2.42), whatever that is: the others are carried out still."""
+    try:
+        return await query
+    except Problem as problem:
+        return details(Status.FAILURE, problem)
+    except Exception as error:  # as said
+        log.exception("a query of a snapshot failed")
+        return details(Status.FAILURE, went_wrong(error, "carrying out the query"))
+
+
+async def collect_hits(carry_out: CarryOut, exchange: Exchange, content: SnapshotContent) -> dict[str, Any]:
+    """Add what a query finds to the content; return what became of the query.
+
+    Of one that fails nothing stays.
+    """
+    before = len(content.entities)
+    count = 0
+
+    async def collect(over: Exchange) -> Answer:
+        nonlocal count
+        document, context = await over.body()
+        any_of = selectors_of(document, context)
+        selection = selection_of(query_parameters(document), context, any_of)
+        hits = await hits_of(over.tenant.store, selection, MAX_ENTITIES + 1)
+        count = len(hits)
+        content.add(hits, selection.attributes)
+        return Answer(200)
+
+    try:
+        answer = await carry_out(Operation("POST", "", "queryBatch", "", collect), exchange)
+    except Exception:
+        content.keep_only(before)
+        raise
+    if len(content.entities) > MAX_ENTITIES:
+        content.keep_only(before)
+        return details(
+            Status.FAILURE,
+            too_many_results(f"a snapshot has {MAX_ENTITIES} entities at most; ask for fewer"),
+        )
+    if answer.status >= 300:
+        content.keep_only(before)
+        return {"resultStatus": Status.FAILURE.value, "problemDetails": orjson.loads(answer.body)}
+    if any(name == b"ngsild-warning" for name, _ in answer.headers):
+        return details(Status.PARTIAL)
+    return details(Status.SUCCESS if count else Status.EMPTY)

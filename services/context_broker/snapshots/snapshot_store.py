@@ -1,0 +1,139 @@
+"""Keeping snapshots: on disk and in memory until their end, so many of a tenant at most, and told of.
+
+What is written of a snapshot and what is to be told of it go into one commit.
+"""
+
+import asyncio
+import time
+from collections.abc import Coroutine
+from typing import Any, Final
+
+from handover.telemetry import get_logger
+from services.context_broker.api.problems import not_stored
+from services.context_broker.api.words import timestamp_now
+from services.context_broker.snapshots.content import deletion_entries
+from services.context_broker.snapshots.snapshot import MAX_SNAPSHOTS, MAX_TOTAL_ENTITIES, Snapshot
+from services.context_broker.snapshots.snapshot_notifications import SnapshotNotifier, notification_of
+from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.journal import NotStored
+from services.context_broker.storage.tenants import DEFAULT, Tenant, Tenants
+
+log = get_logger(__name__)
+
+MAX_TIMER_S: Final = 86400.0
+
+
+class SnapshotStore:
+    """Keeps the snapshots of all tenants. Who changes one holds `one_at_a_time`."""
+
+    def __init__(self, tenants: Tenants) -> None:
+        self._tenants = tenants
+        self.notifier = SnapshotNotifier(tenants)
+        self.lock = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def stop(self) -> None:
+        """End all work on snapshots; what is unfinished has failed at the next start."""
+        for task in self._tasks:
+            task.cancel()
+        self.notifier.stop()
+
+    def later(self, work: Coroutine[Any, Any, None]) -> None:
+        """Have something done that nobody waits for."""
+        task: asyncio.Task[None] = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._on_end)
+
+    def schedule_expiry(self, tenant: Tenant, one: Snapshot) -> None:
+        """Take a snapshot away when it expires, unless it was changed meanwhile."""
+        if tenant.snapshots.get(one.id) is not one:
+            return
+        left_s = one.expires_s - time.time()
+        if left_s > 0:
+            loop = asyncio.get_running_loop()
+            loop.call_later(min(left_s, MAX_TIMER_S), self.schedule_expiry, tenant, one)
+        elif self._tenants.leadership.leads:
+            self.later(self._end(tenant, one))
+
+    async def keep(self, tenant: Tenant, one: Snapshot, *, notify: bool = False) -> None:
+        """Keep a snapshot as it is now. Raises a problem (507) if the disk does not take it."""
+        notification = notification_of(tenant.name, one) if notify else None
+        kept = entries(tenant, one)
+        if notification is not None:
+            kept.documents[notification.key] = notification.stored()
+        await _write(tenant, kept)
+        self.publish(tenant, one)
+        if notification is not None:
+            self.notifier.add(notification)
+
+    def publish(self, tenant: Tenant, one: Snapshot) -> None:
+        """Have readers see a snapshot as it is now."""
+        tenant.snapshots[one.id] = one
+        self.schedule_expiry(tenant, one)
+
+    async def remove(self, tenant: Tenant, one: Snapshot) -> None:
+        """Delete a snapshot and all that belongs to it; who is told of it is told so (clause 5.16.6)."""
+        gone = Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): None})
+        notification = notification_of(tenant.name, one.changed(expiresAt=timestamp_now()))
+        if notification is not None:
+            gone.documents[notification.key] = notification.stored()
+        await _write(tenant, gone)
+        tenant.snapshots.pop(one.id, None)
+        await self.clear(self._tenants.inside(tenant, one.id))
+        if notification is not None:
+            self.notifier.add(notification)
+
+    async def clear(self, inner: Tenant) -> None:
+        """Take all that belongs to a snapshot off the disk."""
+        departed = await asyncio.to_thread(lambda: list(inner.notifier.journal.archive.departed(inner.name)))
+        for each in deletion_entries(inner, [(place, one) for place, one, _ in departed]):
+            await _write(inner, each)
+        if inner.is_kept:
+            await _write(inner, Entries(documents={(Kind.TENANT, DEFAULT, inner.name): None}))
+        self._tenants.drop(inner.name)
+
+    async def evict_for_one(self, tenant: Tenant) -> None:
+        """Take away what is in excess of the snapshots of a tenant, with the one that is to come."""
+        for one in _by_worth(tenant)[: max(0, len(tenant.snapshots) + 1 - MAX_SNAPSHOTS)]:
+            await self.remove(tenant, one)
+
+    async def evict_for(self, tenant: Tenant, made: Snapshot, more: int) -> None:
+        """Take away the snapshots that have to go so that there is room for more entities in another."""
+        others = [one for one in _by_worth(tenant) if one.id != made.id]
+        sizes = [len(self._tenants.inside(tenant, one.id).store) for one in others]
+        held, gone = more + sum(sizes), 0
+        while held > MAX_TOTAL_ENTITIES and gone < len(others):
+            held -= sizes[gone]
+            gone += 1
+        for one in others[:gone]:
+            await self.remove(tenant, one)
+
+    async def _end(self, tenant: Tenant, one: Snapshot) -> None:
+        async with self.lock:
+            if tenant.snapshots.get(one.id) is one:
+                await self.remove(tenant, one)
+
+    def _on_end(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("work on a snapshot failed", exc_info=error)
+
+
+def entries(tenant: Tenant, one: Snapshot) -> Entries:
+    """Return what keeps a snapshot."""
+    return Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): one.stored()})
+
+
+def _by_worth(tenant: Tenant) -> list[Snapshot]:
+    """Return the snapshots, those first that have to go first when there are too many."""
+    return sorted(
+        tenant.snapshots.values(),
+        key=lambda one: (one.document["snapshotPriority"], one.document["lastUsedAt"]),
+    )
+
+
+async def _write(tenant: Tenant, some: Entries) -> None:
+    try:
+        await tenant.commits.store(some)
+    except NotStored as error:
+        raise not_stored(str(error)) from error

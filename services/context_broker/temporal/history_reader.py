@@ -1,0 +1,402 @@
+"""The chronicle: how entities have been, read from history and narrowed to what is asked for.
+
+Everything here runs in a thread of its own, over the database's own connections, so that a long look back
+holds nobody up. What is kept in memory at a time is bounded, however long the history is.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
+from typing import Any, Final
+
+from services.context_broker.api.problems import too_many_results
+from services.context_broker.api.words import has_expired
+from services.context_broker.entities.entity import SAYS, Entity, Instance
+from services.context_broker.queries.scope_query import ScopeQuery
+from services.context_broker.temporal.aggregation import Aggregation, Total, periods, totals
+from services.context_broker.temporal.archive import Archive
+from services.context_broker.temporal.history import SCOPE, Change, instance_id, micros_of
+from services.context_broker.temporal.query import TemporalQuery
+from services.context_broker.temporal.subjects import Subject
+
+MAX_INSTANCES_PER_ATTRIBUTE: Final = 1000
+"""Instances of one attribute (with one datasetId) in an answer; more are asked for with the next request."""
+MAX_INSTANCES_PER_ANSWER: Final = 20_000
+"""Instances in an answer."""
+MAX_COMPARED_INSTANCES: Final = 50_000
+"""Instances of one attribute that a query by values looks at; so many fit into memory."""
+MAX_AGGREGATED_VALUES: Final = 2_000_000
+"""Values of one attribute that are aggregated at once."""
+ENTITIES_PER_READ: Final = 100
+"""Entities whose history is read with one question to the database."""
+
+Predicate = Callable[[Entity], bool]
+Scopes = Sequence[str]
+Point = tuple[int, int, Any]
+"""A time in microseconds since 1970, the seq of the change, and an instance or what it says."""
+
+
+class Series:
+    """What one attribute, with one datasetId, has said: the first points of it, or the `latest` ones."""
+
+    __slots__ = ("dataset", "edge", "kind", "latest", "most", "points", "totals")
+
+    def __init__(self, kind: str, dataset: str | None, most: int, *, latest: bool) -> None:
+        self.kind = kind
+        self.dataset = dataset
+        self.points: list[Point] = []
+        self.most = most
+        self.latest = latest
+        self.edge: int | None = None
+        """The time of the last point kept, where there were more."""
+        self.totals: list[Total] = []
+        """What the points come to, period by period, if that was asked for; then the points are gone."""
+
+    def takes(self, at: int) -> bool:
+        """Say whether a point of that time is among those that are kept."""
+        return self.edge is None or (at >= self.edge if self.latest else at <= self.edge)
+
+    def add(self, point: Point) -> None:
+        """Add a point."""
+        self.points.append(point)
+        if len(self.points) > 2 * self.most:
+            self.trim()
+
+    def trim(self) -> None:
+        """Sort by time and keep `most` points, and those of the same time as the last of them."""
+        points = self.points
+        points.sort(key=_by_time)
+        if len(points) <= self.most:
+            return
+        edge = points[-self.most][0] if self.latest else points[self.most - 1][0]
+        before = len(points)
+        self.keep_to(edge)
+        if len(self.points) < before:
+            self.edge = edge
+
+    def keep_to(self, edge: int) -> None:
+        """Keep what is not beyond `edge`."""
+        latest = self.latest
+        self.points = [point for point in self.points if (point[0] >= edge if latest else point[0] <= edge)]
+
+
+@dataclass(slots=True)
+class Evolution:
+    """How a subject has been: by attribute (IRI, or `SCOPE`) a series for each datasetId."""
+
+    subject: Subject
+    series: dict[str, dict[str | None, Series]] = field(default_factory=dict)
+    is_hit: bool = False
+    """Whether there is anything of what must be there, in the time asked for."""
+
+    def all(self) -> Iterator[Series]:
+        """Yield every series."""
+        for named in self.series.values():
+            yield from named.values()
+
+    def as_entity(self) -> Entity:
+        """Return an entity that holds all instances at once, for questions to be put to it."""
+        attributes: dict[str, list[Instance]] = {
+            name: [one for series in named.values() for _, _, one in series.points if "deletedAt" not in one]
+            for name, named in self.series.items()
+            if name != SCOPE
+        }
+        return replace(self.subject.as_entity(), attributes=attributes)
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryRequest:
+    """What is asked. `wants` is put to an entity of all its instances; None takes all that have any.
+
+    `shows` says which attributes (IRIs, or `SCOPE`) are told of; one of those that it `requires` must be
+    there (None for any); `datasets` are the wanted instances by datasetId (None for all).
+    """
+
+    query: TemporalQuery
+    shows: Callable[[str], bool]
+    requires: frozenset[str] | None = None
+    datasets: frozenset[str | None] | None = None
+    wants: Predicate | None = None
+    scopes: ScopeQuery | None = None
+    """Which scopes a subject must have had at some time of the window."""
+
+
+@dataclass(slots=True)
+class EvolutionPage:
+    """What has been found: a page of evolutions, and the time `edge` up to which (or from which) it tells."""
+
+    evolutions: list[Evolution] = field(default_factory=list)
+    more: bool = False
+    total: int = 0
+    edge: int | None = None
+
+
+def read_evolution(archive: Archive, subject: Subject, request: HistoryRequest) -> EvolutionPage:
+    """Return how one subject has been. Raises `NotStored` when the disk cannot be read."""
+    (evolution,) = _read(archive, [subject], request)
+    found = EvolutionPage([evolution], total=1)
+    _finish(found, request)
+    return found
+
+
+def read_evolutions(
+    archive: Archive,
+    subjects: Sequence[Subject],
+    request: HistoryRequest,
+    offset: int,
+    limit: int,
+    *,
+    count: bool,
+) -> EvolutionPage:
+    """Return how those of `subjects` have been that the question wants, a page of them.
+
+    Raises `NotStored` when the disk cannot be read.
+    """
+    found = EvolutionPage()
+    for subjects_of_run in _runs(subjects):
+        run = _in_scope(archive, subjects_of_run, request)
+        if not run:
+            continue
+        for evolution in _read(archive, run, request):
+            if not evolution.is_hit or not (request.wants is None or request.wants(evolution.as_entity())):
+                continue
+            found.total += 1
+            if offset < found.total <= offset + limit:
+                found.evolutions.append(evolution)
+                _finish(found, request)
+            elif found.total > offset + limit:
+                found.more = True
+                if not count:
+                    return found
+    return found
+
+
+def _in_scope(archive: Archive, run: list[Subject], request: HistoryRequest) -> list[Subject]:
+    """Return those subjects of a run that had the scopes asked for at some time of the window (4.19)."""
+    wanted = request.scopes
+    if wanted is None:
+        return run
+    # Scopes that were only told of the past, without a time, hold for all of it.
+    timeless = {place for subject in run if subject.is_temporal_only for place in subject.places}
+    changes: dict[int, list[tuple[int, Scopes]]] = {}
+    for place, seq, _, body in archive.history([place for subject in run for place in subject.places]):
+        if not Change.may_set_scopes(body):
+            continue
+        for name, _, instance in Change.restored(body).instances(seq):
+            if name == SCOPE:
+                observed, value = instance.get("observedAt"), instance["value"]
+                at = micros_of(observed) if observed is not None else 0 if place in timeless else seq
+                changes.setdefault(place, []).append((at, (value,) if isinstance(value, str) else value))
+    return [
+        subject
+        for subject in run
+        if any(
+            wanted.wants(scopes)
+            for scopes in _scopes_of_window(
+                [change for place in subject.places for change in changes.get(place, ())],
+                subject.scopes,
+                request.query,
+            )
+        )
+    ]
+
+
+def _scopes_of_window(
+    changes: list[tuple[int, Scopes]], present: Scopes, query: TemporalQuery
+) -> Iterator[Scopes]:
+    """Yield the scopes at the start of the window, and after each change within it.
+
+    History knows of no change where all that is kept is younger than the scopes: they were `present` then.
+    """
+    current: Scopes = () if changes else present
+    changes.sort(key=itemgetter(0))
+    for at, scopes in changes:
+        if query.end is not None and at >= query.end:
+            break
+        if query.start is not None and at <= query.start:
+            current = scopes
+        else:
+            yield scopes
+    yield current
+
+
+def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
+    """Yield subjects in pieces that one question can read: many of rising places, or one of many places."""
+    run: list[Subject] = []
+    for subject in subjects:
+        alone = len(subject.places) > 1
+        if run and (alone or len(run) >= ENTITIES_PER_READ or subject.places[0] < run[-1].places[0]):
+            yield run
+            run = []
+        if alone:
+            yield [subject]
+        else:
+            run.append(subject)
+    if run:
+        yield run
+
+
+def _read(archive: Archive, run: Sequence[Subject], request: HistoryRequest) -> Iterator[Evolution]:
+    """Yield the evolution of each subject as soon as its rows are read: only one is in memory at a time."""
+    rest = iter(run)
+    query = request.query
+    evolution = Evolution(next(rest))
+    places = [place for subject in run for place in subject.places]
+    condition, values = query.condition()
+    bare = query.aggregation is not None and request.wants is None
+    now_s = time.time()
+    # The latest first where they are wanted: the others are then known by their time alone. Rows of several
+    # places would have to be sorted for that.
+    rows = archive.history(
+        places, condition, values, latest_first=query.last is not None and len(places) == 1
+    )
+    ends_early = query.last is None and request.wants is None and query.aggregation is None
+    edge: int | None = None
+    for place, seq, observed_from, body in rows:
+        while place not in evolution.subject.places:
+            yield _sorted(evolution)
+            evolution, edge = Evolution(next(rest)), None
+        if edge is not None and query.is_later(edge, seq, observed_from):
+            continue  # an answer ends at the same time for all attributes
+        for name, position, instance in Change.restored(body).instances(seq):
+            at = query.time_of(instance, is_scope=name == SCOPE)
+            # Of an attribute of a current entity it is the end that is told: its past stays (clause 4.22).
+            if evolution.subject.is_temporal_only and has_expired(instance.get("expiresAt"), now_s):
+                continue
+            if at is None or (series := _series_for(evolution, name, instance, request)) is None:
+                continue
+            if series.takes(at):
+                instance["instanceId"] = instance_id(place, seq, position)
+                series.add((at, seq, instance[SAYS[instance["type"]]] if bare else instance))
+                if ends_early and series.edge is not None:
+                    edge = series.edge if edge is None else min(edge, series.edge)
+    yield _sorted(evolution)
+    for subject in rest:
+        yield Evolution(subject)
+
+
+def _series_for(
+    evolution: Evolution, name: str, instance: Instance, request: HistoryRequest
+) -> Series | None:
+    """Return the series that an instance belongs to, None if it is not wanted."""
+    dataset: str | None = instance.get("datasetId")
+    if request.datasets is not None and name != SCOPE and dataset not in request.datasets:
+        return None
+    if request.query.aggregation is not None and "deletedAt" in instance:
+        return None
+    if request.requires is None or name in request.requires:
+        evolution.is_hit = True
+    if request.wants is None and not request.shows(name):
+        return None
+    named = evolution.series.get(name)
+    if named is None:
+        named = evolution.series[name] = {}
+    series = named.get(dataset)
+    if series is None:
+        most, latest = _bound(request)
+        series = named[dataset] = Series(instance["type"], dataset, most, latest=latest)
+    elif request.query.last is None:
+        series.kind = instance["type"]  # that of the latest
+    return series
+
+
+def _sorted(evolution: Evolution) -> Evolution:
+    for series in evolution.all():
+        series.trim()
+    return evolution
+
+
+def _bound(request: HistoryRequest) -> tuple[int, bool]:
+    """Return how many points of a series are read, and whether they are the latest ones."""
+    query = request.query
+    latest = query.last is not None
+    if query.aggregation is not None:
+        most = MAX_AGGREGATED_VALUES if request.wants is None else MAX_COMPARED_INSTANCES
+    else:
+        most = MAX_INSTANCES_PER_ATTRIBUTE if request.wants is None else MAX_COMPARED_INSTANCES
+    return (min(most, query.last), True) if query.last is not None else (most, latest)
+
+
+def _finish(found: EvolutionPage, request: HistoryRequest) -> None:
+    """Narrow the evolution that was read last to what is shown, and all of them to what fits an answer."""
+    evolution = found.evolutions[-1]
+    evolution.series = {name: named for name, named in evolution.series.items() if request.shows(name)}
+    last = request.query.last
+    latest = last is not None
+    if request.query.aggregation is not None:
+        _aggregate(found, evolution, request, request.query.aggregation)
+        return
+    for series in evolution.all():
+        series.most = min(MAX_INSTANCES_PER_ATTRIBUTE, last or MAX_INSTANCES_PER_ATTRIBUTE)
+        series.trim()
+        if last is not None and last <= MAX_INSTANCES_PER_ATTRIBUTE:
+            series.points = series.points[-last:]
+        elif series.edge is not None:
+            _narrow(found, series.edge, latest=latest)
+    all_series = [series for one in found.evolutions for series in one.all()]
+    _keep(all_series, found.edge)
+    if sum(len(series.points) for series in all_series) > MAX_INSTANCES_PER_ANSWER:
+        times = sorted(at for series in all_series for at, _, _ in series.points)
+        _narrow(
+            found,
+            times[-MAX_INSTANCES_PER_ANSWER] if latest else times[MAX_INSTANCES_PER_ANSWER - 1],
+            latest=latest,
+        )
+        _keep(all_series, found.edge)
+
+
+def _aggregate(
+    found: EvolutionPage, evolution: Evolution, request: HistoryRequest, wanted: Aggregation
+) -> None:
+    """Make of each series what it comes to, in periods from the time asked for, or from the first point, on.
+
+    There are at most `MOST_OF_ATTRIBUTE` periods in an answer; the edge is where the first one begins that is
+    left out.
+    """
+    evolution.series.pop(SCOPE, None)
+    query, last = request.query, request.query.last
+    _require_all(evolution, request)
+    times = [series.points[end][0] for series in evolution.all() if series.points for end in (0, -1)]
+    if not times:
+        return
+    origin = min(times) if query.start is None else query.start
+    until = max(times) if query.end is None else query.end
+    for series in evolution.all():
+        points = series.points if last is None else series.points[-last:]
+        said = [(at, one[SAYS[one["type"]]] if request.wants is not None else one) for at, _, one in points]
+        series.points = []
+        found_periods = periods(said, wanted.period, origin, until)
+        if len(found_periods) > MAX_INSTANCES_PER_ATTRIBUTE:
+            _narrow(found, found_periods[MAX_INSTANCES_PER_ATTRIBUTE].start, latest=False)
+        series.totals = totals(found_periods[:MAX_INSTANCES_PER_ATTRIBUTE], series.kind, wanted.methods)
+    for one in found.evolutions:
+        for series in one.all():
+            if found.edge is not None:
+                series.totals = [total for total in series.totals if total.start < found.edge]
+
+
+def _narrow(found: EvolutionPage, edge: int, *, latest: bool) -> None:
+    if found.edge is None:
+        found.edge = edge
+    else:
+        found.edge = max(found.edge, edge) if latest else min(found.edge, edge)
+
+
+def _keep(all_series: Iterable[Series], edge: int | None) -> None:
+    if edge is not None:
+        for series in all_series:
+            series.keep_to(edge)
+
+
+def _require_all(evolution: Evolution, request: HistoryRequest) -> None:
+    last = request.query.last
+    for series in evolution.all():
+        if series.edge is not None and (last is None or series.most < last):
+            raise too_many_results(
+                f"there are more than {series.most} instances of an attribute of {evolution.subject.id} to "
+                "aggregate; ask for a shorter time with timerel, timeAt and endTimeAt"
+            )
+
+
+_by_time = itemgetter(0, 1)
