@@ -15,6 +15,7 @@ import httpx
 
 from handover.errors import Problem
 from handover.messages import message
+from handover.retry import Backoff
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
 from webui.events import EventLog, Happening, now
@@ -28,7 +29,7 @@ GLOVE_NAME: Final = re.compile(r"^[A-Za-z0-9._-]{1,64}$")
 NO_USE: Final = 2
 """What it ends with when starting it again would not help."""
 STOP_WITHIN_S: Final = 2.0
-FIRST_RESTART_S, LAST_RESTART_S = 0.2, 5.0
+INITIAL_RESTART_S, MAX_RESTART_S = 0.2, 5.0
 
 
 class SimulatedOperator:
@@ -122,7 +123,7 @@ class SimulatedOperator:
         return False  # the operator waits for a controller that is away
 
     async def _keep_running(self) -> None:
-        restart_s = FIRST_RESTART_S
+        backoff = Backoff(INITIAL_RESTART_S, MAX_RESTART_S)
         clock = asyncio.get_running_loop().time
         while True:
             began_s = clock()
@@ -133,11 +134,10 @@ class SimulatedOperator:
                 self._watcher = None
                 self._tell()
                 return
-            if clock() - began_s > LAST_RESTART_S:
-                restart_s = FIRST_RESTART_S
+            if clock() - began_s > MAX_RESTART_S:
+                backoff.reset()
             self._tell()
-            await asyncio.sleep(restart_s)
-            restart_s = min(2 * restart_s, LAST_RESTART_S)
+            await backoff.wait()
 
     async def _run(self) -> int:
         environment = {**os.environ, LIFELINE: "1", "PYTHONUNBUFFERED": "1"}

@@ -22,6 +22,7 @@ import httpx
 from handover.cli.services import Service
 from handover.errors import UsageError
 from handover.ports import held
+from handover.retry import Backoff
 from handover.settings import LIFELINE, Settings
 from services.context_broker.settings import BrokerSettings
 
@@ -32,7 +33,7 @@ LARGEST_LOG_BYTES = 10 * 1024 * 1024
 LOOPBACK = "localhost,127.0.0.0/8,::1"
 NO_USE = 2
 """What a process ends with when starting it again would not help."""
-FIRST_RESTART_S, LAST_RESTART_S = 0.2, 5.0
+INITIAL_RESTART_S, MAX_RESTART_S = 0.2, 5.0
 
 
 @dataclass
@@ -44,7 +45,7 @@ class Running:
     url: str | None
     log: Path
     process: asyncio.subprocess.Process | None = None
-    restart_s: float = FIRST_RESTART_S
+    backoff: Backoff = field(default_factory=lambda: Backoff(INITIAL_RESTART_S, MAX_RESTART_S))
     started_s: float = field(default_factory=time.monotonic)
 
     def last_words(self) -> str:
@@ -182,12 +183,11 @@ class Launcher:
             if running.url is None and code == NO_USE:
                 self._say(f"{running.name} has ended: {running.last_words()}")
                 return
-            if time.monotonic() - running.started_s > LAST_RESTART_S:
-                running.restart_s = FIRST_RESTART_S
+            if time.monotonic() - running.started_s > MAX_RESTART_S:
+                running.backoff.reset()
             how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
             self._say(f"{running.name} {how}; starting it again ({running.last_words()})")
-            await asyncio.sleep(running.restart_s)
-            running.restart_s = min(2 * running.restart_s, LAST_RESTART_S)
+            await running.backoff.wait()
             await self._start(running)
 
 

@@ -1,18 +1,15 @@
 """The alert desk: has Alerts raised and cleared in the broker, each state once, however often it is said."""
 
-import asyncio
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import partial
 
 from datamodels.states import Severity
 from handover.alerts import PRIORITIES, alert_id, clear_alert, raise_alert
-from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.rounds import LAST_RETRY_S
+from handover.broker import BrokerClient
+from handover.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
-from handover.telemetry import get_logger
 from ros_fiware_bridge.rules.outward import AlertNews
-
-log = get_logger(__name__)
 
 MOST_KEYS = 5000
 
@@ -31,8 +28,7 @@ class AlertDesk:
         self._broker = broker
         self._settings = settings
         self._known: OrderedDict[str, _State] = OrderedDict()
-        self._waiting: OrderedDict[str, AlertNews] = OrderedDict()
-        self._something = asyncio.Event()
+        self._writer = LatestValueWriter()
 
     def announce(self, rule: str, news: AlertNews) -> None:
         """Take news that the rule `rule` has; nothing happens if it is known."""
@@ -42,25 +38,13 @@ class AlertDesk:
             return
         self._known[key] = state
         self._known.move_to_end(key)
-        self._waiting[key] = news
+        self._writer.put(key, partial(self._write, key, news))
         while len(self._known) > MOST_KEYS:
             self._known.popitem(last=False)
-        self._something.set()
 
     async def keep(self) -> None:
         """Work until cancelled."""
-        while True:
-            await self._something.wait()
-            self._something.clear()
-            while self._waiting:
-                key, news = self._waiting.popitem(last=False)
-                try:
-                    await self._write(key, news)
-                except BrokerUnavailable:
-                    self._waiting.setdefault(key, news)
-                    await asyncio.sleep(LAST_RETRY_S)
-                except (BrokerError, ValueError) as error:
-                    log.warning("an alert could not be written", alert=key, error=str(error))
+        await self._writer.run()
 
     async def _write(self, key: str, news: AlertNews) -> None:
         if not news.standing:

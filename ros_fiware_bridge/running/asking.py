@@ -9,7 +9,7 @@ from typing import Any
 
 from handover.broker import BrokerClient
 from handover.errors import HandoverError
-from handover.job import Job, TaskCancelled, TaskFailed, Wants
+from handover.job import Job, RequestedAction, TaskCancelled, TaskFailed
 from handover.messages import message, text_of
 from handover.performer import Performer
 from handover.settings import Settings
@@ -129,7 +129,7 @@ class Asking:
 
 async def _cancelled_by(job: Job, goal: Goal) -> None:
     """Cancel the goal once the Task is not wanted any more; asked again until the goal has ended."""
-    while job.wants is not Wants.CANCEL:
+    while job.requested_action is not RequestedAction.CANCEL:
         await job.changed()
     while True:
         try:

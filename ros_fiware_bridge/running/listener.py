@@ -16,7 +16,7 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFou
 from handover.errors import Problem
 from handover.messages import message
 from handover.notifications import NotificationReceiver, ids_of
-from handover.rounds import Rounds
+from handover.resync import Resync
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from ros_fiware_bridge.mapping.model import EntitySelector
@@ -135,7 +135,7 @@ class Listeners:
         self._notify_url = notify_url
         self._prefix = prefix
         self._listeners: dict[str, Listener] = {}
-        self._rounds = Rounds(self._go, settings.reconcile_s)
+        self._resync = Resync(self._go, settings.reconcile_s)
 
     def add(self, listener: Listener) -> None:
         """Have one more listen, from the next round on."""
@@ -173,15 +173,15 @@ class Listeners:
             await listener.read(notified, self._receiver)
         except BrokerError as error:
             log.warning("cannot read entities that have changed", rule=rule, error=str(error))
-            self._rounds.wish()
+            self._resync.request()
 
     async def keep(self) -> None:
         """Go rounds until cancelled: subscriptions are what they should be, and nothing has been missed."""
-        await self._rounds.keep()
+        await self._resync.run()
 
     def wish(self) -> None:
         """Wish for a round now."""
-        self._rounds.wish()
+        self._resync.request()
 
     async def unsubscribe(self) -> None:
         """Delete the subscriptions, as far as the broker lets us."""

@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Self
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.rounds import FIRST_RETRY_S, LAST_RETRY_S
+from handover.retry import Backoff
 from handover.telemetry import get_logger
 from ros_fiware_bridge.metrics import BROKER_AWAY, WAITING
 from ros_fiware_bridge.rules.outbox import Letter, Outbox, Parcel
@@ -46,7 +46,7 @@ class Mailroom:
         self._something = asyncio.Event()
         self._emptied = asyncio.Event()
         self._batches: set[asyncio.Task[None]] = set()
-        self._retry_s = FIRST_RETRY_S
+        self._backoff = Backoff()
         self._clerk: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
@@ -163,9 +163,8 @@ class Mailroom:
             log.warning("broker away, updates wait", error=str(error), waiting=len(self.outbox))
             self.away_since_s = asyncio.get_running_loop().time()
             BROKER_AWAY.set(1)
-        retry_s, self._retry_s = self._retry_s, min(2 * self._retry_s, LAST_RETRY_S)
         try:
-            await asyncio.sleep(retry_s)
+            await self._backoff.wait()
         finally:
             self._count_lost(parcels)
 
@@ -182,4 +181,4 @@ class Mailroom:
             log.info("broker is back", waiting=len(self.outbox))
             self.away_since_s = None
             BROKER_AWAY.set(0)
-        self._retry_s = FIRST_RETRY_S
+        self._backoff.reset()

@@ -10,9 +10,11 @@ from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.errors import Problem
+from handover.latest_value_writer import LatestValueWriter
 from handover.messages import message
-from handover.performer import Job, Performer, TaskFailed, Wants
+from handover.performer import Job, Performer, RequestedAction, TaskFailed
 from handover.telemetry import get_logger
+from services.gesture_controller import metrics
 from services.gesture_controller.calibration.keeping import KEEP_EVERY_S, Keeping
 from services.gesture_controller.calibration.logbook import Logbook
 from services.gesture_controller.configuration import Configuration
@@ -27,7 +29,6 @@ from services.gesture_controller.inquiry import (
     handles_outcomes,
     what_is_asked,
 )
-from services.gesture_controller.outbox import Outbox
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.store import PeopleStore
 from services.gesture_controller.settings import ControllerSettings
@@ -49,10 +50,10 @@ class Controller(Performer):
         super().__init__("gesture-controller", settings, broker, notify_url=settings.notify_url)
         self.configuration = configuration
         self._silence_s = settings.silence_s
-        self._outbox = Outbox()
+        self._writer = LatestValueWriter(on_rejected=lambda _: metrics.UNTOLD.inc())
         self._patience_s = settings.specification_patience_s
         self.specifications = SpecificationDatabase(settings.specifications, self._specifications_are)
-        self._devices = Devices(settings, broker, self._outbox)
+        self._devices = Devices(settings, broker, self._writer)
         self._gloveless: dict[Job, str] = {}
         """Jobs for people who wear no glove, and the reason for which each is paused."""
         self._duties = AsyncExitStack()
@@ -75,7 +76,7 @@ class Controller(Performer):
             chore = asyncio.create_task(duty)
             chore.add_done_callback(_speak_of_failure)
             self._duties.push_async_callback(_end, chore)
-        await self._duties.enter_async_context(self._outbox)
+        await self._duties.enter_async_context(self._writer)
         return await super().__aenter__()
 
     async def __aexit__(self, *error: object) -> None:
@@ -201,7 +202,7 @@ class Controller(Performer):
 
     def _alert_of_wrong_task(self, job: Job, reason: str) -> None:
         task_id = job.task.id
-        self._outbox.put(
+        self._writer.put(
             f"Alert {task_id}",
             lambda: raise_alert(
                 self.broker,
@@ -219,7 +220,7 @@ class Controller(Performer):
         """Raise an Alert while the specification database is away, and say when that is over."""
         key = "specification database away"
         if state.name == "away":
-            self._outbox.put(
+            self._writer.put(
                 "Alert specifications",
                 lambda: raise_alert(
                     self.broker,
@@ -237,7 +238,7 @@ class Controller(Performer):
                 ),
             )
         else:
-            self._outbox.put("Alert specifications", lambda: clear_alert(self.broker, self.settings, key=key))
+            self._writer.put("Alert specifications", lambda: clear_alert(self.broker, self.settings, key=key))
 
     # What gloves tell
 
@@ -255,7 +256,7 @@ class Controller(Performer):
             glove=glove.name,
             seconds=f"{self._silence_s:g}",
         )
-        self._outbox.put(
+        self._writer.put(
             f"Alert {glove.name} silent",
             lambda: raise_alert(
                 self.broker,
@@ -272,7 +273,7 @@ class Controller(Performer):
     def came_back(self, glove: Glove) -> None:
         """Say that the Alert of its silence is over, an earlier run's too."""
         log.info("glove sends", glove=glove.name)
-        self._outbox.put(
+        self._writer.put(
             f"Alert {glove.name} silent",
             lambda: clear_alert(self.broker, self.settings, key=_silence_key(glove)),
         )
@@ -287,7 +288,7 @@ class Controller(Performer):
             glove=glove.name,
             why=why,
         )
-        self._outbox.put(
+        self._writer.put(
             f"Alert {glove.name} fit",
             lambda: raise_alert(
                 self.broker,
@@ -303,7 +304,7 @@ class Controller(Performer):
 
     def fits_again(self, glove: Glove) -> None:
         """Say that the Alert of its fit is over."""
-        self._outbox.put(
+        self._writer.put(
             f"Alert {glove.name} fit",
             lambda: clear_alert(self.broker, self.settings, key=_fit_key(glove)),
         )
@@ -364,7 +365,7 @@ def _silence_key(glove: Glove) -> str:
 async def _follow_wishes(glove: Glove, job: Job) -> None:
     """Let a hold begin as soon as the work may go on, while that is still being reported."""
     while True:
-        if await job.changed() is Wants.GO:
+        if await job.changed() is RequestedAction.RUN:
             glove.listen()
         else:
             glove.rest()
@@ -372,7 +373,7 @@ async def _follow_wishes(glove: Glove, job: Job) -> None:
 
 async def _change(job: Job, other: Any) -> None:
     """Wait until `other` has happened, or until something else is wished of `job` than to go on."""
-    wishes = asyncio.create_task(job.changed(since=Wants.GO))
+    wishes = asyncio.create_task(job.changed(since=RequestedAction.RUN))
     happens = asyncio.ensure_future(other)
     try:
         await asyncio.wait({wishes, happens}, return_when=asyncio.FIRST_COMPLETED)

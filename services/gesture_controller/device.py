@@ -5,18 +5,18 @@ from typing import Any
 
 from datamodels.times import iso
 from handover.broker import BrokerClient
+from handover.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
 from services.gesture_controller.glove import Glove
-from services.gesture_controller.outbox import Outbox
 
 
 class Devices:
     """Writes the Device entities of gloves, when something about them has changed."""
 
-    def __init__(self, settings: Settings, broker: BrokerClient, outbox: Outbox) -> None:
+    def __init__(self, settings: Settings, broker: BrokerClient, writer: LatestValueWriter) -> None:
         self._settings = settings
         self._broker = broker
-        self._outbox = outbox
+        self._writer = writer
         self._told: dict[str, tuple[Any, ...]] = {}
 
     def id_of(self, glove: Glove) -> str:
@@ -28,7 +28,7 @@ class Devices:
         now = (glove.device_state, glove.command, glove.battery)
         if again or self._told.get(glove.name) != now:
             self._told[glove.name] = now
-            self._outbox.put(f"Device {glove.name}", lambda: self._broker.upsert([self._entity(glove)]))
+            self._writer.put(f"Device {glove.name}", lambda: self._broker.upsert([self._entity(glove)]))
 
     def forget(self, glove: Glove) -> None:
         """Forget what was last written of `glove`; its entity stays, as that of a glove that is away."""

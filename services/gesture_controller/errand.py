@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from datamodels.states import Outcome
-from handover.job import Job, TaskFailed, Wants
+from handover.job import Job, RequestedAction, TaskFailed
 from handover.messages import message
 from handover.outcomes import reason_of
 from services.gesture_controller.composed.in_turn import Turn
@@ -118,7 +118,7 @@ class Errand:
     @property
     def is_open(self) -> bool:
         """Say whether a gesture would count now."""
-        return self.listening and self.job.wants is Wants.GO and not self.answer.done()
+        return self.listening and self.job.requested_action is RequestedAction.RUN and not self.answer.done()
 
 
 class CannotComplete(ValueError):

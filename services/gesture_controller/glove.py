@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from datamodels.states import Outcome
-from handover.job import Wants
+from handover.job import RequestedAction
 from handover.telemetry import get_logger
 from services.gesture_controller import metrics
 from services.gesture_controller.admission import NotAdmitted
@@ -257,7 +257,7 @@ class Glove:
         errand = completable(self.errand, self.name, task, testing=self.testing)
         for glove in self._both():
             errand.job.resume(glove._silent)
-        if errand.job.wants is not Wants.GO:
+        if errand.job.requested_action is not RequestedAction.RUN:
             for glove in self._both():
                 if glove.lost:
                     errand.job.pause(glove._silent)
@@ -310,9 +310,9 @@ class Glove:
         self._changed()
 
     def _go_on(self, errand: Errand, held_for: str) -> None:
-        held = errand.job.wants is Wants.PAUSE
+        held = errand.job.requested_action is RequestedAction.PAUSE
         errand.job.resume(held_for)
-        if held and errand.job.wants is Wants.GO:
+        if held and errand.job.requested_action is RequestedAction.RUN:
             self.listen()  # the hand need not wait until the broker knows
 
     def _begin_anew(self) -> None:
@@ -417,7 +417,9 @@ class Glove:
         """Return the `deviceState` of its Device entity."""
         if self.lost:
             return "error"
-        if self.paused or (self.errand is not None and self.errand.job.wants is Wants.PAUSE):
+        if self.paused or (
+            self.errand is not None and self.errand.job.requested_action is RequestedAction.PAUSE
+        ):
             return "paused"
         if self.errand is not None:
             return "busy"

@@ -5,7 +5,6 @@ specification database has. A command without a gesture is shown with the person
 with that of the command map.
 """
 
-import asyncio
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -14,6 +13,7 @@ from datamodels.entities import Task
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.job import TaskFailed
 from handover.messages import message
+from handover.retry import retry
 from handover.telemetry import get_logger
 from services.gesture_controller.errand import Asked
 from services.gesture_controller.gestures import Answers, Commands, Gestures, answer_parts
@@ -21,8 +21,6 @@ from services.gesture_controller.specifications.database import SpecificationDat
 from services.gesture_controller.specifications.definition import Definition, needs_definition
 
 log = get_logger(__name__)
-
-RETRY_S = 0.5
 
 
 async def definition_of(
@@ -59,25 +57,21 @@ async def handles_outcomes(task: Task, parameters: Mapping[str, Any], broker: Br
 
 
 async def _definition_in_broker(task: Task, broker: BrokerClient) -> Definition:
-    while True:
-        try:
-            entity = await broker.retrieve(task.is_defined_by.object)
-        except NotFound:
-            return Definition()
-        except BrokerUnavailable:
-            await asyncio.sleep(RETRY_S)
-        except BrokerError as error:
-            log.warning("task definition cannot be had", task=task.id, error=str(error))
-            return Definition()
-        else:
-            name, description = _value(entity, "name"), _value(entity, "description")
-            return Definition(
-                name if isinstance(name, str) else None,
-                description if isinstance(description, str) else None,
-                _value(entity, "gesture"),
-                _value(entity, "commandId"),
-                _value(entity, "handlesOutcomes"),
-            )
+    try:
+        entity = await retry(lambda: broker.retrieve(task.is_defined_by.object), on=BrokerUnavailable)
+    except NotFound:
+        return Definition()
+    except BrokerError as error:
+        log.warning("task definition not available", task=task.id, error=str(error))
+        return Definition()
+    name, description = _value(entity, "name"), _value(entity, "description")
+    return Definition(
+        name if isinstance(name, str) else None,
+        description if isinstance(description, str) else None,
+        _value(entity, "gesture"),
+        _value(entity, "commandId"),
+        _value(entity, "handlesOutcomes"),
+    )
 
 
 def what_is_asked(

@@ -3,7 +3,7 @@
 from typing import Any
 
 from datamodels.states import Outcome
-from handover.job import Wants
+from handover.job import RequestedAction
 from services.gesture_controller import wording
 from services.gesture_controller.composed.in_turn import Turn, second_ms
 from services.gesture_controller.errand import Errand
@@ -15,7 +15,7 @@ from services.gesture_controller.thresholds import FINGERS
 def view_of(glove: Glove, now_s: float) -> dict[str, Any]:
     """Return the state of `glove` at `now_s` (the event loop's clock)."""
     there = glove.connected
-    wants_pause = glove.errand is not None and glove.errand.job.wants is Wants.PAUSE
+    wants_pause = glove.errand is not None and glove.errand.job.requested_action is RequestedAction.PAUSE
     return {
         "glove": glove.name,
         "hand": glove.hand,

@@ -26,7 +26,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from datamodels.entities import TaskStatus
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import Problem
-from handover.rounds import Rounds
+from handover.resync import Resync
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
@@ -60,13 +60,13 @@ class Archiver:
         self._broker = broker
         self._settings = orchestrator.settings
         self._retention = timedelta(hours=self._settings.retention_h)
-        self._checks = Rounds(self._check_well, CHECK_EVERY_ROUNDS * self._settings.reconcile_s)
+        self._checks = Resync(self._check_well, CHECK_EVERY_ROUNDS * self._settings.reconcile_s)
         self._check_all_at = 0.0
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> "Archiver":
-        self._orchestrator.on_unowned = self._checks.wish
-        self._tasks = [asyncio.create_task(self._checks.keep())]
+        self._orchestrator.on_unowned = self._checks.request
+        self._tasks = [asyncio.create_task(self._checks.run())]
         if self._retention:
             self._tasks.append(asyncio.create_task(self._keep_archiving()))
         return self

@@ -22,13 +22,13 @@ from services.task_orchestrator.definition import (
     Node,
     Trigger,
 )
-from services.task_orchestrator.durations import due, looks_like_time
 from services.task_orchestrator.expressions import ExpressionError, read, read_script
 from services.task_orchestrator.extension import (
     Findings,
     read_activity,
     read_process_extension,
 )
+from services.task_orchestrator.timers import due_at, is_time
 from services.task_orchestrator.xml_names import BPMN, MAX_BYTES, MAX_ELEMENTS, local, qualified
 
 _ID = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,63}", re.ASCII)
@@ -324,8 +324,8 @@ class _Reading:
             self.found.fault(
                 element, "a timer has one timeDuration or one timeDate; a timeCycle is not supported yet"
             )
-        elif looks_like_time(text):
-            self._check(element, lambda: due(text, datetime.now(UTC)))
+        elif is_time(text):
+            self._check(element, lambda: due_at(text, datetime.now(UTC)))
         else:
             self._check(element, lambda: read(text))
 

@@ -10,10 +10,10 @@ from enum import Enum
 from typing import Any
 
 from datamodels.states import Outcome
+from handover.durations import Duration
 from handover.errors import Problem
 from handover.messages import Message, message, with_code
 from handover.outcomes import reason_of
-from services.task_orchestrator.durations import Duration
 from services.task_orchestrator.expressions import Expression
 
 MAX_FAULTS_LISTED = 100

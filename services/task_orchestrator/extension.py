@@ -17,6 +17,7 @@ from typing import Any
 import orjson
 from lxml import etree
 
+from handover.durations import Duration, parse_duration
 from services.task_orchestrator.definition import (
     Activity,
     Fault,
@@ -25,7 +26,6 @@ from services.task_orchestrator.definition import (
     ProcessParameter,
     variable_of,
 )
-from services.task_orchestrator.durations import Duration, read_duration
 from services.task_orchestrator.expressions import ExpressionError, is_variable_name, read
 from services.task_orchestrator.xml_names import HANDOVER, local, qualified
 
@@ -166,7 +166,7 @@ def _deadline(extension: etree._Element, found: Findings) -> Duration | None:
     if text is None:
         return None
     try:
-        return read_duration(text)
+        return parse_duration(text.strip())
     except ValueError as error:
         found.fault(extension, str(error))
         return None

@@ -12,7 +12,8 @@ from fastapi import Request
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
-from handover.rounds import LAST_RETRY_S, Rounds
+from handover.resync import Resync
+from handover.retry import MAX_DELAY_S
 from handover.telemetry import get_logger
 from services.task_orchestrator.orchestrator import Orchestrator
 
@@ -31,13 +32,13 @@ class Reconciler:
         self._broker = broker
         self._settings = orchestrator.settings
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
-        self._rounds = Rounds(self._ask_well, self._settings.reconcile_s)
+        self._resync = Resync(self._ask_well, self._settings.reconcile_s)
         self._introduced = self._away = False
         self._chores: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> "Reconciler":
         self._receiver.require_key()
-        self._chores = [asyncio.create_task(self._rounds.keep()), asyncio.create_task(self._keep_time())]
+        self._chores = [asyncio.create_task(self._resync.run()), asyncio.create_task(self._keep_time())]
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -76,7 +77,7 @@ class Reconciler:
             entities = await self._receiver.read("Task", [task.id for task in news])
         except BrokerError as error:
             log.warning("cannot read tasks that have changed", error=str(error))
-            self._rounds.wish()
+            self._resync.request()
             return
         await self._orchestrator.hear(entities)
 
@@ -125,7 +126,7 @@ class Reconciler:
             await self._orchestrator.tick()
         except Problem as problem:
             log.warning("what is due could not be done yet", error=str(problem))
-            await asyncio.sleep(LAST_RETRY_S)
+            await asyncio.sleep(MAX_DELAY_S)
 
     def _subscription(self) -> dict[str, Any]:
         return {

@@ -13,10 +13,10 @@ from SpiffWorkflow.bpmn.specs.event_definitions.timer import TimerEventDefinitio
 from SpiffWorkflow.task import Task as Token
 
 from services.task_orchestrator.definition import HANDED_OVER, Kind
-from services.task_orchestrator.durations import due, looks_like_time
 from services.task_orchestrator.expressions import ExpressionError, read, read_script
 from services.task_orchestrator.grammar import within_limits
 from services.task_orchestrator.joins import InclusiveJoin, ParallelJoin
+from services.task_orchestrator.timers import due_at, is_time
 from services.task_orchestrator.xml_names import qualified
 
 
@@ -59,11 +59,11 @@ class Timer(TimerEventDefinition):  # type: ignore[misc]
         moment = my_task.internal_data.get("due")
         if moment is None:
             text = self.expression.strip()
-            if not looks_like_time(text):
+            if not is_time(text):
                 text = scripts.evaluate(my_task, text)
             if not isinstance(text, str):
                 raise ExpressionError(f"`{self.expression}` gives no duration or moment")
-            moment = due(text, scripts.now).isoformat()
+            moment = due_at(text, scripts.now).isoformat()
             my_task.internal_data["due"] = moment
         if datetime.fromisoformat(moment) <= scripts.now:
             my_task.internal_data["event_fired"] = True

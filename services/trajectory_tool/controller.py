@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from datamodels.entities import DeviceState
 from handover.broker import BrokerClient
 from handover.messages import message, text_of
-from handover.performer import Job, Performer, TaskCancelled, TaskFailed, TaskGone, Wants
+from handover.performer import Job, Performer, RequestedAction, TaskCancelled, TaskFailed, TaskGone
 from handover.telemetry import get_logger
 from services.trajectory_tool import operations, parameters, scene
 from services.trajectory_tool.cell import Cell
@@ -106,10 +106,10 @@ class _Steering:
         self._device = device
 
     def may_go(self) -> bool:
-        return self._job.wants is Wants.GO
+        return self._job.requested_action is RequestedAction.RUN
 
     async def rest(self) -> None:
-        if self._job.wants is Wants.PAUSE:
+        if self._job.requested_action is RequestedAction.PAUSE:
             self._device.tell(DeviceState.PAUSED)
         await self._job.checkpoint()
         self._device.tell(DeviceState.BUSY)

@@ -19,7 +19,7 @@ from fastapi import FastAPI, Request, Response
 from handover.broker import BrokerClient, BrokerError, NotFound
 from handover.messages import message
 from handover.notifications import NotificationReceiver
-from handover.rounds import Rounds
+from handover.resync import Resync
 from handover.telemetry import get_logger
 from services.trajectory_tool.metrics import MOTION_SECONDS
 from services.trajectory_tool.orders import Ended, Orders
@@ -80,7 +80,7 @@ class RosRobot(Robot):
         self._told_s: float | None = None
         self._gripper_closed = gripper_closed
         self._gripper_s = gripper_s
-        self._rounds = Rounds(self._ask, settings.reconcile_s)
+        self._resync = Resync(self._ask, settings.reconcile_s)
         self._asking: asyncio.Task[None] | None = None
         self._ready = asyncio.Event()
         self._motion: _Motion | None = None
@@ -101,7 +101,7 @@ class RosRobot(Robot):
 
     async def __aenter__(self) -> Self:
         self._receiver.require_key()
-        self._asking = asyncio.create_task(self._rounds.keep())
+        self._asking = asyncio.create_task(self._resync.run())
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -306,7 +306,7 @@ class RosRobot(Robot):
                 self._take(entity)
         except BrokerError as error:
             log.warning("cannot read the arm", arm=self.arm, error=str(error))
-            self._rounds.wish()
+            self._resync.request()
 
     def _take(self, entity: Mapping[str, Any]) -> None:
         """Take the joints of an arm as the bridge has written them; older ones are no news."""

@@ -13,7 +13,7 @@ from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.notifications import NotificationReceiver
-from handover.rounds import Rounds
+from handover.resync import Resync
 from handover.telemetry import get_logger
 from webui.settings import BROKER, WebuiSettings
 from webui.sources.services import Services
@@ -59,7 +59,7 @@ class Entities(Source):
         self._receiver = NotificationReceiver("webui", settings, broker)
         self._subscribed = self._away = False
         self._overtaken: set[str] = set()
-        self._rounds = Rounds(self._ask, settings.reconcile_s)
+        self._resync = Resync(self._ask, settings.reconcile_s)
 
     def mount(self, app: FastAPI) -> None:
         """Add the route that the broker notifies."""
@@ -81,11 +81,11 @@ class Entities(Source):
 
     def ask_again(self) -> None:
         """Ask the broker now."""
-        self._rounds.wish()
+        self._resync.request()
 
     async def follow(self) -> None:
         """Subscribe, and ask again and again."""
-        await self._rounds.keep()
+        await self._resync.run()
 
     async def _ask(self) -> bool:
         try:

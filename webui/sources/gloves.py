@@ -9,11 +9,12 @@ import orjson
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
+from handover.retry import Backoff
 from webui.settings import CONTROLLER
 from webui.sources.looked_at import PATIENCE_S, LookedAt, Lookout
 
 LOOK_EVERY_S: Final = 1.0
-FIRST_RETRY_S, LAST_RETRY_S = 0.2, 2.0
+INITIAL_RETRY_S, MAX_RETRY_S = 0.2, 2.0
 
 
 class Gloves(LookedAt):
@@ -63,17 +64,16 @@ class Gloves(LookedAt):
 
     async def _follow_one(self, name: str) -> None:
         url = f"ws{self._url.removeprefix('http')}/gloves/{quote(name, safe='')}/live"
-        retry_s = FIRST_RETRY_S
+        backoff = Backoff(INITIAL_RETRY_S, MAX_RETRY_S)
         while True:
             with suppress(OSError, TimeoutError, WebSocketException):
                 async with connect(url, proxy=None, open_timeout=PATIENCE_S, compression=None) as link:
                     async for said in link:
                         self._tell(orjson.loads(said))
                         self._live.add(name)
-                        retry_s = FIRST_RETRY_S
+                        backoff.reset()
             self._live.discard(name)
-            await asyncio.sleep(retry_s)
-            retry_s = min(2 * retry_s, LAST_RETRY_S)
+            await backoff.wait()
 
     def _tell(self, view: dict[str, Any]) -> None:
         self._world.tell(f"glove/{view['glove']}", view)

@@ -16,6 +16,7 @@ import structlog
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidURI, WebSocketException
 
+from handover.retry import Backoff
 from ros_fiware_bridge.errors import AdapterUnavailable, GraphClosed, PublishBlocked, ServiceUnavailable
 from ros_fiware_bridge.graph.waiting import until
 
@@ -23,7 +24,7 @@ log = structlog.get_logger(__name__)
 
 Op = Mapping[str, Any]
 OPEN_WITHIN_S = 5.0
-FIRST_RETRY_S, LAST_RETRY_S = 0.2, 5.0
+INITIAL_RETRY_S, MAX_RETRY_S = 0.2, 5.0
 FRAGMENT_CHARACTERS = 512 * 1024
 """Servers are asked to send more than this in parts, so that a message too big does not end the link."""
 MOST_PER_BYTE = 5
@@ -133,10 +134,10 @@ class Link:
         return await connect(self.url, open_timeout=OPEN_WITHIN_S, max_size=self._most, proxy=None)
 
     async def _live(self) -> None:
-        retry_s = FIRST_RETRY_S
+        backoff = Backoff(INITIAL_RETRY_S, MAX_RETRY_S)
         while True:
             if self._socket is not None:
-                retry_s = FIRST_RETRY_S
+                backoff.reset()
                 await self._speak(self._socket)
                 self._socket = None
                 self.lost += 1
@@ -144,8 +145,7 @@ class Link:
                 self._out_bytes = 0
                 self._parts.clear()
                 self._tell_waiting(ServiceUnavailable(f"the link to {self.url} was lost"))
-            await asyncio.sleep(retry_s)
-            retry_s = min(2 * retry_s, LAST_RETRY_S)
+            await backoff.wait()
             try:
                 self._socket = await self._connected()
             except (OSError, TimeoutError, WebSocketException) as error:

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Any
 
+from handover.durations import parse_duration
 from services.context_broker.api.problems import bad_request_data
 
 LONGEST_ID = 2048
@@ -17,11 +18,6 @@ TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{LONGEST_TENANT}}}")
 
 _INSIDE = "\u2234"
 """Begins the name of what belongs to a snapshot: no header can say it, so no asker can name it."""
-
-_DURATION = re.compile(
-    r"P(?:(\d+)Y)?(?:(\d+)M)?(?:(\d+)W)?(?:(\d+)D)?(?:T(?:(\d+)H)?(?:(\d+)M)?(?:(\d+(?:[.,]\d+)?)S)?)?"
-)
-_UNITS_S = (365 * 86400, 30 * 86400, 7 * 86400, 86400, 3600, 60, 1)
 
 _UNSEEN = (
     r"\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180e\u200b-\u200f\u2028-\u202f\u2060-\u206f"
@@ -137,11 +133,12 @@ def duration_s(value: Any, what: str) -> float:
 
     Raises a problem that names `what` if it is none.
     """
-    found = _DURATION.fullmatch(value) if isinstance(value, str) and len(value) <= 64 else None
-    if found is None or value[-1] in "PT":
-        raise bad_request_data(f"{what} must be a duration such as PT5M or P1DT12H, not {shown(value)}")
-    parts = (float((part or "0").replace(",", ".")) for part in found.groups())
-    return sum(part * unit_s for part, unit_s in zip(parts, _UNITS_S, strict=True))
+    try:
+        return parse_duration(value if isinstance(value, str) else "").nominal_s
+    except ValueError:
+        raise bad_request_data(
+            f"{what} must be a duration such as PT5M or P1DT12H, not {shown(value)}"
+        ) from None
 
 
 def has_expired(expires_at: str | None, now_s: float) -> bool:

@@ -13,6 +13,7 @@ from uuid import uuid4
 
 import orjson
 
+from handover.retry import Backoff
 from handover.telemetry import get_logger
 from services.context_broker.api.words import tenant_headers, timestamp_now
 from services.context_broker.network.http_client import SendError
@@ -140,20 +141,19 @@ class SnapshotNotifier:
             log.error("telling of snapshots failed", endpoint=endpoint, exc_info=error)
 
     async def _work(self, endpoint: str) -> None:
-        waiting, rest_s = self._waiting[endpoint], INITIAL_BACKOFF_S
+        waiting, backoff = self._waiting[endpoint], Backoff(INITIAL_BACKOFF_S, MAX_BACKOFF_S)
         while waiting:
             one = waiting[0]
             status = await self._send(one)
             if status is None or status >= 500:
                 if time.time() - one.at <= self._tenants.outbound.keep_s:
-                    await asyncio.sleep(rest_s)
-                    rest_s = min(rest_s * 2, MAX_BACKOFF_S)
+                    await backoff.wait()
                     continue
                 self._fail(one, "too old")
             elif status >= 300:
                 self._fail(one, "refused")
             else:
-                rest_s = INITIAL_BACKOFF_S
+                backoff.reset()
                 self._delete(one)
             if waiting and waiting[0] is one:
                 waiting.popleft()

@@ -5,13 +5,14 @@ longer each time, and then a single one is sent to see whether anybody is there 
 to a dead endpoint cost one attempt at a time. What waits is bounded here, in memory and on disk.
 """
 
-import random
 import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from prometheus_client import Gauge
+
+from handover.retry import backoff_delay_s
 
 WINDOW: Final = 256
 """Notifications to one endpoint that are held in memory; the others wait on disk."""
@@ -154,5 +155,4 @@ class Line:
 
 def rest_s(failures: int) -> float:
     """Return how long to wait after so many failures, some more or less so that not all come together."""
-    longest_s: float = min(FIRST_REST_S * 2 ** min(failures - 1, 20), LAST_REST_S)
-    return longest_s * random.uniform(0.8, 1.2)  # noqa: S311 - jitter
+    return backoff_delay_s(failures, FIRST_REST_S, LAST_REST_S)

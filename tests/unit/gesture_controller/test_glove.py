@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from datamodels.states import Outcome
-from handover.job import Wants
+from handover.job import RequestedAction
 from services.gesture_controller.errand import CannotComplete
 from services.gesture_controller.frames import Hello
 from services.gesture_controller.glove import Glove
@@ -141,14 +141,14 @@ async def test_with_filtering_no_gesture_gives_a_command_without_a_task(glove: G
 async def test_while_paused_on_the_screen_nothing_answers(glove: Glove, hand: Any, ask: Ask) -> None:
     errand = ask("Thumbs up")
     glove.pause()
-    assert errand.job.wants is Wants.PAUSE
+    assert errand.job.requested_action is RequestedAction.PAUSE
     assert glove.device_state == "paused"
     hand.show("Thumbs up", 5)
     assert not errand.answer.done()
     with pytest.raises(CannotComplete, match="is paused; resume it"):
         glove.complete_on_screen("Anna", hand.now_s)
     glove.resume()
-    assert errand.job.wants is Wants.GO
+    assert errand.job.requested_action is RequestedAction.RUN
     hand.show("Thumbs up", 1.4)
     assert not errand.answer.done()
     hand.show("Thumbs up", 0.2)
@@ -158,7 +158,7 @@ async def test_while_paused_on_the_screen_nothing_answers(glove: Glove, hand: An
 async def test_a_task_that_comes_while_paused_on_the_screen_waits(glove: Glove, hand: Any, ask: Ask) -> None:
     glove.pause()
     errand = ask("Thumbs up")
-    assert errand.job.wants is Wants.PAUSE
+    assert errand.job.requested_action is RequestedAction.PAUSE
     assert "Paused on the screen" in view_of(glove, hand.now_s)["message"]["text"]
 
 
@@ -168,9 +168,9 @@ async def test_a_glove_silent_for_2_s_in_a_task_holds_it_until_it_is_back(
     errand = ask("Thumbs up")
     hand.show(None, 0.2)
     hand.be_silent(1.9)
-    assert errand.job.wants is Wants.GO
+    assert errand.job.requested_action is RequestedAction.RUN
     hand.be_silent(0.2)
-    assert errand.job.wants is Wants.PAUSE
+    assert errand.job.requested_action is RequestedAction.PAUSE
     assert notebook.silent == ["glove-1"]
     assert glove.device_state == "error"
     assert "No data from glove-1" in view_of(glove, hand.now_s)["message"]["text"]
@@ -179,7 +179,7 @@ async def test_a_glove_silent_for_2_s_in_a_task_holds_it_until_it_is_back(
     assert notebook.silent == ["glove-1"]
     glove.rest()  # as the controller does while the Task is paused
     hand.show("Thumbs up", 0.02)
-    assert errand.job.wants is Wants.GO
+    assert errand.job.requested_action is RequestedAction.RUN
     assert glove.device_state == "busy"
     hand.show("Thumbs up", 1.6)
     assert errand.answer.done()
@@ -190,7 +190,7 @@ async def test_a_silent_gloves_task_can_be_completed_on_the_screen(glove: Glove,
     errand = ask("Thumbs up")
     hand.be_silent(3)
     glove.complete_on_screen("Anna", hand.now_s)
-    assert errand.job.wants is Wants.GO
+    assert errand.job.requested_action is RequestedAction.RUN
     assert errand.answer.result().outputs() == {
         "gesture": "Thumbs up",
         "commandId": 3,
@@ -208,7 +208,7 @@ async def test_a_pause_on_the_screen_outlives_the_return_of_the_glove(
     hand.be_silent(3)
     glove.pause()
     hand.show(None, 0.1)
-    assert errand.job.wants is Wants.PAUSE
+    assert errand.job.requested_action is RequestedAction.PAUSE
 
 
 async def test_a_task_without_a_glove_asks_to_put_it_on_and_is_not_held(
@@ -216,7 +216,7 @@ async def test_a_task_without_a_glove_asks_to_put_it_on_and_is_not_held(
 ) -> None:
     errand = ask("Thumbs up")
     glove.look_after(60.0, silence_s=2.0)
-    assert errand.job.wants is Wants.GO
+    assert errand.job.requested_action is RequestedAction.RUN
     assert notebook.silent == []
     assert view_of(glove, 60.0)["message"]["text"].startswith("Put on glove-1")
     glove.complete_on_screen("Anna", 60.0)

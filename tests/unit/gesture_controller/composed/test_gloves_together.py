@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from handover.job import Wants
+from handover.job import RequestedAction
 from services.gesture_controller.errand import Errand
 from services.gesture_controller.gestures import Shape
 from services.gesture_controller.inquiry import what_is_asked
@@ -117,17 +117,17 @@ async def test_while_either_glove_is_testing_paused_or_silent_nothing_answers(
     pair.left.pause()
     pair.right.pause()
     pair.left.resume()
-    assert errand.job.wants is Wants.PAUSE
+    assert errand.job.requested_action is RequestedAction.PAUSE
     pair.show(UP, UP, 2)
     pair.right.resume()
-    assert errand.job.wants is Wants.GO
+    assert errand.job.requested_action is RequestedAction.RUN
     pair.show(None, UP, 2.2)
-    assert errand.job.wants is Wants.PAUSE
+    assert errand.job.requested_action is RequestedAction.PAUSE
     assert told(pair, "left")["lost"] is True
     assert not errand.answer.done()
     pair.show(OPEN, OPEN, 0.2)
     pair.right.listen()
-    assert errand.job.wants is Wants.GO
+    assert errand.job.requested_action is RequestedAction.RUN
     pair.show(UP, UP, 1.6)
     assert errand.answer.done()
 
