@@ -13,7 +13,7 @@ class BrokerSettings(Settings):
     broker_database_url: str | None = Field(
         None,
         pattern="^(postgres(ql)?://.*)?$",
-        description="postgresql:// URL of a database that several brokers may share; "
+        description="postgresql:// URL of the broker's database, on which a second broker is a standby; "
         "a SQLite file in the data directory if absent",
     )
     broker_max_body_bytes: int = Field(

@@ -99,8 +99,9 @@ def not_stored(reason: str) -> Problem:
     return Problem(507, "Insufficient storage", detail, ERRORS + "InternalError")
 
 
-def too_busy(detail: str) -> Problem:
-    """Others are always quicker; nothing was changed."""
+def is_standby(reason: str) -> Problem:
+    """Another broker writes the database; this one serves when that one ends."""
+    detail = f"this broker is a standby: {reason}; send the request to the other broker, or again in a moment"
     return Problem(503, "Service unavailable", detail, ERRORS + "InternalError")
 
 

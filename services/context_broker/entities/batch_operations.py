@@ -37,8 +37,6 @@ from services.context_broker.queries.reading import (
     WALK_PARAMETERS,
     options_of,
 )
-from services.context_broker.storage.attempts import made_again
-from services.context_broker.storage.replica import Overtaken
 from services.context_broker.storage.store import Store
 
 MOST_ENTITIES: Final = 10_000
@@ -58,9 +56,6 @@ class _Change:
     refusal: Problem | None = None
 
 
-Act = Callable[[], _Change]
-
-
 @dataclass(slots=True)
 class _Fates:
     """What has become of the entities of one request."""
@@ -68,12 +63,7 @@ class _Fates:
     created: list[str] = field(default_factory=list)
     succeeded: list[str] = field(default_factory=list)
     errors: list[dict[str, Any]] = field(default_factory=list)
-    on_their_way: list[tuple[_Change, Act]] = field(default_factory=list)
-    """What was begun, and what begins it again when another broker was quicker."""
-
-    def begin(self, act: Act) -> None:
-        """Put a change on its way; raises a problem if it is refused."""
-        self.on_their_way.append((act(), act))
+    on_their_way: list[_Change] = field(default_factory=list)
 
     def refuse(self, entity_id: Any, problem: Problem) -> None:
         """Note that an entity was refused."""
@@ -81,17 +71,14 @@ class _Fates:
 
     async def settle(self) -> None:
         """Wait until everything on its way is safe, or known not to be."""
-        for begun, act in self.on_their_way:
-            change = begun
+        for change in self.on_their_way:
             try:
-                try:
-                    await _safe(begun)
-                except Overtaken:
-                    change = await made_again(partial(_begun_and_safe, act))
+                if change.fate is not None:
+                    await change.fate
                 if change.refusal is not None:
                     raise change.refusal
             except Problem as problem:
-                self.refuse(begun.entity_id, problem)
+                self.refuse(change.entity_id, problem)
             else:
                 self.succeeded.append(change.entity_id)
                 if change.is_new:
@@ -103,16 +90,6 @@ class _Fates:
             return all_well
         body = orjson.dumps({"success": self.succeeded, "errors": self.errors})
         return Answer(207, body, [(b"content-type", b"application/json")])
-
-
-async def _safe(change: _Change) -> _Change:
-    if change.fate is not None:
-        await change.fate
-    return change
-
-
-async def _begun_and_safe(act: Act) -> _Change:
-    return await _safe(act())
 
 
 class BatchOperations:
@@ -174,7 +151,7 @@ class BatchOperations:
         for given in _as_list(exchange.document(), "entity ids"):
             try:
                 entity_id = require_uri(given, "an entity id")
-                fates.begin(partial(self._delete, store, entity_id))
+                fates.on_their_way.append(self._delete(store, entity_id))
             except Problem as problem:
                 fates.refuse(given, problem)
         await fates.settle()
@@ -208,7 +185,7 @@ class BatchOperations:
         for given in documents:
             try:
                 context = await exchange.context_of(given, media_type)
-                fates.begin(partial(act, exchange.tenant.store, given, context))
+                fates.on_their_way.append(act(exchange.tenant.store, given, context))
             except Problem as problem:
                 fates.refuse(given.get("id") if isinstance(given, dict) else None, problem)
         await fates.settle()

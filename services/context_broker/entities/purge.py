@@ -14,7 +14,6 @@ from services.context_broker.entities import changes
 from services.context_broker.entities.entity import Entity, Event
 from services.context_broker.queries.reading import names_of, selection_of
 from services.context_broker.queries.selection import Selection, hits_of
-from services.context_broker.storage.journal import NotStored
 
 PURGE_PARAMETERS: Final = frozenset(
     {"type", "id", "idPattern", "attrs", "q", "csf", "scopeQ", "geometry", "georel", "coordinates",
@@ -46,8 +45,6 @@ async def purge(exchange: Exchange) -> Answer:
                 fates[entity_id] = store.stage(event)
         outcomes = await asyncio.gather(*fates.values(), return_exceptions=True)
         for entity_id, outcome in zip(fates, outcomes, strict=True):
-            if isinstance(outcome, NotStored):
-                raise outcome  # the purge is begun again from what is there then
             if isinstance(outcome, Problem):
                 errors.append({"entityId": entity_id, "error": outcome.body()})
             elif outcome is not None:

@@ -8,7 +8,6 @@ import asyncio
 import heapq
 import itertools
 import time
-from collections.abc import Callable
 from typing import Final, Protocol
 
 from handover.errors import Problem
@@ -23,7 +22,7 @@ log = get_logger(__name__)
 LONGEST_SLEEP_S: Final = 30.0
 """The wall clock may be set meanwhile: it is looked at no less often than this."""
 RETRY_S: Final = 1.0
-"""How long an end waits that could not be stored, or that another broker is to bring about."""
+"""How long an end waits that could not be stored."""
 LEFT_BEHIND: Final = 1000
 """Places in the queue that may be of entities that are gone: sweeping costs, and is not done for a few."""
 AT_ONCE: Final = 500
@@ -41,10 +40,9 @@ class Store(Protocol):
 
 
 class Ends:
-    """Knows when entities end, of all tenants, and ends them. `leads` says whether this broker is to."""
+    """Knows when entities end, of all tenants, and ends them."""
 
-    def __init__(self, leads: Callable[[], bool]) -> None:
-        self._leads = leads
+    def __init__(self) -> None:
         self._queue: list[tuple[float, int, Store, str]] = []
         self._due_s: dict[tuple[Store, str], float] = {}
         self._numbers = itertools.count()
@@ -116,8 +114,6 @@ class Ends:
             return
         if end_s > now_s:
             self._put(store, entity_id, end_s)
-        elif not self._leads():
-            self._put(store, entity_id, now_s + RETRY_S)
         else:
             self._end(store, entity, now_s)
 

@@ -11,8 +11,6 @@ from typing import Any, Final
 from urllib.parse import quote, urlsplit
 from uuid import uuid4
 
-import orjson
-
 from services.context_broker.api.exchange import PREFIX, Answer, Exchange
 from services.context_broker.api.operation import Operation
 from services.context_broker.api.problems import already_exists, not_found
@@ -84,25 +82,10 @@ class SnapshotOperations:
             kept.update(inside(tenant.name, one) for one in tenant.snapshots)
             for one in tenant.snapshots.values():
                 self._snapshots.schedule_expiry(tenant, one)
-        if self._tenants.leadership.leads:
-            self._creator.fail_interrupted()
+        self._creator.fail_interrupted()
         for tenant in self._tenants:
             if outside(tenant.name)[1] is not None and tenant.name not in kept:
                 self._snapshots.later(self._snapshots.clear(tenant))
-
-    def turn(self, *, leads: bool) -> None:
-        """Take up what only one of several brokers does, or leave it to another."""
-        if leads:
-            self._creator.fail_interrupted()
-        self.notifier.turn(leads=leads)
-
-    async def follow(self, name: str, snapshot_id: str, body: bytes | None) -> None:
-        """Take what another broker did to a snapshot of the tenant of that name."""
-        tenant = self._tenants.kept(name)
-        if body is None:
-            tenant.snapshots.pop(snapshot_id, None)
-        else:
-            self._snapshots.publish(tenant, Snapshot(snapshot_id, orjson.loads(body)))
 
     def stop(self) -> None:
         """Make no more; what is unfinished has failed at the next start."""

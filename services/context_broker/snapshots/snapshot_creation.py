@@ -69,10 +69,7 @@ class SnapshotCreator:
         self._start(exchange.tenant, made, self._copy(exchange, original, made))
 
     def fail_interrupted(self) -> None:
-        """Note that what nobody makes any more has failed: the broker that made it has ended.
-
-        Another one that shares the database and is still at it says the last word when it is done.
-        """
+        """Note that what nobody makes any more has failed: the broker that made it has ended."""
         for tenant in self._tenants:
             for one in list(tenant.snapshots.values()):
                 if one.status is Status.PREPARING and (tenant.name, one.id) not in self._running:

@@ -91,7 +91,7 @@ def notification_of(tenant: str, one: Snapshot) -> SnapshotNotification | None:
 
 
 class SnapshotNotifier:
-    """All that is to be told of snapshots: to each endpoint one after the other, by the leading broker."""
+    """All that is to be told of snapshots: to each endpoint one after the other."""
 
     def __init__(self, tenants: "Tenants") -> None:
         self._tenants = tenants
@@ -106,23 +106,6 @@ class SnapshotNotifier:
             self._fail(waiting.popleft(), "too many")
         self._ensure_running_worker(one.endpoint)
 
-    async def follow(self, tenant: str, notification_id: str, body: bytes | None) -> None:
-        """Take what another broker owes, or has told (None)."""
-        if body is not None:
-            self.add(restored(tenant, notification_id, body))
-            return
-        for waiting in self._waiting.values():
-            for one in [each for each in waiting if each.id == notification_id]:
-                waiting.remove(one)
-
-    def turn(self, *, leads: bool) -> None:
-        """Begin to tell, or leave it to another broker."""
-        if leads:
-            for endpoint in self._waiting:
-                self._ensure_running_worker(endpoint)
-        else:
-            self.stop()
-
     def stop(self) -> None:
         """End; what is owed stays on disk."""
         for task in self._tasks.values():
@@ -130,7 +113,7 @@ class SnapshotNotifier:
         self._tasks.clear()
 
     def _ensure_running_worker(self, endpoint: str) -> None:
-        if endpoint not in self._tasks and self._tenants.leadership.leads:
+        if endpoint not in self._tasks:
             task = self._tasks[endpoint] = asyncio.get_running_loop().create_task(self._work(endpoint))
             task.add_done_callback(lambda done: self._on_end(endpoint, done))
 

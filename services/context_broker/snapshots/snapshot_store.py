@@ -52,7 +52,7 @@ class SnapshotStore:
         if left_s > 0:
             loop = asyncio.get_running_loop()
             loop.call_later(min(left_s, MAX_TIMER_S), self.schedule_expiry, tenant, one)
-        elif self._tenants.leadership.leads:
+        else:
             self.later(self._end(tenant, one))
 
     async def keep(self, tenant: Tenant, one: Snapshot, *, notify: bool = False) -> None:

@@ -4,19 +4,15 @@ So an acknowledgement costs its share of a disk flush, not a flush of its own. W
 event loop writes by itself, since to hand a group to a thread and back takes longer than the flush; else a
 thread writes. When the disk refuses, the whole group is refused, and with it everything that was queued
 behind it and may build on it. Completion is guarded for each write by itself: one that raises fails alone.
-Where several brokers share a database, only those writes of a group are refused that another broker has
-overtaken.
 """
 
 import asyncio
 import queue
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Final, Protocol
+from typing import Protocol
 
 from prometheus_client import Counter
 
@@ -24,7 +20,6 @@ from handover.telemetry import get_logger
 from services.context_broker.api.tally import TalliedMetric
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.journal import Journal, NotStored
-from services.context_broker.storage.replica import News, Overtaken, Replica
 
 log = get_logger(__name__)
 
@@ -32,8 +27,6 @@ Failed = Callable[[Exception], None]
 """Takes `NotStored` when nothing of a write is kept, `NotCompleted` when it is, and what follows failed."""
 
 LARGEST_GROUP = 2000
-LOOK_AGAIN_S = 0.2
-"""How long the thread waits when what others did could not be read."""
 LONGEST_FLUSH_S = 0.0005
 """What the event loop waits for a disk at most: as long as two or three requests take."""
 HANDING_OVER_S = 0.0001
@@ -48,9 +41,6 @@ REFUSED = Counter("handover_broker_commits_refused_total", "Commits that the dis
 NOT_COMPLETED = Counter(
     "handover_broker_completions_failed_total", "Writes that are stored, and whose completion raised an error"
 )
-OVERTAKEN = Counter(
-    "handover_broker_commits_overtaken_total", "Writes made again because another broker was quicker"
-)
 GROUPS = TalliedMetric(
     "handover_broker_commit_group", "Writes in one commit", (1, 2, 4, 8, 16, 32, 64, 256, 1024)
 )
@@ -62,27 +52,12 @@ class NotCompleted(Exception):
 
 @dataclass(slots=True, eq=False)
 class Write:
-    """Something to be made durable, and whom to tell; `era` counts how often the disk has refused before.
-
-    `known` is the number of the last news of other brokers that were known when it was made.
-    """
+    """Something to be made durable, and whom to tell; `era` counts how often the disk has refused before."""
 
     entries: Entries
     era: int
-    known: int
     done: Callable[[], None]
     failed: Failed
-
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """A mark in the queue: the writes behind it were made with news up to `number` known."""
-
-    number: int
-
-
-LOOK: Final = Known(-1)
-"""A mark in the queue: others may have written."""
 
 
 class Commits(Protocol):
@@ -101,25 +76,13 @@ class Commits(Protocol):
 class CommitQueue:
     """Takes writes on the event loop, commits them, and tells their makers on the loop, in order.
 
-    `on_refusal` is called on the loop, before any maker is told, when the disk has refused; `on_news` with
-    what other brokers did, in the one order of all changes.
+    `on_refusal` is called on the loop, before any maker is told, when the disk has refused.
     """
 
-    def __init__(
-        self,
-        journal: Journal,
-        on_refusal: Callable[[], None],
-        replica: Replica | None = None,
-        on_news: Callable[[News], Coroutine[None, None, None]] | None = None,
-    ) -> None:
+    def __init__(self, journal: Journal, on_refusal: Callable[[], None]) -> None:
         self._journal = journal
-        self._replica = replica
-        self._known = 0
         self._on_refusal = on_refusal
-        self._on_news = on_news
-        self._taking: asyncio.Task[None] | None = None
-        self._after_news: deque[Callable[[], None]] = deque()
-        self._queue: queue.SimpleQueue[list[Write] | Known | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[list[Write] | None] = queue.SimpleQueue()
         self._gathered: list[Write] = []
         self._sent_s = 0.0
         self._usual = 1.0
@@ -132,22 +95,6 @@ class CommitQueue:
         self._refused_era = -1
         self._later = Entries()
         self._later_due: asyncio.TimerHandle | None = None
-
-    def open(self) -> None:
-        """Note up to where the journal is known when it is loaded after this."""
-        if self._replica is not None:
-            self._known = self._replica.open()
-
-    def knows(self, number: int) -> None:
-        """Note that the memory is up to this number of the news of others."""
-        self._send()
-        self._known = number
-        self._queue.put(Known(number))
-
-    def look(self) -> None:
-        """See what others did; from any thread."""
-        if self._replica is not None:
-            self._queue.put(LOOK)
 
     def start(self) -> None:
         """Begin to commit; call it on the event loop."""
@@ -174,7 +121,7 @@ class CommitQueue:
             entries = together
         if not self._gathered:
             asyncio.get_running_loop().call_soon(self._send)
-        self._gathered.append(Write(entries, self._era, self._known, done, failed))
+        self._gathered.append(Write(entries, self._era, done, failed))
 
     def _send(self) -> None:
         """Hand over what one turn of the event loop has brought.
@@ -183,7 +130,7 @@ class CommitQueue:
         """
         if self._gathered:
             writes, self._gathered = self._gathered, []
-            thread_is_idle = not self._under_way and self._replica is None
+            thread_is_idle = not self._under_way
             self._under_way += len(writes)
             is_quick = self._is_quick(len(writes))
             if not (thread_is_idle and is_quick and self._commit_at_once(writes)):
@@ -248,15 +195,9 @@ class CommitQueue:
         open_for_more = True
         while open_for_more:
             group: list[Write] = []
-            mark: Known | None = None
             one = self._queue.get()
             while one is not None:
-                if isinstance(one, Known):
-                    mark = one
-                    if one is not LOOK or not group:
-                        break
-                else:
-                    group += one
+                group += one
                 if len(group) >= LARGEST_GROUP:
                     break
                 try:
@@ -265,10 +206,8 @@ class CommitQueue:
                     break
             else:
                 open_for_more = False
-            if group or mark is LOOK:
+            if group:
                 self._commit(group)
-            if mark is not None and mark is not LOOK and self._replica is not None:
-                self._replica.forget(mark.number)
 
     def _commit(self, group: list[Write]) -> None:
         built_on_sand = [write for write in group if write.era <= self._refused_era]
@@ -277,59 +216,34 @@ class CommitQueue:
                 built_on_sand, NotStored("an earlier change that it may build on was not stored")
             )
         firm = [write for write in group if write.era > self._refused_era]
-        if not firm and group:
+        if not firm:
             return
         try:
-            if self._replica is None:
-                self._commit_alone(firm)
-            else:
-                self._commit_among_others(self._replica, firm)
+            self._journal.commit(together(firm))
         except NotStored as error:
-            if not firm:
-                self._look_again()
-                return
             self._refuse(firm, error)
         except Exception as error:  # what ends this thread would let every later write wait for ever
             log.exception("a group of writes cannot be committed", writes=len(firm))
             if len(firm) > 1:
                 for write in firm:
                     self._commit([write])
-            elif firm:
-                self._refuse(firm, NotStored(f"{type(error).__name__}: {error}"))
             else:
-                self._look_again()
+                self._refuse(firm, NotStored(f"{type(error).__name__}: {error}"))
+        else:
+            GROUPS.tally.note(len(firm))
+            self._call(self._tell_success, firm)
 
     def _refuse(self, writes: list[Write], error: NotStored) -> None:
         self._refused_era = max(write.era for write in writes)
         REFUSED.inc()
         self._tell_failure(writes, error)
 
-    def _look_again(self) -> None:
-        time.sleep(LOOK_AGAIN_S)
-        self.look()
-
-    def _commit_alone(self, writes: list[Write]) -> None:
-        self._journal.commit(together(writes))
-        GROUPS.tally.note(len(writes))
-        self._call(self._tell_success, writes)
-
-    def _commit_among_others(self, replica: Replica, writes: list[Write]) -> None:
-        news, standing, overtaken = replica.commit(writes)
-        if news:
-            self._call(self._take_news, news)
-        if overtaken:
-            OVERTAKEN.inc(len(overtaken))
-            self._call(self._tell_overtaken, overtaken)
-        if standing:
-            GROUPS.tally.note(len(standing))
-            self._call(self._tell_success, standing)
-
     def _tell_failure(self, writes: list[Write], error: NotStored) -> None:
         self._call(self._on_failure, writes, error)
 
     def _call(self, function: Callable[..., None], *arguments: object) -> None:
         assert self._loop is not None  # noqa: S101 - start() has set it
-        self._loop.call_soon_threadsafe(self._arrive, function, *arguments)
+        self._loop.call_soon_threadsafe(function, *arguments)
 
     # On the loop
 
@@ -342,30 +256,6 @@ class CommitQueue:
                 NOT_COMPLETED.inc()
                 log.exception("completion of a stored write failed")
                 _call_failed(write, NotCompleted(f"{type(error).__name__}: {error}"))
-
-    def _arrive(self, function: Callable[..., None], *arguments: object) -> None:
-        """Do what the thread wants done, in its order: what comes after news waits until these are taken."""
-        if self._taking is None:
-            function(*arguments)
-        else:
-            self._after_news.append(partial(function, *arguments))
-
-    def _take_news(self, news: News) -> None:
-        assert self._on_news is not None  # noqa: S101 - who has a replica follows it
-        self._taking = asyncio.get_running_loop().create_task(self._on_news(news))
-        self._taking.add_done_callback(self._go_on)
-
-    def _go_on(self, taken: asyncio.Task[None]) -> None:
-        self._taking = None
-        if not taken.cancelled() and (error := taken.exception()) is not None:
-            log.error("news of another broker were not taken", exc_info=error)
-        while self._after_news and self._taking is None:
-            self._after_news.popleft()()
-
-    def _tell_overtaken(self, writes: list[Write]) -> None:
-        self._under_way -= len(writes)
-        for write in writes:
-            _call_failed(write, Overtaken("another broker was quicker to change what it builds on"))
 
     def _on_failure(self, writes: list[Write], error: NotStored) -> None:
         log.error("the disk does not take changes", error=str(error), writes=len(writes))

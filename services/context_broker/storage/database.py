@@ -23,10 +23,6 @@ class NotStored(Exception):
     """The database did not take a transaction (nothing of it is there), or cannot be read."""
 
 
-class FateUnknown(NotStored):
-    """The connection to the database broke while it was committing: the transaction may be there, or not."""
-
-
 class Writer(Protocol):
     """An open transaction."""
 
@@ -42,9 +38,22 @@ class Database(Protocol):
 
     name: str
     """What the database is called in errors."""
+    lost: str | None
+    """Why this process may not write any more: another broker has written the database."""
+    unreachable: str | None
+    """Why the database could not be reached the last time."""
 
     def open(self, version: int, script: str) -> None:
         """Make ready; what is new is made by `script`. Raises `UsageError` for content of another version."""
+
+    def try_lock(self) -> bool:
+        """Become the broker that writes the database, if there is no other. Raises `NotStored`."""
+
+    def wait_for_lock(self) -> bool:
+        """Wait until this is the broker that writes the database; `close` ends the wait with False."""
+
+    def check_connection(self) -> None:
+        """Note in `unreachable` and `lost` whether the database can be written."""
 
     @contextmanager
     def transaction(self) -> Iterator[Writer]:
@@ -74,6 +83,8 @@ class SqliteDatabase:
         self.name = path.name
         self.before_reading: Callable[[], None] = lambda: None
         """Is called before anything is read: what is not in the tables yet is put there."""
+        self.lost: str | None = None
+        self.unreachable: str | None = None
         self.is_checked = False
         """Whether the integrity check at the start was completed."""
         self._writer: sqlite3.Connection | None = None
@@ -97,6 +108,17 @@ class SqliteDatabase:
             raise UsageError(damage(f"{self.path}: {error}")) from None
         except OSError as error:
             raise unusable(self.path, error) from None
+
+    def try_lock(self) -> bool:
+        """Return True: `open` has locked the file, or refused it."""
+        return True
+
+    def wait_for_lock(self) -> bool:
+        """Return True, as `try_lock`."""
+        return True
+
+    def check_connection(self) -> None:
+        """Do nothing: a file has no connection to lose."""
 
     @contextmanager
     def transaction(self) -> Iterator[Writer]:

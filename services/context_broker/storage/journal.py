@@ -7,11 +7,11 @@ has been is the history: a row for each change of an entity, and a row for each 
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from typing import Any, Final
 
 from handover.errors import UsageError
 from handover.sqlite_files import damage
+from handover.telemetry import get_logger
 from services.context_broker.storage import checksums
 from services.context_broker.storage.checksums import require_row
 from services.context_broker.storage.database import Database, NotStored, Row, SqliteDatabase, Writer
@@ -20,6 +20,8 @@ from services.context_broker.storage.filing import Filing
 from services.context_broker.temporal.archive import Archive, write_archive
 
 __all__ = ["Journal", "NotStored"]
+
+log = get_logger(__name__)
 
 SCHEMA_VERSION: Final = 4
 """Versions 1 to 3 were never released."""
@@ -78,6 +80,7 @@ class Journal:
             else None
         )
         self._last_notice = 0
+        self.is_closed = False
 
     def open(self) -> None:
         """Make ready. Raises `UsageError` if that cannot be, or if what is there is damaged.
@@ -87,15 +90,39 @@ class Journal:
         if self._filing is not None:
             self._filing.require_database()
         self._database.open(SCHEMA_VERSION, SCRIPT)
-        if self._filing is None:
-            with self._database.transaction() as writer:
-                _tidy(writer, _write_tables)
-            last: int = self._database.read("SELECT coalesce(max(seq), 0) FROM outbox")[0][0]
-        else:
+        if self._filing is not None:
             self._filing.open()
             last = self._filing.last_of("SELECT coalesce(max(seq), 0) FROM outbox")
-            last = max(last, *(one.seq for left in self._filing.left for one in left.owed), 0)
-        self._last_notice = last
+            self._last_notice = max(last, *(one.seq for left in self._filing.left for one in left.owed), 0)
+
+    def try_lock(self) -> bool:
+        """Become the broker that writes the database, if there is no other. Raises `NotStored`."""
+        return self._begin_if(self._database.try_lock())
+
+    def wait_for_lock(self) -> bool:
+        """Wait until this is the broker that writes the database; `close` ends the wait with False."""
+        return self._begin_if(self._database.wait_for_lock())
+
+    def _begin_if(self, is_locked: bool) -> bool:
+        if is_locked and self._filing is None:
+            with self._database.transaction() as writer:
+                _tidy(writer, _write_tables)
+            self._last_notice = self._database.read("SELECT coalesce(max(seq), 0) FROM outbox")[0][0]
+        return is_locked
+
+    def check_connection(self) -> None:
+        """Note in `unreachable` and `lost` whether the database can be written. Takes seconds at most."""
+        self._database.check_connection()
+
+    @property
+    def unreachable(self) -> str | None:
+        """Return why the database could not be reached the last time."""
+        return self._database.unreachable
+
+    @property
+    def lost(self) -> str | None:
+        """Return why this broker has to load the database again: another one has written it."""
+        return self._database.lost
 
     def require_room(self) -> None:
         """Raise `NotStored` with the reason while the disk does not take what is committed."""
@@ -104,13 +131,20 @@ class Journal:
 
     def commit(self, entries: Entries) -> None:
         """Write all of `entries` or nothing, and return when it is safe. Raises `NotStored`."""
-        if self._filing is None:
-            with self._database.transaction() as writer:
-                self.write(writer, entries, self._last_notice)
-        else:
-            _number(entries, self._last_notice)
+        _number(entries, self._last_notice)
+        if self._filing is not None:
             self._filing.commit(entries)
+        else:
+            try:
+                self._write(entries)
+            except NotStored as error:  # the connection may have ended while it was idle
+                log.info("a commit is tried once more", error=str(error))
+                self._write(entries)
         self._last_notice += len(entries.owed)
+
+    def _write(self, entries: Entries) -> None:
+        with self._database.transaction() as writer:
+            _write_tables(writer, entries)
 
     @property
     def flush_s(self) -> float:
@@ -135,18 +169,16 @@ class Journal:
         if self._filing is not None:
             self._filing.settle()
 
-    def transaction(self) -> AbstractContextManager[Writer]:
-        """Begin a transaction, as a commit is one. Raises `NotStored`."""
-        return self._database.transaction()
-
-    @staticmethod
-    def write(writer: Writer, entries: Entries, last_notice: int) -> None:
-        """Write all of `entries`; what is owed is numbered from `last_notice` on."""
-        _number(entries, last_notice)
-        _write_tables(writer, entries)
+    @property
+    def is_on_disk(self) -> bool:
+        """Return whether the database is a file of this machine."""
+        return self._filing is not None
 
     def close(self) -> None:
-        """Let go."""
+        """Close the database; from any thread. Doing it twice is harmless."""
+        if self.is_closed:
+            return
+        self.is_closed = True
         self.archive.close()
         if self._filing is not None:
             self._filing.close()

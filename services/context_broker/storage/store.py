@@ -5,7 +5,7 @@ disk refuses, everything staged is forgotten, so that memory never says more tha
 """
 
 import asyncio
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -26,7 +26,6 @@ from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import EntityRow, Entries, Notice
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.ranks import Ranks, in_order
-from services.context_broker.storage.replica import Overtaken
 from services.context_broker.temporal.history import Recorder
 
 log = get_logger(__name__)
@@ -63,7 +62,7 @@ class Staged:
         if self.fate.done():
             return
         if isinstance(error, NotStored):
-            self.fate.set_exception(error if isinstance(error, Overtaken) else not_stored(str(error)))
+            self.fate.set_exception(not_stored(str(error)))
         else:
             self.fate.set_exception(went_wrong(error, "completing a change that is stored"))
 
@@ -230,24 +229,6 @@ class Store:
     def forget_staged(self) -> None:
         """Forget what is on its way: the disk has refused it."""
         self._staged.clear()
-
-    def follow(self, place: int, entity_id: str, after: Entity | None) -> None:
-        """Take what another broker did to the entity at a place; what is on its way to it is overtaken."""
-        self._staged.pop(entity_id, None)
-        before = self._every.by_id.get(entity_id)
-        if after is not None or (before is not None and before.seq == place):
-            self._put(before, after)
-
-    def forget_new_at(self, place: int) -> None:
-        """Forget what is on its way to a place that another broker has given too."""
-        for rival in [one.after.id for one in self._staged.values() if one.after and one.after.seq == place]:
-            del self._staged[rival]
-
-    def forget_all_but(self, places: Container[int]) -> None:
-        """Forget all entities at other places, and what is on its way."""
-        self._staged.clear()
-        for entity in [one for one in self._every.by_id.values() if one.seq not in places]:
-            self._put(entity, None)
 
     # Keeping order
 

@@ -4,9 +4,8 @@ A tenant comes into being with the first thing that is kept for it, and costs ne
 tenant without a name is always there.
 """
 
-import secrets
-from collections.abc import Callable, Container, Iterator
-from contextlib import suppress
+import itertools
+from collections.abc import Callable, Iterator
 from typing import Final
 from uuid import uuid4
 
@@ -22,11 +21,7 @@ from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots.snapshot import Snapshot, restored
 from services.context_broker.storage.commits import CommitQueue, Commits, Failed, stored
 from services.context_broker.storage.entries import Entries, Kind
-from services.context_broker.storage.following import Following
 from services.context_broker.storage.journal import Journal
-from services.context_broker.storage.leadership import Leadership
-from services.context_broker.storage.places import SLOTS, Places
-from services.context_broker.storage.replica import Overtaken, Replica
 from services.context_broker.storage.store import Store
 from services.context_broker.subscriptions.mqtt_sender import MqttSender
 from services.context_broker.subscriptions.notifier import Notifier
@@ -106,17 +101,12 @@ class _TenantCommits:
 class Tenants:
     """All tenants, and what they share."""
 
-    def __init__(
-        self, journal: Journal, settings: BrokerSettings, leadership: Leadership, replica: Replica | None
-    ) -> None:
-        self.following = Following(self)
-        self.leadership = leadership
-        self.ends = Ends(lambda: leadership.leads)
-        self.commits = CommitQueue(journal, self._forget_staged, replica, self.following.take)
-        self.places: Places
+    def __init__(self, journal: Journal, settings: BrokerSettings) -> None:
+        self.ends = Ends()
+        self.commits = CommitQueue(journal, self._forget_staged)
+        self.places: Iterator[int]
         self.outbound: Outbound
         self.recorder = Recorder() if settings.broker_history else None
-        self._shares = replica is not None
         self._journal = journal
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}
@@ -137,13 +127,12 @@ class Tenants:
         kept = [body for _, _, body in journal.documents(Kind.IDENTITY)]
         self.identify(kept[0] if kept else uuid4().hex[:12].encode())
         policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
-        self.places = Places(journal.last_place(), secrets.randbelow(SLOTS) if self._shares else None)
+        self.places = itertools.count(journal.last_place() + 1)
         self.outbound = Outbound(
             journal,
             PooledHttpClient(policy, ca_file),
             MqttSender(policy, ca_file),
             policy,
-            self.leadership,
             timeout_s=settings.broker_notification_timeout_s,
             keep_s=settings.broker_notification_keep_h * 3600,
             keep_bytes=settings.broker_notification_keep_mb * 1024 * 1024,
@@ -162,11 +151,10 @@ class Tenants:
         """Keep what tells this broker from others, if nothing does yet."""
         if not any(self._journal.documents(Kind.IDENTITY)):
             made = self._identity.rpartition("-")[2].encode()
-            with suppress(Overtaken):  # by another broker that starts: what it made has been taken then
-                await self.commits.store(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made}))
+            await self.commits.store(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made}))
 
     def identify(self, kept: bytes) -> None:
-        """Take what this broker, with all that share its database, is told from others by."""
+        """Take the identity of this broker, which stays with its database."""
         self._identity = f"handover-{self._settings.factory}-{kept.decode()}"
 
     def __iter__(self) -> Iterator[Tenant]:
@@ -224,31 +212,12 @@ class Tenants:
             self._tenants.pop(tenant.name, None)
 
     def kept(self, name: str) -> Tenant:
-        """Return a tenant that another broker has kept something for."""
+        """Return a tenant that something is kept for."""
         tenant = self._tenants.get(name)
         if tenant is None:
             tenant = self._tenants[name] = Tenant(name, self, is_kept=True)
         tenant.commits.is_kept = True
         return tenant
-
-    def follow(self, place: int, tenant: str, entity_id: str, entity: Entity | None) -> None:
-        """Take what another broker did to an entity."""
-        self.places.seen(place)
-        if self.places.may_be_mine(place):
-            for one in self._tenants.values():
-                one.store.forget_new_at(place)
-        self.kept(tenant).store.follow(place, entity_id, entity)
-
-    def forget_all_but(self, places: Container[int]) -> None:
-        """Forget the entities at other places, and all that is on its way."""
-        for one in self._tenants.values():
-            one.store.forget_all_but(places)
-
-    def turn(self, leads: bool) -> None:
-        """Take up notifying, or leave it to another broker."""
-        for one in self._tenants.values():
-            one.notifier.turn(leads=leads)
-            one.source_notifier.turn(leads=leads)
 
     def entities(self) -> int:
         """Return how many entities there are in all."""

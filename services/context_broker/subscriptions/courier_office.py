@@ -19,10 +19,7 @@ MOST_TOLD_AT_ONCE: Final = 1000
 
 
 class CourierOffice:
-    """Keeps the subscriptions of a tenant, and has what they are owed delivered.
-
-    Only the leading broker delivers; the others know the subscriptions, and wait for their turn.
-    """
+    """Keeps the subscriptions of a tenant, and has what they are owed delivered."""
 
     counts_kind = Kind.COUNTS
     """Under which kind of document the counts of the subscriptions are kept."""
@@ -41,7 +38,8 @@ class CourierOffice:
             self._hire(subscription)
         if self._couriers:
             for one in self.journal.owed_to(self.tenant):
-                self.owed_by_others(one)
+                if one in self._couriers:
+                    self._couriers[one].start()
         self.rearrange()
 
     def stop(self) -> None:
@@ -49,16 +47,14 @@ class CourierOffice:
         for courier in self._couriers.values():
             courier.stop()
 
-    def put(self, subscription: Subscription, *, from_disk: bool = False) -> None:
-        """Heed a new or a changed subscription from now on; `from_disk` looks for what it is owed already."""
+    def put(self, subscription: Subscription) -> None:
+        """Heed a new or a changed subscription from now on."""
         courier = self._couriers.get(subscription.id)
         if courier is None:
-            courier = self._hire(subscription)
+            self._hire(subscription)
         else:
             subscription.counts = courier.subscription.counts
             courier.change(subscription)
-        if from_disk and self.outbound.leadership.leads:
-            courier.start()
         self.rearrange(subscription.id)
 
     def remove(self, subscription_id: str) -> None:
@@ -78,30 +74,14 @@ class CourierOffice:
     def rearrange(self, changed: str | None = None) -> None:
         """Take note that a subscription came, changed or went, or that all are others now."""
 
-    def turn(self, *, leads: bool) -> None:
-        """Begin with all that is owed, or leave it to another broker."""
-        for courier in self._couriers.values():
-            if leads:
-                courier.start()
-            else:
-                courier.stop()
-
     # What is to be delivered
 
     def deliver(self, notices: list[Notice]) -> None:
-        """Hand notifications that are committed to their couriers, if this broker is to notify."""
-        if not self.outbound.leadership.leads:
-            return
+        """Hand notifications that are committed to their couriers."""
         for notice in notices:
             courier = self._couriers.get(notice.subscription)
             if courier is not None:
                 courier.add(notice)
-
-    def owed_by_others(self, subscription_id: str) -> None:
-        """Look into the outbox: another broker, or this one before it was started, has filled it."""
-        courier = self._couriers.get(subscription_id)
-        if courier is not None and self.outbound.leadership.leads:
-            courier.start()
 
     # What couriers need
 

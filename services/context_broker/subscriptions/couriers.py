@@ -99,7 +99,7 @@ class Courier:
         self._go_on()
 
     def stop(self) -> None:
-        """End at once; what is owed stays in the outbox, for the next broker or for another."""
+        """End at once; what is owed stays in the outbox, for the next start."""
         if self._task is not None:
             self._task.cancel()
             self._task = None

@@ -54,18 +54,13 @@ class Notifier(CourierOffice):
         self._rounds.stop()
         super().stop()
 
-    def turn(self, *, leads: bool) -> None:
-        """Begin with all that is owed, or leave it to another broker."""
-        super().turn(leads=leads)
-        self._rounds.heed(self.all() if leads else [])
-
     def rearrange(self, changed: str | None = None) -> None:
         """Take note that a subscription came, changed or went, or that all are others now."""
         self._is_sorted = False
         one = None if changed is None else self.get(changed)
         if one is not None and one.endpoint.taken:
             self.passes_headers_on = True
-        if self.outbound.leadership.leads and self._rounds.concern(changed, one):
+        if self._rounds.concern(changed, one):
             self._rounds.heed(self.all())
 
     def _sort(self) -> None:

@@ -90,15 +90,6 @@ class SubscriptionOperations:
             found.append(one)
         self.book(tenant).start(found)
 
-    async def follow(self, tenant: Tenant, subscription_id: str, body: bytes | None) -> None:
-        """Take what another broker did to a subscription."""
-        book = self.book(tenant)
-        if body is None:
-            if book.get(subscription_id) is not None:
-                book.remove(subscription_id)
-            return
-        book.put(await self._restored(body), from_disk=True)
-
     async def _restored(self, body: bytes) -> Subscription:
         document = orjson.loads(body)
         names = document.get(NAMES_IN)

@@ -7,7 +7,6 @@ from weakref import WeakValueDictionary
 from services.context_broker.network.http_client import PooledHttpClient
 from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.storage.journal import Journal
-from services.context_broker.storage.leadership import Leadership
 from services.context_broker.subscriptions.endpoints import Endpoint
 from services.context_broker.subscriptions.lines import WAITING, Hold, Line, Waiting
 from services.context_broker.subscriptions.mqtt_sender import MqttSender
@@ -27,7 +26,6 @@ class Outbound:
     sender: PooledHttpClient
     mqtt: MqttSender
     policy: OutboundPolicy
-    leadership: Leadership
     _: KW_ONLY
     timeout_s: float
     keep_s: float

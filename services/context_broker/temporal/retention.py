@@ -31,7 +31,7 @@ PLACES_PER_SCAN: Final = 500
 
 
 class Retention:
-    """Clears history away. `is_due` says whether this broker is the one to do it, `tenants` of whom.
+    """Clears away the history of `tenants`.
 
     What is older than `keep_days` goes; 0 keeps for ever what has no end of its own.
     """
@@ -41,13 +41,11 @@ class Retention:
         archive: Archive,
         commits: Commits,
         keep_days: float,
-        is_due: Callable[[], bool] = lambda: True,
         tenants: Callable[[], Iterable[str]] = tuple,
     ) -> None:
         self._archive = archive
         self._commits = commits
         self._keep_days = keep_days
-        self._is_due = is_due
         self._tenants = tenants
         self._task: asyncio.Task[None] | None = None
 
@@ -65,13 +63,12 @@ class Retention:
     async def _work(self) -> None:
         await asyncio.sleep(INITIAL_DELAY_S)
         while True:
-            if self._is_due():
-                try:
-                    ended = await self.end(time.time())
-                    cleared = await self.clear(seq_before(self._keep_days)) if self._keep_days > 0 else 0
-                    log.info("old history cleared", pieces=cleared, ended=ended)
-                except NotStored as error:
-                    log.warning("old history cannot be cleared now", error=str(error))
+            try:
+                ended = await self.end(time.time())
+                cleared = await self.clear(seq_before(self._keep_days)) if self._keep_days > 0 else 0
+                log.info("old history cleared", pieces=cleared, ended=ended)
+            except NotStored as error:
+                log.warning("old history cannot be cleared now", error=str(error))
             await asyncio.sleep(INTERVAL_S)
 
     async def clear(self, before: int) -> int:

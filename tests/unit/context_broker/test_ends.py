@@ -51,7 +51,7 @@ def started(ends: Ends) -> None:
 
 
 def test_what_is_due_ends_and_what_is_put_off_stays() -> None:
-    ends, shelf = Ends(lambda: True), Shelf()
+    ends, shelf = Ends(), Shelf()
     now = time.time()
     put(ends, shelf, transient("due", at(now - 1)))
     put(ends, shelf, transient("later", at(now + 1000)))
@@ -64,16 +64,8 @@ def test_what_is_due_ends_and_what_is_put_off_stays() -> None:
     assert ends.waiting == 2
 
 
-def test_only_the_leader_ends() -> None:
-    ends, shelf = Ends(lambda: False), Shelf()
-    put(ends, shelf, transient("due", at(time.time() - 1)))
-    started(ends)
-    assert not shelf.staged
-    assert ends.waiting == 1
-
-
 def test_entities_that_are_gone_or_change_often_do_not_fill_the_queue() -> None:
-    ends, shelf = Ends(lambda: True), Shelf()
+    ends, shelf = Ends(), Shelf()
     far = time.time() + 10**6
     for number in range(3 * LEFT_BEHIND):
         put(ends, shelf, transient("beating", at(far + number)))

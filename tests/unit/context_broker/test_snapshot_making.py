@@ -17,7 +17,6 @@ from services.context_broker.snapshots.snapshot_store import SnapshotStore
 from services.context_broker.storage.database import SqliteDatabase
 from services.context_broker.storage.entries import Kind
 from services.context_broker.storage.journal import Journal
-from services.context_broker.storage.leadership import SoleBroker
 
 QUERY = {"type": "Query", "entities": [{"type": "Task"}]}
 
@@ -26,7 +25,7 @@ QUERY = {"type": "Query", "entities": [{"type": "Task"}]}
 async def broker(tmp_path: Path) -> AsyncIterator[Broker]:
     journal = Journal(SqliteDatabase(tmp_path / "broker.db"))
     journal.open()
-    made = Broker(BrokerSettings(data_dir=tmp_path), journal, SoleBroker(), None)
+    made = Broker(BrokerSettings(data_dir=tmp_path), journal)
     await made.start()
     yield made
     await made.stop()

@@ -116,8 +116,6 @@ class Distribution:
                 raise loop_detected(name)
             answer = await handler(sources, exchange, operation.answer)
         except Problem as problem:
-            if problem.__cause__ is not None:  # another broker was quicker: all is done again
-                raise
             answer = problem_answer(problem)
         if passed:  # who asks learns our name, and need not ask us another time for what has passed us
             answer = Answer(answer.status, answer.body, [*answer.headers, (b"via", f"1.1 {name}".encode())])

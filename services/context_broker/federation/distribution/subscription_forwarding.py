@@ -99,7 +99,7 @@ class SubscriptionForwarder:
         """Take up what was passed on before, and bring it in step."""
         self._base = self._contexts.base({})
         for tenant, token, stored in journal.documents(Kind.RELAY):
-            await self.follow(tenant, token, stored)
+            await self._restore(tenant, token, stored)
         for forwarded in self._relays.values():
             self._base = self._public_url or forwarded.base
         self._tenants.on_registration = self.wake
@@ -112,11 +112,8 @@ class SubscriptionForwarder:
         for task in self._tasks:
             task.cancel()
 
-    async def follow(self, tenant: str, token: str, stored: bytes | None) -> None:
+    async def _restore(self, tenant: str, token: str, stored: bytes) -> None:
         """Take a relay as the journal has it."""
-        if stored is None:
-            self._relays.pop(token, None)
-            return
         try:
             self._relays[token] = await restored(token, tenant, stored, self._contexts)
         except Problem as problem:
@@ -156,9 +153,6 @@ class SubscriptionForwarder:
 
     async def align(self, tenant: Tenant) -> list[str]:
         """Pass on what should be and is not, take back what should not be; return what failed and why."""
-        if not tenant.notifier.outbound.leadership.leads:
-            self._again_later(tenant)  # it may lead by then
-            return []
         async with self._locks.setdefault(tenant.name, asyncio.Lock()):
             wanted = await self._wanted(tenant)
             held = {one.key: one for one in self._of(tenant)}

@@ -106,10 +106,6 @@ class EntityMaps:
             document.get("query", ""),
         )
 
-    def forget(self, map_id: str) -> None:
-        """Forget a map that another broker deleted."""
-        self._all.pop(map_id, None)
-
     def find(self, map_id: str) -> EntityMap | None:
         """Return a map; None if it is not there or has expired."""
         require_uri(map_id, "the id of an entity map")

@@ -77,19 +77,6 @@ class RegistrationOperations:
                 tenant.registry.restore_attempts(made.id, counts)
             self._schedule_expiry(tenant, made)
 
-    async def follow(self, tenant: Tenant, registration_id: str, body: bytes | None) -> None:
-        """Take what another broker on the same database did to a registration."""
-        before = tenant.registry.get(registration_id)
-        if body is None:
-            if before is not None:
-                tenant.registry.remove(registration_id)
-            return
-        document = orjson.loads(body)
-        read = registration(document, await self._contexts.as_before(document["context"]))
-        made = read.with_attempts_of(before)
-        tenant.registry.put(made)
-        self._schedule_expiry(tenant, made)
-
     async def renew(self, tenant: Tenant, context_id: str) -> None:
         """Make those registrations anew whose context was fetched anew."""
         async with self._lock:

@@ -166,7 +166,7 @@ class Registry:
             self._commits.store_later(Entries(documents={key: stored_attempts(attempts)}))
 
     def restore_attempts(self, registration_id: str, kept: bytes) -> None:
-        """Take the counts kept for a registration, from before a restart or by another broker."""
+        """Take the counts kept for a registration, from before a restart."""
         found = self._all.get(registration_id)
         if found is not None:
             attempts = found.attempts

@@ -55,15 +55,10 @@ class SourceNotifier(CourierOffice):
         self._rounds.stop()
         super().stop()
 
-    def turn(self, *, leads: bool) -> None:
-        """Begin with all that is owed, or leave it to another broker."""
-        super().turn(leads=leads)
-        self._rounds.heed(self.all() if leads else [])
-
     def rearrange(self, changed: str | None = None) -> None:
         """Go the rounds of the subscriptions as they are now."""
         one = None if changed is None else self.get(changed)
-        if self.outbound.leadership.leads and self._rounds.concern(changed, one):
+        if self._rounds.concern(changed, one):
             self._rounds.heed(self.all())
 
     def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
