@@ -1,6 +1,7 @@
 """The broker: its parts put together, and the way of a request through them."""
 
 import asyncio
+import gc
 import time
 from collections.abc import Coroutine, Mapping
 from functools import partial
@@ -11,26 +12,13 @@ from starlette.types import Receive
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from services.context_broker.api.exchange import (
-    Answer,
-    Exchange,
-    Request,
-    problem_answer,
-    read,
-    told_back,
-)
-from services.context_broker.api.operation import Directory, Operation
-from services.context_broker.api.problems import not_stored
+from services.context_broker.api.application import BrokerApplication
 from services.context_broker.api.request_metrics import RequestMetrics
-from services.context_broker.application import BrokerApplication
-from services.context_broker.contexts.book import ContextBook
+from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.contexts.context_store import Documents
 from services.context_broker.contexts.fetching import Fetcher
-from services.context_broker.contexts.kept import Documents
-from services.context_broker.contexts.operations import ContextOperations
 from services.context_broker.contexts.own_address import OwnAddress
-from services.context_broker.entities.batch_operations import BatchOperations
-from services.context_broker.entities.discovery_operations import DiscoveryOperations
-from services.context_broker.entities.entity_operations import EntityOperations
+from services.context_broker.delivery.notifier import REQUEST_HEADERS
 from services.context_broker.federation.distribution.distributed_operations import Distribution, Handler
 from services.context_broker.federation.distribution.forwarding import Forwarder
 from services.context_broker.federation.distribution.subscription_forwarding import SubscriptionForwarder
@@ -39,8 +27,22 @@ from services.context_broker.federation.registrations.registration_operations im
 from services.context_broker.federation.registrations.source_subscription_operations import (
     SourceSubscriptionOperations,
 )
-from services.context_broker.garbage import look_rarely
+from services.context_broker.model.problems import not_stored
 from services.context_broker.network.http_client import BodyReadingHttpClient
+from services.context_broker.operations.batch_operations import BatchOperations
+from services.context_broker.operations.context_operations import ContextOperations
+from services.context_broker.operations.discovery_operations import DiscoveryOperations
+from services.context_broker.operations.entity_operations import EntityOperations
+from services.context_broker.operations.subscription_operations import SubscriptionOperations
+from services.context_broker.request.request_context import (
+    Answer,
+    Exchange,
+    Request,
+    problem_answer,
+    read,
+    told_back,
+)
+from services.context_broker.request.routing import Directory, Operation
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots.operations import OUTSIDE_SNAPSHOTS, SnapshotOperations
 from services.context_broker.snapshots.snapshot_creation import HEADER as SNAPSHOT
@@ -48,17 +50,17 @@ from services.context_broker.storage.database import Database, SqliteDatabase
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.journal import Journal, NotStored
 from services.context_broker.storage.postgres import PostgresDatabase
-from services.context_broker.storage.tenants import Tenants
-from services.context_broker.subscriptions.notifier import REQUEST_HEADERS
-from services.context_broker.subscriptions.operations import SubscriptionOperations
 from services.context_broker.temporal.operations import TemporalOperations
 from services.context_broker.temporal.provision import TemporalProvision
 from services.context_broker.temporal.retention import Retention
+from services.context_broker.tenants import Tenants
 
 log = get_logger(__name__)
 
 ENTITIES = Gauge("handover_broker_entities", "Entities in the broker")
 REQUESTS: Final = RequestMetrics()
+GC_THRESHOLDS: Final = (20_000, 20, 50)
+"""With Python's defaults, (700, 10, 10), garbage collection took a sixth of the time of a change."""
 
 
 class Broker:
@@ -131,7 +133,8 @@ class Broker:
         await self.subscription_forwarder.start(self.journal)
         self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
-        look_rarely()
+        gc.set_threshold(*GC_THRESHOLDS)
+        gc.freeze()  # what was loaded stays
         log.info("broker ready", entities=self.tenants.entities(), database=self.journal.name)
 
     async def stop(self) -> None:

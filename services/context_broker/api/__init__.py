@@ -1,1 +1,1 @@
-"""The door: how a request is read, refused or answered, whatever it is about."""
+"""The HTTP server: protocol, application, health and metrics."""

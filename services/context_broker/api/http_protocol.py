@@ -18,7 +18,7 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from handover.http_protocol import BODY, HEAD, IDLE, IN_USE, Connections, HttpProtocol
 from handover.origin_guard import OriginPolicy
 from handover.telemetry import get_logger
-from services.context_broker.api.exchange import PREFIX, Answer, Request, by_name, problem_answer
+from services.context_broker.request.request_context import PREFIX, Answer, Request, by_name, problem_answer
 
 if TYPE_CHECKING:
     from uvicorn.config import Config

@@ -1,1 +1,1 @@
-"""The @contexts: what the names that readers and writers use stand for."""
+"""The @contexts that the broker ships, hosts and caches, and the names they define."""

@@ -17,8 +17,8 @@ import orjson
 
 from handover.errors import Problem
 from handover.settings import PASSWORD_IN_URL, STARS
-from services.context_broker.api.problems import bad_request_data, context_not_available
-from services.context_broker.api.words import shown
+from services.context_broker.model.problems import bad_request_data, context_not_available
+from services.context_broker.model.validation import shown
 from services.context_broker.network.http_client import BodyReadingHttpClient, SendError
 from services.context_broker.network.outbound_policy import OutboundPolicy
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import orjson
 
-from services.context_broker.contexts.kept import ContextShelf, Documents, KeptContext
+from services.context_broker.contexts.context_store import ContextShelf, Documents, KeptContext
 from services.context_broker.storage.entries import Kind
 
 KEPT_S: Final = 5.0

@@ -17,7 +17,7 @@ from functools import lru_cache
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Final, Self
 
-from services.context_broker.api.problems import bad_request_data
+from services.context_broker.model.problems import bad_request_data
 
 SETTING: Final = "HANDOVER_BROKER_OUTBOUND_ALLOW"
 LOOKUP_TIMEOUT_S: Final = 1.0

@@ -3,11 +3,11 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from services.context_broker.entities.entity import Entity
 from services.context_broker.federation.distribution.fragments import limited
+from services.context_broker.model.entity import Entity
 from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind
-from services.context_broker.storage.tenants import Tenant
-from services.context_broker.temporal.archive import END_OF_TIME, DepartedRow
+from services.context_broker.storage.history_archive import END_OF_TIME, DepartedRow
+from services.context_broker.tenants import Tenant
 
 ENTITIES_PER_COMMIT = 2000
 """Entities in one commit, so that others get their turn."""

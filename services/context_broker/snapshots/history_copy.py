@@ -5,10 +5,10 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.api.exchange import JSON_LD, Answer, Exchange
 from services.context_broker.federation.distribution.distributed_operations import derived
+from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
 from services.context_broker.snapshots.snapshot import Status, details
-from services.context_broker.storage.tenants import Tenant
+from services.context_broker.tenants import Tenant
 
 PAGE: Final = 100
 """Evolutions that are read at once; each may have a thousand instances of every attribute."""

@@ -11,11 +11,11 @@ from typing import Any, Final
 from urllib.parse import quote, urlsplit
 from uuid import uuid4
 
-from services.context_broker.api.exchange import PREFIX, Answer, Exchange
-from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import already_exists, not_found
-from services.context_broker.api.words import inside, moment, outside, require_uri
 from services.context_broker.federation.registrations.registration_operations import answer, with_context
+from services.context_broker.model.problems import already_exists, not_found
+from services.context_broker.model.validation import inside, moment, outside, require_uri
+from services.context_broker.request.request_context import PREFIX, Answer, Exchange
+from services.context_broker.request.routing import Operation
 from services.context_broker.snapshots.history_copy import PerformByName
 from services.context_broker.snapshots.purge import purge_filter
 from services.context_broker.snapshots.snapshot import (
@@ -31,7 +31,7 @@ from services.context_broker.snapshots.snapshot_notifications import SnapshotNot
 from services.context_broker.snapshots.snapshot_store import SnapshotStore, entries
 from services.context_broker.storage.entries import Kind
 from services.context_broker.storage.journal import Journal
-from services.context_broker.storage.tenants import Tenant, Tenants
+from services.context_broker.tenants import Tenant, Tenants
 
 USE_WRITE_INTERVAL_S: Final = 10.0
 """How often the time of the last use is written, at most: it is not worth a write for each use."""

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import shown
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import Attributes, Entity
-from services.context_broker.queries.q_grammar import parse
-from services.context_broker.queries.selection import Selection, compiled
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Attributes, Entity
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import shown
+from services.context_broker.query.q_grammar import parse
+from services.context_broker.query.selection import Selection, compiled
 from services.context_broker.snapshots.snapshot import MEMBERS, TYPE, Snapshot
 
 

@@ -14,8 +14,8 @@ from urllib.parse import urlsplit
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import (
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import (
     duration_s,
     moment,
     require_uri,

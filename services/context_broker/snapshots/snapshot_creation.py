@@ -11,13 +11,13 @@ import orjson
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from services.context_broker.api.exchange import JSON, Answer, Exchange
-from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import ERRORS, not_stored, too_many_results, went_wrong
 from services.context_broker.federation.distribution.distributed_operations import derived
-from services.context_broker.queries.query_document import query_parameters, selectors_of
-from services.context_broker.queries.reading import selection_of
-from services.context_broker.queries.selection import hits_of
+from services.context_broker.model.problems import ERRORS, not_stored, too_many_results, went_wrong
+from services.context_broker.query.query_document import query_parameters, selectors_of
+from services.context_broker.query.selection import hits_of
+from services.context_broker.request.query_parameters import selection_of
+from services.context_broker.request.request_context import JSON, Answer, Exchange
+from services.context_broker.request.routing import Operation
 from services.context_broker.snapshots.content import SnapshotContent, write_content
 from services.context_broker.snapshots.history_copy import EVERYTHING, PerformByName, copy_history
 from services.context_broker.snapshots.snapshot import (
@@ -32,7 +32,7 @@ from services.context_broker.snapshots.snapshot import (
 )
 from services.context_broker.snapshots.snapshot_store import SnapshotStore
 from services.context_broker.storage.journal import NotStored
-from services.context_broker.storage.tenants import Tenant, Tenants
+from services.context_broker.tenants import Tenant, Tenants
 
 log = get_logger(__name__)
 

@@ -15,14 +15,14 @@ import orjson
 
 from handover.retry import Backoff
 from handover.telemetry import get_logger
-from services.context_broker.api.words import tenant_headers, timestamp_now
+from services.context_broker.delivery.delivery_worker import GIVEN_UP
+from services.context_broker.model.validation import tenant_headers, timestamp_now
 from services.context_broker.network.http_client import SendError
 from services.context_broker.snapshots.snapshot import Snapshot
 from services.context_broker.storage.entries import DocumentKey, Entries, Kind
-from services.context_broker.subscriptions.couriers import GIVEN_UP
 
 if TYPE_CHECKING:
-    from services.context_broker.storage.tenants import Tenants
+    from services.context_broker.tenants import Tenants
 
 log = get_logger(__name__)
 

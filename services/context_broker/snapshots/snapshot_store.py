@@ -9,14 +9,14 @@ from collections.abc import Coroutine
 from typing import Any, Final
 
 from handover.telemetry import get_logger
-from services.context_broker.api.problems import not_stored
-from services.context_broker.api.words import timestamp_now
+from services.context_broker.model.problems import not_stored
+from services.context_broker.model.validation import timestamp_now
 from services.context_broker.snapshots.content import deletion_entries
 from services.context_broker.snapshots.snapshot import MAX_SNAPSHOTS, MAX_TOTAL_ENTITIES, Snapshot
 from services.context_broker.snapshots.snapshot_notifications import SnapshotNotifier, notification_of
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.journal import NotStored
-from services.context_broker.storage.tenants import DEFAULT, Tenant, Tenants
+from services.context_broker.tenants import DEFAULT, Tenant, Tenants
 
 log = get_logger(__name__)
 

@@ -1,1 +1,1 @@
-"""What survives: the journal, the database under it, and the memory above it."""
+"""The entities in memory and the journal behind them: write-ahead log with SQLite, or PostgreSQL."""

@@ -13,10 +13,10 @@ from typing import Any, Final
 from handover.errors import UsageError
 from handover.sqlite_files import faults_of
 from services.context_broker.storage import checksums
+from services.context_broker.storage.checkpoint import Filing
 from services.context_broker.storage.database import NotStored, SqliteDatabase
-from services.context_broker.storage.filing import Filing
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT
-from services.context_broker.storage.log import Damaged
+from services.context_broker.storage.write_ahead_log import Damaged
 
 MAX_FAULTS: Final = 20
 """Rows of a table that are named; of the others there is a number."""

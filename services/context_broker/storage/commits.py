@@ -17,9 +17,9 @@ from typing import Protocol
 from prometheus_client import Counter
 
 from handover.telemetry import get_logger
-from services.context_broker.api.tally import TalliedMetric
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.journal import Journal, NotStored
+from services.context_broker.storage.tally import TalliedMetric
 
 log = get_logger(__name__)
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from services.context_broker.temporal.archive import DepartedRow, HistoryRow
+from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 
 OVERHEAD_BYTES: Final = 200
 """What a notice takes besides its body."""

@@ -13,11 +13,11 @@ from handover.errors import UsageError
 from handover.sqlite_files import damage
 from handover.telemetry import get_logger
 from services.context_broker.storage import checksums
+from services.context_broker.storage.checkpoint import Filing
 from services.context_broker.storage.checksums import require_row
 from services.context_broker.storage.database import Database, NotStored, Row, SqliteDatabase, Writer
 from services.context_broker.storage.entries import OVERHEAD_BYTES, Entries, Kind, Notice
-from services.context_broker.storage.filing import Filing
-from services.context_broker.temporal.archive import Archive, write_archive
+from services.context_broker.storage.history_archive import Archive, write_archive
 
 __all__ = ["Journal", "NotStored"]
 

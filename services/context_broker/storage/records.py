@@ -10,7 +10,7 @@ from typing import Any, Final
 import orjson
 
 from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind, Notice
-from services.context_broker.temporal.archive import DepartedRow, HistoryRow
+from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 
 _NOTHING: Final[tuple[()]] = ()
 

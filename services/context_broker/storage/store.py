@@ -7,26 +7,25 @@ disk refuses, everything staged is forgotten, so that memory never says more tha
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import orjson
 
 from handover.telemetry import get_logger
-from services.context_broker.api.nesting import too_deep
-from services.context_broker.api.problems import not_stored, went_wrong
-from services.context_broker.entities.census import Census
-from services.context_broker.entities.entity import Entity, Event
-from services.context_broker.entities.transient import Ends
-from services.context_broker.queries.attribute_index import AttributeIndex, ids_of
-from services.context_broker.queries.geo_query import GeoQuery
-from services.context_broker.queries.place_index import PlaceIndex
-from services.context_broker.queries.q_index import Condition
-from services.context_broker.queries.type_selection import TypeSelection, of_types
+from services.context_broker.model.entity import Entity, Event
+from services.context_broker.model.nesting import too_deep
+from services.context_broker.model.problems import not_stored, went_wrong
+from services.context_broker.query.attribute_index import AttributeIndex, ids_of
+from services.context_broker.query.geo_query import GeoQuery
+from services.context_broker.query.place_index import PlaceIndex
+from services.context_broker.query.q_index import Condition
+from services.context_broker.query.type_selection import TypeSelection, of_types
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import EntityRow, Entries, Notice
+from services.context_broker.storage.expiry_queue import Ends
 from services.context_broker.storage.journal import NotStored
-from services.context_broker.storage.ranks import Ranks, in_order
-from services.context_broker.temporal.history import Recorder
+from services.context_broker.storage.ordered_entities import Ranks, in_order
+from services.context_broker.storage.type_statistics import Census
 
 log = get_logger(__name__)
 
@@ -65,6 +64,13 @@ class Staged:
             self.fate.set_exception(not_stored(str(error)))
         else:
             self.fate.set_exception(went_wrong(error, "completing a change that is stored"))
+
+
+class Recorder(Protocol):
+    """Adds the history of a change to what is written with it."""
+
+    def record(self, tenant: str, event: Event, entries: Entries) -> None:
+        """Record a change."""
 
 
 Announce = Callable[[Event], list[Notice]]

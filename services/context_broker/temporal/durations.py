@@ -8,8 +8,8 @@ from datetime import UTC, datetime, timedelta
 from typing import Final
 
 from handover.durations import MAX_YEARS, add_months, parse_duration
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import shown
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import shown
 
 MICROS: Final = 1_000_000
 """Microseconds in a second: times here are whole microseconds since 1970."""

@@ -13,8 +13,7 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.api.words import has_expired, moment, timestamp, timestamp_now
-from services.context_broker.entities.entity import (
+from services.context_broker.model.entity import (
     NULL,
     SAYS,
     Attributes,
@@ -22,8 +21,9 @@ from services.context_broker.entities.entity import (
     Instance,
     dataset_of,
 )
+from services.context_broker.model.validation import has_expired, moment, timestamp, timestamp_now
 from services.context_broker.storage.entries import Entries
-from services.context_broker.temporal.archive import DepartedRow, HistoryRow
+from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 
 SCOPE: Final = "scope"
 """What the scopes of an entity are called among its attributes (whose names are IRIs)."""

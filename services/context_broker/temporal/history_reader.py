@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import Any, Final
 
-from services.context_broker.api.problems import too_many_results
-from services.context_broker.api.words import has_expired
-from services.context_broker.entities.entity import SAYS, Entity, Instance
-from services.context_broker.queries.scope_query import ScopeQuery
+from services.context_broker.model.entity import SAYS, Entity, Instance
+from services.context_broker.model.problems import too_many_results
+from services.context_broker.model.validation import has_expired
+from services.context_broker.query.scope_query import ScopeQuery
+from services.context_broker.storage.history_archive import Archive
 from services.context_broker.temporal.aggregation import Aggregation, Total, periods, totals
-from services.context_broker.temporal.archive import Archive
 from services.context_broker.temporal.history import SCOPE, Change, instance_id, micros_of
 from services.context_broker.temporal.query import TemporalQuery
 from services.context_broker.temporal.subjects import Subject

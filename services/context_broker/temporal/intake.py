@@ -4,10 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import require_name, shown
-from services.context_broker.entities.entity import NULL, SAYS, Attributes, Instance, Terms, is_deletion
-from services.context_broker.entities.intake import (
+from services.context_broker.model.entity import NULL, SAYS, Attributes, Instance, Terms, is_deletion
+from services.context_broker.model.entity_parser import (
     SAYING,
     Nulls,
     expand,
@@ -15,6 +13,8 @@ from services.context_broker.entities.intake import (
     read_attribute,
     read_change,
 )
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import require_name, shown
 from services.context_broker.temporal.history import SCOPE
 
 MAX_INSTANCES: Final = 100_000

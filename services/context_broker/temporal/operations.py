@@ -9,18 +9,17 @@ from typing import Any, Final, TypeVar
 
 import orjson
 
-from services.context_broker.api.exchange import JSON_LD, Answer, Exchange
-from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import bad_request_data, not_read
-from services.context_broker.api.words import require_uri, shown
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity_operations import absent, nothing_left
-from services.context_broker.entities.rendering import with_context
 from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS
-from services.context_broker.queries.ordering import Ordering, ordering
-from services.context_broker.queries.pages import PLACE
-from services.context_broker.queries.query_document import query_parameters, selectors_of
-from services.context_broker.queries.reading import (
+from services.context_broker.model.context import Context
+from services.context_broker.model.problems import bad_request_data, not_read
+from services.context_broker.model.rendering import with_context
+from services.context_broker.model.validation import require_uri, shown
+from services.context_broker.operations.entity_operations import absent, nothing_left
+from services.context_broker.query.ordering import Ordering, ordering
+from services.context_broker.query.pages import PLACE
+from services.context_broker.query.query_document import query_parameters, selectors_of
+from services.context_broker.query.selection import Selection
+from services.context_broker.request.query_parameters import (
     LINK_PARAMETERS,
     QUERY_PARAMETERS,
     VIEW_PARAMETERS,
@@ -28,9 +27,10 @@ from services.context_broker.queries.reading import (
     page_links,
     selection_of,
 )
-from services.context_broker.queries.selection import Selection
+from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
+from services.context_broker.request.routing import Operation
+from services.context_broker.storage.history_archive import Archive
 from services.context_broker.storage.journal import NotStored
-from services.context_broker.temporal.archive import Archive
 from services.context_broker.temporal.history_reader import (
     EvolutionPage,
     HistoryRequest,

@@ -13,21 +13,21 @@ from urllib.parse import quote
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import PREFIX, Answer, Exchange
-from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import bad_request_data, not_found, not_stored
-from services.context_broker.api.words import moment, require_name, require_uri, shown, timestamp_now
-from services.context_broker.entities.completion import completed_part
-from services.context_broker.entities.entity import NULL, Attributes, Instance, Terms, dataset_of, is_deletion
-from services.context_broker.entities.entity_operations import DONE, absent
-from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand, read_attribute
+from services.context_broker.model.completion import completed_part
+from services.context_broker.model.entity import NULL, Attributes, Instance, Terms, dataset_of, is_deletion
+from services.context_broker.model.entity_parser import DEFAULT_INSTANCE, expand, read_attribute
+from services.context_broker.model.problems import bad_request_data, not_found, not_stored
+from services.context_broker.model.validation import moment, require_name, require_uri, shown, timestamp_now
+from services.context_broker.operations.entity_operations import DONE, absent
+from services.context_broker.request.request_context import PREFIX, Answer, Exchange
+from services.context_broker.request.routing import Operation
 from services.context_broker.storage.entries import Entries
+from services.context_broker.storage.history_archive import END_OF_TIME, Archive, DepartedRow, HistoryRow
 from services.context_broker.storage.journal import NotStored
-from services.context_broker.storage.tenants import Tenant
-from services.context_broker.temporal.archive import END_OF_TIME, Archive, DepartedRow, HistoryRow
 from services.context_broker.temporal.history import SCOPE, Change, Departed, Recorder, place_of
 from services.context_broker.temporal.intake import Past, read_past
 from services.context_broker.temporal.subjects import Subject, subjects_of
+from services.context_broker.tenants import Tenant
 
 INSTANCES_PER_ROW: Final = 100
 """Instances of one request that are kept in one row: so many are read where one of them is wanted."""

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from services.context_broker.api.exchange import Exchange
-from services.context_broker.api.problems import bad_request_data, invalid_request
-from services.context_broker.api.words import moment, require_time, shown
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import Instance
-from services.context_broker.entities.language import preferences
-from services.context_broker.entities.projection import read_projection
-from services.context_broker.entities.rendering import Form, View
-from services.context_broker.queries.pages import Window
-from services.context_broker.queries.reading import datasets_of, names_of, options_of, window_of
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Instance
+from services.context_broker.model.language import preferences
+from services.context_broker.model.problems import bad_request_data, invalid_request
+from services.context_broker.model.projection import read_projection
+from services.context_broker.model.rendering import Form, View
+from services.context_broker.model.validation import moment, require_time, shown
+from services.context_broker.query.pages import Window
+from services.context_broker.request.query_parameters import datasets_of, names_of, options_of, window_of
+from services.context_broker.request.request_context import Exchange
 from services.context_broker.temporal.aggregation import METHODS, Aggregation
 from services.context_broker.temporal.durations import MICROS, read_duration
 from services.context_broker.temporal.history import DRIFT_S, micros_of

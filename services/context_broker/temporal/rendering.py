@@ -5,9 +5,9 @@ Clauses 4.5.6 to 4.5.9 (normalized, concise and temporalValues) and 4.5.19 (aggr
 
 from typing import Any, Final
 
-from services.context_broker.entities.entity import Terms
-from services.context_broker.entities.language import in_language
-from services.context_broker.entities.rendering import Form, written
+from services.context_broker.model.entity import Terms
+from services.context_broker.model.language import in_language
+from services.context_broker.model.rendering import Form, written
 from services.context_broker.temporal.aggregation import written_totals
 from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.history import SCOPE

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from services.context_broker.entities.entity import Entity
+from services.context_broker.model.entity import Entity
 from services.context_broker.temporal.history import Departed
 
 

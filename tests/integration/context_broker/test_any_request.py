@@ -17,8 +17,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.context_broker.api.operation import Operation
 from services.context_broker.app import operations_of
+from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
 
 SEQUENCES = 4 * settings.default.max_examples

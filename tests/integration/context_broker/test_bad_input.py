@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from services.context_broker.app import create_broker
-from services.context_broker.queries.place_index import PlaceIndex
+from services.context_broker.query.place_index import PlaceIndex
 from services.context_broker.settings import BrokerSettings
 
 NEAR = {"georel": "near;maxDistance==2000", "geometry": "Point", "coordinates": "[8,40]"}

@@ -17,10 +17,10 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from services.context_broker.delivery.mqtt_address import mqtt_address
+from services.context_broker.delivery.mqtt_sender import MqttSender
 from services.context_broker.network.http_client import SendError
 from services.context_broker.network.outbound_policy import OutboundPolicy
-from services.context_broker.subscriptions.mqtt_address import mqtt_address
-from services.context_broker.subscriptions.mqtt_sender import MqttSender
 from tests.integration.context_broker import acts
 
 Eventually = Callable[..., Any]

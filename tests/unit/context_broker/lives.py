@@ -6,12 +6,12 @@ from itertools import count
 from typing import Any
 
 from datamodels.contexts import HANDOVER_URL, TermMap
-from services.context_broker.api.words import timestamp
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities import changes
-from services.context_broker.entities.changes import Outcome
-from services.context_broker.entities.entity import Entity, Event, Instance
-from services.context_broker.entities.intake import read_change, read_entity
+from services.context_broker.model import changes
+from services.context_broker.model.changes import Outcome
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity, Event, Instance
+from services.context_broker.model.entity_parser import read_change, read_entity
+from services.context_broker.model.validation import timestamp
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.journal import Journal
 from services.context_broker.temporal.history import Recorder

@@ -8,13 +8,17 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.changes import appended, created, merged
-from services.context_broker.entities.completion import completed, normalized
-from services.context_broker.entities.intake import read_change, read_entity
-from services.context_broker.entities.rendering import Form, View, render
-from services.context_broker.subscriptions.documents import kept_document, shown_document, updated_document
-from services.context_broker.subscriptions.subscription import subscription
+from services.context_broker.delivery.subscription import subscription
+from services.context_broker.delivery.subscription_documents import (
+    kept_document,
+    shown_document,
+    updated_document,
+)
+from services.context_broker.model.changes import appended, created, merged
+from services.context_broker.model.completion import completed, normalized
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity_parser import read_change, read_entity
+from services.context_broker.model.rendering import Form, View, render
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
 TERMS = CONTEXT.terms

@@ -6,8 +6,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.context_broker.entities.census import Census
-from services.context_broker.entities.entity import Entity
+from services.context_broker.model.entity import Entity
+from services.context_broker.storage.type_statistics import Census
 
 KINDS = ("Property", "Relationship", "GeoProperty")
 instances = st.lists(st.fixed_dictionaries({"type": st.sampled_from(KINDS)}), min_size=1, max_size=3)

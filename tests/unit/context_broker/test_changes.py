@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 
 from datamodels.contexts import HANDOVER_URL, TermMap
-from services.context_broker.api.words import moment
-from services.context_broker.entities import changes
-from services.context_broker.entities.entity import NULL, Entity
-from services.context_broker.entities.intake import read_change, read_entity
-from services.context_broker.entities.rendering import Form, View, render
+from services.context_broker.model import changes
+from services.context_broker.model.entity import NULL, Entity
+from services.context_broker.model.entity_parser import read_change, read_entity
+from services.context_broker.model.rendering import Form, View, render
+from services.context_broker.model.validation import moment
 
 TERMS = TermMap(HANDOVER_URL)
 BEFORE, AFTER = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"

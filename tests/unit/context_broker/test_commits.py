@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.context_broker.storage import commits
+from services.context_broker.storage.checkpoint import QUICK_BYTES
 from services.context_broker.storage.commits import CommitQueue, NotCompleted
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries
-from services.context_broker.storage.filing import QUICK_BYTES
 from services.context_broker.storage.journal import Journal
 
 QUICK, SLOW = 0.00001, 1.0

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem
-from services.context_broker.api.problems import context_not_available
-from services.context_broker.contexts.book import CORE, ContextBook
+from services.context_broker.contexts.context_resolver import CORE, ContextBook
 from services.context_broker.contexts.fetching import (
     LONGEST_KEPT_S,
     SHORTEST_KEPT_S,
@@ -19,6 +18,7 @@ from services.context_broker.contexts.fetching import (
     kept_for_s,
 )
 from services.context_broker.contexts.own_address import OwnAddress
+from services.context_broker.model.problems import context_not_available
 from services.context_broker.network.outbound_policy import OutboundPolicy
 from services.context_broker.storage.entries import DocumentKey, Kind
 

@@ -15,8 +15,8 @@ import pytest
 from handover.errors import UsageError
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries, Kind, Notice
+from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT, Journal
-from services.context_broker.temporal.archive import DepartedRow, HistoryRow
 
 TRIALS = int(os.environ.get("HANDOVER_TEST_DAMAGES", "12"))
 """By kind of damage and state of the files."""

@@ -4,9 +4,9 @@ import asyncio
 import time
 from datetime import UTC, datetime
 
-from services.context_broker.api.words import timestamp
-from services.context_broker.entities.entity import Entity, Event
-from services.context_broker.entities.transient import LEFT_BEHIND, Ends
+from services.context_broker.model.entity import Entity, Event
+from services.context_broker.model.validation import timestamp
+from services.context_broker.storage.expiry_queue import LEFT_BEHIND, Ends
 
 AT = "2026-01-01T00:00:00.000000Z"
 

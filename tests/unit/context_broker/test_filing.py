@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import UsageError
+from services.context_broker.storage.checkpoint import lots
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries, Kind, Notice
-from services.context_broker.storage.filing import lots
+from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 from services.context_broker.storage.journal import SCRIPT, Journal, total_of
-from services.context_broker.storage.log import SIZE
 from services.context_broker.storage.records import decoded, encoded
-from services.context_broker.temporal.archive import DepartedRow, HistoryRow
+from services.context_broker.storage.write_ahead_log import SIZE
 
 TABLES = {
     "entities": "SELECT seq, tenant, body FROM entities",

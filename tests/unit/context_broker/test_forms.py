@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
-from services.context_broker.entities.changes import created, merged
-from services.context_broker.entities.completion import completed, normalized
-from services.context_broker.entities.entity import SAYS, Entity
-from services.context_broker.entities.intake import read_change, read_entity
-from services.context_broker.entities.rendering import Form, View, render
+from services.context_broker.model.changes import created, merged
+from services.context_broker.model.completion import completed, normalized
+from services.context_broker.model.entity import SAYS, Entity
+from services.context_broker.model.entity_parser import read_change, read_entity
+from services.context_broker.model.rendering import Form, View, render
 
 TERMS = TermMap(HANDOVER_URL)
 AT = "2026-01-01T00:00:00.000000Z"

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import TermMap, resolve
 from handover.errors import Problem
-from services.context_broker.entities.entity import Attributes, Entity
 from services.context_broker.federation.distribution.fragments import (
     Fragment,
     limited,
@@ -18,6 +17,7 @@ from services.context_broker.federation.distribution.fragments import (
     without_expired,
 )
 from services.context_broker.federation.distribution.translation import translated
+from services.context_broker.model.entity import Attributes, Entity
 
 TERMS = TermMap(None, resolve)
 DEFAULT = "https://uri.etsi.org/ngsi-ld/default-context/"

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.changes import created
-from services.context_broker.entities.entity import Entity
-from services.context_broker.entities.intake import read_entity
-from services.context_broker.queries.geo_query import geo_query_document
-from services.context_broker.queries.geometry import DEPTHS, MAX_POSITIONS, fault_of
-from services.context_broker.queries.place_index import SKIPPED, PlaceIndex
+from services.context_broker.model.changes import created
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.entity_parser import read_entity
+from services.context_broker.model.geometry import DEPTHS, MAX_POSITIONS, fault_of
+from services.context_broker.query.geo_query import geo_query_document
+from services.context_broker.query.place_index import SKIPPED, PlaceIndex
 
 TERMS = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL).terms
 AT = "2026-01-01T00:00:00.000000Z"

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.api.negotiation import (
+from services.context_broker.model.negotiation import (
     PLAIN,
     WITH_GEO_JSON,
     accepted,

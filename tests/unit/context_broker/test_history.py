@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.api.words import timestamp
-from services.context_broker.entities import changes
-from services.context_broker.entities.entity import Instance
-from services.context_broker.entities.intake import read_change, read_entity
+from services.context_broker.model import changes
+from services.context_broker.model.entity import Instance
+from services.context_broker.model.entity_parser import read_change, read_entity
+from services.context_broker.model.validation import timestamp
 from services.context_broker.storage.database import SqliteDatabase
 from services.context_broker.storage.journal import Journal
 from services.context_broker.temporal import history_reader

@@ -6,11 +6,11 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.context_broker.entities.entity import Entity
-from services.context_broker.queries.geo_query import geo_query_document
-from services.context_broker.queries.place_index import PlaceIndex
-from services.context_broker.queries.q_index import Equality, Range
-from services.context_broker.queries.type_selection import of_types, type_selection
+from services.context_broker.model.entity import Entity
+from services.context_broker.query.geo_query import geo_query_document
+from services.context_broker.query.place_index import PlaceIndex
+from services.context_broker.query.q_index import Equality, Range
+from services.context_broker.query.type_selection import of_types, type_selection
 from services.context_broker.storage.store import MOST_INDEXES, Store
 
 PLACE = "https://a.example/place"

@@ -6,9 +6,15 @@ import pytest
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.api.words import require_time
-from services.context_broker.entities.entity import NULL, is_deletion
-from services.context_broker.entities.intake import Nulls, nulls_in, read_attribute, read_change, read_entity
+from services.context_broker.model.entity import NULL, is_deletion
+from services.context_broker.model.entity_parser import (
+    Nulls,
+    nulls_in,
+    read_attribute,
+    read_change,
+    read_entity,
+)
+from services.context_broker.model.validation import require_time
 
 TERMS = TermMap(HANDOVER_URL)
 POINT = {"type": "Point", "coordinates": [1, 2]}

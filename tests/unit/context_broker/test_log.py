@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from services.context_broker.storage.log import PAGE, SIZE, Damaged, Log
+from services.context_broker.storage.write_ahead_log import PAGE, SIZE, Damaged, Log
 
 DATABASE, OPENING = b"database", b"opening1"
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from services.context_broker.api.operation import Operation
 from services.context_broker.app import operations_of
+from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
 
 ROOT = Path(__file__).parents[3]

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.entities.entity import Entity
-from services.context_broker.queries.collation import collation
-from services.context_broker.queries.ordering import Ordering, ordering, ordering_document
-from services.context_broker.queries.pages import Place, Window, mark_of, place_of
-from services.context_broker.queries.selection import Page, Selection, search
-from services.context_broker.queries.type_selection import of_types
+from services.context_broker.model.entity import Entity
+from services.context_broker.query.collation import collation
+from services.context_broker.query.ordering import Ordering, ordering, ordering_document
+from services.context_broker.query.pages import Place, Window, mark_of, place_of
+from services.context_broker.query.selection import Page, Selection, search
+from services.context_broker.query.type_selection import of_types
 from services.context_broker.storage.store import Store
 
 VOCAB = "https://a.example/"

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.queries.automaton import MOST_STATES, Automaton, Unsupported
-from services.context_broker.queries.patterns import LONGEST_TEXT, fits, pattern
+from services.context_broker.query.automaton import MOST_STATES, Automaton, Unsupported
+from services.context_broker.query.patterns import LONGEST_TEXT, fits, pattern
 
 
 @pytest.mark.parametrize("text", ["^urn:.*:demo:[0-9]{1,4}$", "a|b", "(ab){2,3}", r"\d+-\d+", "(a|b)?c*", ""])

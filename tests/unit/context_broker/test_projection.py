@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.entities.changes import created
-from services.context_broker.entities.geojson import feature_of, geometry
-from services.context_broker.entities.intake import read_entity
-from services.context_broker.entities.language import best_tag, preferences
-from services.context_broker.entities.projection import read_projection
-from services.context_broker.entities.rendering import Form, View, render
+from services.context_broker.model.changes import created
+from services.context_broker.model.entity_parser import read_entity
+from services.context_broker.model.geojson import feature_of, geometry
+from services.context_broker.model.language import best_tag, preferences
+from services.context_broker.model.projection import read_projection
+from services.context_broker.model.rendering import Form, View, render
 
 TERMS = TermMap(HANDOVER_URL)
 POINT = {"type": "Point", "coordinates": [1, 2]}

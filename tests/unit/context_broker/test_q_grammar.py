@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover.errors import Problem
-from services.context_broker.entities.entity import Entity
-from services.context_broker.queries.attribute_index import AttributeIndex, ids_of
-from services.context_broker.queries.q_grammar import (
+from services.context_broker.model.entity import Entity
+from services.context_broker.query.attribute_index import AttributeIndex, ids_of
+from services.context_broker.query.q_grammar import (
     And,
     Compare,
     Exists,
@@ -24,8 +24,8 @@ from services.context_broker.queries.q_grammar import (
     parse,
     paths,
 )
-from services.context_broker.queries.q_index import Equality, Range, conditions, scalars
-from services.context_broker.queries.q_match import nobody, predicate
+from services.context_broker.query.q_index import Equality, Range, conditions, scalars
+from services.context_broker.query.q_match import nobody, predicate
 
 VOCAB = "https://a.example/"
 

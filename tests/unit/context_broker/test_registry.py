@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import TermMap
 from handover.errors import Problem
-from services.context_broker.contexts.book import CORE, Context
-from services.context_broker.entities.entity import Entity
+from services.context_broker.contexts.context_resolver import CORE
 from services.context_broker.federation.registrations.registration import (
     EntityTarget,
     Mode,
@@ -20,6 +19,8 @@ from services.context_broker.federation.registrations.registration import (
 )
 from services.context_broker.federation.registrations.registration_intake import kept_document, registration
 from services.context_broker.federation.registrations.registry import Registry, claims
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
 
 CONTEXT = Context(1, TermMap(None, lambda _: None), CORE, b"", CORE)
 TASK, ROBOT = (CONTEXT.terms.expand(name) for name in ("Task", "Robot"))

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from services.context_broker.api.words import moment, timestamp
+from services.context_broker.model.validation import moment, timestamp
 from services.context_broker.storage.database import SqliteDatabase
 from services.context_broker.storage.entries import Entries
+from services.context_broker.storage.history_archive import DepartedRow
 from services.context_broker.storage.journal import Journal, NotStored
-from services.context_broker.temporal.archive import DepartedRow
 from services.context_broker.temporal.history import Change, Departed, Recorder, micros_of
 from services.context_broker.temporal.retention import Retention
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from services.context_broker.api.exchange import Answer, Exchange, Request
-from services.context_broker.api.operation import Operation
 from services.context_broker.app import Broker
+from services.context_broker.request.request_context import Answer, Exchange, Request
+from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots.snapshot import Snapshot, Status, new_snapshot
 from services.context_broker.snapshots.snapshot_creation import SnapshotCreator

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem
-from services.context_broker.api.words import inside, moment, outside, tenant_headers
-from services.context_broker.entities.entity import Entity
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.validation import inside, moment, outside, tenant_headers
 from services.context_broker.snapshots.content import SnapshotContent
 from services.context_broker.snapshots.snapshot import (
     MAX_LIFETIME_S,

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import NULL, Entity, Event
-from services.context_broker.subscriptions.documents import kept_document
-from services.context_broker.subscriptions.lines import Hold, Line, rest_s
-from services.context_broker.subscriptions.notification import told_of
-from services.context_broker.subscriptions.subscription import Subscription, subscription
-from services.context_broker.subscriptions.triggers import ALL, DEFAULT, Triggers, happened, read_kinds
+from services.context_broker.delivery.endpoint_queue import Hold, Line, rest_s
+from services.context_broker.delivery.notification import told_of
+from services.context_broker.delivery.subscription import Subscription, subscription
+from services.context_broker.delivery.subscription_documents import kept_document
+from services.context_broker.delivery.triggers import ALL, DEFAULT, Triggers, happened, read_kinds
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import NULL, Entity, Event
 
 CONTEXT = Context(0, TermMap(HANDOVER_URL), HANDOVER_URL, b"", HANDOVER_URL)
 AT, LATER = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"

@@ -13,9 +13,6 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import JSON, Answer, Exchange
-from services.context_broker.api.words import require_uri
-from services.context_broker.contexts.book import Context
 from services.context_broker.federation.distribution import outcomes
 from services.context_broker.federation.distribution.distributed_operations import (
     Handler,
@@ -47,6 +44,9 @@ from services.context_broker.federation.distribution.write_routing import (
 )
 from services.context_broker.federation.registrations.coverage import placement_filter
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
+from services.context_broker.model.context import Context
+from services.context_broker.model.validation import require_uri
+from services.context_broker.request.request_context import JSON, Answer, Exchange
 
 MAX_BATCH_SIZE: Final = 1000
 """Entities in one batch that is passed on."""

@@ -10,8 +10,6 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import JSON_LD, Answer, Exchange
-from services.context_broker.contexts.book import Context
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
@@ -27,7 +25,9 @@ from services.context_broker.federation.distribution.forwarding import (
 )
 from services.context_broker.federation.distribution.source_responses import query_source
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
-from services.context_broker.queries.reading import json_headers
+from services.context_broker.model.context import Context
+from services.context_broker.request.query_parameters import json_headers
+from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
 
 SourceDocument = tuple[Registration, SourceDialect, Any]
 """A source, how it was spoken to, and the document that it answered."""

@@ -13,12 +13,12 @@ from typing import Any, Final
 from urllib.parse import quote
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import PREFIX, Answer, Exchange, problem_answer
-from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import ERRORS
 from services.context_broker.federation.distribution.forwarding import Forwarder, RequestOrigin, SourceError
 from services.context_broker.federation.distribution.via import MAX_CHAIN_LENGTH, chain
 from services.context_broker.federation.registrations.registration import Match, Registration
+from services.context_broker.model.problems import ERRORS
+from services.context_broker.request.request_context import PREFIX, Answer, Exchange, problem_answer
+from services.context_broker.request.routing import Operation
 
 Perform = Callable[[Exchange], Awaitable[Answer]]
 """Carries an operation out on the broker's own entities."""

@@ -13,9 +13,6 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import JSON
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import Entity
 from services.context_broker.federation.distribution.distributed_operations import Sources, gather_all
 from services.context_broker.federation.distribution.forwarding import (
     SILENT,
@@ -33,7 +30,10 @@ from services.context_broker.federation.registrations.registration import (
     Registration,
     SourceFilter,
 )
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
 from services.context_broker.network.http_client import HttpResponse
+from services.context_broker.request.request_context import JSON
 
 ONE: Final = ("retrieveEntity", "queryEntity", "queryBatch")
 """Operations by which one entity can be read, the best first."""

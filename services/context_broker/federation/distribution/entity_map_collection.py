@@ -11,9 +11,6 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import Answer, Exchange
-from services.context_broker.api.words import require_uri
-from services.context_broker.contexts.book import Context
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
@@ -42,6 +39,9 @@ from services.context_broker.federation.distribution.source_responses import que
 from services.context_broker.federation.distribution.temporal_fetching import of_the_past, who
 from services.context_broker.federation.entity_maps.entity_map import Listed
 from services.context_broker.federation.registrations.registration import Match, Registration
+from services.context_broker.model.context import Context
+from services.context_broker.model.validation import require_uri
+from services.context_broker.request.request_context import Answer, Exchange
 from services.context_broker.temporal.operations import temporal_parameters
 
 CREATE_ENTITY_MAP: Final = "createEntityMapQueryEntity"

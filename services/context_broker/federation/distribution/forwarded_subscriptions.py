@@ -10,13 +10,13 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.contexts.book import ContextBook
+from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.delivery.subscription_documents import NAMES_IN, shown_document
 from services.context_broker.federation.distribution.forwarding import SourceDialect
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
 from services.context_broker.federation.registrations.registration_intake import registration
-from services.context_broker.queries.type_selection import TypeSelection
-from services.context_broker.subscriptions.documents import NAMES_IN, shown_document
-from services.context_broker.subscriptions.subscription import Subscription
+from services.context_broker.query.type_selection import TypeSelection
 
 PATH: Final = "relayedNotifications"
 _NOT_PASSED_ON: Final = (

@@ -13,12 +13,12 @@ from urllib.parse import quote
 import orjson
 
 from handover.telemetry import get_logger
-from services.context_broker.api.exchange import JSON, JSON_LD
-from services.context_broker.contexts.book import CORE, Context, ContextBook
+from services.context_broker.contexts.context_resolver import CORE, ContextBook
 from services.context_broker.federation.distribution.translation import older, translated
 from services.context_broker.federation.distribution.via import append_to_via, chain
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.federation.registrations.registry import Registry
+from services.context_broker.model.context import Context
 from services.context_broker.network.http_client import (
     BodyReadingHttpClient,
     HttpResponse,
@@ -26,6 +26,7 @@ from services.context_broker.network.http_client import (
     ResponseTooLarge,
     SendError,
 )
+from services.context_broker.request.request_context import JSON, JSON_LD
 
 log = get_logger(__name__)
 

@@ -6,10 +6,10 @@ Each tells what it is registered for; what an exclusive or redirect source has i
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
-from services.context_broker.entities.entity import Entity, dataset_of
 from services.context_broker.federation.distribution.fragments import Fragment, limited, merged
 from services.context_broker.federation.registrations.coverage import may_hold
 from services.context_broker.federation.registrations.registration import Mode, Registration
+from services.context_broker.model.entity import Entity, dataset_of
 from services.context_broker.storage.store import Store
 
 

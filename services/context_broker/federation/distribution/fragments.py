@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import moment, timestamp_now
-from services.context_broker.entities.entity import Attributes, Entity, Instance, Terms, dataset_of
-from services.context_broker.entities.intake import expand, read_entity
+from services.context_broker.model.entity import Attributes, Entity, Instance, Terms, dataset_of
+from services.context_broker.model.entity_parser import expand, read_entity
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import moment, timestamp_now
 
 _TIMES: Final = ("createdAt", "modifiedAt")
 _UNKNOWN: Final = float("-inf")

@@ -7,10 +7,10 @@ the others stay, or go elsewhere.
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
-from services.context_broker.api.words import require_name
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand
 from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity_parser import DEFAULT_INSTANCE, expand
+from services.context_broker.model.validation import require_name
 
 NO_ATTRIBUTES: Final = frozenset(
     {"id", "@id", "type", "@type", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}

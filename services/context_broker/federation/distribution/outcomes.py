@@ -7,11 +7,11 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import JSON, Answer
-from services.context_broker.api.problems import ERRORS
 from services.context_broker.federation.distribution.forwarding import SourceError
 from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.model.problems import ERRORS
 from services.context_broker.network.http_client import HttpResponse
+from services.context_broker.request.request_context import JSON, Answer
 
 _PASSED_ON: Final = frozenset({404, 409})
 """Failures of a single source that are the asker's to know as they are."""

@@ -11,9 +11,6 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import Answer, Exchange
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.purge import selection_to_purge
 from services.context_broker.federation.distribution import outcomes, reading
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
@@ -31,8 +28,11 @@ from services.context_broker.federation.distribution.forwarding import (
 from services.context_broker.federation.distribution.outcomes import Outcome
 from services.context_broker.federation.distribution.query_targets import FILTERS, may_be_split, target_of
 from services.context_broker.federation.registrations.registration import EntityTarget, Match
-from services.context_broker.queries.reading import selection_of
-from services.context_broker.queries.selection import hits_of
+from services.context_broker.model.context import Context
+from services.context_broker.operations.purge import selection_to_purge
+from services.context_broker.query.selection import hits_of
+from services.context_broker.request.query_parameters import selection_of
+from services.context_broker.request.request_context import Answer, Exchange
 
 _NAMING: Final = frozenset({"q", "geoproperty"})
 _AS_THEY_ARE: Final = ("q", "scopeQ", "georel", "geometry", "coordinates", "geoproperty", "idPattern")

@@ -6,16 +6,16 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.intake import expand
 from services.context_broker.federation.registrations.coverage import CoverageQuery, period_of
 from services.context_broker.federation.registrations.registration import EntityTarget, Match, SourceFilter
-from services.context_broker.queries import geo_query
-from services.context_broker.queries.patterns import pattern
-from services.context_broker.queries.reading import datasets_of
-from services.context_broker.queries.scope_query import scope_query
-from services.context_broker.queries.selection import compiled
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity_parser import expand
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.query import geo_query
+from services.context_broker.query.patterns import pattern
+from services.context_broker.query.scope_query import scope_query
+from services.context_broker.query.selection import compiled
+from services.context_broker.request.query_parameters import datasets_of
 
 FILTERS: Final = (
     "q", "expandValues", "jsonKeys", "scopeQ", "georel", "geometry", "coordinates", "geoproperty"

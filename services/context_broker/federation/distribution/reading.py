@@ -11,10 +11,6 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import Answer, Exchange, problem_answer
-from services.context_broker.api.words import require_uri
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import Entity
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
@@ -44,8 +40,12 @@ from services.context_broker.federation.distribution.query_targets import (
 )
 from services.context_broker.federation.registrations.coverage import CoverageQuery
 from services.context_broker.federation.registrations.registration import EntityTarget, Match
-from services.context_broker.queries.reading import datasets_of
-from services.context_broker.queries.type_selection import of_types
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.validation import require_uri
+from services.context_broker.query.type_selection import of_types
+from services.context_broker.request.query_parameters import datasets_of
+from services.context_broker.request.request_context import Answer, Exchange, problem_answer
 
 MAX_LINKING_ENTITIES: Final = 1000
 """Of so many of the broker's own entities the links are followed to other sources."""

@@ -9,16 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from services.context_broker.entities.entity import (
-    NULL,
-    SAYS,
-    Attributes,
-    Entity,
-    Instance,
-    Terms,
-    dataset_of,
-)
-from services.context_broker.entities.intake import expand
+from services.context_broker.delivery.triggers import Happened
 from services.context_broker.federation.distribution.fragment_collector import about
 from services.context_broker.federation.distribution.fragments import (
     Fragment,
@@ -28,7 +19,16 @@ from services.context_broker.federation.distribution.fragments import (
 )
 from services.context_broker.federation.distribution.source_responses import place_of
 from services.context_broker.federation.registrations.registration import Registration
-from services.context_broker.subscriptions.triggers import Happened
+from services.context_broker.model.entity import (
+    NULL,
+    SAYS,
+    Attributes,
+    Entity,
+    Instance,
+    Terms,
+    dataset_of,
+)
+from services.context_broker.model.entity_parser import expand
 
 _PREVIOUS: Final = {
     f"previous{says[0].upper()}{says[1:]}": kind for kind, says in reversed(list(SAYS.items()))

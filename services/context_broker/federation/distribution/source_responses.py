@@ -9,8 +9,6 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import Entity
 from services.context_broker.federation.distribution.distributed_operations import Sources
 from services.context_broker.federation.distribution.forwarding import (
     INVALID,
@@ -23,6 +21,8 @@ from services.context_broker.federation.distribution.forwarding import (
 )
 from services.context_broker.federation.distribution.fragments import read_fragment, without_expired
 from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
 from services.context_broker.network.http_client import HttpResponse
 
 _FROM_ELSEWHERE: Final = 1 << 62

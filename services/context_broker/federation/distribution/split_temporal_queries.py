@@ -11,9 +11,6 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import Exchange
-from services.context_broker.entities.entity import Entity, Instance
-from services.context_broker.entities.intake import expand, read_attribute
 from services.context_broker.federation.distribution import temporal_merge
 from services.context_broker.federation.distribution.distributed_operations import Perform, Sources, derived
 from services.context_broker.federation.distribution.query_targets import FILTERS
@@ -29,9 +26,12 @@ from services.context_broker.federation.distribution.temporal_fetching import (
 )
 from services.context_broker.federation.distribution.temporal_merge import Evolution
 from services.context_broker.federation.registrations.registration import Match, Registration
-from services.context_broker.queries.query_document import selectors_of
-from services.context_broker.queries.reading import LARGEST_LIMIT, selection_of
-from services.context_broker.queries.selection import Selection
+from services.context_broker.model.entity import Entity, Instance
+from services.context_broker.model.entity_parser import expand, read_attribute
+from services.context_broker.query.query_document import selectors_of
+from services.context_broker.query.selection import Selection
+from services.context_broker.request.query_parameters import LARGEST_LIMIT, selection_of
+from services.context_broker.request.request_context import Exchange
 from services.context_broker.temporal.query import TIME_PARAMETERS
 
 MAX_PAGES: Final = 20

@@ -13,11 +13,10 @@ from uuid import uuid4
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from services.context_broker.api.exchange import JSON, Answer, Exchange
-from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import bad_request_data, not_found, not_stored
-from services.context_broker.api.words import shown
-from services.context_broker.contexts.book import Context, ContextBook
+from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.delivery.notification import notification, told_of
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.delivery.subscription_documents import CAME_BY
 from services.context_broker.federation.distribution.distributed_operations import (
     Handler,
     Perform,
@@ -46,13 +45,15 @@ from services.context_broker.federation.distribution.source_notifications import
 from services.context_broker.federation.distribution.via import chain
 from services.context_broker.federation.registrations.coverage import CoverageQuery
 from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.model.context import Context
+from services.context_broker.model.problems import bad_request_data, not_found, not_stored
+from services.context_broker.model.validation import shown
 from services.context_broker.network.http_client import HttpResponse
+from services.context_broker.request.request_context import JSON, Answer, Exchange
+from services.context_broker.request.routing import Operation
 from services.context_broker.storage.entries import Entries, Kind, Notice
 from services.context_broker.storage.journal import Journal, NotStored
-from services.context_broker.storage.tenants import Tenant, Tenants
-from services.context_broker.subscriptions.documents import CAME_BY
-from services.context_broker.subscriptions.notification import notification, told_of
-from services.context_broker.subscriptions.subscription import Subscription
+from services.context_broker.tenants import Tenant, Tenants
 
 log = get_logger(__name__)
 

@@ -12,9 +12,6 @@ from typing import Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import Answer, Exchange
-from services.context_broker.api.problems import too_many_results
-from services.context_broker.contexts.book import Context
 from services.context_broker.federation.distribution import temporal_merge
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
@@ -34,7 +31,10 @@ from services.context_broker.federation.distribution.source_responses import ans
 from services.context_broker.federation.distribution.temporal_merge import Evolution
 from services.context_broker.federation.distribution.translation import translated
 from services.context_broker.federation.registrations.registration import Match, Registration
+from services.context_broker.model.context import Context
+from services.context_broker.model.problems import too_many_results
 from services.context_broker.network.http_client import HttpResponse
+from services.context_broker.request.request_context import Answer, Exchange
 from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.query import (
     AGGREGATION_PARAMETERS,

@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.api.problems import too_many_results
-from services.context_broker.api.words import moment
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import SAYS
 from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import SAYS
+from services.context_broker.model.problems import too_many_results
+from services.context_broker.model.validation import moment
 from services.context_broker.temporal.aggregation import periods, totals, written_totals
 from services.context_broker.temporal.durations import MICROS, written_time
 from services.context_broker.temporal.history_reader import MAX_INSTANCES_PER_ATTRIBUTE

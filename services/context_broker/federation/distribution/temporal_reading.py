@@ -11,10 +11,6 @@ from typing import Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import JSON_LD, Answer, Exchange, problem_answer
-from services.context_broker.api.words import require_uri
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.intake import expand
 from services.context_broker.federation.distribution import temporal_merge
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
@@ -49,8 +45,17 @@ from services.context_broker.federation.distribution.temporal_fetching import (
 from services.context_broker.federation.distribution.temporal_merge import Evolution
 from services.context_broker.federation.entity_maps.entity_map import OWN
 from services.context_broker.federation.registrations.registration import EntityTarget, Match, Registration
-from services.context_broker.queries.pages import Window
-from services.context_broker.queries.reading import DEFAULT_LIMIT, LARGEST_LIMIT, json_headers, page_links
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity_parser import expand
+from services.context_broker.model.validation import require_uri
+from services.context_broker.query.pages import Window
+from services.context_broker.request.query_parameters import (
+    DEFAULT_LIMIT,
+    LARGEST_LIMIT,
+    json_headers,
+    page_links,
+)
+from services.context_broker.request.request_context import JSON_LD, Answer, Exchange, problem_answer
 from services.context_broker.temporal.operations import temporal_parameters
 from services.context_broker.temporal.query import (
     Representation,

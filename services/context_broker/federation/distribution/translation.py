@@ -7,9 +7,9 @@ know is said in a way that it does (clause 4.3.6.8, ngsildConformance).
 from collections.abc import Mapping
 from typing import Any, Final
 
-from services.context_broker.api import conformance
-from services.context_broker.api.negotiation import Version, version_of
-from services.context_broker.entities.entity import SAYS, Terms
+from services.context_broker.model import conformance
+from services.context_broker.model.entity import SAYS, Terms
+from services.context_broker.model.negotiation import Version, version_of
 
 _NAMES_NOTHING: Final = frozenset(
     {"id", "@id", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt", "observedAt",

@@ -13,11 +13,6 @@ from urllib.parse import quote
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import PREFIX, Answer, Exchange
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import require_name, require_uri, shown
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.intake import expand
 from services.context_broker.federation.distribution import outcomes
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
@@ -48,8 +43,13 @@ from services.context_broker.federation.distribution.write_routing import (
 )
 from services.context_broker.federation.registrations.coverage import placement_filter
 from services.context_broker.federation.registrations.registration import EntityTarget
-from services.context_broker.queries.reading import datasets_of
-from services.context_broker.queries.type_selection import type_selection
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity_parser import expand
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import require_name, require_uri, shown
+from services.context_broker.query.type_selection import type_selection
+from services.context_broker.request.query_parameters import datasets_of
+from services.context_broker.request.request_context import PREFIX, Answer, Exchange
 
 _PASSED_ON: Final = ("options", "format", "observedAt", "lang", "datasetId", "deleteAll")
 _DONE: Final = Answer(204)

@@ -15,8 +15,8 @@ from uuid import uuid4
 
 import orjson
 
-from services.context_broker.api.problems import bad_request_data, not_found, too_many_results
-from services.context_broker.api.words import (
+from services.context_broker.model.problems import bad_request_data, not_found, too_many_results
+from services.context_broker.model.validation import (
     duration_s,
     has_expired,
     moment,

@@ -6,9 +6,6 @@ from urllib.parse import quote, unquote
 
 import orjson
 
-from services.context_broker.api.exchange import PREFIX, Answer, Exchange
-from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import not_stored
 from services.context_broker.federation.distribution.distributed_operations import derived
 from services.context_broker.federation.entity_maps.entity_map import (
     MAP_PARAMETERS,
@@ -26,10 +23,13 @@ from services.context_broker.federation.entity_maps.pages import (
     query_mark,
 )
 from services.context_broker.federation.registrations.registration_operations import answer, with_context
-from services.context_broker.queries.ordering import ordering
-from services.context_broker.queries.query_document import query_parameters, selectors_of
-from services.context_broker.queries.reading import QUERY_PARAMETERS, selection_of
-from services.context_broker.queries.selection import Selection, hits_of
+from services.context_broker.model.problems import not_stored
+from services.context_broker.query.ordering import ordering
+from services.context_broker.query.query_document import query_parameters, selectors_of
+from services.context_broker.query.selection import Selection, hits_of
+from services.context_broker.request.query_parameters import QUERY_PARAMETERS, selection_of
+from services.context_broker.request.request_context import PREFIX, Answer, Exchange
+from services.context_broker.request.routing import Operation
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.storage.store import OverlayStore, Store
 from services.context_broker.temporal.operations import QUERYING

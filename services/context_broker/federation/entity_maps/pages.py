@@ -25,12 +25,12 @@ from urllib.parse import quote
 
 import orjson
 
-from services.context_broker.api.exchange import Answer, Exchange
 from services.context_broker.federation.distribution.distributed_operations import derived
 from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS, EntityMap
-from services.context_broker.queries import linked, ordering
-from services.context_broker.queries.pages import PLACE, Window
-from services.context_broker.queries.reading import LARGEST_LIMIT, window_of
+from services.context_broker.query import linked, ordering
+from services.context_broker.query.pages import PLACE, Window
+from services.context_broker.request.query_parameters import LARGEST_LIMIT, window_of
+from services.context_broker.request.request_context import Answer, Exchange
 from services.context_broker.storage.journal import NotStored
 from services.context_broker.temporal.query import temporal_window
 

@@ -8,15 +8,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import moment, require_time, shown
-from services.context_broker.entities.entity import Entity
-from services.context_broker.entities.intake import expand
 from services.context_broker.federation.registrations.registration import Interval, Registration, SourceFilter
-from services.context_broker.queries.geo_query import Geometry, GeoQuery
-from services.context_broker.queries.geometry import fault_of
-from services.context_broker.queries.scope_query import ANY_LEVEL, ScopePattern, ScopeQuery
-from services.context_broker.queries.sphere import box_of
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.entity_parser import expand
+from services.context_broker.model.geometry import fault_of
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import moment, require_time, shown
+from services.context_broker.query.geo_query import Geometry, GeoQuery
+from services.context_broker.query.scope_query import ANY_LEVEL, ScopePattern, ScopeQuery
+from services.context_broker.query.sphere import box_of
 
 _MANAGED_TIMES: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"})
 

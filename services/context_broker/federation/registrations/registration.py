@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, Final
 
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import Entity
 from services.context_broker.federation.registrations.operation_names import DEFAULT_GROUP, TEMPORAL
-from services.context_broker.queries.patterns import fits
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
+from services.context_broker.query.patterns import fits
 
 API_ROOT: Final = "/ngsi-ld/v1"
 TYPE: Final = "ContextSourceRegistration"

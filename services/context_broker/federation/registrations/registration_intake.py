@@ -7,21 +7,6 @@ from collections.abc import Mapping
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import (
-    TENANT,
-    duration_s,
-    moment,
-    require_future,
-    require_name,
-    require_scope,
-    require_time,
-    require_uri,
-    shown,
-)
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.entity import Entity
-from services.context_broker.entities.intake import DEFAULT_INSTANCE, expand, read_attribute
 from services.context_broker.federation.registrations import operation_names as names
 from services.context_broker.federation.registrations.registration import (
     PROPERTIES,
@@ -34,8 +19,23 @@ from services.context_broker.federation.registrations.registration import (
     Registration,
     root_of,
 )
-from services.context_broker.queries.geometry import fault_of
-from services.context_broker.queries.patterns import pattern
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.entity_parser import DEFAULT_INSTANCE, expand, read_attribute
+from services.context_broker.model.geometry import fault_of
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import (
+    TENANT,
+    duration_s,
+    moment,
+    require_future,
+    require_name,
+    require_scope,
+    require_time,
+    require_uri,
+    shown,
+)
+from services.context_broker.query.patterns import pattern
 
 PLACES: Final = ("location", "observationSpace", "operationSpace")
 _TEXTS: Final = ("registrationName", "description", "tenant", "contextSourceAlias", "refreshRate")

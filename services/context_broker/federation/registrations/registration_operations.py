@@ -14,11 +14,7 @@ from uuid import uuid4
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.api.exchange import JSON_LD, PREFIX, Answer, Exchange
-from services.context_broker.api.operation import Operation
-from services.context_broker.api.problems import already_exists, conflict, not_found, not_stored
-from services.context_broker.api.words import require_uri, timestamp_now
-from services.context_broker.contexts.book import Context, ContextBook
+from services.context_broker.contexts.context_resolver import ContextBook
 from services.context_broker.federation.registrations.registration import Mode, Registration, shown_document
 from services.context_broker.federation.registrations.registration_intake import (
     kept_document,
@@ -29,17 +25,22 @@ from services.context_broker.federation.registrations.registration_intake import
 from services.context_broker.federation.registrations.registration_search import SEARCH_PARAMETERS, search_of
 from services.context_broker.federation.registrations.registry import claims
 from services.context_broker.federation.registrations.source_subscriptions import notices_of_change
-from services.context_broker.queries.reading import (
+from services.context_broker.model.context import Context
+from services.context_broker.model.problems import already_exists, conflict, not_found, not_stored
+from services.context_broker.model.validation import require_uri, timestamp_now
+from services.context_broker.query.type_selection import of_types
+from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
     json_headers,
     options_of,
     page_links,
     window_of,
 )
-from services.context_broker.queries.type_selection import of_types
+from services.context_broker.request.request_context import JSON_LD, PREFIX, Answer, Exchange
+from services.context_broker.request.routing import Operation
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.journal import NotStored
-from services.context_broker.storage.tenants import Tenant
+from services.context_broker.tenants import Tenant
 
 DONE: Final = Answer(204)
 MAX_TIMER_S: Final = 86400.0

@@ -8,18 +8,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from services.context_broker.api.problems import bad_request_data
-from services.context_broker.api.words import require_name, require_uri, shown
-from services.context_broker.contexts.book import Context
-from services.context_broker.entities.intake import expand
 from services.context_broker.federation.registrations.coverage import TimeRange, has_matching_place, period_of
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
-from services.context_broker.queries import geo_query
-from services.context_broker.queries.geo_query import GeoQuery
-from services.context_broker.queries.patterns import pattern
-from services.context_broker.queries.scope_query import ScopeQuery, scope_query
-from services.context_broker.queries.selection import Selection, compiled
-from services.context_broker.queries.type_selection import type_selection
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity_parser import expand
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import require_name, require_uri, shown
+from services.context_broker.query import geo_query
+from services.context_broker.query.geo_query import GeoQuery
+from services.context_broker.query.patterns import pattern
+from services.context_broker.query.scope_query import ScopeQuery, scope_query
+from services.context_broker.query.selection import Selection, compiled
+from services.context_broker.query.type_selection import type_selection
 
 SEARCH_PARAMETERS: Final = geo_query.PARAMETERS | {
     "id", "type", "idPattern", "attrs", "q", "csf", "timerel", "timeAt", "endTimeAt", "timeproperty", "scopeQ"

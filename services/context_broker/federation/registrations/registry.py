@@ -10,8 +10,6 @@ from typing import Final
 
 import orjson
 
-from services.context_broker.api.words import timestamp_now
-from services.context_broker.entities.entity import Entity, dataset_of
 from services.context_broker.federation.registrations.coverage import may_hold
 from services.context_broker.federation.registrations.registration import (
     Attempts,
@@ -22,6 +20,8 @@ from services.context_broker.federation.registrations.registration import (
     Registration,
     SourceFilter,
 )
+from services.context_broker.model.entity import Entity, dataset_of
+from services.context_broker.model.validation import timestamp_now
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import Entries, Kind
 

@@ -2,14 +2,14 @@
 
 from typing import Final
 
-from services.context_broker.api.operation import Operation
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.delivery.subscription_dispatcher import CourierOffice
 from services.context_broker.federation.registrations.source_subscriptions import notices_of_all
-from services.context_broker.queries.reading import PAGE_PARAMETERS
+from services.context_broker.operations.subscription_operations import SubscriptionOperations
+from services.context_broker.request.query_parameters import PAGE_PARAMETERS
+from services.context_broker.request.routing import Operation
 from services.context_broker.storage.entries import Kind
-from services.context_broker.storage.tenants import Tenant
-from services.context_broker.subscriptions.courier_office import CourierOffice
-from services.context_broker.subscriptions.operations import SubscriptionOperations
-from services.context_broker.subscriptions.subscription import Subscription
+from services.context_broker.tenants import Tenant
 
 _VIEW: Final = frozenset({"options"})
 

@@ -13,8 +13,10 @@ from uuid import uuid4
 
 import orjson
 
-from services.context_broker.api.words import timestamp_now
-from services.context_broker.entities.rendering import with_context
+from services.context_broker.delivery.outbound import Outbound
+from services.context_broker.delivery.periodic import Rounds
+from services.context_broker.delivery.subscription import JSON_LD, Subscription
+from services.context_broker.delivery.subscription_dispatcher import MOST_TOLD_AT_ONCE, CourierOffice
 from services.context_broker.federation.registrations.coverage import period_of
 from services.context_broker.federation.registrations.registration import (
     EntityTarget,
@@ -23,15 +25,13 @@ from services.context_broker.federation.registrations.registration import (
 )
 from services.context_broker.federation.registrations.registration_search import Search, target_for
 from services.context_broker.federation.registrations.registry import Registry
-from services.context_broker.queries.geo_query import geo_query_document
-from services.context_broker.queries.scope_query import scope_query
-from services.context_broker.queries.selection import Selection, compiled
+from services.context_broker.model.rendering import with_context
+from services.context_broker.model.validation import timestamp_now
+from services.context_broker.query.geo_query import geo_query_document
+from services.context_broker.query.scope_query import scope_query
+from services.context_broker.query.selection import Selection, compiled
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import Notice
-from services.context_broker.subscriptions.courier_office import MOST_TOLD_AT_ONCE, CourierOffice
-from services.context_broker.subscriptions.outbound import Outbound
-from services.context_broker.subscriptions.periodic import Rounds
-from services.context_broker.subscriptions.subscription import JSON_LD, Subscription
 
 
 class Reason(StrEnum):

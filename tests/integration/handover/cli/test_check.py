@@ -12,8 +12,8 @@ import pytest
 from handover.database import connect
 from services.context_broker.storage.database import SqliteDatabase
 from services.context_broker.storage.entries import EntityRow, Entries
+from services.context_broker.storage.history_archive import HistoryRow
 from services.context_broker.storage.journal import Journal
-from services.context_broker.temporal.archive import HistoryRow
 
 
 def checked(folder: Path) -> subprocess.CompletedProcess[str]:

@@ -1,0 +1,1 @@
+"""Subscriptions and their notifications: matching, queues, delivery over HTTP and MQTT."""

@@ -1,0 +1,96 @@
+"""An attempt: one notification sent once, and what came of it. It is counted whatever comes of it."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from prometheus_client import Counter
+
+from handover.telemetry import get_logger
+from services.context_broker.delivery.endpoint_queue import Line
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.model.validation import timestamp_now
+from services.context_broker.network.http_client import SendError
+from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.journal import Journal
+
+log = get_logger(__name__)
+
+_TRY_AGAIN: Final = frozenset({408, 425, 429})
+"""Refusals that are about the moment, not about the notification."""
+
+SENT: Final = Counter("handover_broker_notifications_sent_total", "Notifications delivered")
+FAILED: Final = Counter("handover_broker_notifications_failed_total", "Attempts to notify that failed")
+
+
+class Office(Protocol):
+    """Where couriers get from what they need: the notifier of a tenant."""
+
+    tenant: str
+
+    @property
+    def journal(self) -> Journal:
+        """Where what is owed waits."""
+
+    @property
+    def keep_s(self) -> float:
+        """How long a notification is tried again."""
+
+    def line(self, subscription: Subscription) -> Line:
+        """Return the way to the endpoint of a subscription."""
+
+    async def post(self, subscription: Subscription, body: bytes, taken: bytes | None) -> int:
+        """Send a notification and return the status of the answer; raise `SendError` if there is none.
+
+        `taken` are headers of the request that made the change, as JSON.
+        """
+
+    def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
+        """Return those of the notices (by entity, one at least) that one notification can tell of."""
+
+    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+        """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
+
+    def settle(self, subscription: Subscription, seqs: Iterable[int]) -> None:
+        """Strike out what is no longer owed, and write the counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fate:
+    """What came of an attempt: why it failed (None if it did not), and whether to try again.
+
+    `is_there` says that somebody has answered.
+    """
+
+    why: str | None
+    again: bool
+    is_there: bool
+
+
+async def attempt(
+    office: Office, subscription: Subscription, body: bytes, taken: bytes | None, *, is_first: bool
+) -> Fate:
+    """Send a notification once; `taken` are headers of the request that made the change, as JSON.
+
+    The first attempt counts as sent, whatever comes of it (clause 5.8.6); each that fails counts as failed.
+    """
+    counts, is_there = subscription.counts, True
+    try:
+        status = await office.post(subscription, body, taken)
+        why = None if 200 <= status < 300 else f"{subscription.endpoint.shown} answers {status}"
+        again = status >= 500 or status in _TRY_AGAIN
+    except SendError as error:
+        why, again, is_there = f"{subscription.endpoint.shown}: {error}", True, False
+    at = timestamp_now()
+    counts.sent += is_first
+    counts.last_notification = at
+    if why is None:
+        counts.last_success = at
+        SENT.inc()
+    else:
+        counts.failed += 1
+        counts.last_failure = at
+        FAILED.inc()
+        office.settle(subscription, ())
+        log.info("notification failed", subscription=subscription.id, why=why)
+    return Fate(why, again, is_there)

@@ -1,0 +1,377 @@
+"""A courier delivers the notifications of one subscription, one after the other, in order.
+
+What is owed stands in the outbox, written in the same commit as the change, and is struck out once delivered:
+a restart sends what was not. So a subscriber may be told twice, never not at all. Memory holds a window of
+what is owed; the rest waits on disk.
+"""
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from prometheus_client import Counter
+
+from handover.telemetry import get_logger
+from services.context_broker.delivery.attempt import Office, attempt
+from services.context_broker.delivery.backlog import Backlog
+from services.context_broker.delivery.endpoint_queue import FIRST_REST_S, SHED, WINDOW, Line, rest_s
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.model.validation import timestamp_now
+from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.journal import NotStored
+
+log = get_logger(__name__)
+
+RETRIES: Final = Counter("handover_broker_notifications_retries_total", "Attempts after one that failed")
+GIVEN_UP: Final = Counter(
+    "handover_broker_notifications_given_up_total", "Notifications given up", ["reason"]
+)
+
+
+class Courier:
+    """Delivers the notifications of one subscription."""
+
+    def __init__(self, subscription: Subscription, office: Office) -> None:
+        self.subscription = subscription
+        self.owed = 0
+        self.owed_bytes = 0
+        self._office = office
+        self._line = office.line(subscription)
+        self._backlog = Backlog(office.journal, office.tenant, subscription.id)
+        self._line.join(self)
+        self._queue: deque[Notice] = deque()
+        self._throttled: dict[str, Notice] = {}
+        self._round: deque[bytes] = deque()
+        self._last_sent_s = float("-inf")
+        self._failures = 0
+        self._rests_until_s = 0.0
+        self._more_on_disk = False
+        self._loading = False
+        self._last_seq = 0
+        self._sending: Notice | None = None
+        self._was_tried = False
+        self._is_uncounted = False
+        self._something_new = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def on_disk(self) -> int:
+        """How many notifications wait on disk only."""
+        return max(0, self.owed - len(self._queue) - len(self._throttled))
+
+    @property
+    def held(self) -> int:
+        """How many notifications are held in memory to be sent next."""
+        return len(self._queue)
+
+    @property
+    def throttled(self) -> int:
+        """How many entities wait for their throttling to end."""
+        return len(self._throttled)
+
+    def start(self) -> None:
+        """Look into the outbox for what is owed already."""
+        self._more_on_disk = self._is_uncounted = True
+        if not self.owed:
+            self._owe(1, 1)  # something, as it seems; it is counted when it is read
+        self._go_on()
+
+    def add(self, notice: Notice) -> None:
+        """Take what is owed; it is in the outbox already."""
+        self._owe(1, notice.size)
+        if notice.seq <= self._last_seq:
+            return  # it was loaded from there before we were told
+        if self._loading or self._more_on_disk or self._line.room <= 0:
+            self._more_on_disk = True
+            if not self._line.is_shedding and self._line.has_too_much:
+                self._shed_later()
+        else:
+            self._take(notice)
+        self._go_on()
+
+    def offer(self, bodies: Iterable[bytes]) -> None:
+        """Take the notifications of a period; those of the one before that could not be sent are given up."""
+        if self._round:
+            self._give_up("outdated", "the next period has begun", len(self._round))
+        self._round = deque(bodies)
+        self._go_on()
+
+    def stop(self) -> None:
+        """End at once; what is owed stays in the outbox, for the next start."""
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+        for notice in self._queue:
+            self._line.release(notice.size)
+        self._queue.clear()
+        self._throttled.clear()
+        self._round.clear()
+        self._more_on_disk = False
+        self._last_seq = 0
+        self._owe(-self.owed, -self.owed_bytes)
+        self._line.leave(self)
+
+    def end(self) -> None:
+        """End for good: the subscription is no more."""
+        self.stop()
+        self._line.part(self)
+
+    def change(self, subscription: Subscription) -> None:
+        """Go on with a changed subscription, at once even if a retry was due later."""
+        self.subscription = subscription
+        line = self._office.line(subscription)
+        if line is not self._line:
+            for notice in self._queue:
+                self._line.release(notice.size)
+                line.take(notice.size)
+            self._line.part(self)
+            self._line = line
+            line.join(self)
+        self._line.leave(self)
+        self._failures, self._rests_until_s = 0, 0.0
+        self.wake()
+        if self.owed:
+            self._go_on()
+
+    def wake(self) -> None:
+        """Look again whether there is something to do now."""
+        self._something_new.set()
+
+    def _take(self, notice: Notice) -> None:
+        self._last_seq = notice.seq
+        if notice.waits_for_throttling:
+            earlier = self._throttled.pop(notice.entity, None)  # what is told comes in the order of the last
+            self._throttled[notice.entity] = notice
+            if earlier is not None:  # the newer one tells of it too
+                self._strike([earlier])
+        else:
+            self._queue.append(notice)
+            self._line.take(notice.size)
+
+    def _owe(self, many: int, size: int) -> None:
+        self.owed += many
+        self.owed_bytes += size
+        self._line.owed_bytes += size
+
+    def _strike(self, notices: Iterable[Notice]) -> None:
+        """Note that notices are owed no longer."""
+        seqs = []
+        for notice in notices:
+            seqs.append(notice.seq)
+            self._owe(-1, -notice.size)
+        self._office.settle(self.subscription, seqs)
+
+    def _go_on(self) -> None:
+        if self._task is None or self._task.done():
+            self._task = asyncio.get_running_loop().create_task(self._work())
+            self._task.add_done_callback(self._on_end)
+
+    def _on_end(self, task: asyncio.Task[None]) -> None:
+        """Tell of an end that nobody wanted; what is owed is in the outbox and is sent after a restart."""
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("courier failed", subscription=self.subscription.id, exc_info=error)
+
+    async def _work(self) -> None:
+        """Deliver until nothing is owed, or nothing may be told; a new notice or a change starts it again."""
+        try:
+            while self._queue or self._throttled or self._more_on_disk or self._round:
+                status = self.subscription.status(time.time())
+                if status == "paused":
+                    return
+                if status == "expired":
+                    await self._forget()
+                else:
+                    await self._work_on()
+            self._owe(-self.owed, -self.owed_bytes)
+        finally:
+            self._line.leave(self)
+
+    async def _work_on(self) -> None:
+        """Do the next thing."""
+        if self._queue:
+            await self._deliver(self._queue[0])
+        elif self._more_on_disk:
+            await self._load()
+        elif self._round:
+            await self._go_round(self._round[0])
+        elif (left_s := self._last_sent_s + self.subscription.throttling_s - time.monotonic()) > 0:
+            await self._pause(left_s)
+        else:
+            await self._tell_throttled()
+
+    async def _deliver(self, notice: Notice) -> None:
+        """Try to send the notice at the head of the queue; it leaves the queue once it is done with."""
+        assert notice.body is not None  # noqa: S101 - those without one wait apart
+        self._sending = notice
+        try:
+            is_done = await self._send(notice.body, notice.headers, notice.at)
+        finally:
+            self._sending = None
+        if is_done and self._queue and self._queue[0] is notice:
+            self._queue.popleft()
+            self._line.release(notice.size)
+            self._strike([notice])
+
+    async def _go_round(self, body: bytes) -> None:
+        """Try to send what a period has brought."""
+        if await self._send(body, None, time.time()):
+            if self._round and self._round[0] is body:
+                self._round.popleft()
+            self._office.settle(self.subscription, ())
+
+    async def _tell_throttled(self) -> None:
+        """Tell in one notification how all that changed while throttled is now."""
+        some = self._office.together(self._throttled)
+        body = self._office.notification_of(self.subscription, some)
+        taken = next(reversed(some.values())).headers
+        if body is None or await self._send(body, taken, time.time()):
+            told = [notice for one, notice in some.items() if self._throttled.get(one) is notice]
+            for notice in told:
+                del self._throttled[notice.entity]
+            self._strike(told)
+
+    async def _send(self, body: bytes, taken: bytes | None, at: float) -> bool:
+        """Send when it is time, once; return whether it is done with: delivered, refused or too old."""
+        before, line = self.subscription, self._line
+        is_too_old = time.time() - at > self._office.keep_s
+        if line.failures or self._failures:
+            if is_too_old:
+                self.subscription.counts.failed += not self._was_tried
+                self._was_tried = False
+                self._give_up("too old", "it could not be delivered in time")
+                return True
+            rest_left_s = self._rests_until_s - time.monotonic()
+            wait_s = rest_left_s if rest_left_s > 0 else line.wait_s(self)
+            if wait_s != 0:
+                await self._pause(wait_s)
+                return False
+            RETRIES.inc()
+        is_first, self._was_tried = not self._was_tried, True
+        started_s = time.monotonic()
+        fate = await attempt(self._office, before, body, taken, is_first=is_first)
+        self._was_tried = fate.why is not None and fate.again
+        if fate.why is None:
+            self._last_sent_s = time.monotonic()
+            self._failures = 0
+            line.succeeded()
+            return True
+        if not fate.again:
+            line.succeeded()  # it was answered, if badly
+            self._give_up("refused", fate.why)
+            return True
+        cooldown_s = before.endpoint.cooldown_s
+        if self.subscription is before:
+            self._failures += 1
+            # Where somebody answers, it may be this notification alone that is not taken: others go first.
+            own_s = rest_s(self._failures) if fate.is_there and self._failures > 1 else 0.0
+            self._rests_until_s = time.monotonic() + max(own_s, cooldown_s)
+        line.failed(self, started_s, cooldown_s)
+        return False
+
+    def _give_up(self, reason: str, why: str, many: int = 1) -> None:
+        GIVEN_UP.labels(reason).inc(many)
+        log.warning("notifications given up", subscription=self.subscription.id, why=why, many=many)
+
+    async def _pause(self, seconds: float | None) -> None:
+        """Wait, or less if there is something new; None waits for that alone."""
+        self._something_new.clear()
+        try:
+            async with asyncio.timeout(seconds):
+                await self._something_new.wait()
+        except TimeoutError:
+            return
+
+    # What waits on disk
+
+    async def _load(self) -> None:
+        self._loading, self._more_on_disk = True, False
+        sharing = sum(1 for one in self._line.couriers if one.owed_bytes)
+        limit = max(1, min(WINDOW // max(1, sharing), self._line.room))
+        try:
+            page = await self._backlog.page(self._last_seq, limit, count=self._is_uncounted)
+        except NotStored as error:
+            self._more_on_disk = True
+            await self._cannot_read(error)
+            return
+        finally:
+            self._loading = False
+        if page.owed is not None:
+            self._owe(page.owed[0] - self.owed, page.owed[1] - self.owed_bytes)
+            self._is_uncounted = False
+        for notice in page.notices:
+            self._take(notice)
+        self._more_on_disk = self._more_on_disk or page.has_more
+
+    async def _cannot_read(self, error: NotStored) -> None:
+        log.warning("what is owed cannot be read", subscription=self.subscription.id, error=str(error))
+        await self._pause(FIRST_REST_S)
+
+    def _shed_later(self) -> None:
+        """See that some of what waits for the endpoint is given up."""
+        self._line.is_shedding = True
+        task = asyncio.get_running_loop().create_task(self._shed(self._line))
+        task.add_done_callback(self._on_end)
+
+    async def _shed(self, line: Line) -> None:
+        """Give up the oldest of whoever owes most, for as long as more waits for the endpoint than may."""
+        try:
+            while line.has_too_much:
+                most = max(line.couriers, key=lambda one: one.owed_bytes)
+                assert isinstance(most, Courier)  # noqa: S101 - only couriers are put there
+                wanted_bytes = line.owed_bytes - int(line.most_owed_bytes * (1 - SHED))
+                if not await most._give_up_oldest(
+                    wanted_bytes, "too many", "more waits for the endpoint than is kept"
+                ):
+                    return
+        finally:
+            line.is_shedding = False
+
+    async def _forget(self) -> None:
+        """Give up everything: the subscription has expired."""
+        self._line.leave(self)
+        self._round.clear()
+        self._more_on_disk = False
+        if await self._give_up_oldest(None, "expired", "the subscription has expired") is None:
+            self._more_on_disk = True
+
+    async def _give_up_oldest(self, wanted_bytes: int | None, reason: str, why: str) -> int | None:
+        """Give up the oldest, so many bytes of them or all; return how many, None if none could be read."""
+        given_up, left_bytes = 0, float("inf") if wanted_bytes is None else wanted_bytes
+        try:
+            async for page in self._backlog.sizes():
+                gone: dict[int, int] = {}
+                for seq, size in page:
+                    if left_bytes > 0 and (self._sending is None or seq != self._sending.seq):
+                        gone[seq] = size
+                        left_bytes -= size
+                self._drop(gone)
+                given_up += len(gone)
+                if left_bytes <= 0:
+                    break
+        except NotStored as error:
+            await self._cannot_read(error)
+            return None
+        finally:
+            if given_up:
+                self.subscription.counts.failed += given_up
+                self.subscription.counts.last_failure = timestamp_now()
+                self._give_up(reason, why, given_up)
+            self._office.settle(self.subscription, ())
+        return given_up
+
+    def _drop(self, gone: Mapping[int, int]) -> None:
+        """Forget notices by number, with their sizes in bytes."""
+        dropped = [notice for notice in self._queue if notice.seq in gone]
+        if dropped and dropped[0] is self._queue[0]:
+            self._was_tried = False
+        for notice in dropped:
+            self._line.release(notice.size)
+        if dropped:
+            self._queue = deque(notice for notice in self._queue if notice.seq not in gone)
+        for entity in [one for one, notice in self._throttled.items() if notice.seq in gone]:
+            del self._throttled[entity]
+        self._last_seq = max(self._last_seq, *gone) if gone else self._last_seq
+        self._owe(-len(gone), -sum(gone.values()))
+        self._office.settle(self.subscription, gone)

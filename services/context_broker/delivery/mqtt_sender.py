@@ -1,0 +1,145 @@
+"""Publishing notifications over MQTT: one connection for each server and identity, kept open (clause 7.2)."""
+
+import asyncio
+import socket
+import ssl
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, Self
+
+from services.context_broker.delivery.mqtt_address import MqttAddress
+from services.context_broker.network.http_client import ResponseTimeout, SendError
+from services.context_broker.network.outbound_policy import AddressRefused, OutboundPolicy
+
+GOODBYE_WITHIN_S: Final = 1.0
+"""How long a server may take to hear that we leave."""
+
+
+class _NamedTls(ssl.SSLContext):
+    """TLS to a server whose certificate is checked by `name`, though the connection is made to an address.
+
+    The MQTT library knows one host alone: given the name it would look it up by itself, past the policy.
+    """
+
+    name: str
+
+    def __new__(cls, *_: Any) -> Self:
+        return super().__new__(cls, ssl.PROTOCOL_TLS_CLIENT)
+
+    def __init__(self, name: str, ca_file: Path | None) -> None:
+        self.name = name
+        self.load_default_certs()
+        if ca_file is not None:
+            self.load_verify_locations(ca_file)
+
+    def wrap_socket(self, sock: socket.socket, *args: Any, **kwargs: Any) -> ssl.SSLSocket:
+        return super().wrap_socket(sock, *args, **{**kwargs, "server_hostname": self.name})
+
+
+class _Connection:
+    """A connection to one server; made when there is something to publish, and again when it broke."""
+
+    def __init__(self, where: MqttAddress, sender: "MqttSender") -> None:
+        self._where = where
+        self._sender = sender
+        self._connecting: asyncio.Task[Any] | None = None
+        self._farewells: set[asyncio.Task[None]] = set()
+
+    async def publish(self, topic: str, qos: int, payload: bytes, timeout_s: float) -> None:
+        """Publish; with a `qos` above 0 return once the server has it. Raises `SendError`."""
+        was_there = self._connecting is not None and self._connecting.done()
+        try:
+            async with asyncio.timeout(timeout_s):
+                try:
+                    await self._publish(topic, qos, payload, timeout_s)
+                except SendError:
+                    if not was_there:
+                        raise
+                    # The server may have closed it while nothing was sent: once more on a new one.
+                    await self._publish(topic, qos, payload, timeout_s)
+        except TimeoutError:
+            self._drop(self._connecting if was_there else None)
+            raise ResponseTimeout(f"no answer within {timeout_s:g} s") from None
+
+    async def _publish(self, topic: str, qos: int, payload: bytes, timeout_s: float) -> None:
+        from aiomqtt import MqttError  # noqa: PLC0415 - takes time to load, and few subscribers want it
+
+        if self._connecting is None:
+            self._connecting = asyncio.get_running_loop().create_task(self._connect())
+        connecting = self._connecting
+        try:
+            # A connection that takes longer than we wait is there for the next attempt.
+            client = await asyncio.shield(connecting)
+            await client.publish(topic, payload, qos=qos, timeout=timeout_s)
+        except AddressRefused as refused:
+            self._drop(connecting)
+            raise SendError(str(refused)) from None
+        except (MqttError, OSError, ValueError) as error:
+            self._drop(connecting)
+            raise SendError(str(error) or type(error).__name__) from None
+
+    async def close(self) -> None:
+        """Say goodbye."""
+        self._drop(self._connecting)
+        if self._farewells:
+            await asyncio.wait(self._farewells, timeout=GOODBYE_WITHIN_S)
+
+    async def _connect(self) -> Any:
+        from aiomqtt import Client, MqttError, ProtocolVersion  # noqa: PLC0415 - see above
+
+        where = self._where
+        tls = await asyncio.to_thread(_NamedTls, where.host, self._sender.ca_file) if where.tls else None
+        failure: MqttError | None = None
+        for one in await self._sender.policy.resolved(where.host, where.port):
+            client = Client(
+                one,
+                where.port,
+                username=where.username,
+                password=where.password,
+                protocol=ProtocolVersion.V5 if where.version == "5.0" else ProtocolVersion.V311,
+                tls_context=tls,
+            )
+            try:
+                await client.__aenter__()
+            except MqttError as error:
+                failure = error
+            else:
+                return client
+        raise failure or MqttError(f"{where.host} has no address")
+
+    def _drop(self, connecting: "asyncio.Task[Any] | None") -> None:
+        """Forget a connection that failed, unless there is a new one already."""
+        if connecting is None or connecting is not self._connecting:
+            return
+        self._connecting = None
+        farewell = asyncio.get_running_loop().create_task(_say_goodbye(connecting))
+        self._farewells.add(farewell)
+        farewell.add_done_callback(self._farewells.discard)
+
+
+async def _say_goodbye(connecting: "asyncio.Task[Any]") -> None:
+    with suppress(Exception):  # it is of no use any more, however it ends
+        client = await connecting
+        await client.__aexit__(None, None, None)
+
+
+class MqttSender:
+    """Publishes to many servers. `ca_file` (PEM) names authorities trusted besides the system's."""
+
+    def __init__(self, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
+        self.policy = policy
+        self.ca_file = ca_file
+        self._connections: dict[tuple[Any, ...], _Connection] = {}
+
+    async def publish(self, where: MqttAddress, payload: bytes, timeout_s: float) -> None:
+        """Publish; raise `SendError` when the server does not take it within `timeout_s`."""
+        connection = self._connections.get(where.connection)
+        if connection is None:
+            connection = self._connections[where.connection] = _Connection(where, self)
+        await connection.publish(where.topic, where.qos, payload, timeout_s)
+
+    async def close(self) -> None:
+        """Close all connections."""
+        for connection in self._connections.values():
+            await connection.close()
+        self._connections.clear()

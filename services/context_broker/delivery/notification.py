@@ -1,0 +1,206 @@
+"""What a subscriber is told: the notification around entities as they are, were, or no longer are.
+
+Clauses 5.3.1 and 5.8.6. What is gone is told as `urn:ngsi-ld:null`, in the form that the subscriber reads.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any, Final
+from uuid import uuid4
+
+import orjson
+
+from handover.errors import Problem
+from handover.telemetry import get_logger
+from services.context_broker.delivery.endpoint import GEO_JSON, JSON_LD
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.delivery.triggers import (
+    ATTRIBUTE_DELETED,
+    SCOPE,
+    Happened,
+    lost_instances,
+)
+from services.context_broker.model.context import link_header
+from services.context_broker.model.entity import NULL, SAYS, Attributes, Entity, Instance, dataset_of
+from services.context_broker.model.negotiation import Version
+from services.context_broker.model.rendering import Form, View, render, rendered, with_context
+from services.context_broker.model.validation import tenant_headers, timestamp, timestamp_now
+from services.context_broker.query.linked import Shown, joined
+from services.context_broker.query.q_match import Lookup, nobody
+
+log = get_logger(__name__)
+
+_PREVIOUS: Final = {kind: f"previous{says[0].upper()}{says[1:]}" for kind, says in SAYS.items()}
+
+
+def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes:
+    """Return the notification that tells of `entities`, each a JSON object."""
+    head: dict[str, str] = {
+        "id": f"urn:ngsi-ld:Notification:{uuid4()}",
+        "type": "Notification",
+        "subscriptionId": subscription.id,
+        "notifiedAt": timestamp_now(),
+    }
+    accept = subscription.endpoint.accept
+    data = b"[" + b",".join(entities) + b"]"
+    if accept == GEO_JSON:
+        data = b'{"type":"FeatureCollection","features":' + data + b"}"
+        if not _prefers_plain_json(subscription):
+            data = with_context(data, subscription.context)
+    if subscription.version is not None:
+        data = _conformed(data, subscription.version, subscription.view)
+    body = orjson.dumps(head)[:-1] + b',"data":' + data + b"}"
+    return with_context(body, subscription.context) if accept == JSON_LD else body
+
+
+def _conformed(data: bytes, version: Version, view: View) -> bytes:
+    """Return what is told as an earlier version has it (clause 4.3.6.8)."""
+    from services.context_broker.model import conformance  # noqa: PLC0415 - few ask for another version
+
+    simplified = view.form is Form.KEY_VALUES
+    return orjson.dumps(conformance.conformed(orjson.loads(data), version, simplified=simplified))
+
+
+def as_it_is(subscription: Subscription, entity: Entity, lookup: Lookup = nobody) -> bytes:
+    """Return what a subscriber is told of an entity as it is: JSON objects with commas between them.
+
+    One, or more with the entities it links to, which `lookup` finds.
+    """
+    if subscription.join is None and subscription.endpoint.accept != GEO_JSON:
+        return rendered(entity, subscription.context, subscription.view)
+    return _written(subscription, _documents(subscription, entity, lookup))
+
+
+def told_of(subscription: Subscription, change: Happened, lookup: Lookup = nobody) -> bytes:
+    """Return what a subscriber is told of a change of one entity, as `as_it_is`."""
+    after = change.after
+    if after is not None and not subscription.shows_changes:
+        gone = change.lost if subscription.triggers.tells_lost else frozenset()
+        if not gone:
+            return as_it_is(subscription, after, lookup)
+    deleted_at = timestamp(datetime.now(UTC))
+    entity = _with_changes(subscription, change, deleted_at)
+    documents = _documents(subscription, entity, lookup if after is not None else nobody)
+    if after is None:
+        documents[0] = (entity, _with_end(documents[0][1], subscription.view, deleted_at))
+    elif SCOPE in change.lost and subscription.triggers.tells_lost:
+        documents[0] = (entity, _without_scope(documents[0][1], subscription.view))
+    return _written(subscription, documents)
+
+
+def headers(subscription: Subscription, tenant: str, taken: bytes | None = None) -> list[tuple[str, str]]:
+    """Return the headers of a notification; `taken` (JSON) are those of the request that made the change."""
+    endpoint = subscription.endpoint
+    own = [*endpoint.headers, *(orjson.loads(taken) if taken else ())]
+    asked = {name.lower() for name, _ in own}
+    result = [("Content-Type", endpoint.accept)]
+    if tenant:
+        result += [one for one in tenant_headers(tenant) if one[0].lower() not in asked]
+    if endpoint.accept != JSON_LD and subscription.context.link and "link" not in asked:
+        result.append(("Link", link_header(subscription.context.link)))
+    return [*result, *((name, value) for name, value in own)]
+
+
+def mqtt_message(subscription: Subscription, tenant: str, body: bytes, taken: bytes | None) -> bytes:
+    """Return a notification as MQTT carries it: what are headers in HTTP stands in `metadata`."""
+    metadata = dict(headers(subscription, tenant, taken))
+    return b'{"metadata":' + orjson.dumps(metadata) + b',"body":' + body + b"}"
+
+
+def _documents(subscription: Subscription, entity: Entity, lookup: Lookup) -> list[Shown]:
+    """Return an entity as the subscriber reads it, with those it links to if these are wanted."""
+    terms, view, join = subscription.context.terms, subscription.view, subscription.join
+    if join is not None:
+        try:
+            return joined([entity], terms, view, join, lookup)
+        except Problem as problem:  # a web of too many links; the entity itself is told all the same
+            log.warning("links cannot be told", subscription=subscription.id, why=problem.detail)
+    return [(entity, render(entity, terms, view))]
+
+
+def _written(subscription: Subscription, documents: list[Shown]) -> bytes:
+    if subscription.endpoint.accept != GEO_JSON:
+        return b",".join(orjson.dumps(one) for _, one in documents)
+    from services.context_broker.model import geojson  # noqa: PLC0415 - it knows requests, which know of us
+
+    place, datasets = subscription.context.terms.expand(geojson.LOCATION), subscription.view.datasets
+    return b",".join(
+        orjson.dumps(geojson.feature_of(one, geojson.geometry(entity, place, datasets)))
+        for entity, one in documents
+    )
+
+
+def _prefers_plain_json(subscription: Subscription) -> bool:
+    """Say whether a subscriber to GeoJSON wants it without @context (clause 5.3.1)."""
+    return any(
+        name.lower() == "prefer" and value.replace(" ", "") == "body=json"
+        for name, value in subscription.endpoint.headers
+    )
+
+
+def _with_changes(subscription: Subscription, change: Happened, deleted_at: str) -> Entity:
+    """Return the entity with what it has lost, and with what was before if the subscriber wants that."""
+    entity, shows, view = change.entity, subscription.shows_changes, subscription.view
+    attributes = dict(change.after.attributes) if change.after is not None else {}
+    if change.before is not None:
+        old = change.before.attributes
+        if shows:
+            for name in change.updated.intersection(old):  # scopes have no place for what they were
+                attributes[name] = _with_previous(attributes[name], old[name])
+        if _tells_what_is_gone(subscription, change):
+            watched = subscription.triggers.watched if change.after is None else None
+            for name in change.lost.intersection(old):
+                if watched is None or name in watched:
+                    _add_gone(attributes, name, old[name], view, deleted_at, shows=shows)
+    return replace(entity, attributes=attributes, rendered={})
+
+
+def _with_end(document: dict[str, Any], view: View, deleted_at: str) -> dict[str, Any]:
+    if view.projection is not None and not view.projection.wants("deletedAt"):
+        return document
+    head: dict[str, Any] = {member: document[member] for member in ("id", "type") if member in document}
+    return {**head, "deletedAt": deleted_at, **document}
+
+
+def _without_scope(document: dict[str, Any], view: View) -> dict[str, Any]:
+    if view.projection is not None and not view.projection.wants("scope"):
+        return document
+    return {**document, "scope": NULL}
+
+
+def _tells_what_is_gone(subscription: Subscription, change: Happened) -> bool:
+    """Say whether attributes that are gone are told one by one: with the entity, only if it was asked for."""
+    if change.after is None and subscription.shows_changes:
+        return True
+    return ATTRIBUTE_DELETED in subscription.triggers.kinds
+
+
+def _with_previous(new: list[Instance], old: list[Instance]) -> list[Instance]:
+    before = {dataset_of(one): one for one in old}
+    return [
+        one
+        if (was := before.get(dataset_of(one))) is None or was is one
+        else {**one, _PREVIOUS[was["type"]]: was[SAYS[was["type"]]]}
+        for one in new
+    ]
+
+
+def _add_gone(
+    attributes: Attributes, name: str, old: list[Instance], view: View, deleted_at: str, *, shows: bool
+) -> None:
+    kept = attributes.get(name, [])
+    gone = [_gone(one, view, deleted_at, shows=shows) for one in lost_instances(old, kept)]
+    attributes[name] = [*kept, *gone]
+
+
+def _gone(instance: Instance, view: View, deleted_at: str, *, shows: bool) -> Instance:
+    kind = instance["type"] if view.form is not Form.KEY_VALUES else "Property"
+    gone: Instance = {"type": kind, SAYS[kind]: {"@none": NULL} if kind == "LanguageProperty" else NULL}
+    if shows:
+        gone[_PREVIOUS[kind]] = instance[SAYS[instance["type"]]]
+    for member in ("datasetId", "createdAt", "modifiedAt"):
+        if member in instance:
+            gone[member] = instance[member]
+    gone["deletedAt"] = deleted_at
+    return gone

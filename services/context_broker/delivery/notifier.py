@@ -1,0 +1,191 @@
+"""The notifier: tells subscribers of changes, each at its own pace.
+
+A change is matched when it is made, and what it owes to whom is written in the same commit. Couriers deliver
+it (see `couriers.py`), so that a dead or slow subscriber delays nobody else.
+"""
+
+import asyncio
+import time
+from collections.abc import Iterable, Mapping
+from contextvars import ContextVar
+from itertools import islice
+from typing import Final
+
+import orjson
+
+from handover.telemetry import get_logger
+from services.context_broker.delivery.notification import as_it_is, notification, told_of
+from services.context_broker.delivery.outbound import Outbound
+from services.context_broker.delivery.periodic import Rounds
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.delivery.subscription_dispatcher import MOST_TOLD_AT_ONCE, CourierOffice
+from services.context_broker.delivery.triggers import Happened, happened
+from services.context_broker.model.entity import Entity, Event
+from services.context_broker.query.type_selection import of_types
+from services.context_broker.storage.commits import Commits
+from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.store import Store
+
+log = get_logger(__name__)
+
+REQUEST_HEADERS: Final[ContextVar[Mapping[bytes, bytes]]] = ContextVar("REQUEST_HEADERS")
+"""The headers of the request that is being carried out; set where `Notifier.passes_headers_on`."""
+CHUNK: Final = 500
+"""Entities of a periodic notification that are looked at before others get their turn."""
+
+
+class Notifier(CourierOffice):
+    """Knows all subscriptions of a tenant, tells what a change owes them, and has it delivered."""
+
+    store: Store
+
+    def __init__(self, tenant: str, commits: Commits, outbound: Outbound) -> None:
+        super().__init__(tenant, commits, outbound)
+        self.passes_headers_on = False
+        self._by_type: dict[str | None, list[Subscription]] = {}
+        self._by_id: dict[str, list[Subscription]] = {}
+        self._is_sorted = True
+        self._rounds = Rounds(self._tell_all)
+
+    def stop(self) -> None:
+        """End; what is owed stays in the outbox."""
+        self._rounds.stop()
+        super().stop()
+
+    def rearrange(self, changed: str | None = None) -> None:
+        """Take note that a subscription came, changed or went, or that all are others now."""
+        self._is_sorted = False
+        one = None if changed is None else self.get(changed)
+        if one is not None and one.endpoint.taken:
+            self.passes_headers_on = True
+        if self._rounds.concern(changed, one):
+            self._rounds.heed(self.all())
+
+    def _sort(self) -> None:
+        """Sort the subscriptions by the ids or types they want, so that a change looks at few."""
+        by_type: dict[str | None, list[Subscription]] = {}
+        by_id: dict[str, list[Subscription]] = {}
+        subscriptions = self.all()
+        for subscription in subscriptions:
+            if subscription.interval_s is not None:
+                continue
+            kinds: set[str | None] = set()
+            ids: set[str] = set()
+            for selector in subscription.selectors:
+                if selector.ids is None:
+                    kinds.update(selector.kinds() or (None,))
+                else:
+                    ids.update(selector.ids)
+            if None in kinds or not (kinds or ids):
+                kinds, ids = {None}, set()
+            for kind in kinds:
+                by_type.setdefault(kind, []).append(subscription)
+            for one in ids:
+                by_id.setdefault(one, []).append(subscription)
+        self._by_type, self._by_id = by_type, by_id
+        self.passes_headers_on = any(one.endpoint.taken for one in subscriptions)
+        self._is_sorted = True
+
+    def announce(self, event: Event) -> list[Notice]:
+        """Return the notifications that a change owes."""
+        entity = event.after or event.before
+        if not self._is_sorted:
+            self._sort()
+        if entity is None or not (self._by_type or self._by_id):
+            return []
+        named = self._by_id.get(entity.id)
+        interested = list(self._by_type.get(None, ()))
+        for kind in entity.types:
+            interested += self._by_type.get(kind, ())
+        if named is not None:
+            interested += named
+        if not interested:
+            return []
+        if named is not None or len(entity.types) > 1:
+            interested = list(dict.fromkeys(interested))
+        change, now_s = happened(event), time.time()
+        notices = [
+            self._notice(one, change, now_s)
+            for one in interested
+            if one.wants(change, now_s, self.store.latest)
+        ]
+        return [one for one in notices if one is not None]
+
+    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+        """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
+        told: list[bytes] = []
+        for entity_id, notice in notices.items():
+            if notice.body is not None:
+                told.append(notice.body[1:-1])
+                continue
+            entity = self.store.get(entity_id)
+            if entity is not None and subscription.admits(entity, self.store.get):
+                told.append(as_it_is(subscription, entity, self.store.get))
+        return notification(subscription, told) if told else None
+
+    def _notice(self, subscription: Subscription, change: Happened, now_s: float) -> Notice | None:
+        entity_id, lookup = change.entity.id, self.store.latest
+        try:
+            body: bytes | None
+            if not subscription.throttling_s:
+                body = notification(subscription, [told_of(subscription, change, lookup)])
+            elif change.after is None or subscription.shows_changes or change.lost:
+                body = b"[" + told_of(subscription, change, lookup) + b"]"
+            else:
+                body = None
+            taken = _taken(subscription.endpoint.taken) if subscription.endpoint.taken else None
+        except Exception:  # whoever writes must not suffer from what somebody else has subscribed to
+            log.exception("a change cannot be told", subscription=subscription.id, entity=entity_id)
+            return None
+        return Notice(self.tenant, subscription.id, entity_id, now_s, body, headers=taken)
+
+    # What is told periodically
+
+    async def _tell_all(self, subscription: Subscription) -> None:
+        """Have a subscriber told how all its entities are now, some at a time; nothing if there are none."""
+        courier = self._couriers.get(subscription.id)
+        told: list[bytes] = []
+        bodies: list[bytes] = []
+        candidates = iter(self._candidates(subscription))
+        while some := list(islice(candidates, CHUNK)):
+            told += [
+                as_it_is(subscription, one, self.store.get)
+                for one in some
+                if subscription.selects(one, self.store.get)
+            ]
+            if len(told) >= MOST_TOLD_AT_ONCE:
+                bodies.append(notification(subscription, told))
+                told = []
+            await asyncio.sleep(0)
+        if told:
+            bodies.append(notification(subscription, told))
+        if courier is not None and bodies:
+            courier.offer(bodies)
+
+    def _candidates(self, subscription: Subscription) -> Iterable[Entity]:
+        """Return the entities among which all are that a subscription is about."""
+        if not subscription.selectors:
+            return self.store.candidates()
+        kinds: dict[str, None] = {}
+        ids: dict[str, None] = {}
+        for selector in subscription.selectors:
+            if selector.ids is not None:
+                ids.update(dict.fromkeys(sorted(selector.ids)))
+            elif (of := selector.kinds()) is not None:
+                kinds.update(dict.fromkeys(of))
+            else:
+                return self.store.candidates()
+        by_id = self.store.candidates(ids) if ids else []
+        by_type = self.store.candidates(types=of_types(kinds)) if kinds else []
+        return dict.fromkeys([*by_id, *by_type])
+
+
+def _taken(names: Iterable[str]) -> bytes | None:
+    """Return those headers of the request that is being carried out, as JSON; None if it has none of them."""
+    sent = REQUEST_HEADERS.get({})
+    found = [
+        (name, value.decode("latin-1"))
+        for name in names
+        if (value := sent.get(name.lower().encode())) is not None
+    ]
+    return orjson.dumps(found) if found else None

@@ -1,0 +1,68 @@
+"""The way out: what the notifiers of all tenants share to deliver notifications, over HTTP or MQTT."""
+
+from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass, field
+from weakref import WeakValueDictionary
+
+from services.context_broker.delivery.endpoint import Endpoint
+from services.context_broker.delivery.endpoint_queue import WAITING, Hold, Line, Waiting
+from services.context_broker.delivery.mqtt_sender import MqttSender
+from services.context_broker.delivery.notification import headers, mqtt_message
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.network.http_client import PooledHttpClient
+from services.context_broker.network.outbound_policy import OutboundPolicy
+from services.context_broker.storage.journal import Journal
+
+
+@dataclass(frozen=True, slots=True)
+class Outbound:
+    """The outbox, the senders, and the lines to all endpoints.
+
+    `timeout_s` is how long an answer may take, `keep_s` how long a notification is tried again, `keep_bytes`
+    how much may wait for one endpoint.
+    """
+
+    journal: Journal
+    sender: PooledHttpClient
+    mqtt: MqttSender
+    policy: OutboundPolicy
+    _: KW_ONLY
+    timeout_s: float
+    keep_s: float
+    keep_bytes: int
+    hold: Hold = field(default_factory=Hold)
+    lines: "WeakValueDictionary[tuple[object, ...], Line]" = field(default_factory=WeakValueDictionary)
+
+    def __post_init__(self) -> None:
+        WAITING.labels("memory").set_function(lambda: sum(one.held for one in self._waiting()))
+        WAITING.labels("disk").set_function(lambda: sum(one.on_disk for one in self._waiting()))
+        WAITING.labels("throttled").set_function(lambda: sum(one.throttled for one in self._waiting()))
+
+    def _waiting(self) -> Iterator[Waiting]:
+        for line in list(self.lines.values()):
+            yield from list(line.couriers)
+
+    def line(self, endpoint: Endpoint) -> Line:
+        """Return the way to an endpoint; it is there for as long as a courier goes it."""
+        line = self.lines.get(endpoint.key)
+        if line is None:
+            line = self.lines[endpoint.key] = Line(self.hold, self.keep_bytes)
+        return line
+
+    async def post(self, subscription: Subscription, tenant: str, body: bytes, taken: bytes | None) -> int:
+        """Send a notification; return the status of the answer, or raise `SendError` if there is none.
+
+        `taken` are headers of the request that made the change, as JSON. Over MQTT, which has no status, what
+        the server took has 204.
+        """
+        endpoint = subscription.endpoint
+        timeout_s = endpoint.timeout_s or self.timeout_s
+        if endpoint.mqtt is not None:
+            await self.mqtt.publish(endpoint.mqtt, mqtt_message(subscription, tenant, body, taken), timeout_s)
+            return 204
+        return await self.sender.post(endpoint.uri, headers(subscription, tenant, taken), body, timeout_s)
+
+    async def close(self) -> None:
+        """Close all connections."""
+        self.sender.close()
+        await self.mqtt.close()

@@ -1,0 +1,158 @@
+"""Subscriptions as documents: as they are sent, kept, changed and shown (clauses 5.2.12, 5.8.1 and 5.8.2)."""
+
+import time
+from collections.abc import Mapping
+from typing import Any, Final
+
+from services.context_broker.delivery.subscription import Subscription
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity_parser import expand
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import moment, require_name, shown
+from services.context_broker.query.type_selection import type_selection
+
+NAMES_IN: Final = "namesIn"
+"""In a kept document: the @context of the names in `q`, `geoQ`, `pick` and `omit`, where notifications have
+another."""
+
+CAME_BY: Final = "cameBy"
+"""In a kept document: the Via header that it came with, so that it is not passed on in circles."""
+
+_KNOWN: Final = frozenset(
+    {"id", "type", "subscriptionName", "description", "entities", "watchedAttributes", "notificationTrigger",
+     "timeInterval", "q", "geoQ", "scopeQ", "csf", "isActive", "expiresAt", "throttling", "lang", "datasetId",
+     "localOnly", "notification", "jsonldContext", "@context", "expandValues", "jsonKeys", "splitEntities",
+     "ngsildConformance"}
+)  # fmt: skip
+_KNOWN_IN_NOTIFICATION: Final = frozenset(
+    {"attributes", "pick", "omit", "format", "sysAttrs", "showChanges", "join", "joinLevel", "endpoint"}
+)
+_COUNTED: Final = frozenset(
+    {"status", "timesSent", "timesFailed", "lastNotification", "lastSuccess", "lastFailure"}
+)
+_FROM_THE_BROKER: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"}) | _COUNTED
+"""Members that only the broker writes; a subscriber that sends back what it read is not refused."""
+
+
+def kept_document(given: Any, context: Context, besides: frozenset[str] = frozenset()) -> dict[str, Any]:
+    """Return the document to keep for a subscription, or a part of one, that was sent: its names expanded.
+
+    `besides` are members that it may have and others have not.
+    """
+    if not isinstance(given, dict):
+        raise bad_request_data(f"a subscription is a JSON object, not {shown(given)}")
+    if given.get("type", "Subscription") != "Subscription":
+        raise bad_request_data(f'the type of a subscription is "Subscription", not {shown(given["type"])}')
+    known = _KNOWN | besides
+    if "temporalQ" in given and "temporalQ" not in besides:
+        raise bad_request_data(
+            '"temporalQ" chooses context sources and has its place in their subscriptions only; leave it out'
+        )
+    for name in given:
+        if name not in known and name not in _FROM_THE_BROKER:
+            raise bad_request_data(f"a subscription has no member {shown(name)}; leave it out")
+    document = {
+        name: value for name, value in given.items() if name in known and name not in {"@context", "type"}
+    }
+    ends_s = moment(document["expiresAt"]) if isinstance(document.get("expiresAt"), str) else None
+    if ends_s is not None and ends_s <= time.time():
+        raise bad_request_data(f'"expiresAt" {document["expiresAt"]} is over; give a time to come')
+    if isinstance(document.get("entities"), list):
+        document["entities"] = [_kept_selector(one, context) for one in document["entities"]]
+    if document.get("watchedAttributes") is not None:
+        document["watchedAttributes"] = _names(document["watchedAttributes"], "watchedAttributes", context)
+    if isinstance(document.get("notification"), dict):
+        document["notification"] = _kept_notification(document["notification"], context)
+    return document
+
+
+def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the document after a change: members are replaced, null deletes (clause 5.5.8).
+
+    Raises a problem (400) for a notification without an endpoint: what is sent has to meet the data type by
+    itself (clause 5.8.2.4), so that a part of a notification never stands for the whole.
+    """
+    notification = change.get("notification")
+    after = {**before, **change, "id": before["id"]}
+    if isinstance(notification, dict):
+        if not isinstance(notification.get("endpoint"), dict):
+            raise bad_request_data(
+                'a change of "notification" replaces all of it and has an "endpoint"; send it complete'
+            )
+        after["notification"] = _without_null(notification)
+    return _without_null(after)
+
+
+def names_things(change: Mapping[str, Any]) -> bool:
+    """Say whether a change holds names, so that the subscription's are in the context it came with."""
+    notification = change.get("notification")
+    if isinstance(notification, dict) and not {"pick", "omit", "attributes"}.isdisjoint(notification):
+        return True
+    return any(name in change for name in ("entities", "watchedAttributes", "q", "geoQ"))
+
+
+def shown_document(one: Subscription, context: Context, now_s: float, *, sys_attrs: bool) -> dict[str, Any]:
+    """Return a subscription as a reader gets it, in the reader's names and with its counts."""
+    document = {"id": one.id, "type": "Subscription", **one.document}
+    context_document = document.pop("context")
+    document.pop(NAMES_IN, None)
+    document.pop(CAME_BY, None)
+    if not sys_attrs:
+        document.pop("createdAt", None)
+        document.pop("modifiedAt", None)
+    compact = context.terms.compact
+    if "entities" in document:
+        document["entities"] = [
+            {**selector, "type": type_selection(selector["type"], str).written(compact)}
+            if "type" in selector
+            else selector
+            for selector in document["entities"]
+        ]
+    if "watchedAttributes" in document:
+        document["watchedAttributes"] = [compact(name) for name in document["watchedAttributes"]]
+    notification = {**document["notification"], **one.counts.members()}
+    if "attributes" in notification:
+        notification["attributes"] = [compact(name) for name in notification["attributes"]]
+    if (status := one.counts.status()) is not None:
+        notification["status"] = status
+    document["status"] = one.status(now_s)
+    document["notification"] = notification
+    named = one.context.link or (context_document if isinstance(context_document, str) else None)
+    if named is not None:
+        document.setdefault("jsonldContext", named)
+    return document
+
+
+def _kept_notification(given: Mapping[str, Any], context: Context) -> dict[str, Any]:
+    for name in given:
+        if name not in _KNOWN_IN_NOTIFICATION and name not in _COUNTED:
+            raise bad_request_data(f"notification has no member {shown(name)}; leave it out")
+    notification = {name: value for name, value in given.items() if name not in _COUNTED}
+    if notification.get("attributes") is not None:
+        notification["attributes"] = _names(notification["attributes"], "notification.attributes", context)
+    return notification
+
+
+def _kept_selector(given: Any, context: Context) -> dict[str, Any]:
+    if not isinstance(given, dict) or not given:
+        raise bad_request_data(
+            f'an entity selector is an object such as {{"type": "Task"}}, not {shown(given)}'
+        )
+    if unknown := sorted(set(given) - {"id", "idPattern", "type"}):
+        raise bad_request_data(f"an entity selector has id, idPattern and type, not {shown(unknown[0])}")
+    kept = dict(given)
+    if "type" in kept:
+        kept["type"] = type_selection(
+            kept["type"], context.terms.expand, "the type of an entity selector"
+        ).written()
+    return kept
+
+
+def _names(given: Any, what: str, context: Context) -> list[str]:
+    if not isinstance(given, list) or not given:
+        raise bad_request_data(f"{what} is a list with at least one attribute name, not {shown(given)}")
+    return [expand(require_name(name, f"a name in {what}"), context.terms) for name in given]
+
+
+def _without_null(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in document.items() if value is not None}

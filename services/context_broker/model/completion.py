@@ -1,0 +1,139 @@
+"""What a change leaves unsaid, filled in with what the entity says: kinds of attributes and their values.
+
+A part of an attribute without its value (clauses 5.5.8 and 5.5.12), and bare values of the simplified form
+(clause 5.6.17), mean nothing by themselves: only the attribute that is there tells what they are.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from datamodels.forms import bare_instances
+from services.context_broker.model.entity import NULL, SAYS, Entity, Instance, Terms
+from services.context_broker.model.entity_parser import (
+    DEFAULT_INSTANCE,
+    KINDS,
+    METADATA,
+    SAYING,
+    kind_said,
+)
+from services.context_broker.model.geometry import looks_like_geometry
+from services.context_broker.model.projection import ENTITY_MEMBERS
+
+_WRAPPED: Final = {"languageMap": "LanguageProperty", "json": "JsonProperty", "vocab": "VocabProperty"}
+"""Members that stand alone in an object where the simplified form has one."""
+
+
+def completed(
+    document: Mapping[str, Any], entity: Entity, terms: Terms, language: str | None = None
+) -> dict[str, Any]:
+    """Return a merge in which each part of an attribute of `entity` says its kind and what it says.
+
+    A text for a LanguageProperty is its wording in `language`.
+    """
+    result: dict[str, Any] = {}
+    for name, given in document.items():
+        instances = None if _is_member(name) else entity.attributes.get(terms.expand(name))
+        if instances is None:
+            result[name] = given
+        elif language is not None and instances[0]["type"] == "LanguageProperty" and _is_wording(given):
+            result[name] = {"type": "LanguageProperty", "languageMap": {language: given}}
+        else:
+            result[name] = _completed_attribute(given, instances, terms)
+    return result
+
+
+def completed_part(given: Mapping[str, Any], instance: Instance) -> dict[str, Any]:
+    """Return a part of an attribute completed by the kind and the value that its instance has."""
+    kind = kind_said(given)
+    says = SAYS[instance["type"]]
+    if kind is None and any(member in SAYING and member != says for member in given):
+        return dict(given)
+    if kind not in (None, instance["type"]):
+        return dict(given)
+    kept = {} if says in given else {says: instance[says]}
+    return {"type": instance["type"], **kept, **given}
+
+
+def instance_for(given: Mapping[str, Any], instances: list[Instance]) -> Instance | None:
+    """Return the instance that a part of an attribute is about, by its datasetId; None if there is none."""
+    dataset = given.get("datasetId")
+    wanted = None if dataset == DEFAULT_INSTANCE else dataset
+    return next((one for one in instances if one.get("datasetId") == wanted), None)
+
+
+def normalized(
+    document: Mapping[str, Any], entity: Entity | None, terms: Terms, language: str | None = None
+) -> dict[str, Any]:
+    """Return a simplified document in normalized form, each attribute of the kind that `entity` has it in.
+
+    Wordings without a tag are in `language`, or in none.
+    """
+    known = {} if entity is None else entity.attributes
+    return {
+        name: given
+        if _is_member(name)
+        else _normalized_attribute(given, known.get(terms.expand(name), []), language)
+        for name, given in document.items()
+    }
+
+
+def _is_member(name: str) -> bool:
+    return name in ENTITY_MEMBERS or name.startswith("@")
+
+
+def _is_wording(given: Any) -> bool:
+    return given != NULL and (
+        isinstance(given, str) or (isinstance(given, list) and all(isinstance(one, str) for one in given))
+    )
+
+
+def _completed_attribute(given: Any, instances: list[Instance], terms: Terms) -> Any:
+    if isinstance(given, list) and all(isinstance(one, dict) for one in given):
+        return [_completed_instance(one, instances, terms) for one in given]
+    return _completed_instance(given, instances, terms) if isinstance(given, dict) else given
+
+
+def _completed_instance(given: dict[str, Any], instances: list[Instance], terms: Terms) -> dict[str, Any]:
+    was = instance_for(given, instances)
+    if was is None:
+        return given
+    kind = kind_said(given)
+    if SAYING.isdisjoint(given):
+        if kind not in KINDS and (kind is not None or METADATA.isdisjoint(given)):
+            return given  # a bare value that is an object
+        given = completed_part(given, was)
+    if kind not in (None, was["type"]):
+        return given
+    return {
+        member: value
+        if member in METADATA or member in SAYING or member.startswith("@")
+        else _completed_attribute(value, was.get(terms.expand(member), []), terms)
+        for member, value in given.items()
+    }
+
+
+def _normalized_attribute(given: Any, instances: list[Instance], language: str | None) -> Any:
+    said_by_dataset = bare_instances(given)
+    if said_by_dataset is not None:
+        return [
+            {**_normalized_instance(said, _kind_in(instances, dataset), language), "datasetId": dataset}
+            for dataset, said in said_by_dataset.items()
+        ]
+    return _normalized_instance(given, _kind_in(instances, DEFAULT_INSTANCE), language)
+
+
+def _kind_in(instances: list[Instance], dataset: str) -> str | None:
+    kinds = {one.get("datasetId", DEFAULT_INSTANCE): str(one["type"]) for one in instances}
+    return kinds.get(dataset, next(iter(kinds.values()), None))
+
+
+def _normalized_instance(said: Any, kind: str | None, language: str | None) -> dict[str, Any]:
+    if isinstance(said, dict) and len(said) == 1:
+        (member,) = said
+        if member in _WRAPPED and kind in {None, _WRAPPED[member]}:
+            return {"type": _WRAPPED[member], member: said[member]}
+    if kind is None:
+        kind = "GeoProperty" if looks_like_geometry(said) else "Property"
+    if kind == "LanguageProperty" and _is_wording(said):
+        return {"type": kind, "languageMap": {language or DEFAULT_INSTANCE: said}}
+    return {"type": kind, SAYS[kind]: said}

@@ -1,0 +1,116 @@
+"""Older versions of NGSI-LD: an entity written so that who knows only an earlier version understands it.
+
+What a version does not have is left out or said in the kinds that it has (clause 4.3.6.8): a VocabProperty
+is a Property to a reader of 1.6. Asked for with `Prefer: ngsi-ld=<version>` (clause 6.3.21), or told of a
+source.
+"""
+
+from typing import Any, Final
+
+from services.context_broker.model.negotiation import Version
+
+OURS: Final[Version] = (1, 9)
+"""The version that the broker speaks of itself."""
+
+_FALLBACKS: Final = {
+    "languageMap": ((1, 4), "value", "Property"),
+    "json": ((1, 8), "value", "Property"),
+    "vocab": ((1, 8), "value", "Property"),
+    "valueList": ((1, 8), "value", "Property"),
+    "objectList": ((1, 8), "object", "Relationship"),
+}
+"""What an attribute says: since which version, and how it is said before."""
+_ENTITY_MEMBERS: Final = {"expiresAt": (1, 9), "scope": (1, 4)}
+_ATTRIBUTE_MEMBERS: Final = {
+    "datasetId": (1, 3),
+    "observedAt": (1, 3),
+    "unitCode": (1, 3),
+    "objectType": (1, 8),
+    "valueType": (1, 9),
+    "expiresAt": (1, 9),
+}
+_NO_ATTRIBUTES: Final = frozenset(
+    {"id", "type", "@context", "scope", "createdAt", "modifiedAt", "deletedAt", "expiresAt"}
+)
+_OPAQUE: Final = frozenset(
+    {"value", "object", "languageMap", "json", "vocab", "valueList", "objectList", "type", "lang",
+     "previousValue", "previousObject", "previousLanguageMap", "previousJson", "previousVocab",
+     "previousValueList", "previousObjectList", "entity", "entityList"}
+)  # fmt: skip
+_HOLDERS: Final = {"Notification": "data", "FeatureCollection": "features"}
+"""What holds entities, and as which member."""
+_ONE_OF_EACH: Final[Version] = (1, 3)
+"""Since when an entity may have several types, and an attribute several instances."""
+
+
+def conformed(document: Any, version: Version, *, simplified: bool = False) -> Any:
+    """Return an entity, a list of entities or a notification as `version` has it, GeoJSON of them likewise.
+
+    What is so already is returned itself, other documents too. Of a `simplified` entity only its own members
+    are looked at, for what its attributes say may be anything.
+    """
+    if version >= OURS:
+        return document
+    if isinstance(document, list):
+        parts = [conformed(one, version, simplified=simplified) for one in document]
+        return document if all(new is old for new, old in zip(parts, document, strict=True)) else parts
+    if not isinstance(document, dict) or "type" not in document:
+        return document
+    kind = document["type"]
+    if isinstance(kind, str) and kind in _HOLDERS and isinstance(document.get(_HOLDERS[kind]), list):
+        holder = _HOLDERS[kind]
+        return _with(document, holder, conformed(document[holder], version, simplified=simplified))
+    if kind == "Feature" and isinstance(document.get("properties"), dict):
+        properties = _entity(document["properties"], version, simplified=simplified)
+        return _with(document, "properties", properties)
+    return _entity(document, version, simplified=simplified) if "id" in document else document
+
+
+def _entity(document: dict[str, Any], version: Version, *, simplified: bool) -> dict[str, Any]:
+    kept = _without(document, _ENTITY_MEMBERS, version)
+    types = kept.get("type")
+    if version < _ONE_OF_EACH and isinstance(types, list) and types:
+        kept = _with(kept, "type", types[0])
+    if not simplified:
+        for name in [name for name in kept if name not in _NO_ATTRIBUTES]:
+            kept = _with(kept, name, _attribute(kept[name], version))
+    return kept
+
+
+def _attribute(said: Any, version: Version) -> Any:
+    if isinstance(said, list):
+        instances = [one for one in said if isinstance(one, dict)]
+        if version < _ONE_OF_EACH and instances and len(instances) == len(said):
+            default = next((one for one in instances if "datasetId" not in one), instances[0])
+            return _attribute(default, version)
+        parts = [_attribute(one, version) for one in said]
+        return said if all(new is old for new, old in zip(parts, said, strict=True)) else parts
+    if not isinstance(said, dict):
+        return said
+    kept = _without(said, _ATTRIBUTE_MEMBERS, version)
+    for member, (since, instead, kind) in _FALLBACKS.items():
+        if version < since and member in kept:
+            kept = {instead if name == member else name: value for name, value in kept.items()}
+            if member == "objectList" and isinstance(kept["object"], list):
+                kept["object"] = [_object_of(one) for one in kept["object"]]
+            if "type" in kept:
+                kept["type"] = kind
+    for name in [name for name in kept if name not in _OPAQUE]:
+        kept = _with(kept, name, _attribute(kept[name], version))
+    return kept
+
+
+def _object_of(one: Any) -> Any:
+    """Return the URI that a member of an objectList holds."""
+    return one.get("object", one) if isinstance(one, dict) else one
+
+
+def _without(document: dict[str, Any], since: dict[str, Version], version: Version) -> dict[str, Any]:
+    """Return the document without members that the version does not have, itself if it has none of them."""
+    late = {name for name, first in since.items() if version < first and name in document}
+    return {name: said for name, said in document.items() if name not in late} if late else document
+
+
+def _with(document: dict[str, Any], name: str, said: Any) -> dict[str, Any]:
+    """Return the document with another content of `name`, itself if that is the same."""
+    return document if said is document.get(name) else {**document, name: said}

@@ -1,0 +1,279 @@
+"""Operations on many entities in one request, each with its own fate (clauses 5.6.7 to 5.6.10, 6.14 ff)."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS
+from services.context_broker.model import changes
+from services.context_broker.model.changes import Outcome
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity, Event
+from services.context_broker.model.entity_parser import Nulls, read_change, read_entity
+from services.context_broker.model.negotiation import WITH_GEO_JSON
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import require_uri, shown, timestamp_now
+from services.context_broker.operations.entity_operations import (
+    DONE,
+    FORMS,
+    absent,
+    bare,
+    creation,
+    is_simplified,
+    read_merge,
+)
+from services.context_broker.query.query_document import query_parameters, selectors_of
+from services.context_broker.request.entity_query import answered, asking_of
+from services.context_broker.request.query_parameters import (
+    LINK_PARAMETERS,
+    VIEW_PARAMETERS,
+    WALK_PARAMETERS,
+    options_of,
+)
+from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.routing import Operation, brief
+from services.context_broker.storage.store import Store
+
+MOST_ENTITIES: Final = 10_000
+_LOCAL: Final = frozenset({"local"})
+_WRITE: Final = _LOCAL | {"options", "format"}
+_UPSERTING: Final = frozenset({"update", "replace"})
+_KEEPING: Final = frozenset({"noOverwrite"})
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """A change on its way; without `fate` there was nothing to do, `refusal` tells what was left undone."""
+
+    entity_id: str
+    fate: asyncio.Future[None] | None
+    is_new: bool = False
+    refusal: Problem | None = None
+
+
+@dataclass(slots=True)
+class _Fates:
+    """What has become of the entities of one request."""
+
+    created: list[str] = field(default_factory=list)
+    succeeded: list[str] = field(default_factory=list)
+    errors: list[dict[str, Any]] = field(default_factory=list)
+    on_their_way: list[_Change] = field(default_factory=list)
+
+    def refuse(self, entity_id: Any, problem: Problem) -> None:
+        """Note that an entity was refused."""
+        self.errors.append({"entityId": entity_id, "error": problem.body()})
+
+    async def settle(self) -> None:
+        """Wait until everything on its way is safe, or known not to be."""
+        for change in self.on_their_way:
+            try:
+                if change.fate is not None:
+                    await change.fate
+                if change.refusal is not None:
+                    raise change.refusal
+            except Problem as problem:
+                self.refuse(change.entity_id, problem)
+            else:
+                self.succeeded.append(change.entity_id)
+                if change.is_new:
+                    self.created.append(change.entity_id)
+
+    def answer(self, all_well: Answer) -> Answer:
+        """Return `all_well` if nothing was refused, else 207 with what was, and what was not."""
+        if not self.errors:
+            return all_well
+        body = orjson.dumps({"success": self.succeeded, "errors": self.errors})
+        return Answer(207, body, [(b"content-type", b"application/json")])
+
+
+class BatchOperations:
+    """What can be done to many entities at once."""
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        at = "entityOperations"
+        asking = VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS
+        return brief(
+            Operation(
+                "POST", f"{at}/create", "createBatch", "6.14.3.1", self.create, _WRITE, makes_tenant=True
+            ),
+            Operation(
+                "POST", f"{at}/upsert", "upsertBatch", "6.15.3.1", self.upsert, _WRITE, makes_tenant=True
+            ),
+            Operation("POST", f"{at}/update", "updateBatch", "6.16.3.1", self.update, _WRITE),
+            Operation("POST", f"{at}/delete", "deleteBatch", "6.17.3.1", self.delete, _LOCAL),
+            Operation("POST", f"{at}/query", "queryBatch", "6.23.3.1", self.query, asking | MAP_PARAMETERS),
+            Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _WRITE),
+        )
+
+    async def create(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/create."""
+        fates = await self._each(exchange, self._create)
+        return fates.answer(_created(fates.created))
+
+    async def upsert(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/upsert; options=update keeps attributes that are not named."""
+        options = _UPSERTING.intersection(options_of(exchange, FORMS | _UPSERTING))
+        if len(options) > 1:
+            raise bad_request_data("options is update or replace, not both")
+        keeps = options == {"update"}
+        fates = await self._each(
+            exchange,
+            lambda store, given, context: self._upsert(store, given, context, keeps=keeps),
+            _UPSERTING,
+        )
+        return fates.answer(_created(fates.created) if fates.created else DONE)
+
+    async def update(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/update; options=noOverwrite leaves attributes that are there alone."""
+        overwrite = "noOverwrite" not in options_of(exchange, FORMS | _KEEPING)
+        fates = await self._each(
+            exchange,
+            lambda store, given, context: self._append(store, given, context, overwrite=overwrite),
+            _KEEPING,
+        )
+        return fates.answer(DONE)
+
+    async def merge(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/merge."""
+        return (await self._each(exchange, self._merge)).answer(DONE)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/delete with a list of ids."""
+        exchange.content_type()
+        fates, store = _Fates(), exchange.tenant.store
+        for given in _as_list(exchange.document(), "entity ids"):
+            try:
+                entity_id = require_uri(given, "an entity id")
+                fates.on_their_way.append(self._delete(store, entity_id))
+            except Problem as problem:
+                fates.refuse(given, problem)
+        await fates.settle()
+        return fates.answer(DONE)
+
+    async def query(self, exchange: Exchange) -> Answer:
+        """POST entityOperations/query with a Query document (clause 5.2.23)."""
+        exchange.accept(WITH_GEO_JSON)
+        document, context = await exchange.body()
+        given = {**exchange.parameters, **query_parameters(document)}
+        asked, exchange.parameters = exchange.parameters, given
+        asking = asking_of(exchange, given, context, selectors_of(document, context))
+        exchange.parameters = (
+            asked  # the links to other pages repeat what the URL had; the body is sent again
+        )
+        return await answered(exchange, exchange.tenant.store, asking)
+
+    async def _each(
+        self,
+        exchange: Exchange,
+        act: Callable[[Store, Any, Context], _Change],
+        others: frozenset[str] = frozenset(),
+    ) -> _Fates:
+        """Have `act` done with each document; `others` are options that the operation has besides forms."""
+        if is_simplified(exchange, others):
+            act = partial(_from_simplified, act)
+        media_type = exchange.content_type()
+        exchange.require_no_link(media_type)
+        documents = _as_list(exchange.document(), "entities")
+        fates = _Fates()
+        for given in documents:
+            try:
+                context = await exchange.context_of(given, media_type)
+                fates.on_their_way.append(act(exchange.tenant.store, given, context))
+            except Problem as problem:
+                fates.refuse(given.get("id") if isinstance(given, dict) else None, problem)
+        await fates.settle()
+        return fates
+
+    @staticmethod
+    def _delete(store: Store, entity_id: str) -> _Change:
+        before = store.latest(entity_id)
+        if before is None:
+            raise absent(entity_id)
+        return _Change(entity_id, store.stage(Event.end_of(before)))
+
+    @staticmethod
+    def _create(store: Store, given: Any, context: Context) -> _Change:
+        change = read_entity(given, context.terms)
+        return _Change(change.id or "", store.stage(creation(store, change)), is_new=True)
+
+    def _upsert(self, store: Store, given: Any, context: Context, *, keeps: bool) -> _Change:
+        before = self._known(store, given)
+        if before is None:
+            return self._create(store, given, context)
+        if keeps:
+            change = read_change(given, context.terms, Nulls.ATTRIBUTES)
+            return self._carry_out(store, before, changes.appended(before, change, timestamp_now()))
+        change = read_entity(given, context.terms)
+        return self._carry_out(store, before, changes.replaced(before, change, timestamp_now()))
+
+    def _append(self, store: Store, given: Any, context: Context, *, overwrite: bool) -> _Change:
+        change = read_change(given, context.terms, Nulls.ATTRIBUTES)  # before its existence (5.6.9.4)
+        before = self._existing(store, given)
+        outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
+        if outcome.refused:
+            names = ", ".join(outcome.refused)
+            refusal = bad_request_data(f"attributes {names} were left as they are: {changes.PRESENT}")
+            return replace(self._carry_out(store, before, outcome), refusal=refusal)
+        return self._carry_out(store, before, outcome)
+
+    def _merge(self, store: Store, given: Any, context: Context) -> _Change:
+        before = self._known(store, given)
+        if before is None:
+            read_change(given, context.terms, Nulls.VALUES)  # before its existence (5.6.20.4)
+            raise absent(id_of(given))
+        change = read_merge(given, before, context)
+        return self._carry_out(store, before, changes.merged(before, change, timestamp_now()))
+
+    def _existing(self, store: Store, given: Any) -> Entity:
+        before = self._known(store, given)
+        if before is None:
+            raise absent(id_of(given))
+        return before
+
+    @staticmethod
+    def _known(store: Store, given: Any) -> Entity | None:
+        """Return the entity that a document is about, as the last write left it; None if there is none."""
+        return store.latest(id_of(given))
+
+    @staticmethod
+    def _carry_out(store: Store, before: Entity, outcome: Outcome) -> _Change:
+        if outcome.entity is before:
+            return _Change(before.id, None)
+        return _Change(before.id, store.stage(Event(before, outcome.entity, outcome.touched)))
+
+
+def _created(ids: list[str]) -> Answer:
+    return Answer(201, orjson.dumps(ids), [(b"content-type", b"application/json")])
+
+
+def _from_simplified(
+    act: Callable[[Store, Any, Context], _Change], store: Store, given: Any, context: Context
+) -> _Change:
+    return act(store, bare(given, context, store.latest(id_of(given))), context)
+
+
+def id_of(document: Any) -> str:
+    """Return the id of an entity in a batch; raise a problem if there is none."""
+    if not isinstance(document, dict):
+        raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
+    given = document["id"] if "id" in document else document.get("@id")
+    if given is None:
+        raise bad_request_data('an entity in a batch has an "id"; add it')
+    return require_uri(given, "the entity id")
+
+
+def _as_list(document: Any, what: str) -> list[Any]:
+    if not isinstance(document, list) or not document:
+        raise bad_request_data(f"the body is a list of {what} with at least one in it")
+    if len(document) > MOST_ENTITIES:
+        raise bad_request_data(f"the body holds {len(document)} {what}; {MOST_ENTITIES} are taken at once")
+    if None in document:
+        raise bad_request_data(f"the list of {what} has null in it; nothing was done, send it without")
+    return document

@@ -1,0 +1,119 @@
+"""Operations on the @contexts that the broker keeps (clauses 5.13.2 to 5.13.5, 6.29 and 6.30)."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.contexts.context_store import PATH, ContextKind, KeptContext
+from services.context_broker.model.problems import bad_request_data, invalid_request, not_found, not_supported
+from services.context_broker.model.validation import shown
+from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.routing import Operation
+
+DONE: Final = Answer(204)
+
+
+class ContextOperations:
+    """What can be done to @contexts."""
+
+    def __init__(self, contexts: ContextBook) -> None:
+        self._contexts = contexts
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        all_of_them, one = "jsonldContexts", "jsonldContexts/{contextId}"
+        kinds, details = frozenset({"details", "kind"}), frozenset({"details"})
+        return (
+            Operation("POST", all_of_them, "createContext", "6.29.3.1", self.add, makes_tenant=True),
+            Operation("GET", all_of_them, "listContexts", "6.29.3.2", self.list, kinds),
+            Operation("GET", one, "retrieveContext", "6.30.3.1", self.serve, details),
+            Operation("DELETE", one, "deleteContext", "6.30.3.2", self.delete, frozenset({"reload"})),
+        )
+
+    async def add(self, exchange: Exchange) -> Answer:
+        """POST jsonldContexts: the @context stands in the body, whichever media type it has."""
+        exchange.content_type()
+        document = exchange.document()
+        if not isinstance(document, Mapping) or "@context" not in document:
+            raise invalid_request('the body is an object with an "@context"; put the context there')
+        one = await self._contexts.add(exchange.tenant.name, document["@context"])
+        # Absolute: what a client does with it is to name it as the @context of its requests.
+        location = one.address(self._contexts.base(exchange.headers))
+        return Answer(201, b"", [(b"location", location.encode())])
+
+    async def list(self, exchange: Exchange) -> Answer:
+        """GET jsonldContexts: their URLs; with details=true how they are used too."""
+        media_type, base = exchange.accept(), self._contexts.base(exchange.headers)
+        kind = exchange.parameter("kind")
+        if kind is not None and kind not in set(ContextKind):
+            raise bad_request_data(f"kind is one of {', '.join(ContextKind)}, not {shown(kind)}")
+        found = [one for one in self._contexts.all(exchange.tenant.name) if kind in {None, one.kind}]
+        if exchange.flag("details"):
+            return _answer([one.details(base) for one in found], media_type)
+        return _answer([one.address(base) for one in found], media_type)
+
+    async def serve(self, exchange: Exchange) -> Answer:
+        """GET jsonldContexts/{contextId}: its content, with details=true how it is used.
+
+        The content is also given to who names no tenant, whichever it belongs to: what reads an @context
+        from a Link header cannot name one, and nobody guesses the identifier. Another tenant finds nothing.
+        """
+        media_type = exchange.accept()
+        if exchange.flag("details"):
+            found = self._existing(exchange)
+            told = found.details(self._contexts.base(exchange.headers))
+            if found.kind is ContextKind.CACHED and not self._contexts.is_shipped(found):
+                self._contexts.usage.seen(found)
+            return _answer(told, media_type)
+        one = self._contexts.named(exchange.names[0], exchange.tenant.name)
+        if one is None and not exchange.tenant.name:
+            one = self._contexts.served(exchange.names[0])
+        if one is None:
+            raise _absent(exchange)
+        if one.kind is ContextKind.CACHED:
+            raise not_supported(
+                f"the broker serves its own contexts only; get {one.url} where it is published, "
+                "or add details=true to learn how it is used here"
+            )
+        return _answer(one.document, media_type)
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """DELETE jsonldContexts/{contextId}; with reload=true a cached one is fetched anew."""
+        one = self._existing(exchange)
+        again = exchange.flag("reload")
+        if self._contexts.is_core(one):
+            if again:  # it is the same in all versions of the broker's core context: nothing to fetch
+                return DONE
+            raise bad_request_data("the core @context is part of the broker and stays; leave it as it is")
+        if again:
+            if one.kind is not ContextKind.CACHED:
+                raise bad_request_data(
+                    f"{one.id} is {one.kind} and can be fetched from nowhere; delete it without reload, "
+                    "and add it again"
+                )
+            await self._contexts.reload(one)
+            return DONE
+        if self._contexts.is_shipped(one):
+            raise bad_request_data(
+                f"{one.url} comes with the broker and stays; reload=true fetches what is published there"
+            )
+        await self._contexts.delete(one)
+        return DONE
+
+    def _existing(self, exchange: Exchange) -> KeptContext:
+        one = self._contexts.named(exchange.names[0], exchange.tenant.name)
+        if one is None:
+            raise _absent(exchange)
+        return one
+
+
+def _absent(exchange: Exchange) -> Exception:
+    return not_found(
+        f"there is no @context {shown(exchange.names[0])}; GET {PATH.rstrip('/')} lists those there are"
+    )
+
+
+def _answer(body: Any, media_type: str) -> Answer:
+    return Answer(200, orjson.dumps(body), [(b"content-type", media_type.encode())])

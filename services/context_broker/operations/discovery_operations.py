@@ -1,0 +1,200 @@
+"""What there is: types, attributes and what they look like (clauses 5.7.5 to 5.7.10), and who answers.
+
+What is stored is counted as it changes (see `census.py`); what sources have registered is told beside it,
+unless `local=true` asks for ours alone.
+"""
+
+import time
+from collections.abc import Collection, Iterator
+from hashlib import sha256
+from typing import Any, Final
+
+import orjson
+
+from services.context_broker.federation.registrations.registration import Information
+from services.context_broker.model.conformance import OURS
+from services.context_broker.model.context import Context
+from services.context_broker.model.problems import not_found
+from services.context_broker.model.validation import require_name, shown, timestamp_now
+from services.context_broker.request.query_parameters import json_headers
+from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
+from services.context_broker.request.routing import Operation, brief
+
+_LIST: Final = frozenset({"details", "count", "local"})
+_ONE: Final = frozenset({"local"})
+
+
+class DiscoveryOperations:
+    """What readers can learn about the broker's content as a whole."""
+
+    def __init__(self) -> None:
+        self._since_s = time.monotonic()
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        identity, attribute = "info/sourceIdentity", "attributes/{attrId}"
+        return brief(
+            Operation("GET", "types", "retrieveEntityTypes", "6.25.3.1", self.types, _LIST),
+            Operation("GET", "types/{type}", "retrieveEntityTypeInfo", "6.26.3.1", self.type_details, _ONE),
+            Operation("GET", "attributes", "retrieveAttrTypes", "6.27.3.1", self.attributes, _LIST),
+            Operation("GET", attribute, "retrieveAttrTypeInfo", "6.28.3.1", self.attribute_details, _ONE),
+            Operation(
+                "GET",
+                identity,
+                "retrieveContextSourceIdentity",
+                "6.33.3.1",
+                self.source_identity,
+                makes_tenant=True,  # who wants to register a tenant here asks for its alias first
+            ),
+        )
+
+    async def types(self, exchange: Exchange) -> Answer:
+        """GET types; with details=true the attributes of each (clauses 5.7.5 and 5.7.6)."""
+        context = await exchange.reader_context()
+        compact, census = context.terms.compact, exchange.tenant.store.census
+        registered = list(_registered(exchange))
+        kinds = sorted({*census.types(), *(kind for _, types in registered for kind in types)})
+        if not exchange.flag("details"):
+            return _answer(exchange, context, _listed("EntityTypeList", "typeList", kinds, context), kinds)
+        body = [
+            {
+                "id": kind,
+                "type": "EntityType",
+                "typeName": compact(kind),
+                "attributeNames": [compact(name) for name in _names(exchange, kind, registered)],
+            }
+            for kind in kinds
+        ]
+        return _answer(exchange, context, body, kinds)
+
+    async def type_details(self, exchange: Exchange) -> Answer:
+        """GET types/{type} (clause 5.7.7)."""
+        context = await exchange.reader_context()
+        kind = context.terms.expand(require_name(exchange.names[0], "the type in the path"))
+        compact, census = context.terms.compact, exchange.tenant.store.census
+        registered = [one for one in _registered(exchange) if kind in one[1]]
+        count = census.entities_of(kind)
+        if not count and not registered:
+            raise not_found(f"there is no entity of the type {shown(exchange.names[0])} ({kind})")
+        known = census.attributes_of(kind)
+        body = {
+            "id": kind,
+            "type": "EntityTypeInfo",
+            "typeName": compact(kind),
+            "entityCount": count,
+            "attributeDetails": [
+                {
+                    "id": name,
+                    "type": "Attribute",
+                    "attributeName": compact(name),
+                    "attributeTypes": sorted(known.get(name, ())),
+                }
+                for name in _names(exchange, kind, registered)
+            ],
+        }
+        return _answer(exchange, context, body)
+
+    async def attributes(self, exchange: Exchange) -> Answer:
+        """GET attributes; with details=true the types that have each (clauses 5.7.8 and 5.7.9)."""
+        context = await exchange.reader_context()
+        compact, census = context.terms.compact, exchange.tenant.store.census
+        registered = list(_registered(exchange))
+        names = sorted({*census.attributes(), *(name for one, _ in registered for name in one)})
+        if not exchange.flag("details"):
+            body: Any = _listed("AttributeList", "attributeList", names, context)
+            return _answer(exchange, context, body, names)
+        body = [
+            {
+                "id": name,
+                "type": "Attribute",
+                "attributeName": compact(name),
+                "typeNames": [compact(kind) for kind in _types_with(exchange, name, registered)],
+            }
+            for name in names
+        ]
+        return _answer(exchange, context, body, names)
+
+    async def attribute_details(self, exchange: Exchange) -> Answer:
+        """GET attributes/{attrId} (clause 5.7.10)."""
+        context = await exchange.reader_context()
+        name = context.terms.expand(require_name(exchange.names[0], "the attribute in the path"))
+        kinds = exchange.tenant.store.census.kinds_of(name)
+        registered = [one for one in _registered(exchange) if name in one[0]]
+        if not kinds and not registered:
+            raise not_found(f"no entity has the attribute {shown(exchange.names[0])} ({name})")
+        compact = context.terms.compact
+        body = {
+            "id": name,
+            "type": "Attribute",
+            "attributeName": compact(name),
+            "attributeCount": sum(kinds.values()),
+            "attributeTypes": sorted(kinds),
+            "typeNames": [compact(kind) for kind in _types_with(exchange, name, registered)],
+        }
+        return _answer(exchange, context, body)
+
+    async def source_identity(self, exchange: Exchange) -> Answer:
+        """GET info/sourceIdentity (clause 5.15): who answers, for the tenant that is asked about."""
+        context = await exchange.reader_context()
+        alias = exchange.tenant.alias
+        body = {
+            "id": f"urn:ngsi-ld:ContextSourceIdentity:{alias}",
+            "type": "ContextSourceIdentity",
+            "contextSourceAlias": alias,
+            "contextSourceTimeAt": timestamp_now(),
+            "contextSourceUptime": f"PT{time.monotonic() - self._since_s:.3f}S",
+            "contextSourceExtras": {"ngsildConformance": "{}.{}".format(*OURS)},
+        }
+        return _answer(exchange, context, body)
+
+
+Registered = tuple[Collection[str], Collection[str]]
+"""The attributes that a piece of a registration names, and the types it is about."""
+
+
+def _registered(exchange: Exchange) -> Iterator[Registered]:
+    """Yield what sources have registered for the tenant; nothing if it is asked for what is stored here."""
+    if exchange.flag("local"):
+        return
+    for one in exchange.tenant.registry:
+        for piece in one.information:
+            yield piece.attributes or (), _types_of(piece)
+
+
+def _types_of(piece: Information) -> set[str]:
+    return {kind for entity in piece.entities for kind in entity.types}
+
+
+def _names(exchange: Exchange, kind: str, registered: list[Registered]) -> list[str]:
+    """Return the attributes of a type, those stored first."""
+    stored = exchange.tenant.store.census.attributes_of(kind)
+    told = (name for names, types in registered if kind in types for name in sorted(names))
+    return list(dict.fromkeys((*stored, *told)))
+
+
+def _types_with(exchange: Exchange, name: str, registered: list[Registered]) -> list[str]:
+    """Return the types that have an attribute."""
+    stored = exchange.tenant.store.census.types_with(name)
+    return sorted({*stored, *(kind for names, types in registered if name in names for kind in types)})
+
+
+def _listed(kind: str, member: str, found: list[str], context: Context) -> dict[str, Any]:
+    digest = sha256("\n".join(found).encode()).hexdigest()[:16]
+    return {
+        "id": f"urn:ngsi-ld:{kind}:{digest}",
+        "type": kind,
+        member: [context.terms.compact(one) for one in found],
+    }
+
+
+def _answer(exchange: Exchange, context: Context, body: Any, found: list[str] | None = None) -> Answer:
+    if exchange.accept() == JSON_LD:
+        documents = body if isinstance(body, list) else [body]
+        written = [{"@context": context.document, **document} for document in documents]
+        body = written if isinstance(body, list) else written[0]
+        headers = [(b"content-type", JSON_LD.encode())]
+    else:
+        headers = json_headers(context)
+    if found is not None and exchange.flag("count"):
+        headers.append((b"ngsild-results-count", str(len(found)).encode()))
+    return Answer(200, orjson.dumps(body), headers)

@@ -1,0 +1,99 @@
+"""Purging: entities that a selection finds are deleted, or lose some of their attributes (clause 5.6.21)."""
+
+import asyncio
+from typing import Any, Final
+
+import orjson
+
+from handover.errors import Problem
+from services.context_broker.model import changes
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity, Event
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import timestamp_now
+from services.context_broker.query.selection import Selection, hits_of
+from services.context_broker.request.query_parameters import names_of, selection_of
+from services.context_broker.request.request_context import Answer, Exchange
+
+PURGE_PARAMETERS: Final = frozenset(
+    {"type", "id", "idPattern", "attrs", "q", "csf", "scopeQ", "geometry", "georel", "coordinates",
+     "geoproperty", "expandValues", "jsonKeys", "local", "keep", "drop"}
+)  # fmt: skip
+AT_ONCE: Final = 500
+"""Entities whose fate is waited for together; so many may be on their way to disk."""
+
+_SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt", "observedAt"})
+
+
+async def purge(exchange: Exchange) -> Answer:
+    """DELETE entities: 204 when all are purged, 207 with what was not."""
+    context = await exchange.reader_context()
+    selection = selection_to_purge(exchange, context)
+    names, keep = _named(exchange, context)
+    store = exchange.tenant.store
+    ids = [entity.id for entity in await hits_of(store, selection)]
+    succeeded: list[str] = []
+    errors: list[dict[str, Any]] = []
+    for start in range(0, len(ids), AT_ONCE):
+        fates: dict[str, asyncio.Future[None]] = {}
+        for entity_id in ids[start : start + AT_ONCE]:
+            entity = store.latest(entity_id)
+            event = None if entity is None or not selection.wants(entity) else _event(entity, names, keep)
+            if event is None:
+                succeeded.append(entity_id)
+            else:
+                fates[entity_id] = store.stage(event)
+        outcomes = await asyncio.gather(*fates.values(), return_exceptions=True)
+        for entity_id, outcome in zip(fates, outcomes, strict=True):
+            if isinstance(outcome, Problem):
+                errors.append({"entityId": entity_id, "error": outcome.body()})
+            elif outcome is not None:
+                raise outcome
+            else:
+                succeeded.append(entity_id)
+    if not errors:
+        return Answer(204)
+    body = orjson.dumps({"success": succeeded, "errors": errors})
+    return Answer(207, body, [(b"content-type", b"application/json")])
+
+
+def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | None:
+    """Return what the purge makes of an entity, None if it has nothing of what is to go."""
+    if names is None:
+        return Event.end_of(entity)
+    outcome = changes.pruned(entity, names, timestamp_now(), keep=keep)
+    return None if outcome.entity is entity else Event(entity, outcome.entity, outcome.touched)
+
+
+def _named(exchange: Exchange, context: Context) -> tuple[frozenset[str] | None, bool]:
+    """Return the attributes that are to go or, if so said, to stay; None if the entities go."""
+    keep, drop = exchange.parameter("keep"), exchange.parameter("drop")
+    if keep is not None and drop is not None:
+        raise bad_request_data("keep and drop exclude each other: what is not kept is dropped; leave out one")
+    return names_of(drop if keep is None else keep, context), keep is not None
+
+
+def selection_to_purge(exchange: Exchange, context: Context) -> Selection:
+    """Return what is to be purged; raise a problem (400) if that is whatever is there.
+
+    Ids and system attributes alone choose nothing, unless only attributes are to go (clause 5.6.21.4).
+    """
+    given = exchange.parameters
+    attributes = given.get("attrs", "").split(",")
+    selection = selection_of({**given, "local": "true"}, context)
+    if selection.query is not None and selection.query.hops:
+        raise bad_request_data("a purge looks at the entities themselves; leave linked entities out of q")
+    narrows = (
+        selection.types is not None
+        or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
+        or (selection.query is not None and selection.query.names_attributes)
+        or selection.places is not None
+        or "keep" in given
+        or "drop" in given
+    )
+    if not narrows and not exchange.flag("local"):
+        raise bad_request_data(
+            "the purge is too wide: say which entities by type, by an attribute in attrs or q, or by place; "
+            "local=true purges whatever is in this broker"
+        )
+    return selection

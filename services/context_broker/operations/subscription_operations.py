@@ -1,0 +1,254 @@
+"""Operations on subscriptions (clauses 5.8.1 to 5.8.5, 6.10 and 6.11)."""
+
+import asyncio
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, Final
+from urllib.parse import quote
+from uuid import uuid4
+
+import orjson
+
+from handover.errors import Problem
+from handover.telemetry import get_logger
+from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.delivery.subscription import Counts, Subscription, subscription
+from services.context_broker.delivery.subscription_dispatcher import CourierOffice
+from services.context_broker.delivery.subscription_documents import (
+    CAME_BY,
+    NAMES_IN,
+    kept_document,
+    names_things,
+    shown_document,
+    updated_document,
+)
+from services.context_broker.model.context import Context
+from services.context_broker.model.problems import already_exists, not_found, not_stored
+from services.context_broker.model.validation import require_uri, timestamp_now
+from services.context_broker.request.query_parameters import (
+    PAGE_PARAMETERS,
+    json_headers,
+    options_of,
+    page_links,
+    window_of,
+)
+from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
+from services.context_broker.request.routing import Operation
+from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.journal import NotStored
+from services.context_broker.tenants import Tenant
+
+log = get_logger(__name__)
+
+DONE: Final = Answer(204)
+_LOCAL: Final = frozenset({"local"})
+_VIEW: Final = frozenset({"options"})
+_SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
+
+
+class SubscriptionOperations:
+    """What can be done to subscriptions. Changes are rare and made one after the other.
+
+    Subscriptions to registrations of context sources are the same in another book (`source_subscriptions`).
+    """
+
+    KIND = Kind.SUBSCRIPTION
+    BESIDES: frozenset[str] = frozenset()
+    """Members that such a subscription has besides those of all."""
+
+    def __init__(self, contexts: ContextBook) -> None:
+        self._contexts = contexts
+        self._one_at_a_time = asyncio.Lock()
+
+    def operations(self) -> tuple[Operation, ...]:
+        """Return the operations of this room."""
+        all_of_them, one = "subscriptions", "subscriptions/{id}"
+        name = "createSubscription"
+        return (
+            Operation("POST", all_of_them, name, "6.10.3.1", self.create, _LOCAL, True),
+            Operation("GET", all_of_them, "querySubscription", "6.10.3.2", self.list, PAGE_PARAMETERS),
+            Operation("GET", one, "retrieveSubscription", "6.11.3.1", self.retrieve, _VIEW),
+            Operation("PATCH", one, "updateSubscription", "6.11.3.2", self.update, _LOCAL),
+            Operation("DELETE", one, "deleteSubscription", "6.11.3.3", self.delete, _LOCAL),
+        )
+
+    def book(self, tenant: Tenant) -> CourierOffice:
+        """Return who knows a tenant's subscriptions and has their notifications delivered."""
+        return tenant.notifier
+
+    async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
+        """Take up the subscriptions of before, each with its counts; their contexts are kept too."""
+        found: list[Subscription] = []
+        for body, told in kept:
+            try:
+                one = await self._restored(body)
+            except Problem as problem:  # what another release took must not keep this one from starting
+                log.exception("a subscription cannot be used", document=body.decode(), why=problem.detail)
+                continue
+            if told is not None:
+                one.counts = Counts(*orjson.loads(told))
+            found.append(one)
+        self.book(tenant).start(found)
+
+    async def _restored(self, body: bytes) -> Subscription:
+        document = orjson.loads(body)
+        names = document.get(NAMES_IN)
+        return subscription(
+            document,
+            await self._contexts.as_before(document["context"]),
+            None if names is None else await self._contexts.as_before(names),
+        )
+
+    async def renew(self, tenant: Tenant, context_id: str) -> None:
+        """Make those subscriptions anew whose context was fetched anew: their filters, and what they tell.
+
+        The types and attributes that they name stay what these were when they were written.
+        """
+        async with self._one_at_a_time:
+            book = self.book(tenant)
+            for one in book.all():
+                if one.context.is_made_of(context_id) or one.names.is_made_of(context_id):
+                    try:
+                        book.put(await self._restored(orjson.dumps(one.document)))
+                    except Problem as problem:  # it goes on with the context that it was made with
+                        log.warning("a subscription keeps its context", one=one.id, why=problem.detail)
+
+    async def create(self, exchange: Exchange) -> Answer:
+        """POST subscriptions."""
+        given, context = await exchange.body()
+        document = kept_document(given, context, self.BESIDES)
+        document["id"] = require_uri(
+            document.get("id", f"urn:ngsi-ld:Subscription:{uuid4()}"), "the subscription id"
+        )
+        if exchange.flag("local"):
+            document["localOnly"] = True
+        if via := exchange.headers.get(b"via"):
+            document[CAME_BY] = via.decode("latin-1")
+        at = timestamp_now()
+        made = await self._made({**document, "createdAt": at, "modifiedAt": at}, context)
+        await self._require_open(exchange.tenant, made)
+        made = await self._with_link(exchange, made)
+        async with self._one_at_a_time:
+            if any(book.get(made.id) for book in (exchange.tenant.notifier, exchange.tenant.source_notifier)):
+                raise already_exists(
+                    f"there is a subscription {made.id} already; update it, or choose another id"
+                )
+            await self.keep(exchange.tenant, made)
+        location = f"{exchange.path.rstrip('/')}/{quote(made.id, safe=':')}".encode()
+        return Answer(201, b"", [(b"location", location)])
+
+    async def update(self, exchange: Exchange) -> Answer:
+        """PATCH subscriptions/{id}."""
+        given, context = await exchange.body()
+        change = kept_document(given, context, self.BESIDES)
+        async with self._one_at_a_time:
+            before = self._existing(exchange)
+            names = context if names_things(change) else before.names
+            document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
+            made = await self._made(document, names)
+            if "notification" in change:
+                await self._require_open(exchange.tenant, made)
+            made = await self._with_link(exchange, made)
+            await self.keep(exchange.tenant, made)
+        return DONE
+
+    async def delete(self, exchange: Exchange) -> Answer:
+        """DELETE subscriptions/{id}."""
+        async with self._one_at_a_time:
+            before = self._existing(exchange)
+            gone = (self.KIND, exchange.tenant.name, before.id)
+            counts = (Kind.COUNTS, exchange.tenant.name, before.id)
+            await self.write(exchange.tenant, Entries(documents={gone: None, counts: None}))
+            self.book(exchange.tenant).remove(before.id)
+        return DONE
+
+    async def retrieve(self, exchange: Exchange) -> Answer:
+        """GET subscriptions/{id}."""
+        media_type, context = exchange.accept(), await exchange.reader_context()
+        document = self._shown(self._existing(exchange), exchange, context)
+        return _answer(_with_context(document, media_type, context), media_type, context)
+
+    async def list(self, exchange: Exchange) -> Answer:
+        """GET subscriptions."""
+        media_type, context = exchange.accept(), await exchange.reader_context()
+        window = window_of(exchange)
+        found = self.book(exchange.tenant).all()
+        page = found[window.offset : window.offset + window.limit]
+        documents = [_with_context(self._shown(one, exchange, context), media_type, context) for one in page]
+        answer = _answer(documents, media_type, context)
+        if window.count:
+            answer.headers.append((b"ngsild-results-count", str(len(found)).encode()))
+        more = window.offset + window.limit < len(found)
+        answer.headers += page_links(exchange, window, media_type, more=more)
+        return answer
+
+    def _existing(self, exchange: Exchange) -> Subscription:
+        subscription_id = require_uri(exchange.names[0], "the subscription id in the path")
+        found = self.book(exchange.tenant).get(subscription_id)
+        if found is None:
+            raise _absent(subscription_id)
+        return found
+
+    async def _made(self, document: dict[str, Any], names: Context) -> Subscription:
+        """Return the subscription of a document whose names are in `names`.
+
+        Notifications are written in `jsonldContext` if the subscriber names one, else in the same.
+        """
+        named = document.get("jsonldContext")
+        used = names if named is None else await self._contexts.of(require_uri(named, '"jsonldContext"'))
+        kept = {**document, "context": used.document}
+        kept.pop(NAMES_IN, None)
+        if names.key != used.key:
+            kept[NAMES_IN] = names.document
+        return subscription(kept, used, names)
+
+    async def _with_link(self, exchange: Exchange, made: Subscription) -> Subscription:
+        """Return the subscription with a context that its notifications can name in a Link header."""
+        base = self._contexts.base(exchange.headers)
+        linked = await self._contexts.linked(made.context, exchange.tenant.name, base)
+        if linked is made.context:
+            return made
+        return replace(made, context=linked, document={**made.document, "context": linked.document})
+
+    @staticmethod
+    async def _require_open(tenant: Tenant, made: Subscription) -> None:
+        policy = tenant.notifier.outbound.policy
+        await policy.require_open(made.endpoint.host, "notification.endpoint.uri")
+
+    async def keep(self, tenant: Tenant, made: Subscription) -> None:
+        """Write a new or a changed subscription, and heed it once it is safe."""
+        await self.write(tenant, self.entries_of(tenant, made))
+        self.book(tenant).put(made)
+
+    def entries_of(self, tenant: Tenant, made: Subscription) -> Entries:
+        """Return what is to be written for a subscription."""
+        return Entries(documents={(self.KIND, tenant.name, made.id): orjson.dumps(made.document)})
+
+    @staticmethod
+    async def write(tenant: Tenant, entries: Entries) -> None:
+        """Write `entries`; raise a problem (507) if the disk refuses."""
+        try:
+            await tenant.commits.store(entries)
+        except NotStored as error:
+            raise not_stored(str(error)) from error
+
+    @staticmethod
+    def _shown(one: Subscription, exchange: Exchange, context: Context) -> dict[str, Any]:
+        sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
+        return shown_document(one, context, time.time(), sys_attrs=sys_attrs)
+
+
+def _with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:
+    return {"@context": context.document, **document} if media_type == JSON_LD else document
+
+
+def _answer(body: Any, media_type: str, context: Context) -> Answer:
+    headers = json_headers(context)
+    if media_type == JSON_LD:
+        headers = [(b"content-type", JSON_LD.encode())]
+    return Answer(200, orjson.dumps(body), headers)
+
+
+def _absent(subscription_id: str) -> Problem:
+    return not_found(f"there is no subscription {subscription_id}; GET subscriptions lists those there are")

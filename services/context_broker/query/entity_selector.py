@@ -1,0 +1,59 @@
+"""Entity selectors: which entities a subscription is about, by id, pattern of id and type (clause 5.2.33)."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import require_uri, shown
+from services.context_broker.query.patterns import fits, pattern
+from services.context_broker.query.type_selection import TypeSelection, type_selection
+
+
+@dataclass(frozen=True, slots=True)
+class EntitySelector:
+    """Entities with one of the ids, or whose id fits the pattern, and of wanted types; None takes all."""
+
+    ids: frozenset[str] | None = None
+    id_pattern: re.Pattern[str] | None = None
+    types: TypeSelection | None = None
+    plain: str | None = None
+    """The one type that is wanted, where it is one: it is looked for quicker than a selection."""
+
+    def wants(self, entity: Entity) -> bool:
+        """Say whether the entity is among those."""
+        return (
+            (self.ids is None or entity.id in self.ids)
+            and (
+                self.plain in entity.types
+                if self.plain is not None
+                else self.types is None or self.types.wants(entity.types)
+            )
+            and (self.id_pattern is None or fits(self.id_pattern, entity.id))
+        )
+
+    def kinds(self) -> list[str] | None:
+        """Return types (IRIs) of which each entity that is wanted has at least one; None if of any type."""
+        if self.types is None or self.types.is_every:
+            return None
+        return [min(one) for one in self.types.alternatives]
+
+
+def entity_selector(kept: Mapping[str, Any]) -> EntitySelector:
+    """Return the selector that a kept document (types are IRIs) tells of; raise a problem (400)."""
+    ids, wanted, kinds = kept.get("id"), kept.get("idPattern"), kept.get("type")
+    if wanted is not None and not isinstance(wanted, str):
+        raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
+    given = ids if isinstance(ids, list) and ids else [ids]
+    types = None if kinds is None else type_selection(kinds, str)
+    named = () if types is None else tuple(types.names())
+    return EntitySelector(
+        ids=None
+        if ids is None
+        else frozenset(require_uri(one, "the id of an entity selector") for one in given),
+        id_pattern=None if wanted is None or ids is not None else pattern(wanted),  # an id goes first
+        types=types,
+        plain=named[0] if len(named) == 1 else None,
+    )

@@ -1,0 +1,212 @@
+"""Entities given together with those that their relationships lead to (clause 4.5.23 of ETSI GS CIM 009).
+
+Inline, a linked entity stands within the relationship; flat, it is appended to the list. Only entities that
+this broker holds are followed; none is given again on the way that led to it.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from services.context_broker.model.entity import Entity, Instance, Terms
+from services.context_broker.model.problems import bad_request_data, too_many_results
+from services.context_broker.model.projection import Projection
+from services.context_broker.model.rendering import Form, View, render
+from services.context_broker.model.validation import require_uri, shown
+from services.context_broker.query.q_match import Lookup
+
+PARAMETERS: Final = frozenset({"join", "joinLevel", "containedBy"})
+DEEPEST: Final = 10
+"""Links that are followed one after the other."""
+MOST_LINKED: Final = 10_000
+"""Linked entities in one answer; a web of links could otherwise be told in endless ways."""
+
+Shown = tuple[Entity, dict[str, Any]]
+"""An entity, and how it is given."""
+
+_KINDS: Final = {"Relationship": "entity", "ListRelationship": "entityList"}
+
+
+@dataclass(frozen=True, slots=True)
+class Join:
+    """How linked entities are given: `level` links deep; the reader knows those `contained` already."""
+
+    is_flat: bool
+    level: int
+    contained: frozenset[str] = frozenset()
+
+
+def join_of(given: Mapping[str, Any]) -> Join | None:
+    """Return how linked entities are wanted, by `join`, `joinLevel` and `containedBy`; None without them.
+
+    `given` are query parameters, or a Query or the notification of a subscription, in which the last two are
+    a number and a list. Raises a problem (400) that names the parameter and the rule.
+    """
+    wanted, level, contained = given.get("join"), given.get("joinLevel"), given.get("containedBy")
+    if wanted is not None and wanted not in ("flat", "inline", "@none"):
+        raise bad_request_data(f"join is flat, inline or @none, not {shown(wanted)}")
+    if wanted in (None, "@none"):
+        for name, value in (("joinLevel", level), ("containedBy", contained)):
+            if value is not None and wanted is None:
+                raise bad_request_data(
+                    f"{name} goes with join; add join=inline or join=flat, or leave it out"
+                )
+        return None
+    if isinstance(contained, str):
+        contained = contained.split(",")
+    if contained is not None and not (isinstance(contained, list) and contained):
+        raise bad_request_data(f"containedBy is a list of entity ids, not {shown(contained)}")
+    ids = frozenset(require_uri(one, "an id in containedBy") for one in contained or ())
+    return Join(wanted == "flat", _level(level), ids)
+
+
+def check_depth(join: Join | None, projection: Projection | None, hops: int) -> None:
+    """Raise a problem (400) if more links are spoken of than followed; `hops` is how many q follows."""
+    level = 0 if join is None else join.level
+    for name, depth in (("pick or omit", _depth(projection)), ("q", hops)):
+        if depth > level:
+            raise bad_request_data(
+                f"{name} speaks of entities {depth} links away, and {level or 'none'} are followed; add "
+                f"join=inline or join=flat with joinLevel={depth}"
+            )
+
+
+def joined(entities: Iterable[Entity], terms: Terms, view: View, join: Join, lookup: Lookup) -> list[Shown]:
+    """Return entities as JSON objects together with those they link to; `lookup` finds these by id.
+
+    Each object comes with the entity that it tells of: those asked for, and flat also the linked ones.
+    Raises a problem (403) when that would be too many.
+    """
+    walk = _Walk(terms, lookup, join.contained)
+    if join.is_flat:
+        return walk.flat(list(entities), view, join.level)
+    return [(one, walk.inline(one, view, join.level, join.contained | {one.id})) for one in entities]
+
+
+class _Walk:
+    """A walk along relationships, which counts the entities that it meets."""
+
+    def __init__(self, terms: Terms, lookup: Lookup, contained: frozenset[str]) -> None:
+        self._terms = terms
+        self._lookup = lookup
+        self._contained = contained
+        self._met = 0
+
+    def inline(self, entity: Entity, view: View, level: int, way: frozenset[str]) -> dict[str, Any]:
+        """Return an entity with linked ones inside; `way` are those that led here."""
+        result = render(entity, self._terms, view)
+        if not level:
+            return result
+        for name, instances in _relationships(entity, view):
+            below = _below(view, name)
+            linked = [
+                {
+                    target: self.inline(found, below, level - 1, way | {target})
+                    for target in _targets(instance)
+                    if target not in way and (found := self._found(target)) is not None
+                }
+                for instance in instances
+            ]
+            if any(linked):
+                short = self._terms.compact(name)
+                result[short] = _with_linked(result[short], instances, linked, view.form)
+        return result
+
+    def flat(self, entities: list[Entity], view: View, level: int) -> list[Shown]:
+        """Return entities, then those they link to, level by level, each once."""
+        result = [(one, render(one, self._terms, view)) for one in entities]
+        seen = {one.id for one in entities} | self._contained
+        now = [(one, view) for one in entities]
+        for _ in range(level):
+            following: list[tuple[Entity, View]] = []
+            for entity, seen_by in now:
+                for name, instances in _relationships(entity, seen_by):
+                    for target in (one for instance in instances for one in _targets(instance)):
+                        if target not in seen and (found := self._found(target)) is not None:
+                            seen.add(target)
+                            following.append((found, _below(seen_by, name)))
+            result += [(one, render(one, self._terms, below)) for one, below in following]
+            now = following
+        return result
+
+    def _found(self, target: str) -> Entity | None:
+        found = self._lookup(target)
+        if found is not None:
+            self._met += 1
+            if self._met > MOST_LINKED:
+                raise too_many_results(
+                    f"the entities asked for link to more than {MOST_LINKED} others; ask for fewer with "
+                    "limit, or follow fewer links with joinLevel"
+                )
+        return found
+
+
+def _relationships(entity: Entity, view: View) -> Iterator[tuple[str, list[Instance]]]:
+    """Yield the relationships of an entity that a reader gets to see, with the instances."""
+    for name, instances in entity.attributes.items():
+        if view.attributes is not None and name not in view.attributes:
+            continue
+        if view.projection is not None and not view.projection.wants(name):
+            continue
+        kept = instances
+        if view.datasets is not None:
+            kept = [one for one in instances if one.get("datasetId") in view.datasets]
+        if any(one["type"] in _KINDS for one in kept):
+            yield name, kept
+
+
+def _targets(instance: Instance) -> Iterator[str]:
+    """Yield the ids that a relationship leads to."""
+    if instance["type"] == "Relationship":
+        said = instance["object"]
+        yield from said if isinstance(said, list) else (said,)
+    elif instance["type"] == "ListRelationship" and isinstance(instance["objectList"], list):
+        for one in instance["objectList"]:
+            said = one["object"]
+            yield from said if isinstance(said, list) else (said,)
+
+
+def _below(view: View, relationship: str) -> View:
+    """Return how an entity is shown that a relationship leads to: whole, unless braces say otherwise."""
+    projection = None if view.projection is None else view.projection.below(relationship)
+    return replace(view, attributes=None, projection=projection)
+
+
+def _with_linked(written: Any, instances: list[Instance], linked: list[dict[str, Any]], form: Form) -> Any:
+    """Return a written relationship with the linked entities, by their ids, of each instance in it."""
+    if form is Form.KEY_VALUES:
+        if len(instances) == 1:
+            return _replaced(written, linked[0])
+        for instance, found in zip(instances, linked, strict=True):
+            key = instance.get("datasetId", "@none")
+            written["dataset"][key] = _replaced(written["dataset"][key], found)
+        return written
+    parts = written if len(instances) > 1 else [written]
+    for part, instance, found in zip(parts, instances, linked, strict=True):
+        if found:
+            is_one = instance["type"] == "Relationship" and isinstance(instance["object"], str)
+            entities = list(found.values())
+            part[_KINDS[instance["type"]]] = entities[0] if is_one else entities
+    return written
+
+
+def _replaced(said: Any, linked: dict[str, Any]) -> Any:
+    if isinstance(said, list):
+        return [_replaced(one, linked) for one in said]
+    return linked.get(said, said) if isinstance(said, str) else said
+
+
+def _level(given: Any) -> int:
+    if given is None:
+        return 1
+    if isinstance(given, str) and given.isascii() and given.isdigit() and len(given) <= 3:
+        given = int(given)
+    if not isinstance(given, int) or isinstance(given, bool) or not 1 <= given <= DEEPEST:
+        raise bad_request_data(f"joinLevel is a whole number from 1 to {DEEPEST}, not {shown(given)}")
+    return given
+
+
+def _depth(projection: Projection | None) -> int:
+    if projection is None or not projection.linked:
+        return 0
+    return 1 + max(_depth(below) for _, below in projection.linked)

@@ -1,0 +1,92 @@
+"""What must hold of every hit of a query, told so plainly that an index can answer it.
+
+The rest of the query is put to those entities that the index names.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+from services.context_broker.model.entity import SAYS, Instance
+from services.context_broker.query.q_grammar import And, Compare, Kind, Span, Term
+from services.context_broker.query.q_match import METADATA, leaves
+
+Scalar = str | float | bool
+
+
+@dataclass(frozen=True, slots=True)
+class Equality:
+    """The attribute (IRI) has, or holds in its list, one of `values`."""
+
+    attribute: str
+    values: frozenset[Scalar]
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The attribute (IRI) has, or holds in its list, a number from `low` to `high`, both included."""
+
+    attribute: str
+    low: float
+    high: float
+
+
+Condition = Equality | Range
+
+
+def conditions(term: Term, expand: Callable[[str], str]) -> tuple[Condition, ...]:
+    """Return conditions that every hit of `term` fulfils; none when an index cannot help."""
+    if isinstance(term, And):
+        return tuple(found for part in term.terms for found in conditions(part, expand))
+    if not isinstance(term, Compare) or len(term.path.names) != 1:
+        return ()
+    if term.path.trail or term.path.link is not None or term.path.names[0] in METADATA:
+        return ()
+    found = _condition(term, expand)
+    return () if found is None else (found,)
+
+
+def _condition(term: Compare, expand: Callable[[str], str]) -> Condition | None:
+    attribute = expand(term.path.names[0])
+    if term.operator != "==":
+        return _bounded(attribute, term)
+    if len(term.values) == 1 and isinstance(span := term.values[0], Span):
+        low, high = span.low.value, span.high.value
+        if span.low.kind is Kind.NUMBER and isinstance(low, int | float) and isinstance(high, int | float):
+            return Range(attribute, low, high)
+        return None
+    values: set[Scalar] = set()
+    for value in term.values:
+        if isinstance(value, Span) or value.kind is Kind.TIME:
+            return None
+        values.add(expand(str(value.value)) if value.kind is Kind.TERM else value.value)
+    return Equality(attribute, frozenset(values))
+
+
+def _bounded(attribute: str, term: Compare) -> Range | None:
+    value = term.values[0]
+    if isinstance(value, Span) or value.kind is not Kind.NUMBER or not isinstance(value.value, int | float):
+        return None
+    if term.operator in {">", ">="}:
+        return Range(attribute, value.value, inf)
+    if term.operator in {"<", "<="}:
+        return Range(attribute, -inf, value.value)
+    return None
+
+
+def scalars(instances: Iterable[Instance]) -> Iterator[Scalar]:
+    """Yield every plain value that a condition may be looking for."""
+    for instance in instances:
+        for said in leaves(instance[SAYS[instance["type"]]]):
+            yield from _scalars_of(said)
+
+
+def _scalars_of(said: Any) -> Iterator[Scalar]:
+    if isinstance(said, str | int | float):
+        yield said
+    elif isinstance(said, dict):
+        for value in said.values():
+            for leaf in leaves(value):
+                if isinstance(leaf, str | int | float):
+                    yield leaf

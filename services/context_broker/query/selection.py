@@ -1,0 +1,299 @@
+"""Which entities a reader or a subscriber wants: by id, type, attributes, query, scope and place.
+
+Clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2. Indexes answer what they can; the rest is looked at one by one.
+"""
+
+import asyncio
+import heapq
+import re
+import time
+from bisect import bisect_left, bisect_right
+from collections import OrderedDict
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
+
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.query.geo_query import GeoQuery
+from services.context_broker.query.ordering import Ordering
+from services.context_broker.query.pages import Place, Window
+from services.context_broker.query.patterns import fits
+from services.context_broker.query.q_grammar import parse, paths
+from services.context_broker.query.q_index import Condition, conditions
+from services.context_broker.query.q_match import ENTITY_TIMES, Lookup, Predicate, nobody, predicate
+from services.context_broker.query.scope_query import ScopeQuery
+from services.context_broker.query.type_selection import TypeSelection
+
+CHUNK: Final = 256
+"""Entities looked at before the clock is."""
+TURN_S: Final = 0.004
+"""How long entities are looked at before others get their turn: a notification is to wait no longer."""
+MOST_QUERIES: Final = 1000
+
+
+class EntityStore(Protocol):
+    """Where entities are searched; candidates come in the order of their creation."""
+
+    def get(self, entity_id: str) -> Entity | None:
+        """Return an entity."""
+
+    def candidates(
+        self,
+        ids: Iterable[str] | None = None,
+        types: TypeSelection | None = None,
+        conditions: Iterable[Condition] = (),
+        places: GeoQuery | None = None,
+    ) -> list[Entity]:
+        """Return entities among which all hits are; what is None does not limit them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """A compiled `q`.
+
+    `conditions` hold of every hit; `hops` is how many relationships are followed; `names_attributes` says
+    whether it asks for anything but times that every entity has.
+    """
+
+    holds: Predicate
+    conditions: tuple[Condition, ...] = ()
+    hops: int = 0
+    names_attributes: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """What is wanted; an absent part (None) wants all. Attributes are IRIs.
+
+    Of the selections in `any_of`, if there are any, an entity has to fit one.
+    """
+
+    ids: tuple[str, ...] | None = None
+    id_pattern: re.Pattern[str] | None = None
+    types: TypeSelection | None = None
+    attributes: frozenset[str] | None = None
+    query: Query | None = None
+    scopes: ScopeQuery | None = None
+    places: GeoQuery | None = None
+    any_of: tuple["Selection", ...] = ()
+
+    def wants(self, entity: Entity, lookup: Lookup = nobody) -> bool:
+        """Say whether the entity is among those wanted; `lookup` finds those that it links to."""
+        return all(question(entity, lookup) for question in self.questions())
+
+    def questions(self) -> list[Predicate]:
+        """Return the questions that all are to be answered with yes, those soon answered first."""
+        asked: list[Predicate] = []
+        ids, types, names, wanted = self.ids, self.types, self.attributes, self.id_pattern
+        scopes, places, any_of = self.scopes, self.places, self.any_of
+        if ids is not None:
+            known = frozenset(ids)
+            asked.append(lambda entity, _=nobody: entity.id in known)
+        if types is not None and not types.is_every:
+            asked.append(lambda entity, _=nobody: types.wants(entity.types))
+        if names is not None:
+            asked.append(lambda entity, _=nobody: not names.isdisjoint(entity.attributes))
+        if wanted is not None:
+            asked.append(lambda entity, _=nobody: fits(wanted, entity.id))
+        if self.query is not None:
+            asked.append(self.query.holds)
+        if scopes is not None:
+            asked.append(lambda entity, _=nobody: scopes.wants(entity.scopes))
+        if places is not None:
+            asked.append(lambda entity, _=nobody: places.wants(entity))
+        if any_of:
+            ways = [one.questions() for one in any_of]
+            asked.append(
+                lambda entity, lookup=nobody: any(all(one(entity, lookup) for one in way) for way in ways)
+            )
+        return asked
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A piece of the hits; `total` is there if it was asked for.
+
+    `more` and `before` say whether there are hits after and before it; `first` and `last` are the places at
+    its ends.
+    """
+
+    entities: list[Entity] = field(default_factory=list)
+    more: bool = False
+    total: int | None = None
+    before: bool = False
+    first: Place | None = None
+    last: Place | None = None
+
+
+_Placed = tuple[tuple[Any, ...], Entity]
+
+_compiled: OrderedDict[tuple[str, int, Collection[str]], Query] = OrderedDict()
+
+
+def compiled(text: str, context: Context, expanded: frozenset[str] = frozenset(), what: str = "q") -> Query:
+    """Return `text` compiled with the names of `context`; what is asked again is not compiled again.
+
+    The values of the attributes `expanded` (short names) are terms of the @context (expandValues). Raises a
+    problem (400) that names `what`, where it cannot be read and why.
+    """
+    key = (text, context.key, expanded)
+    query = _compiled.get(key)
+    if query is None:
+        term = parse(text, expanded, what)
+        expand = context.terms.expand
+        ways = list(paths(term))
+        query = _compiled[key] = Query(
+            predicate(term, expand),
+            conditions(term, expand),
+            max(path.hops for path in ways),
+            any(path.names[0] not in ENTITY_TIMES for path in ways),
+        )
+        if len(_compiled) > MOST_QUERIES:
+            _compiled.popitem(last=False)
+    return query
+
+
+async def search(
+    store: EntityStore, selection: Selection, window: Window, order: Ordering | None = None
+) -> Page:
+    """Return the hits that `window` shows, in the order of their creation or the one that is asked for."""
+    candidates = store.candidates(*_narrowed(selection))
+    if order is not None:
+        return await _ordered(store, selection, window, candidates, order)
+    place = window.place
+    if place is not None and place.is_end:
+        return await _backwards(store, selection, window, candidates, place)
+    start, offset = 0, window.offset
+    if place is not None:
+        start, offset = bisect_right(candidates, place.seq, key=_seq), 0
+    most = None if window.count else offset + window.limit + 1
+    hits = await _hits(store, selection, candidates[start:] if start else candidates, most)
+    page = hits[offset : offset + window.limit]
+    total = len(hits)
+    if window.count and start:
+        total += len(await _hits(store, selection, candidates[:start]))
+    return Page(
+        page,
+        len(hits) > offset + window.limit,
+        total if window.count else None,
+        place is not None or window.offset > 0,
+        Place(page[0].seq, (), is_end=True) if page else _turned(place),
+        Place(page[-1].seq) if page else None,
+    )
+
+
+async def hits_of(store: EntityStore, selection: Selection, most: int | None = None) -> list[Entity]:
+    """Return all hits, or the first `most` of them, in the order of their creation."""
+    return await _hits(store, selection, store.candidates(*_narrowed(selection)), most)
+
+
+async def _backwards(
+    store: EntityStore, selection: Selection, window: Window, candidates: list[Entity], place: Place
+) -> Page:
+    end, limit = bisect_left(candidates, place.seq, key=_seq), window.limit
+    hits = await _hits(store, selection, candidates[:end][::-1], None if window.count else limit + 1)
+    page = hits[:limit][::-1]
+    total = len(hits) + len(await _hits(store, selection, candidates[end:])) if window.count else None
+    first = Place(page[0].seq, (), is_end=True) if page else None
+    last = Place(page[-1].seq) if page else _turned(place)
+    return Page(page, True, total, len(hits) > limit, first, last)
+
+
+async def _ordered(
+    store: EntityStore, selection: Selection, window: Window, candidates: list[Entity], order: Ordering
+) -> Page:
+    """Return the page of hits that are put in order, without sorting more than the page needs."""
+    place, limit = window.place, window.limit
+    border = None if place is None else _border(order, place)
+    hits = await _hits(store, selection, candidates)
+    placed: list[_Placed] = []
+    began_s = time.perf_counter()
+    for start in range(0, len(hits), CHUNK):
+        began_s = await _gave_way(began_s)
+        for entity in hits[start : start + CHUNK]:
+            at = order.place_of(entity)
+            if border is None or (at < border if place and place.is_end else at > border):
+                placed.append((at, entity))
+    if place is not None and place.is_end:
+        chosen = heapq.nlargest(limit + 1, placed, key=_at)
+        before, more = len(chosen) > limit, True
+        page = chosen[:limit][::-1]
+    else:
+        offset = 0 if place is not None else window.offset
+        page = heapq.nsmallest(offset + limit + 1, placed, key=_at)[offset:]
+        more, before = len(page) > limit, place is not None or offset > 0
+        page = page[:limit]
+    entities = [entity for _, entity in page]
+    first = last = _turned(place)
+    if entities:
+        first = Place(entities[0].seq, order.told(entities[0]), is_end=True)
+        last = Place(entities[-1].seq, order.told(entities[-1]))
+    return Page(entities, more, len(hits) if window.count else None, before, first, last)
+
+
+def _border(order: Ordering, place: Place) -> tuple[Any, ...]:
+    try:
+        return order.place(place.told, place.seq)
+    except (LookupError, TypeError, ValueError):
+        raise bad_request_data(
+            "place is not from a Link header of this broker; leave it out to start anew"
+        ) from None
+
+
+async def _hits(
+    store: EntityStore, selection: Selection, candidates: Sequence[Entity], most: int | None = None
+) -> list[Entity]:
+    """Return the candidates that are wanted, the first `most` of them if that is given."""
+    lookup, questions = store.get, selection.questions()
+    hits: list[Entity] = []
+    began_s = time.perf_counter()
+    for start in range(0, len(candidates), CHUNK):
+        if start:
+            began_s = await _gave_way(began_s)
+        for entity in candidates[start : start + CHUNK]:
+            for question in questions:  # written out, since this is the innermost of a query
+                if not question(entity, lookup):
+                    break
+            else:
+                hits.append(entity)
+                if len(hits) == most:
+                    return hits
+    return hits
+
+
+async def _gave_way(began_s: float) -> float:
+    """Let others have their turn if it is time to; return when the own turn began."""
+    if time.perf_counter() - began_s < TURN_S:
+        return began_s
+    await asyncio.sleep(0)
+    return time.perf_counter()
+
+
+def _narrowed(
+    selection: Selection,
+) -> tuple[tuple[str, ...] | None, TypeSelection | None, tuple[Condition, ...], GeoQuery | None]:
+    """Return what the indexes can narrow the candidates down by."""
+    ids, types = selection.ids, selection.types
+    if selection.any_of:
+        if all(one.ids is not None for one in selection.any_of):
+            ids = tuple(one for part in selection.any_of for one in part.ids or ())
+        if all(one.types is not None for one in selection.any_of):
+            types = TypeSelection(
+                tuple(kinds for part in selection.any_of if part.types for kinds in part.types.alternatives)
+            )
+    return ids, types, selection.query.conditions if selection.query else (), selection.places
+
+
+def _turned(place: Place | None) -> Place | None:
+    """Return the same place, to be read from in the other direction."""
+    return None if place is None else Place(place.seq, place.told, not place.is_end)
+
+
+def _seq(entity: Entity) -> int:
+    return entity.seq
+
+
+def _at(placed: _Placed) -> tuple[Any, ...]:
+    return placed[0]

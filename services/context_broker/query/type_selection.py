@@ -1,0 +1,79 @@
+"""Which types of entities are wanted: `Task`, `Task,Alert` for either, `(Device;Asset)` for both at once.
+
+The type selection language of clause 4.17 of ETSI GS CIM 009. `*` stands for every type.
+"""
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import require_name, shown
+from services.context_broker.query.alternatives import alternatives
+
+EVERY: Final = "*"
+
+
+@dataclass(frozen=True, slots=True)
+class TypeSelection:
+    """The wanted types (IRIs): an entity has all types of at least one of the `alternatives`.
+
+    An alternative without types is what `*` stands for: every entity fits it.
+    """
+
+    alternatives: tuple[frozenset[str], ...]
+
+    def wants(self, types: Collection[str]) -> bool:
+        """Say whether an entity of `types` is wanted."""
+        if len(self.alternatives) == 1:
+            return self.alternatives[0].issubset(types)
+        return any(one.issubset(types) for one in self.alternatives)
+
+    @property
+    def is_every(self) -> bool:
+        """Say whether entities of every type are wanted."""
+        return any(not one for one in self.alternatives)
+
+    def names(self) -> Iterator[str]:
+        """Yield the IRIs of all types that are named."""
+        for one in self.alternatives:
+            yield from one
+
+    def written(self, compact: Callable[[str], str] = str) -> str:
+        """Return the selection as an expression, its names written with `compact`."""
+        return ",".join(_written(sorted(map(compact, one))) for one in self.alternatives)
+
+
+def type_selection(given: Any, expand: Callable[[str], str], what: str = "the type") -> TypeSelection:
+    """Return the selection that the text `given` tells of, its names expanded.
+
+    Raises a problem (400) that names `what` when it cannot be read.
+    """
+    if not isinstance(given, str) or not given:
+        raise bad_request_data(f"{what} is text such as Task,Alert or (Device;Asset), not {shown(given)}")
+    if given == EVERY:
+        return TypeSelection((frozenset(),))
+
+    def leaf(name: str) -> str:
+        if name == EVERY:
+            raise bad_request_data(f"{what} {EVERY} stands for every type by itself; leave the others out")
+        iri = expand(require_name(name, what))
+        if ":" not in iri:
+            raise bad_request_data(f"the @context makes no IRI of {shown(name)}; map it or add a @vocab")
+        return iri
+
+    if given.isalnum():  # nearly always it is one plain name
+        return TypeSelection((frozenset((leaf(given),)),))
+    found = alternatives(given, what, leaf)
+    return TypeSelection(tuple(dict.fromkeys(frozenset(one) for one in found)))
+
+
+def of_types(types: Collection[str]) -> TypeSelection:
+    """Return the selection of entities that have any of the types (IRIs)."""
+    return TypeSelection(tuple(frozenset((one,)) for one in types))
+
+
+def _written(names: list[str]) -> str:
+    if not names:
+        return EVERY
+    return names[0] if len(names) == 1 else f"({';'.join(names)})"

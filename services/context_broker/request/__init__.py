@@ -1,0 +1,1 @@
+"""A request while the broker carries it out: parameters, negotiation, routing, responses."""

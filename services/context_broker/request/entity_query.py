@@ -1,0 +1,66 @@
+"""A query for entities as a whole: which, how, in what order, with what they link to, and which page of them.
+
+Clauses 5.7.2, 6.4.3.2 and 6.23. Parameters and a Query document ask for the same things in two ways.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from services.context_broker.model.context import Context
+from services.context_broker.model.rendering import View
+from services.context_broker.query import linked, ordering
+from services.context_broker.query.linked import Join
+from services.context_broker.query.ordering import Ordering
+from services.context_broker.query.pages import Window, mark_of
+from services.context_broker.query.selection import Selection, search
+from services.context_broker.request.entity_responses import Showing, entities_answer
+from services.context_broker.request.query_parameters import selection_of, view_of, window_of
+from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.storage.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """What one asker wants of the entities; `mark` tells its order from others in the links to pages."""
+
+    context: Context
+    view: View
+    selection: Selection
+    window: Window
+    order: Ordering | None
+    join: Join | None
+    mark: int
+
+
+def asking_of(
+    exchange: Exchange,
+    given: Mapping[str, str],
+    context: Context,
+    any_of: tuple[Selection, ...] = (),
+) -> Asking:
+    """Return what the parameters `given` ask for, of entities that fit one of `any_of` if there are any.
+
+    Raises a problem (400) that names what cannot be read, or may not be asked for.
+    """
+    view = view_of(exchange, context)
+    selection = selection_of(given, context, any_of)
+    order = ordering.ordering(given, context.terms.expand)
+    join = join_of(given, view, selection)
+    mark = mark_of(context.text, "" if order is None else order.text)
+    return Asking(context, view, selection, window_of(exchange, mark=mark), order, join, mark)
+
+
+def join_of(given: Mapping[str, str], view: View, selection: Selection | None = None) -> Join | None:
+    """Return how linked entities are wanted; raise a problem (400) if more are spoken of than followed."""
+    join = linked.join_of(given)
+    hops = 0 if selection is None or selection.query is None else selection.query.hops
+    if hops or view.projection is not None:
+        linked.check_depth(join, view.projection, hops)
+    return join
+
+
+async def answered(exchange: Exchange, store: Store, asking: Asking) -> Answer:
+    """Return the answer to a query out of the entities in `store`."""
+    page = await search(store, asking.selection, asking.window, asking.order)
+    showing = Showing(asking.context, asking.view, asking.join, store.get)
+    return entities_answer(exchange, page, asking.window, showing, asking.mark)

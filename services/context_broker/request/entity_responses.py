@@ -1,0 +1,107 @@
+"""Entities as the answer to a request: one or a page of them, in the media type that was asked for.
+
+Clauses 6.3.4 to 6.3.7, 6.3.10 and 6.3.15.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import orjson
+
+from services.context_broker.model.context import Context, link_header
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.geojson import collection_body, feature_body, feature_of, geometry
+from services.context_broker.model.negotiation import GEO_JSON, JSON_LD, WITH_GEO_JSON
+from services.context_broker.model.rendering import View, render, rendered, with_context
+from services.context_broker.query.linked import Join, joined
+from services.context_broker.query.pages import Window
+from services.context_broker.query.q_match import Lookup, nobody
+from services.context_broker.query.selection import Page
+from services.context_broker.request.geojson_parameters import has_context_in_body, place_of
+from services.context_broker.request.query_parameters import json_headers, page_link
+from services.context_broker.request.request_context import Answer, Exchange
+
+
+class Showing(NamedTuple):
+    """How a reader gets entities: in which names and form, and with which others; `lookup` finds these."""
+
+    context: Context
+    view: View
+    join: Join | None = None
+    lookup: Lookup = nobody
+
+
+def entity_answer(exchange: Exchange, entity: Entity, showing: Showing) -> Answer:
+    """Return one entity as an answer; with flat linked ones it is a list, be there any or not (4.5.23.3)."""
+    if showing.join is not None and showing.join.is_flat:
+        return Answer(200, *_list_body(exchange, [entity], showing))
+    accept, context = exchange.accept(WITH_GEO_JSON), showing.context
+    if accept == GEO_JSON:
+        (one,) = _features(exchange, [entity], showing)
+        in_body = has_context_in_body(exchange)
+        return Answer(200, feature_body(one, context, with_context=in_body), _geo_headers(context, in_body))
+    (text,) = _texts([entity], showing)
+    if accept == JSON_LD:
+        return Answer(200, with_context(text, context), [(b"content-type", JSON_LD.encode())])
+    return Answer(200, text, json_headers(context))
+
+
+def entities_answer(
+    exchange: Exchange, page: Page, window: Window, showing: Showing, mark: int = 0
+) -> Answer:
+    """Return a page of entities as an answer, with links to its neighbours.
+
+    The links hold places in the order that `mark` tells from others. To a POST the same body goes with them.
+    """
+    body, headers = _list_body(exchange, page.entities, showing)
+    if page.total is not None:
+        headers.append((b"ngsild-results-count", str(page.total).encode()))
+    if window.limit == 0:
+        return Answer(200, body, headers)
+    accept = exchange.accept(WITH_GEO_JSON)
+    if page.before:
+        place = None if page.first is None else page.first.written(mark)
+        headers.append(page_link(exchange, max(0, window.offset - window.limit), "prev", accept, place))
+    if page.more:
+        place = None if page.last is None else page.last.written(mark)
+        headers.append(page_link(exchange, window.offset + window.limit, "next", accept, place))
+    return Answer(200, body, headers)
+
+
+def _list_body(
+    exchange: Exchange, entities: list[Entity], showing: Showing
+) -> tuple[bytes, list[tuple[bytes, bytes]]]:
+    accept, context = exchange.accept(WITH_GEO_JSON), showing.context
+    if accept == GEO_JSON:
+        in_body = has_context_in_body(exchange)
+        features = _features(exchange, entities, showing)
+        return collection_body(features, context, with_context=in_body), _geo_headers(context, in_body)
+    texts = _texts(entities, showing)
+    headers = json_headers(context)
+    if accept == JSON_LD:
+        texts = (with_context(text, context) for text in texts)
+        headers = [(b"content-type", JSON_LD.encode())]
+    return b"[" + b",".join(texts) + b"]", headers
+
+
+def _texts(entities: list[Entity], showing: Showing) -> Iterable[bytes]:
+    context, view, join = showing.context, showing.view, showing.join
+    if join is None:
+        return (rendered(entity, context, view) for entity in entities)
+    return (orjson.dumps(one) for _, one in joined(entities, context.terms, view, join, showing.lookup))
+
+
+def _features(exchange: Exchange, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:
+    place, terms, view = place_of(exchange, showing.context), showing.context.terms, showing.view
+    if showing.join is None:
+        told = [(one, render(one, terms, view)) for one in entities]
+    else:
+        told = joined(entities, terms, view, showing.join, showing.lookup)
+    return [feature_of(document, geometry(entity, place, view.datasets)) for entity, document in told]
+
+
+def _geo_headers(context: Context, in_body: bool) -> list[tuple[bytes, bytes]]:
+    headers = [(b"content-type", GEO_JSON.encode())]
+    if not in_body and context.link is not None:
+        headers.append((b"link", link_header(context.link).encode()))
+    return headers

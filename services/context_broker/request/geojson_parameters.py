@@ -1,0 +1,32 @@
+"""What a request asks of GeoJSON: which geometry, and where the @context goes."""
+
+import re
+from typing import Final
+
+from services.context_broker.model.context import Context
+from services.context_broker.model.entity_parser import expand
+from services.context_broker.model.geojson import LOCATION
+from services.context_broker.model.negotiation import GEO_JSON, WITH_GEO_JSON
+from services.context_broker.model.problems import bad_request_data
+from services.context_broker.model.validation import require_name
+from services.context_broker.request.request_context import Exchange
+
+_PLAIN_BODY: Final = re.compile(rb'(?:^|[,;\s])body\s*=\s*"?json"?(?:$|[,;\s])', re.IGNORECASE)
+
+
+def place_of(exchange: Exchange, context: Context) -> str:
+    """Return the GeoProperty (IRI) that is asked to be the geometry.
+
+    Raises a problem (400) if one is asked for and the answer is not to be GeoJSON.
+    """
+    given = exchange.parameter("geometryProperty")
+    if given is None:
+        return context.terms.expand(LOCATION)
+    if exchange.accept(WITH_GEO_JSON) != GEO_JSON:
+        raise bad_request_data(f"geometryProperty needs Accept: {GEO_JSON}; leave it out, or accept that")
+    return expand(require_name(given, "geometryProperty"), context.terms)
+
+
+def has_context_in_body(exchange: Exchange) -> bool:
+    """Say whether the @context goes into the GeoJSON: yes, unless the asker prefers plain JSON as body."""
+    return _PLAIN_BODY.search(exchange.headers.get(b"prefer", b"")) is None

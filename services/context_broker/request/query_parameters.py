@@ -1,0 +1,227 @@
+"""How readers ask: the query parameters of a request made into a selection, a view and a page.
+
+Clauses 6.3.7 (representation), 6.3.10 (pagination) and 6.4.3.2 (query parameters).
+"""
+
+from collections.abc import Mapping
+from typing import Final
+from urllib.parse import quote
+
+from services.context_broker.model.context import Context, link_header
+from services.context_broker.model.entity_parser import DEFAULT_INSTANCE, expand
+from services.context_broker.model.language import preferences
+from services.context_broker.model.problems import bad_request_data, invalid_request, too_many_results
+from services.context_broker.model.projection import read_projection
+from services.context_broker.model.rendering import Form, View
+from services.context_broker.model.validation import require_name, require_uri, shown
+from services.context_broker.query import geo_query, linked, ordering, pages
+from services.context_broker.query.pages import PLACE, Window
+from services.context_broker.query.patterns import pattern
+from services.context_broker.query.scope_query import scope_query
+from services.context_broker.query.selection import Selection, compiled
+from services.context_broker.query.type_selection import type_selection
+from services.context_broker.request.geojson_parameters import place_of
+from services.context_broker.request.request_context import Exchange
+
+DEFAULT_LIMIT: Final = 20
+LARGEST_LIMIT: Final = 1000
+VIEW_PARAMETERS: Final = frozenset(
+    {"options", "format", "attrs", "pick", "omit", "lang", "datasetId", "geometryProperty", "local"}
+)
+PAGE_PARAMETERS: Final = frozenset({"limit", "offset", "count", "options", "local"})
+WALK_PARAMETERS: Final = PAGE_PARAMETERS | {PLACE}
+"""Those of pages that are walked through by places in an order."""
+LINK_PARAMETERS: Final = linked.PARAMETERS
+QUERY_PARAMETERS: Final = (
+    VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS | ordering.PARAMETERS | geo_query.PARAMETERS
+    | {"id", "idPattern", "type", "q", "expandValues", "jsonKeys", "scopeQ", "csf", "splitEntities"}
+)  # fmt: skip
+_SYSTEM: Final = frozenset({"id", "type", "scope", "createdAt", "modifiedAt", "deletedAt", "expiresAt"})
+"""What every entity has: to ask for it narrows nothing down (clause 5.7.2.4)."""
+
+_FORMS: Final = {
+    "normalized": Form.NORMALIZED,
+    "concise": Form.CONCISE,
+    "keyValues": Form.KEY_VALUES,
+    "simplified": Form.KEY_VALUES,
+}
+_OPTIONS: Final = frozenset({*_FORMS, "sysAttrs", "count"})
+
+
+WHOLE: Final = View()
+"""How entities are wanted by who says nothing of it: most do, and most often."""
+
+
+def options_of(exchange: Exchange, known: frozenset[str] = _OPTIONS) -> set[str]:
+    """Return the parameter `options` as a set; raise a problem for one that is not known."""
+    given = exchange.parameter("options")
+    if not given:
+        return set()
+    options = set(given.split(","))
+    if unknown := sorted(options - known):
+        raise invalid_request(f"options has no {shown(unknown[0])} here; it knows {', '.join(sorted(known))}")
+    return options
+
+
+def names_of(given: str | None, context: Context) -> frozenset[str] | None:
+    """Return a comma list of attribute names as IRIs."""
+    if given is None:
+        return None
+    names = [expand(require_name(name, "a name in attrs"), context.terms) for name in given.split(",")]
+    return frozenset(names)
+
+
+def view_of(exchange: Exchange, context: Context) -> View:
+    """Return how the asker wants entities."""
+    if not exchange.parameters:
+        return WHOLE
+    options = options_of(exchange)
+    forms = {_FORMS[one] for one in options if one in _FORMS}
+    wanted = exchange.parameter("format")
+    if wanted is not None:
+        if wanted not in _FORMS:
+            raise invalid_request(f"format is one of {', '.join(_FORMS)}, not {shown(wanted)}")
+        forms = {_FORMS[wanted]}  # it comes before what options say (clause 6.3.7)
+    if len(forms) > 1:
+        raise invalid_request(f"more than one form is asked for ({', '.join(sorted(forms))}); choose one")
+    form = forms.pop() if forms else Form.NORMALIZED
+    attrs, pick, omit = (exchange.parameter(name) for name in ("attrs", "pick", "omit"))
+    if attrs is not None and (pick is not None or omit is not None):
+        raise bad_request_data(
+            "attrs goes together with neither pick nor omit; name attributes in one of them"
+        )
+    if exchange.parameter("geometryProperty") is not None:
+        place_of(exchange, context)  # a fault in it is told before anything is looked for
+    languages = exchange.parameter("lang")
+    return View(
+        form,
+        "sysAttrs" in options,
+        names_of(attrs, context),
+        read_projection(pick, omit, context.terms),
+        None if languages is None else preferences(languages),
+        datasets_of(exchange.parameter("datasetId")),
+    )
+
+
+def datasets_of(given: str | None) -> frozenset[str | None] | None:
+    """Return a comma list of datasetIds, with None for `@none`, the default instance."""
+    if given is None:
+        return None
+    return frozenset(
+        None if one == DEFAULT_INSTANCE else require_uri(one, "a datasetId in the query")
+        for one in given.split(",")
+    )
+
+
+def window_of(exchange: Exchange, options: frozenset[str] = _OPTIONS, mark: int = 0) -> Window:
+    """Return which page the asker wants; `mark` tells the order in which its place is one."""
+    offset = _whole_number(exchange, "offset", 0)
+    limit = _whole_number(exchange, "limit", DEFAULT_LIMIT)
+    if limit > LARGEST_LIMIT:
+        raise too_many_results(f"limit is at most {LARGEST_LIMIT}, not {limit}; ask page by page with offset")
+    count = exchange.flag("count") or "count" in options_of(exchange, options)
+    if limit == 0 and not count:
+        raise bad_request_data("limit=0 asks for nothing; add count=true to learn how many there are")
+    place = exchange.parameter(PLACE)
+    return Window(offset, limit, count, None if place is None else pages.place_of(place, mark))
+
+
+def selection_of(
+    parameters: Mapping[str, str], context: Context, any_of: tuple[Selection, ...] = ()
+) -> Selection:
+    """Return which entities are asked for by query parameters (clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2.4).
+
+    If there are any in `any_of`, the entities fit one of these, too. Raises a problem (400) for what cannot
+    be read, and for a query that is too broad: ids alone do not narrow it down (clauses 5.7.2.4, 5.7.4.4).
+    """
+    ids, wanted, types, q = (parameters.get(name) for name in ("id", "idPattern", "type", "q"))
+    expand_name = context.terms.expand
+    scopes, expanded = parameters.get("scopeQ"), _short_names(parameters, "expandValues")
+    selection = Selection(
+        ids=None if ids is None else tuple(require_uri(one, "an id in the query") for one in ids.split(",")),
+        id_pattern=None if wanted is None else pattern(wanted),
+        types=None if types is None else type_selection(types, expand_name),
+        attributes=names_of(parameters.get("attrs"), context),
+        query=None if q is None else compiled(q, context, expanded),
+        scopes=None if scopes is None else scope_query(scopes),
+        places=geo_query.geo_query(parameters, expand_name),
+        any_of=any_of,
+    )
+    _short_names(parameters, "jsonKeys")  # values are compared as they are, so that there is nothing to do
+    if (csf := parameters.get("csf")) is not None:
+        compiled(csf, context, what="csf")
+    refuse_too_broad(selection, parameters)
+    return selection
+
+
+def refuse_too_broad(selection: Selection, parameters: Mapping[str, str]) -> None:
+    """Raise a problem (400) if the query is about everything, unless it asks for all that is here."""
+    local = parameters.get("local")
+    if selection.types is not None and selection.types.is_every and local == "false":
+        raise bad_request_data("type=* asks for all that is here: local=false contradicts it, leave it out")
+    attributes = parameters.get("attrs", "").split(",")
+    narrows = (
+        selection.types is not None
+        or (selection.attributes is not None and not _SYSTEM.issuperset(attributes))
+        or (selection.query is not None and selection.query.names_attributes)
+        or selection.places is not None
+        or bool(selection.any_of)
+    )
+    if not narrows and local != "true":
+        raise bad_request_data(
+            "the query is too broad: add type, attrs, q or georel to narrow it down, which id and idPattern "
+            "alone do not (clause 5.7.2.4), or local=true to search all that this broker holds"
+        )
+
+
+def _short_names(parameters: Mapping[str, str], name: str) -> frozenset[str]:
+    given = parameters.get(name)
+    if given is None:
+        return frozenset()
+    return frozenset(require_name(one, f"a name in {name}") for one in given.split(","))
+
+
+def json_headers(context: Context) -> list[tuple[bytes, bytes]]:
+    """Return the headers of an answer in plain JSON, its context named in a Link."""
+    headers = [(b"content-type", b"application/json")]
+    if context.link is not None:
+        headers.append((b"link", link_header(context.link).encode()))
+    return headers
+
+
+def page_links(
+    exchange: Exchange, window: Window, media_type: str, *, more: bool
+) -> list[tuple[bytes, bytes]]:
+    """Return the Link headers to the page before and after."""
+    links: list[tuple[bytes, bytes]] = []
+    if window.limit == 0:
+        return links
+    if window.offset > 0:
+        links.append(page_link(exchange, max(0, window.offset - window.limit), "prev", media_type))
+    if more:
+        links.append(page_link(exchange, window.offset + window.limit, "next", media_type))
+    return links
+
+
+def page_link(
+    exchange: Exchange, offset: int, relation: str, media_type: str, place: str | None = None
+) -> tuple[bytes, bytes]:
+    """Return the Link header to another page of what was asked for; `place` is where it starts or ends."""
+    parameters = {name: value for name, value in exchange.parameters.items() if name != PLACE}
+    parameters["offset"] = str(offset)
+    if place is not None:
+        parameters[PLACE] = place
+    query = "&".join(
+        f"{quote(name, safe='')}={quote(value, safe=':,')}" for name, value in parameters.items()
+    )
+    return b"link", f'<{exchange.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
+
+
+def _whole_number(exchange: Exchange, name: str, default: int) -> int:
+    """Return a query parameter that is a whole number from 0 on."""
+    given = exchange.parameter(name)
+    if given is None:
+        return default
+    if not (given.isascii() and given.isdigit() and len(given) <= 12):
+        raise bad_request_data(f"{name} is a whole number from 0 on, not {shown(given)}")
+    return int(given)

@@ -1,0 +1,389 @@
+"""A request as the broker's rooms see it, and the answer: media types, @contexts and limits are settled here.
+
+Plain ASGI with orjson, no framework: this is the broker's hottest path (clauses 6.3.4 to 6.3.6).
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Final
+from urllib.parse import parse_qsl, unquote
+
+import orjson
+from starlette.types import Receive, Scope, Send
+
+from handover.errors import Problem
+from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.federation.entity_maps.entity_map import EntityMap, Listed
+from services.context_broker.model.context import Context
+from services.context_broker.model.negotiation import (
+    GEO_JSON,
+    JSON,
+    JSON_LD,
+    MERGE_PATCH,
+    PLAIN,
+    accepted,
+    context_link,
+    preferred_version,
+)
+from services.context_broker.model.nesting import MAX_NESTING, is_too_deep, too_deep
+from services.context_broker.model.problems import (
+    MethodNotAllowed,
+    bad_request_data,
+    invalid_request,
+    length_required,
+    not_acceptable,
+    too_large,
+    unsupported_media_type,
+)
+from services.context_broker.model.validation import shown
+from services.context_broker.tenants import Tenant
+
+__all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Answer", "Disconnected", "Exchange", "Request"]
+
+PREFIX: Final = "/ngsi-ld/v1/"
+LONGEST_QUERY: Final = 64 * 1024
+_ANSWERED_AS: Final = {"HEAD": "GET"}
+"""An operation is carried out alike for both; the server leaves the body of an answer to HEAD out."""
+LONGEST_HEADER: Final = 4096
+MOST_PARAMETERS: Final = 100
+"""Parameters that are read: no operation has half as many."""
+LONGEST_REMEMBERED: Final = 1024
+"""Characters of the query of a URL that is kept parsed."""
+
+BOOLEANS: Final = frozenset(
+    {"count", "deleteAll", "details", "entityMap", "local", "reload", "splitEntities"}
+)
+"""Query parameters that are true or false, wherever they stand."""
+_READABLE = {JSON, JSON_LD, MERGE_PATCH}
+_PLAINLY_SAID: Final = {one.encode(): one for one in _READABLE}
+_WITH_BODY = {"POST", "PATCH", "PUT"}
+_WITH_ENTITIES = tuple(
+    PREFIX + path
+    for path in ("entities", "entityOperations/query", "temporal/entities", "temporal/entityOperations")
+)
+"""Where entities are asked for."""
+_WITHOUT_BODY: Final[Mapping[int, tuple[tuple[bytes, bytes], ...]]] = {
+    411: (),
+    415: ((b"accept", f"{JSON}, {JSON_LD}".encode()),),
+}
+"""Refusals without a body (clause 6.3.4), with headers that tell the way out instead (RFC 9110, 15.5.16)."""
+_BROKEN_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
+
+
+class Disconnected(Exception):
+    """The asker has gone before the request was read."""
+
+
+@dataclass(slots=True)
+class Answer:
+    """What goes back: a status, a body and headers."""
+
+    status: int
+    body: bytes = b""
+    headers: list[tuple[bytes, bytes]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Request:
+    """A request as it came: what its head says, and once it is read what it asks for.
+
+    `headers` are by name in lower case; what was sent twice is joined with a comma.
+    """
+
+    method: str
+    raw_path: bytes
+    query: bytes
+    headers: dict[bytes, bytes]
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    body: bytes = b""
+
+    @classmethod
+    def of_scope(cls, scope: Scope) -> "Request":
+        """Return the request that ASGI tells of."""
+        path = scope.get("raw_path") or scope["path"].encode()
+        return cls(scope["method"], path.partition(b"?")[0], scope["query_string"], by_name(scope["headers"]))
+
+    @property
+    def path(self) -> str:
+        """Return the path as a person reads it."""
+        path = self.raw_path.decode("latin-1")
+        return unquote(path) if "%" in path else path
+
+    def path_parts(self) -> list[str]:
+        """Return the parts of the path after /ngsi-ld/v1/, decoded one by one: a %2F stays in its part."""
+        try:
+            text = self.raw_path.decode("ascii")[len(PREFIX) :].rstrip("/")
+            parts = text.split("/")
+            if "%" not in text:
+                return parts
+            if _BROKEN_PERCENT.search(text):
+                raise invalid_request("the path has a % without two digits after it; write %25 for a %")
+            return [unquote(part, errors="strict") for part in parts]
+        except UnicodeDecodeError:
+            raise invalid_request("the path is not percent-encoded UTF-8") from None
+
+
+def by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
+    """Return headers by name."""
+    found = dict(headers)
+    if len(found) < len(headers):
+        found.clear()
+        for name, value in headers:
+            found[name] = found[name] + b", " + value if name in found else value
+    return found
+
+
+class Exchange:
+    """A request on its way through the broker; `names` are the parts of the path that name things.
+
+    `entity_map` is the one that the request is answered by, `elsewhere` what the maps of sources list for one
+    that is being made; None where there is none.
+    """
+
+    __slots__ = (
+        "contexts", "elsewhere", "entity_map", "headers", "method", "names", "parameters", "path", "raw",
+        "tenant",
+    )  # fmt: skip
+
+    def __init__(
+        self, request: Request, names: tuple[str, ...], contexts: ContextBook, tenant: Tenant
+    ) -> None:
+        self.method = _ANSWERED_AS.get(request.method, request.method)
+        self.path = request.path
+        self.parameters = request.parameters
+        self.headers = request.headers
+        self.raw = request.body
+        self.names = names
+        self.contexts = contexts
+        self.tenant = tenant
+        self.entity_map: EntityMap | None = None
+        self.elsewhere: Listed | None = None
+
+    def parameter(self, name: str) -> str | None:
+        """Return a query parameter; None if it is absent."""
+        return self.parameters.get(name)
+
+    def flag(self, name: str) -> bool:
+        """Return a query parameter that is true or false; `require_known` has refused anything else."""
+        return self.parameters.get(name) == "true"
+
+    def require_known(self, known: frozenset[str]) -> None:
+        """Refuse parameters that the operation does not have, and booleans that are neither true nor false.
+
+        All booleans are checked here, since an operation reads only those that matter for its answer.
+        """
+        for name, given in self.parameters.items():
+            if name in BOOLEANS and name in known and given not in {"true", "false"}:
+                raise bad_request_data(f"the parameter {name} is true or false, not {shown(given)}")
+            if name not in known:
+                raise invalid_request(
+                    f"there is no parameter {shown(name)} here, only {', '.join(sorted(known)) or 'none'}"
+                )
+
+    def document(self) -> Any:
+        """Return the body as JSON; raise a problem (400) if it is none, or nested too deep."""
+        try:
+            document = orjson.loads(self.raw)
+        except orjson.JSONDecodeError as error:
+            if "depth" in error.msg or "recursion" in error.msg.lower():
+                raise too_deep() from None
+            raise invalid_request(
+                f"the body is not JSON: {error.msg} at line {error.lineno}, column {error.colno}"
+            ) from None
+        if self.raw.count(b"[") + self.raw.count(b"{") > MAX_NESTING and is_too_deep(document):
+            raise too_deep()
+        return document
+
+    async def body(self) -> tuple[Any, Context]:
+        """Return the body and the context that its names are in."""
+        media_type = self.content_type()
+        document = self.document()
+        if document.__class__ is dict and media_type != JSON_LD and "@context" not in document:
+            ready = self.contexts.at_hand(self.link() or self.contexts.default or b"null")
+            if ready is not None:
+                return document, ready
+        if isinstance(document, list):
+            raise bad_request_data("the body is a list; this operation takes one JSON object")
+        return document, await self.context_of(document, media_type)
+
+    def content_type(self) -> str:
+        """Return the media type of the body; raise a problem (415) if the broker cannot read it."""
+        given = self.headers.get(b"content-type", b"")
+        media_type = _PLAINLY_SAID.get(given) or given.decode("latin-1").partition(";")[0].strip().lower()
+        if media_type not in _READABLE or (media_type == MERGE_PATCH and self.method != "PATCH"):
+            raise unsupported_media_type(
+                f"Content-Type {shown(given.decode('latin-1'))} is not read here; send {JSON} (@context in a "
+                f"Link header) or {JSON_LD} (@context in the body)"
+            )
+        return media_type
+
+    async def context_of(self, document: Any, media_type: str) -> Context:
+        """Return the context of a document that was sent as `media_type`."""
+        in_body = document.get("@context") if isinstance(document, dict) else None
+        link = self.link()
+        if media_type == JSON_LD:
+            self.require_no_link(media_type)
+            if in_body is None:
+                raise bad_request_data(f'with {JSON_LD} the body has an "@context"; add it, or send {JSON}')
+            return await self.contexts.of(in_body)
+        if isinstance(document, dict) and "@context" in document:
+            raise bad_request_data(
+                f"with {media_type} the @context stands in a Link header; move it there, or send {JSON_LD}"
+            )
+        return await self.contexts.of(link or self.contexts.default)
+
+    def require_no_link(self, media_type: str) -> None:
+        """Refuse a Link header beside a body that holds its @context itself (clause 6.3.5)."""
+        if media_type == JSON_LD and self.link() is not None:
+            raise bad_request_data(
+                f"with {JSON_LD} the @context stands in the body; leave the Link header out"
+            )
+
+    async def reader_context(self) -> Context:
+        """Return the context that the asker wants names in."""
+        return await self.contexts.of(self.link() or self.contexts.default)
+
+    def link(self) -> str | None:
+        """Return the URL of the context in the Link header, None if there is none."""
+        given = self.headers.get(b"link")
+        return None if given is None else context_link(_of_bearable_length(given, "Link"))
+
+    def accept(self, offered: tuple[str, ...] = PLAIN) -> str:
+        """Return the media type of `offered` to answer in; raise a problem (406) if none is wanted."""
+        given = self.headers.get(b"accept")
+        chosen = offered[0] if given is None else accepted(_of_bearable_length(given, "Accept"), offered)
+        if chosen is None:
+            raise not_acceptable(
+                f"Accept {shown((given or b'').decode('latin-1'))} leaves nothing; accept "
+                f"{', '.join(offered[:-1])} or {offered[-1]}",
+                offered,
+            )
+        return chosen
+
+
+def _of_bearable_length(given: bytes, name: str) -> bytes:
+    if len(given) > LONGEST_HEADER:
+        raise invalid_request(f"the {name} header has {len(given)} characters; {LONGEST_HEADER} are read")
+    return given
+
+
+def _parameters(query: bytes) -> Mapping[str, str]:
+    return (
+        _read_parameters(query) if len(query) <= LONGEST_REMEMBERED else _read_parameters.__wrapped__(query)
+    )
+
+
+@lru_cache(maxsize=4096)
+def _read_parameters(query: bytes) -> Mapping[str, str]:
+    try:
+        text = query.decode("ascii")
+        pairs = parse_qsl(text, keep_blank_values=True, errors="strict", max_num_fields=MOST_PARAMETERS)
+    except ValueError as error:
+        raise invalid_request(
+            f"the query of the URL cannot be read: {error}; percent-encode it as UTF-8"
+        ) from None
+    if _BROKEN_PERCENT.search(text):
+        raise invalid_request("the query of the URL has a % without two digits after it; write %25 for a %")
+    parameters = dict(pairs)
+    if len(parameters) < len(pairs):
+        raise invalid_request("a parameter is given twice; join its values with commas")
+    return parameters
+
+
+async def read(request: Request, body: bytes | Receive, max_bytes: int) -> None:
+    """Read what a request asks for, and its body: the whole of it, or what is still to be received.
+
+    Raises a problem: 411 for a body without a Content-Length (clause 6.3.4 has no exception for chunks), 413
+    for one larger than `max_bytes`.
+    """
+    if request.query:
+        if len(request.query) > LONGEST_QUERY:
+            raise invalid_request(f"the query of the URL has more than {LONGEST_QUERY} characters; use POST")
+        request.parameters = _parameters(request.query)
+    announced = request.headers.get(b"content-length")
+    if announced is None:
+        if request.method in _WITH_BODY:
+            raise length_required()
+    elif announced.isdigit() and int(announced) > max_bytes:
+        raise too_large(f"the body has {int(announced)} bytes; {max_bytes} are read, send less at once")
+    request.body = body if isinstance(body, bytes) else await _whole(body, max_bytes)
+
+
+async def _whole(receive: Receive, max_bytes: int) -> bytes:
+    pieces: list[bytes] = []
+    size, is_more = 0, True
+    while is_more:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            raise Disconnected
+        pieces.append(message.get("body", b""))
+        size += len(pieces[-1])
+        is_more = message.get("more_body", False)
+        if size > max_bytes:
+            raise too_large(f"the body has more than {max_bytes} bytes; send less at once")
+    return b"".join(pieces)
+
+
+async def send_answer(send: Send, answer: Answer) -> None:
+    """Send an answer."""
+    headers = [*answer.headers, (b"content-length", str(len(answer.body)).encode())]
+    if answer.status == 204:
+        headers = answer.headers
+    await send({"type": "http.response.start", "status": answer.status, "headers": headers})
+    await send({"type": "http.response.body", "body": answer.body})
+
+
+def told_back(request: Request, answer: Answer) -> Answer:
+    """Return the answer with what the asker is told of its own headers: the tenant, the version it prefers.
+
+    The tenant is told in errors too (clause 6.3.14). An answer that was made to conform to an earlier version
+    has the status 203 (clause 6.3.21); where nothing had to be changed it stays what it is.
+    """
+    tenant = request.headers.get(b"ngsild-tenant")
+    if tenant is not None:
+        answer = Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", tenant)])
+    prefer = request.headers.get(b"prefer")
+    if prefer is None or answer.status != 200:
+        return answer
+    return _as_preferred(request, prefer, answer)
+
+
+def of_tenant(request: Request, answer: Answer) -> Answer:
+    """Return the answer to a request that was refused before it was read, with its tenant told back."""
+    tenant = request.headers.get(b"ngsild-tenant")
+    told = [] if tenant is None else [(b"ngsild-tenant", tenant)]
+    return Answer(answer.status, answer.body, [*answer.headers, *told])
+
+
+def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
+    from services.context_broker.model import conformance  # noqa: PLC0415 - few ask for another version
+
+    try:
+        version = preferred_version(_of_bearable_length(prefer, "Prefer"))
+    except Problem as problem:
+        return problem_answer(problem)
+    if version is None or not answer.body:
+        return answer
+    applied = "ngsi-ld={}.{}".format(*min(version, conformance.OURS)).encode()
+    headers = [*answer.headers, (b"preference-applied", applied)]
+    if not request.path.startswith(_WITH_ENTITIES):
+        return Answer(200, answer.body, headers)
+    said = request.parameters.get("format") or request.parameters.get("options", "")
+    document = orjson.loads(answer.body)
+    simplified = not {"keyValues", "simplified"}.isdisjoint(said.split(","))
+    conformed = conformance.conformed(document, version, simplified=simplified)
+    if conformed is document:
+        return Answer(200, answer.body, headers)
+    return Answer(203, orjson.dumps(conformed), headers)
+
+
+def problem_answer(problem: Problem) -> Answer:
+    """Return a problem as an answer: RFC 7807 as plain JSON, for old clients (clauses 5.5.3 and 6.3.3)."""
+    if problem.status in _WITHOUT_BODY:
+        return Answer(problem.status, b"", list(_WITHOUT_BODY[problem.status]))
+    headers = [(b"content-type", JSON.encode())]
+    if isinstance(problem, MethodNotAllowed):
+        headers.append((b"allow", ", ".join(problem.allowed).encode()))
+    return Answer(problem.status, orjson.dumps(problem.body()), headers)

@@ -1,0 +1,126 @@
+"""An operation of the API: where it is found, what it is called, what it takes, and what answers it.
+
+The rooms list their operations with this; the front door finds its way by the lists, refuses parameters that
+an operation does not have, and `operations.md` is checked against them.
+"""
+
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from services.context_broker.model.problems import bad_request_data, method_not_allowed, not_found
+from services.context_broker.request.request_context import PREFIX, Answer, Exchange, Request
+
+Answering = Callable[[Exchange], Awaitable[Answer]]
+
+_NAME: Final = "{"
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """One operation. `path` is what comes after /ngsi-ld/v1/, with the parts that name things in braces.
+
+    `name` is the operation's name in the standard (table 4.20-1 where it has one there), `clause` where the
+    standard tells of its HTTP binding; `makes_tenant` says that it may be the first thing of a new tenant,
+    `of_no_tenant` that it finds out itself whose it is, `is_brief` that it waits for nothing but the disk and
+    an @context: it is carried out without a task of its own.
+    """
+
+    method: str
+    path: str
+    name: str
+    clause: str
+    answer: Answering
+    parameters: frozenset[str] = frozenset()
+    makes_tenant: bool = False
+    of_no_tenant: bool = False
+    is_brief: bool = False
+
+    @property
+    def title(self) -> str:
+        """Return what it is called in metrics."""
+        return f"{self.method} {self.path}"
+
+
+def brief(*operations: Operation) -> tuple[Operation, ...]:
+    """Return operations as brief ones."""
+    return tuple(replace(one, is_brief=True) for one in operations)
+
+
+@dataclass(slots=True)
+class _Place:
+    """A path, and what can be done there by method."""
+
+    template: tuple[str, ...]
+    methods: dict[str, Operation] = field(default_factory=dict)
+    _words: tuple[tuple[int, str], ...] = ()
+    _names: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Note where words and where names stand; the first word has led here."""
+        places = tuple(enumerate(self.template))
+        self._words = tuple((at, part) for at, part in places[1:] if part != _NAME)
+        self._names = tuple(at for at, part in places if part == _NAME)
+
+    def allowed(self) -> tuple[str, ...]:
+        """Return what can be done here, by HTTP's names."""
+        head = ("HEAD",) if "GET" in self.methods else ()
+        return (*self.methods, *head, "OPTIONS")
+
+    def names(self, parts: list[str]) -> tuple[str, ...] | None:
+        """Return the parts that name things if the path leads here."""
+        for at, word in self._words:
+            if parts[at] != word:
+                return None
+        return tuple([parts[at] for at in self._names])
+
+
+class Directory:
+    """Finds the operation for a request."""
+
+    def __init__(self, operations: Iterable[Operation]) -> None:
+        self._places: dict[tuple[str, int], list[_Place]] = {}
+        self.operations: tuple[Operation, ...] = tuple(operations)
+        for one in self.operations:
+            template = tuple(_NAME if part.startswith(_NAME) else part for part in one.path.split("/"))
+            places = self._places.setdefault((template[0], len(template)), [])
+            place = next((known for known in places if known.template == template), None)
+            if place is None:
+                place = _Place(template)
+                places.append(place)
+            place.methods[one.method] = one
+
+    def find(self, request: Request) -> tuple[Operation, tuple[str, ...]]:
+        """Return the operation and the names in its path; raise a problem (404 or 405) if there is none.
+
+        HEAD finds what GET finds.
+        """
+        place, names = self._place(request)
+        method = request.method
+        operation = place.methods.get("GET" if method == "HEAD" else method)
+        if operation is None:
+            path = request.path
+            if path == f"{PREFIX}entities/":  # PUT and PATCH, of an entity without an id (5.6.17, 5.6.18)
+                raise bad_request_data("the path ends where the id of an entity is to stand; add it")
+            allowed = place.allowed()
+            raise method_not_allowed(f"{path} takes {', '.join(allowed)}, not {method}", allowed)
+        return operation, names
+
+    def allowed(self, request: Request) -> tuple[str, ...]:
+        """Return the methods that a path takes; raise a problem (404) if there is no such path."""
+        return self._place(request)[0].allowed()
+
+    def _place(self, request: Request) -> tuple[_Place, tuple[str, ...]]:
+        parts = request.path_parts()
+        for place in self._places.get((parts[0], len(parts)), ()):
+            names = place.names(parts)
+            if names is not None:
+                return place, names
+        raise not_found(f"there is nothing at {request.path}; see {PREFIX}entities and {PREFIX}subscriptions")
+
+    def by_path(self) -> Mapping[str, list[Operation]]:
+        """Return the operations by their path."""
+        found: dict[str, list[Operation]] = {}
+        for one in self.operations:
+            found.setdefault(one.path, []).append(one)
+        return found

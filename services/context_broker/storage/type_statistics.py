@@ -1,0 +1,132 @@
+"""What there is, counted: types, their attributes and of which kinds, kept up with every change.
+
+So discovery (clauses 5.7.5 to 5.7.10) costs what it tells, not what is stored. A change that writes an
+attribute anew in the kind it had costs a look-up.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from services.context_broker.model.entity import Attributes, Entity, Instance
+
+Kinds = dict[str, int]
+"""How many instances there are of each kind of attribute."""
+
+
+@dataclass(slots=True)
+class _Group:
+    """The entities that have the same types: few groups, so that a change is counted in one place."""
+
+    entities: int = 0
+    attributes: dict[str, Kinds] = field(default_factory=dict)
+
+
+class Census:
+    """Counts of one tenant's entities; types and attributes are IRIs."""
+
+    def __init__(self) -> None:
+        self._groups: dict[tuple[str, ...], _Group] = {}
+
+    def note(
+        self, before: Entity | None, after: Entity | None, written: frozenset[str] | None = None
+    ) -> None:
+        """Count a change: the entity before and after, None where there is none.
+
+        `written` are the only attributes that may be others, as far as both have them; None if that is
+        not known.
+        """
+        if before is not None and after is not None and before.types == after.types:
+            counts = self._groups[after.types].attributes
+            _note_attributes(counts, before.attributes, after.attributes, written)
+            return
+        if before is not None:
+            group = self._groups[before.types]
+            group.entities -= 1
+            if group.entities:
+                for name, instances in before.attributes.items():
+                    _drop(group.attributes, name, instances)
+            else:
+                del self._groups[before.types]
+        if after is not None:
+            group = self._groups.get(after.types) or self._groups.setdefault(after.types, _Group())
+            group.entities += 1
+            for name, instances in after.attributes.items():
+                _add(group.attributes, name, instances)
+
+    def types(self) -> list[str]:
+        """Return the types of which there are entities."""
+        return list(dict.fromkeys(kind for types in self._groups for kind in types))
+
+    def entities_of(self, kind: str) -> int:
+        """Return how many entities of a type there are."""
+        return sum(group.entities for group in self._of(kind))
+
+    def attributes_of(self, kind: str) -> Mapping[str, set[str]]:
+        """Return the attributes that entities of a type have, and of which kinds."""
+        found: dict[str, set[str]] = {}
+        for group in self._of(kind):
+            for name, kinds in group.attributes.items():
+                found.setdefault(name, set()).update(kinds)
+        return found
+
+    def attributes(self) -> list[str]:
+        """Return the attributes that entities have."""
+        return list(dict.fromkeys(name for group in self._groups.values() for name in group.attributes))
+
+    def kinds_of(self, attribute: str) -> Kinds:
+        """Return how many instances of an attribute there are, by kind; none if nobody has it."""
+        found: Kinds = {}
+        for group in self._groups.values():
+            for said, number in group.attributes.get(attribute, {}).items():
+                found[said] = found.get(said, 0) + number
+        return found
+
+    def types_with(self, attribute: str) -> list[str]:
+        """Return the types of the entities that have an attribute."""
+        having = (types for types, group in self._groups.items() if attribute in group.attributes)
+        return list(dict.fromkeys(kind for types in having for kind in types))
+
+    def _of(self, kind: str) -> Iterator[_Group]:
+        return (group for types, group in self._groups.items() if kind in types)
+
+
+def _note_attributes(
+    counts: dict[str, Kinds], old: Attributes, new: Attributes, written: frozenset[str] | None
+) -> None:
+    alike = old.keys() == new.keys()
+    for name in written if alike and written is not None else new:
+        instances, was = new[name], old.get(name)
+        if was is not instances and (was is None or not _alike(was, instances)):
+            if was is not None:
+                _drop(counts, name, was)
+            _add(counts, name, instances)
+    if not alike:
+        for name in old.keys() - new.keys():
+            _drop(counts, name, old[name])
+
+
+def _alike(was: list[Instance], now: list[Instance]) -> bool:
+    """Say whether instances count as others do."""
+    if len(was) == len(now) == 1:
+        return bool(was[0]["type"] == now[0]["type"])
+    return [one["type"] for one in was] == [one["type"] for one in now]
+
+
+def _add(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None:
+    kinds = counts.get(name)
+    if kinds is None:
+        kinds = counts[name] = {}
+    for instance in instances:
+        said = instance["type"]
+        kinds[said] = kinds.get(said, 0) + 1
+
+
+def _drop(counts: dict[str, Kinds], name: str, instances: list[Instance]) -> None:
+    kinds = counts[name]
+    for instance in instances:
+        said = instance["type"]
+        kinds[said] -= 1
+        if not kinds[said]:
+            del kinds[said]
+    if not kinds:
+        del counts[name]

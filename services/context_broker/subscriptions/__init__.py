@@ -1,1 +1,0 @@
-"""Subscriptions: who is told of which changes, and how a notification gets there."""

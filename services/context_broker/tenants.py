@@ -1,0 +1,228 @@
+"""Tenants: one broker, several customers, none of whom sees anything of another (clauses 4.14 and 6.3.14).
+
+A tenant comes into being with the first thing that is kept for it, and costs next to nothing until then. The
+tenant without a name is always there.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
+from typing import Final
+from uuid import uuid4
+
+from services.context_broker.delivery.mqtt_sender import MqttSender
+from services.context_broker.delivery.notifier import Notifier
+from services.context_broker.delivery.outbound import Outbound
+from services.context_broker.federation.entity_maps.entity_map import EntityMaps
+from services.context_broker.federation.registrations.registry import Registry
+from services.context_broker.federation.registrations.source_subscriptions import SourceNotifier
+from services.context_broker.model.entity import Entity
+from services.context_broker.model.problems import bad_request_data, no_such_tenant
+from services.context_broker.model.validation import LONGEST_TENANT, TENANT, inside, outside, shown
+from services.context_broker.network.http_client import PooledHttpClient
+from services.context_broker.settings import BrokerSettings
+from services.context_broker.snapshots.snapshot import Snapshot, restored
+from services.context_broker.storage.commits import CommitQueue, Commits, Failed, stored
+from services.context_broker.storage.entries import Entries, Kind
+from services.context_broker.storage.expiry_queue import Ends
+from services.context_broker.storage.journal import Journal
+from services.context_broker.storage.store import Store
+from services.context_broker.temporal.history import Recorder
+
+DEFAULT: Final = ""
+
+
+class Tenant:
+    """All that belongs to one tenant."""
+
+    def __init__(self, name: str, tenants: "Tenants", *, is_kept: bool) -> None:
+        self.name = name
+        self.guests = 0
+        self._tenants = tenants
+        self.commits = _TenantCommits(name, tenants.commits, is_kept=is_kept)
+        self.notifier = Notifier(name, self.commits, tenants.outbound)
+        self.store = Store(
+            name,
+            self.commits,
+            tenants.places,
+            self.notifier.announce,
+            self.notifier.deliver,
+            recorder=tenants.recorder,
+            ends=tenants.ends,
+        )
+        self.notifier.store = self.store
+        self.registry = Registry(name, self.commits)
+        self.registry.watchers.append(lambda *_: tenants.on_registration(self))
+        self.entity_maps = EntityMaps(name, self.commits)
+        self.snapshots: dict[str, Snapshot] = {}
+        self.source_notifier = SourceNotifier(name, self.commits, tenants.outbound, self.registry)
+        """Tells of registrations that come, change and go; it hears of no entity."""
+
+    @property
+    def alias(self) -> str:
+        """Return what this broker calls itself in Via when it asks for the tenant (clause 5.2.40)."""
+        return self._tenants.alias_of(outside(self.name)[0])
+
+    @property
+    def is_kept(self) -> bool:
+        """Say whether anything has ever been kept for this tenant."""
+        return self.commits.is_kept
+
+
+class _TenantCommits:
+    """The commits of one tenant: the first one also keeps the tenant."""
+
+    def __init__(self, name: str, commits: CommitQueue, *, is_kept: bool) -> None:
+        self._name = name
+        self._commits = commits
+        self.is_kept = is_kept
+
+    def submit(self, entries: Entries, done: Callable[[], None], failed: Failed) -> None:
+        """Queue a write."""
+        if self.is_kept:
+            self._commits.submit(entries, done, failed)
+            return
+        entries.documents[Kind.TENANT, DEFAULT, self._name] = b"{}"
+
+        def kept() -> None:
+            self.is_kept = True
+            done()
+
+        self._commits.submit(entries, kept, failed)
+
+    async def store(self, entries: Entries) -> None:
+        """Write `entries` and return when they are safe."""
+        await stored(self, entries)
+
+    def store_later(self, entries: Entries, within_s: float = 0.2) -> None:
+        """Write `entries` with the next commit, or after `within_s`."""
+        self._commits.store_later(entries, within_s)
+
+
+class Tenants:
+    """All tenants, and what they share."""
+
+    def __init__(self, journal: Journal, settings: BrokerSettings) -> None:
+        self.ends = Ends()
+        self.commits = CommitQueue(journal, self._forget_staged)
+        self.places: Iterator[int]
+        self.outbound: Outbound
+        self.recorder = Recorder() if settings.broker_history else None
+        self._journal = journal
+        self._settings = settings
+        self._tenants: dict[str, Tenant] = {}
+        self.on_registration: Callable[[Tenant], None] = lambda _: None
+        """Is called when registrations of a tenant have changed."""
+        self._identity = ""
+
+    def alias_of(self, tenant: str) -> str:
+        """Return the broker's pseudonym for one tenant: a token that no other broker has (clause 5.2.40).
+
+        It differs from tenant to tenant, so that one tenant can be a source of another without a loop.
+        """
+        return f"{self._identity}.{tenant}" if tenant else self._identity
+
+    def load(self) -> None:
+        """Take what the journal holds."""
+        journal, settings = self._journal, self._settings
+        kept = [body for _, _, body in journal.documents(Kind.IDENTITY)]
+        self.identify(kept[0] if kept else uuid4().hex[:12].encode())
+        policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
+        self.places = itertools.count(journal.last_place() + 1)
+        self.outbound = Outbound(
+            journal,
+            PooledHttpClient(policy, ca_file),
+            MqttSender(policy, ca_file),
+            policy,
+            timeout_s=settings.broker_notification_timeout_s,
+            keep_s=settings.broker_notification_keep_h * 3600,
+            keep_bytes=settings.broker_notification_keep_mb * 1024 * 1024,
+        )
+        self._tenants[DEFAULT] = Tenant(DEFAULT, self, is_kept=True)
+        for _, name, _ in journal.documents(Kind.TENANT):
+            self._tenants[name] = Tenant(name, self, is_kept=True)
+        for tenant, _, body in journal.documents(Kind.SNAPSHOT):
+            self._tenants[tenant].snapshots.update(restored(body))
+        for tenant, _, body in journal.documents(Kind.ENTITY_MAP):
+            self._tenants[tenant].entity_maps.load(body)
+        for tenant, body in journal.entities():
+            self._tenants[tenant].store.take(Entity.restored(body))
+
+    async def keep_identity(self) -> None:
+        """Keep what tells this broker from others, if nothing does yet."""
+        if not any(self._journal.documents(Kind.IDENTITY)):
+            made = self._identity.rpartition("-")[2].encode()
+            await self.commits.store(Entries(documents={(Kind.IDENTITY, DEFAULT, "broker"): made}))
+
+    def identify(self, kept: bytes) -> None:
+        """Take the identity of this broker, which stays with its database."""
+        self._identity = f"handover-{self._settings.factory}-{kept.decode()}"
+
+    def __iter__(self) -> Iterator[Tenant]:
+        """Yield all tenants."""
+        return iter(list(self._tenants.values()))
+
+    def of(self, header: bytes, *, makes: bool) -> Tenant:
+        """Return the tenant that a request names; one that `makes` something brings a new one into being.
+
+        Raises a problem (404) for one that is not there, (400) for what is no name.
+        """
+        name = header.decode("latin-1").strip() if header else DEFAULT
+        tenant = self._tenants.get(name)
+        if tenant is not None:
+            tenant.guests += 1
+            return tenant
+        if not TENANT.fullmatch(name):
+            raise bad_request_data(
+                f"NGSILD-Tenant {shown(name)} is no name of a tenant: letters, digits, _ - and . "
+                f"({LONGEST_TENANT} at most)"
+            )
+        if not makes:
+            raise no_such_tenant(
+                f"there is no tenant {shown(name)}; it comes into being with the first entity, subscription "
+                "or registration that is made for it"
+            )
+        tenant = self._tenants[name] = Tenant(name, self, is_kept=False)
+        tenant.guests = 1
+        return tenant
+
+    def inside(self, tenant: Tenant, snapshot_id: str) -> Tenant:
+        """Return what keeps the content of a snapshot, as a tenant keeps its own; made if need be."""
+        name = inside(tenant.name, snapshot_id)
+        found = self._tenants.get(name)
+        if found is None:
+            found = self._tenants[name] = Tenant(name, self, is_kept=False)
+        return found
+
+    def drop(self, name: str) -> None:
+        """Forget what belonged to a snapshot that is gone."""
+        gone = self._tenants.pop(name, None)
+        if gone is not None:
+            gone.notifier.stop()
+            gone.source_notifier.stop()
+
+    def commits_of(self, name: str) -> Commits:
+        """Return where the writes of a tenant go; those of one that is not there go where all go."""
+        tenant = self._tenants.get(name)
+        return self.commits if tenant is None else tenant.commits
+
+    def leave(self, tenant: Tenant) -> None:
+        """Note that a request is over; a tenant for which nothing came to be kept is forgotten."""
+        tenant.guests -= 1
+        if not tenant.is_kept and not tenant.guests:
+            self._tenants.pop(tenant.name, None)
+
+    def kept(self, name: str) -> Tenant:
+        """Return a tenant that something is kept for."""
+        tenant = self._tenants.get(name)
+        if tenant is None:
+            tenant = self._tenants[name] = Tenant(name, self, is_kept=True)
+        tenant.commits.is_kept = True
+        return tenant
+
+    def entities(self) -> int:
+        """Return how many entities there are in all."""
+        return sum(len(one.store) for one in self._tenants.values())
+
+    def _forget_staged(self) -> None:
+        for one in self._tenants.values():
+            one.store.forget_staged()
