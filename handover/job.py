@@ -190,7 +190,7 @@ class Job:
         self.task = self.task.model_copy(update={"status": moved})
         log.info("task moved", task=self.task.id, status=status.value, resource=self.resource, reason=reason)
 
-    async def _insist(self, attributes: Mapping[str, Any]) -> None:
+    async def _write_until_accepted(self, attributes: Mapping[str, Any]) -> None:
         try:
             await retry(
                 lambda: self._broker.append(self.task.id, attributes),
