@@ -3,7 +3,7 @@
 import asyncio
 import gc
 import time
-from collections.abc import Coroutine, Mapping
+from collections.abc import Coroutine
 from functools import partial
 from typing import Final
 
@@ -19,16 +19,9 @@ from services.context_broker.contexts.context_store import Documents
 from services.context_broker.contexts.fetching import Fetcher
 from services.context_broker.contexts.own_address import OwnAddress
 from services.context_broker.delivery.notifier import REQUEST_HEADERS
-from services.context_broker.federation.distribution.distributed_operations import Distribution, Handler
-from services.context_broker.federation.distribution.forwarding import Forwarder
-from services.context_broker.federation.distribution.subscription_forwarding import SubscriptionForwarder
-from services.context_broker.federation.entity_maps.operations import EntityMapOperations, wants_map
-from services.context_broker.federation.registrations.registration_operations import RegistrationOperations
-from services.context_broker.federation.registrations.source_subscription_operations import (
-    SourceSubscriptionOperations,
-)
+from services.context_broker.extensions.federation import Federation, LocalOnly, wants_map
+from services.context_broker.extensions.snapshots import NoSnapshots, Snapshots, is_inside_snapshot
 from services.context_broker.model.problems import not_stored
-from services.context_broker.network.http_client import BodyReadingHttpClient
 from services.context_broker.operations.batch_operations import BatchOperations
 from services.context_broker.operations.context_operations import ContextOperations
 from services.context_broker.operations.discovery_operations import DiscoveryOperations
@@ -44,9 +37,8 @@ from services.context_broker.request.request_context import (
 )
 from services.context_broker.request.routing import Directory, Operation
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshots.operations import OUTSIDE_SNAPSHOTS, SnapshotOperations
-from services.context_broker.snapshots.snapshot_creation import HEADER as SNAPSHOT
 from services.context_broker.storage.database import Database, SqliteDatabase
+from services.context_broker.storage.document_counts import documents_with_counts
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.journal import Journal, NotStored
 from services.context_broker.storage.postgres import PostgresDatabase
@@ -81,16 +73,9 @@ class Broker:
         self.contexts.on_renewal = self._renew
         self._under_way: set[asyncio.Task[Answer]] = set()
         self.subscriptions = SubscriptionOperations(self.contexts)
-        self.registrations = RegistrationOperations(self.contexts)
-        self.source_subscriptions = SourceSubscriptionOperations(self.contexts)
-        self.entity_maps = EntityMapOperations(self._by_name)
-        self.snapshots = SnapshotOperations(self.tenants, self._answered, self._by_name)
-        http_client = BodyReadingHttpClient(policy, ca_file)
-        forwarder = Forwarder(self.contexts, settings.broker_source_timeout_s, http_client)
-        self.subscription_forwarder = SubscriptionForwarder(
-            self.tenants, self.contexts, forwarder, settings.broker_public_url
-        )
-        self.distribution = Distribution(forwarder, self._handlers)
+        self.federation = self._federation()
+        self.tenants.federation_of = self.federation.tenant_state
+        self.snapshots = self._snapshots()
         self.directory = Directory(
             operation
             for room in (
@@ -98,10 +83,7 @@ class Broker:
                 BatchOperations(),
                 DiscoveryOperations(),
                 self.subscriptions,
-                self.registrations,
-                self.source_subscriptions,
-                self.subscription_forwarder,
-                self.entity_maps,
+                self.federation,
                 self.snapshots,
                 ContextOperations(self.contexts),
                 TemporalOperations(journal.archive),
@@ -125,12 +107,13 @@ class Broker:
         self.tenants.load()
         self.tenants.commits.start()
         await self.tenants.keep_identity()
-        await self._take_up_registrations()
-        await self._take_up_subscriptions()
+        self.snapshots.restore(self.journal)
+        await self.federation.restore(self.journal)
+        await self._restore_subscriptions()
         await self.contexts.tidy()
         self.snapshots.start(self.journal)
         self.tenants.ends.start()
-        await self.subscription_forwarder.start(self.journal)
+        await self.federation.start(self.journal)
         self.retention.start()
         ENTITIES.set_function(self.tenants.entities)
         gc.set_threshold(*GC_THRESHOLDS)
@@ -145,11 +128,10 @@ class Broker:
         self.snapshots.stop()
         for tenant in self.tenants:
             tenant.notifier.stop()
-            tenant.source_notifier.stop()
+            tenant.federation.stop()
         await self.tenants.outbound.close()
         self.contexts.usage.write()
-        self.subscription_forwarder.stop()
-        self.distribution.forwarder.http_client.close()
+        self.federation.stop()
         await self.retention.stop()
         await self.tenants.commits.stop()
         await asyncio.to_thread(self.journal.close)
@@ -179,10 +161,13 @@ class Broker:
                 exchange.require_known(operation.parameters)
             if tenant.notifier.passes_headers_on:
                 REQUEST_HEADERS.set(request.headers)
-            is_alone = tenant.registry.is_empty and SNAPSHOT not in request.headers
-            if operation.is_brief and is_alone and not wants_map(operation, exchange):
+            if (
+                operation.is_brief
+                and tenant.federation.is_empty
+                and not self._is_extended(operation, exchange)
+            ):
                 return await operation.answer(exchange)
-            return await self._at_length(self._with_others(operation, exchange))
+            return await self._at_length(self._with_extensions(operation, exchange))
         finally:
             self.tenants.leave(tenant)
 
@@ -193,68 +178,49 @@ class Broker:
         task.add_done_callback(self._under_way.discard)
         return await task
 
-    async def _with_others(self, operation: Operation, exchange: Exchange) -> Answer:
-        """Carry out an operation that is about more than what the tenant has now, or may be."""
-        if SNAPSHOT in exchange.headers and operation.name not in OUTSIDE_SNAPSHOTS:
-            return await self._inside_snapshot(operation, exchange)
-        if wants_map(operation, exchange):
-            return await self.entity_maps.answer(operation, exchange, partial(self._answered, operation))
-        return await self._answered(operation, exchange)
+    @staticmethod
+    def _is_extended(operation: Operation, exchange: Exchange) -> bool:
+        """Return whether a request names a snapshot or an entity map, or wants a map."""
+        return is_inside_snapshot(operation, exchange) or wants_map(operation, exchange)
 
-    async def _inside_snapshot(self, operation: Operation, exchange: Exchange) -> Answer:
-        named = exchange.headers[SNAPSHOT]
-        exchange.tenant = self.snapshots.inside(exchange)
-        if wants_map(operation, exchange):
-            answer = await self.entity_maps.answer(operation, exchange, operation.answer)
-        else:
-            answer = await operation.answer(exchange)
-        return Answer(answer.status, answer.body, [*answer.headers, (SNAPSHOT, named)])
-
-    async def _answered(self, operation: Operation, exchange: Exchange) -> Answer:
-        if exchange.tenant.registry.is_empty:
-            return await operation.answer(exchange)
-        return await self.distribution.answer(operation, exchange)
-
-    def _handlers(self) -> Mapping[str, Handler]:
-        """Return how operations are carried out together with context sources."""
-        # Most brokers have no sources: they start without what it takes to ask them.
-        from services.context_broker.federation.distribution.handlers import HANDLERS  # noqa: PLC0415 - as said
-
-        return {**HANDLERS, **self.subscription_forwarder.handlers()}
+    async def _with_extensions(self, operation: Operation, exchange: Exchange) -> Answer:
+        """Carry out an operation inside a snapshot, or with context sources and entity maps."""
+        if is_inside_snapshot(operation, exchange):
+            return await self.snapshots.answer(operation, exchange, self.federation.answer_locally)
+        return await self.federation.answer(operation, exchange)
 
     async def _by_name(self, name: str, exchange: Exchange) -> Answer:
         """Carry out an operation that another one needs."""
         operations = (one for one in self.directory.operations if one.name == name)
         wanted = next(one for one in operations if one.method == exchange.method)
-        return await self._answered(wanted, exchange)
-
-    async def _take_up_registrations(self) -> None:
-        kept = self._kept(Kind.REGISTRATION, Kind.ATTEMPTS)
-        for tenant in self.tenants:
-            await self.registrations.restore(tenant, kept.get(tenant.name, ()))
+        return await self.federation.distribute(wanted, exchange)
 
     async def _renew(self, context_id: str) -> None:
-        """Have what was made with a context that is another now made anew."""
+        """Recompute everything that was derived from a changed @context."""
         for tenant in list(self.tenants):
-            for room in (self.subscriptions, self.source_subscriptions, self.registrations):
-                await room.renew(tenant, context_id)
+            await self.subscriptions.renew(tenant, context_id)
+            await self.federation.refresh_context(tenant, context_id)
 
-    async def _take_up_subscriptions(self) -> None:
-        for kind, room in (
-            (Kind.SUBSCRIPTION, self.subscriptions),
-            (Kind.SOURCE_SUBSCRIPTION, self.source_subscriptions),
-        ):
-            kept = self._kept(kind, Kind.COUNTS)
-            for tenant in self.tenants:
-                await room.restore(tenant, kept.get(tenant.name, ()))
+    async def _restore_subscriptions(self) -> None:
+        stored = documents_with_counts(self.journal, Kind.SUBSCRIPTION, Kind.COUNTS)
+        for tenant in self.tenants:
+            await self.subscriptions.restore(tenant, stored.get(tenant.name, ()))
 
-    def _kept(self, kind: Kind, counts: Kind) -> dict[str, list[tuple[bytes, bytes | None]]]:
-        """Return what the journal holds of a kind by tenant, each with its counts."""
-        told = {(tenant, one): body for tenant, one, body in self.journal.documents(counts)}
-        kept: dict[str, list[tuple[bytes, bytes | None]]] = {}
-        for name, one, body in self.journal.documents(kind):
-            kept.setdefault(name, []).append((body, told.get((name, one))))
-        return kept
+    def _federation(self) -> Federation:
+        """Return federation as the settings have it; without it, its package is not imported."""
+        if not self.settings.broker_federation:
+            return LocalOnly()
+        from services.context_broker.federation.broker_federation import BrokerFederation  # noqa: PLC0415 - as said
+
+        return BrokerFederation(self.tenants, self.contexts, self.settings, self._by_name)
+
+    def _snapshots(self) -> Snapshots:
+        """Return snapshots as the settings have them; without them, their package is not imported."""
+        if not self.settings.broker_snapshots:
+            return NoSnapshots()
+        from services.context_broker.snapshots.operations import BrokerSnapshots  # noqa: PLC0415 - as said
+
+        return BrokerSnapshots(self.tenants, self.federation.distribute, self._by_name)
 
     async def _keep_documents(self, documents: Documents) -> None:
         names = {tenant for _, tenant, _ in documents}

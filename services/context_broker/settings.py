@@ -79,6 +79,12 @@ class BrokerSettings(Settings):
         """Return which addresses the broker may connect to."""
         return OutboundPolicy.of(self.host, self.broker_outbound_allow)
 
+    broker_federation: bool = Field(
+        default=True,
+        description="whether the broker has context source registrations and entity maps, "
+        "and distributes operations",
+    )
+    broker_snapshots: bool = Field(default=True, description="whether the broker has snapshots")
     broker_history: bool = Field(
         default=True, description="whether the broker records what changes, for the temporal API to tell"
     )

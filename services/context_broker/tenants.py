@@ -12,21 +12,18 @@ from uuid import uuid4
 from services.context_broker.delivery.mqtt_sender import MqttSender
 from services.context_broker.delivery.notifier import Notifier
 from services.context_broker.delivery.outbound import Outbound
-from services.context_broker.federation.entity_maps.entity_map import EntityMaps
-from services.context_broker.federation.registrations.registry import Registry
-from services.context_broker.federation.registrations.source_subscriptions import SourceNotifier
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.problems import bad_request_data, no_such_tenant
 from services.context_broker.model.validation import LONGEST_TENANT, TENANT, inside, outside, shown
 from services.context_broker.network.http_client import PooledHttpClient
 from services.context_broker.settings import BrokerSettings
-from services.context_broker.snapshots.snapshot import Snapshot, restored
 from services.context_broker.storage.commits import CommitQueue, Commits, Failed, stored
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.expiry_queue import Ends
 from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.store import Store
 from services.context_broker.temporal.history import Recorder
+from services.context_broker.tenant_extensions import LocalTenant, TenantFederation
 
 DEFAULT: Final = ""
 
@@ -50,12 +47,7 @@ class Tenant:
             ends=tenants.ends,
         )
         self.notifier.store = self.store
-        self.registry = Registry(name, self.commits)
-        self.registry.watchers.append(lambda *_: tenants.on_registration(self))
-        self.entity_maps = EntityMaps(name, self.commits)
-        self.snapshots: dict[str, Snapshot] = {}
-        self.source_notifier = SourceNotifier(name, self.commits, tenants.outbound, self.registry)
-        """Tells of registrations that come, change and go; it hears of no entity."""
+        self.federation = tenants.federation_of(self)
 
     @property
     def alias(self) -> str:
@@ -110,8 +102,8 @@ class Tenants:
         self._journal = journal
         self._settings = settings
         self._tenants: dict[str, Tenant] = {}
-        self.on_registration: Callable[[Tenant], None] = lambda _: None
-        """Is called when registrations of a tenant have changed."""
+        self.federation_of: Callable[[Tenant], TenantFederation] = lambda _: LocalTenant()
+        """Makes the federation state of a new tenant."""
         self._identity = ""
 
     def alias_of(self, tenant: str) -> str:
@@ -140,10 +132,6 @@ class Tenants:
         self._tenants[DEFAULT] = Tenant(DEFAULT, self, is_kept=True)
         for _, name, _ in journal.documents(Kind.TENANT):
             self._tenants[name] = Tenant(name, self, is_kept=True)
-        for tenant, _, body in journal.documents(Kind.SNAPSHOT):
-            self._tenants[tenant].snapshots.update(restored(body))
-        for tenant, _, body in journal.documents(Kind.ENTITY_MAP):
-            self._tenants[tenant].entity_maps.load(body)
         for tenant, body in journal.entities():
             self._tenants[tenant].store.take(Entity.restored(body))
 
@@ -198,7 +186,7 @@ class Tenants:
         gone = self._tenants.pop(name, None)
         if gone is not None:
             gone.notifier.stop()
-            gone.source_notifier.stop()
+            gone.federation.stop()
 
     def commits_of(self, name: str) -> Commits:
         """Return where the writes of a tenant go; those of one that is not there go where all go."""

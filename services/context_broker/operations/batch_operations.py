@@ -9,7 +9,6 @@ from typing import Any, Final
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS
 from services.context_broker.model import changes
 from services.context_broker.model.changes import Outcome
 from services.context_broker.model.context import Context
@@ -31,6 +30,7 @@ from services.context_broker.query.query_document import query_parameters, selec
 from services.context_broker.request.entity_query import answered, asking_of
 from services.context_broker.request.query_parameters import (
     LINK_PARAMETERS,
+    MAP_PARAMETERS,
     VIEW_PARAMETERS,
     WALK_PARAMETERS,
     options_of,

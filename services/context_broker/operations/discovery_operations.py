@@ -5,13 +5,12 @@ unless `local=true` asks for ours alone.
 """
 
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from hashlib import sha256
 from typing import Any, Final
 
 import orjson
 
-from services.context_broker.federation.registrations.registration import Information
 from services.context_broker.model.conformance import OURS
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import not_found
@@ -19,6 +18,7 @@ from services.context_broker.model.validation import require_name, shown, timest
 from services.context_broker.request.query_parameters import json_headers
 from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
 from services.context_broker.request.routing import Operation, brief
+from services.context_broker.tenant_extensions import Announced
 
 _LIST: Final = frozenset({"details", "count", "local"})
 _ONE: Final = frozenset({"local"})
@@ -148,31 +148,21 @@ class DiscoveryOperations:
         return _answer(exchange, context, body)
 
 
-Registered = tuple[Collection[str], Collection[str]]
-"""The attributes that a piece of a registration names, and the types it is about."""
-
-
-def _registered(exchange: Exchange) -> Iterator[Registered]:
+def _registered(exchange: Exchange) -> Iterator[Announced]:
     """Yield what sources have registered for the tenant; nothing if it is asked for what is stored here."""
     if exchange.flag("local"):
         return
-    for one in exchange.tenant.registry:
-        for piece in one.information:
-            yield piece.attributes or (), _types_of(piece)
+    yield from exchange.tenant.federation.announced()
 
 
-def _types_of(piece: Information) -> set[str]:
-    return {kind for entity in piece.entities for kind in entity.types}
-
-
-def _names(exchange: Exchange, kind: str, registered: list[Registered]) -> list[str]:
+def _names(exchange: Exchange, kind: str, registered: list[Announced]) -> list[str]:
     """Return the attributes of a type, those stored first."""
     stored = exchange.tenant.store.census.attributes_of(kind)
     told = (name for names, types in registered if kind in types for name in sorted(names))
     return list(dict.fromkeys((*stored, *told)))
 
 
-def _types_with(exchange: Exchange, name: str, registered: list[Registered]) -> list[str]:
+def _types_with(exchange: Exchange, name: str, registered: list[Announced]) -> list[str]:
     """Return the types that have an attribute."""
     stored = exchange.tenant.store.census.types_with(name)
     return sorted({*stored, *(kind for names, types in registered if name in names for kind in types)})

@@ -6,7 +6,6 @@ from urllib.parse import quote
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS
 from services.context_broker.model import changes
 from services.context_broker.model.changes import Outcome
 from services.context_broker.model.completion import completed, completed_part, instance_for, normalized
@@ -44,6 +43,7 @@ from services.context_broker.request.entity_query import answered, asking_of, jo
 from services.context_broker.request.entity_responses import Showing, entity_answer
 from services.context_broker.request.query_parameters import (
     LINK_PARAMETERS,
+    MAP_PARAMETERS,
     QUERY_PARAMETERS,
     VIEW_PARAMETERS,
     options_of,

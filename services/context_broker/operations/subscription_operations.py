@@ -130,7 +130,8 @@ class SubscriptionOperations:
         await self._require_open(exchange.tenant, made)
         made = await self._with_link(exchange, made)
         async with self._one_at_a_time:
-            if any(book.get(made.id) for book in (exchange.tenant.notifier, exchange.tenant.source_notifier)):
+            tenant = exchange.tenant
+            if tenant.notifier.get(made.id) is not None or tenant.federation.has_subscription(made.id):
                 raise already_exists(
                     f"there is a subscription {made.id} already; update it, or choose another id"
                 )

@@ -32,6 +32,8 @@ PAGE_PARAMETERS: Final = frozenset({"limit", "offset", "count", "options", "loca
 WALK_PARAMETERS: Final = PAGE_PARAMETERS | {PLACE}
 """Those of pages that are walked through by places in an order."""
 LINK_PARAMETERS: Final = linked.PARAMETERS
+MAP_PARAMETERS: Final = frozenset({"entityMap", "entityMapLifetime"})
+"""Parameters of a query that is to be answered by an entity map."""
 QUERY_PARAMETERS: Final = (
     VIEW_PARAMETERS | WALK_PARAMETERS | LINK_PARAMETERS | ordering.PARAMETERS | geo_query.PARAMETERS
     | {"id", "idPattern", "type", "q", "expandValues", "jsonKeys", "scopeQ", "csf", "splitEntities"}

@@ -15,7 +15,6 @@ from starlette.types import Receive, Scope, Send
 
 from handover.errors import Problem
 from services.context_broker.contexts.context_resolver import ContextBook
-from services.context_broker.federation.entity_maps.entity_map import EntityMap, Listed
 from services.context_broker.model.context import Context
 from services.context_broker.model.negotiation import (
     GEO_JSON,
@@ -136,16 +135,9 @@ def by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
 
 
 class Exchange:
-    """A request on its way through the broker; `names` are the parts of the path that name things.
+    """A request on its way through the broker; `names` are the parts of the path that name things."""
 
-    `entity_map` is the one that the request is answered by, `elsewhere` what the maps of sources list for one
-    that is being made; None where there is none.
-    """
-
-    __slots__ = (
-        "contexts", "elsewhere", "entity_map", "headers", "method", "names", "parameters", "path", "raw",
-        "tenant",
-    )  # fmt: skip
+    __slots__ = ("contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
 
     def __init__(
         self, request: Request, names: tuple[str, ...], contexts: ContextBook, tenant: Tenant
@@ -158,8 +150,6 @@ class Exchange:
         self.names = names
         self.contexts = contexts
         self.tenant = tenant
-        self.entity_map: EntityMap | None = None
-        self.elsewhere: Listed | None = None
 
     def parameter(self, name: str) -> str | None:
         """Return a query parameter; None if it is absent."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from services.context_broker.federation.distribution.fragments import limited
+from services.context_broker.model.attribute_selection import select_attributes
 from services.context_broker.model.entity import Entity
 from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind
 from services.context_broker.storage.history_archive import END_OF_TIME, DepartedRow
@@ -25,7 +25,7 @@ class SnapshotContent:
         for one in found:
             if one.id not in self._known:
                 self._known.add(one.id)
-                kept = one if attributes is None else limited(one, attributes)
+                kept = one if attributes is None else select_attributes(one, attributes)
                 self.entities.append(replace(kept, expires_at=None, rendered={}))
 
     def keep_only(self, count: int) -> None:
@@ -65,16 +65,9 @@ def deletion_entries(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iter
             entities={one.seq: EntityRow(inner.name, one.id, None) for one in some},
             cleared=[(one.seq, END_OF_TIME) for one in some],
         )
-    books = ((Kind.SUBSCRIPTION, inner.notifier), (Kind.SOURCE_SUBSCRIPTION, inner.source_notifier))
-    gone: dict[DocumentKey, bytes | None] = {}
-    for kind, book in books:
-        for one in book.all():
-            gone[kind, inner.name, one.id] = None
-            gone[Kind.COUNTS, inner.name, one.id] = None
-    for registered in inner.registry:
-        gone[Kind.REGISTRATION, inner.name, registered.id] = None
-        gone[Kind.ATTEMPTS, inner.name, registered.id] = None
-    for map_id in inner.entity_maps:
-        gone[Kind.ENTITY_MAP, inner.name, map_id] = None
+    gone: dict[DocumentKey, bytes | None] = dict.fromkeys(inner.federation.document_keys())
+    for one in inner.notifier.all():
+        gone[Kind.SUBSCRIPTION, inner.name, one.id] = None
+        gone[Kind.COUNTS, inner.name, one.id] = None
     if gone:
         yield Entries(documents=gone)

@@ -11,9 +11,10 @@ from typing import Any, Final
 from urllib.parse import quote, urlsplit
 from uuid import uuid4
 
-from services.context_broker.federation.registrations.registration_operations import answer, with_context
+from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryOut
 from services.context_broker.model.problems import already_exists, not_found
 from services.context_broker.model.validation import inside, moment, outside, require_uri
+from services.context_broker.request.document_answers import document_answer, in_media_type
 from services.context_broker.request.request_context import PREFIX, Answer, Exchange
 from services.context_broker.request.routing import Operation
 from services.context_broker.snapshots.history_copy import PerformByName
@@ -26,7 +27,7 @@ from services.context_broker.snapshots.snapshot import (
     require_valid,
     require_valid_change,
 )
-from services.context_broker.snapshots.snapshot_creation import HEADER, CarryOut, SnapshotCreator
+from services.context_broker.snapshots.snapshot_creation import SnapshotCreator
 from services.context_broker.snapshots.snapshot_notifications import SnapshotNotifier, restored
 from services.context_broker.snapshots.snapshot_store import SnapshotStore, entries
 from services.context_broker.storage.entries import Kind
@@ -35,17 +36,12 @@ from services.context_broker.tenants import Tenant, Tenants
 
 USE_WRITE_INTERVAL_S: Final = 10.0
 """How often the time of the last use is written, at most: it is not worth a write for each use."""
-OUTSIDE_SNAPSHOTS: Final = frozenset(
-    {"createSnapshot", "purgeSnapshots", "retrieveSnapshotStatus", "updateSnapshotStatus", "deleteSnapshot",
-     "cloneSnapshot"}
-)  # fmt: skip
-"""Operations that are about snapshots themselves, wherever they are asked for."""
 _DONE: Final = Answer(204)
 _PURGE: Final = frozenset({"q"})
 
 
-class SnapshotOperations:
-    """What can be done to snapshots."""
+class BrokerSnapshots:
+    """Implements `Snapshots`. `carry_out` and `by_name` carry operations out, context sources included."""
 
     def __init__(self, tenants: Tenants, carry_out: CarryOut, by_name: PerformByName) -> None:
         self._tenants = tenants
@@ -79,8 +75,8 @@ class SnapshotOperations:
             self.notifier.add(notification)
         kept: set[str] = set()
         for tenant in self._tenants:
-            kept.update(inside(tenant.name, one) for one in tenant.snapshots)
-            for one in tenant.snapshots.values():
+            kept.update(inside(tenant.name, one) for one in self._snapshots.of(tenant))
+            for one in self._snapshots.of(tenant).values():
                 self._snapshots.schedule_expiry(tenant, one)
         self._creator.fail_interrupted()
         for tenant in self._tenants:
@@ -91,10 +87,22 @@ class SnapshotOperations:
         """Make no more; what is unfinished has failed at the next start."""
         self._snapshots.stop()
 
-    def inside(self, exchange: Exchange) -> Tenant:
-        """Return what a request with NGSILD-Snapshot is about (clause 6.3.22); raise a problem (404)."""
+    def restore(self, journal: Journal) -> None:
+        """Load the stored snapshots."""
+        for tenant, _, body in journal.documents(Kind.SNAPSHOT):
+            self._snapshots.load(tenant, body)
+
+    async def answer(self, operation: Operation, exchange: Exchange, carry_out: CarryOut) -> Answer:
+        """Carry out an operation inside the snapshot that NGSILD-Snapshot names (clause 6.3.22)."""
+        named = exchange.headers[SNAPSHOT_HEADER]
+        exchange.tenant = self._inside(exchange)
+        answer = await carry_out(operation, exchange)
+        return Answer(answer.status, answer.body, [*answer.headers, (SNAPSHOT_HEADER, named)])
+
+    def _inside(self, exchange: Exchange) -> Tenant:
+        """Return the tenant with the content of the snapshot that a request names; raise a problem (404)."""
         tenant = exchange.tenant
-        found = _existing(tenant, exchange.headers[HEADER].decode("latin-1").strip())
+        found = self._existing(tenant, exchange.headers[SNAPSHOT_HEADER].decode("latin-1").strip())
         found.used()
         if time.monotonic() - found.written_s > USE_WRITE_INTERVAL_S:
             found.written_s = time.monotonic()
@@ -111,7 +119,7 @@ class SnapshotOperations:
 
     async def clone(self, exchange: Exchange) -> Answer:
         """POST snapshots/{id}/clone: a copy that ends, and changes, by itself (clause 5.16.2)."""
-        original = _existing(exchange.tenant, exchange.names[0])
+        original = self._existing(exchange.tenant, exchange.names[0])
         given = require_valid((await exchange.body())[0], has_queries=False)
         queries: dict[str, Any] = {
             name: original.document[name] for name in QUERIES if name in original.document
@@ -123,7 +131,7 @@ class SnapshotOperations:
 
     async def retrieve(self, exchange: Exchange) -> Answer:
         """GET snapshots/{id}."""
-        return await _snapshot_answer(exchange, _existing(exchange.tenant, exchange.names[0]))
+        return await _snapshot_answer(exchange, self._existing(exchange.tenant, exchange.names[0]))
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH snapshots/{id}: its priority, its lifetime, and who is told of it."""
@@ -131,7 +139,7 @@ class SnapshotOperations:
         members = {name: value for name, value in change.items() if name not in {"type", "@context"}}
         await self._require_open(exchange.tenant, members)
         async with self._snapshots.lock:
-            before = _existing(exchange.tenant, exchange.names[0])
+            before = self._existing(exchange.tenant, exchange.names[0])
             if "snapshotLifetime" in members:
                 created_s = moment(before.document["createdAt"]) or time.time()
                 start = datetime.fromtimestamp(created_s, UTC)
@@ -145,7 +153,7 @@ class SnapshotOperations:
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE snapshots/{id}."""
         async with self._snapshots.lock:
-            await self._snapshots.remove(exchange.tenant, _existing(exchange.tenant, exchange.names[0]))
+            await self._snapshots.remove(exchange.tenant, self._existing(exchange.tenant, exchange.names[0]))
         return _DONE
 
     async def purge(self, exchange: Exchange) -> Answer:
@@ -153,7 +161,7 @@ class SnapshotOperations:
         context = await exchange.reader_context()
         wants = purge_filter(exchange.parameter("q"), context)
         async with self._snapshots.lock:
-            for one in [found for found in exchange.tenant.snapshots.values() if wants(found)]:
+            for one in [found for found in self._snapshots.of(exchange.tenant).values() if wants(found)]:
                 await self._snapshots.remove(exchange.tenant, one)
         return _DONE
 
@@ -161,7 +169,7 @@ class SnapshotOperations:
         tenant = exchange.tenant
         await self._require_open(tenant, made.document)
         async with self._snapshots.lock:
-            if made.id in tenant.snapshots:
+            if made.id in self._snapshots.of(tenant):
                 raise already_exists(f"there is a snapshot {made.id} already; choose another id")
             await self._snapshots.evict_for_one(tenant)
             await self._snapshots.keep(tenant, made)
@@ -171,20 +179,19 @@ class SnapshotOperations:
             host = urlsplit(document["endpoint"]).hostname or ""
             await tenant.notifier.outbound.policy.require_open(host, '"endpoint"')
 
+    def _existing(self, tenant: Tenant, snapshot_id: str) -> Snapshot:
+        require_uri(snapshot_id, "the id of a snapshot")
+        found = self._snapshots.of(tenant).get(snapshot_id)
+        if found is None or found.expires_s <= time.time():
+            raise not_found(
+                f"there is no snapshot {snapshot_id}, or it has expired; create one with POST snapshots"
+            )
+        return found
+
 
 def _named(given: Any) -> str:
     named = given.get("id") if isinstance(given, Mapping) else None
     return named if isinstance(named, str) else f"urn:ngsi-ld:Snapshot:{uuid4()}"
-
-
-def _existing(tenant: Tenant, snapshot_id: str) -> Snapshot:
-    require_uri(snapshot_id, "the id of a snapshot")
-    found = tenant.snapshots.get(snapshot_id)
-    if found is None or found.expires_s <= time.time():
-        raise not_found(
-            f"there is no snapshot {snapshot_id}, or it has expired; make one with POST snapshots"
-        )
-    return found
 
 
 def _created(one: Snapshot) -> Answer:
@@ -193,4 +200,4 @@ def _created(one: Snapshot) -> Answer:
 
 async def _snapshot_answer(exchange: Exchange, one: Snapshot) -> Answer:
     media_type, context = exchange.accept(), await exchange.reader_context()
-    return answer(with_context(one.document, media_type, context), media_type, context)
+    return document_answer(in_media_type(one.document, media_type, context), media_type, context)

@@ -4,17 +4,18 @@ A snapshot is made after its creation has been answered, and who made it looks a
 longer `preparing`. So whatever goes wrong ends in `failure`, with the reason at each query that it concerns.
 """
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Mapping
 from typing import Any, Final
 
 import orjson
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from services.context_broker.federation.distribution.distributed_operations import derived
+from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryOut
 from services.context_broker.model.problems import ERRORS, not_stored, too_many_results, went_wrong
 from services.context_broker.query.query_document import query_parameters, selectors_of
 from services.context_broker.query.selection import hits_of
+from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import selection_of
 from services.context_broker.request.request_context import JSON, Answer, Exchange
 from services.context_broker.request.routing import Operation
@@ -31,21 +32,17 @@ from services.context_broker.snapshots.snapshot import (
     status_of,
 )
 from services.context_broker.snapshots.snapshot_store import SnapshotStore
-from services.context_broker.storage.journal import NotStored
+from services.context_broker.storage.database import NotStored
 from services.context_broker.tenants import Tenant, Tenants
 
 log = get_logger(__name__)
 
-HEADER: Final = b"ngsild-snapshot"
 _INTERRUPTED: Final = Problem(
     500,
     "Internal error",
     "the broker ended while it was making this snapshot; delete it, and make it again with POST snapshots",
     ERRORS + "InternalError",
 )
-
-CarryOut = Callable[[Operation, Exchange], Awaitable[Answer]]
-"""Carries an operation out, sources included."""
 
 
 class SnapshotCreator:
@@ -71,7 +68,7 @@ class SnapshotCreator:
     def fail_interrupted(self) -> None:
         """Note that what nobody makes any more has failed: the broker that made it has ended."""
         for tenant in self._tenants:
-            for one in list(tenant.snapshots.values()):
+            for one in list(self._snapshots.of(tenant).values()):
                 if one.status is Status.PREPARING and (tenant.name, one.id) not in self._running:
                     failed = one.failed(_INTERRUPTED)
                     self._snapshots.publish(tenant, failed)
@@ -92,7 +89,7 @@ class SnapshotCreator:
             self._running.discard((tenant.name, made.id))
 
     async def _fail(self, tenant: Tenant, made: Snapshot, problem: Problem) -> None:
-        now = tenant.snapshots.get(made.id)
+        now = self._snapshots.of(tenant).get(made.id)
         if now is None:  # it was deleted while it was being made
             await self._snapshots.clear(self._tenants.inside(tenant, made.id))
             return
@@ -103,7 +100,7 @@ class SnapshotCreator:
     async def _record_failure(self, tenant: Tenant, failed: Snapshot) -> None:
         """Keep it that a snapshot has failed; nothing stays of what was made of it."""
         async with self._snapshots.lock:
-            if tenant.snapshots.get(failed.id) is failed:
+            if self._snapshots.of(tenant).get(failed.id) is failed:
                 await self._snapshots.keep(tenant, failed, notify=True)
                 await self._snapshots.clear(self._tenants.inside(tenant, failed.id))
 
@@ -154,7 +151,7 @@ class SnapshotCreator:
     ) -> None:
         status = status_of([one for several in results.values() for one in several])
         async with self._snapshots.lock:
-            now = tenant.snapshots.get(made.id)
+            now = self._snapshots.of(tenant).get(made.id)
             if now is None:  # it was deleted while it was being made
                 await self._snapshots.clear(self._tenants.inside(tenant, made.id))
                 return
@@ -165,7 +162,9 @@ class SnapshotCreator:
 
 def query_exchange(exchange: Exchange, query: Mapping[str, Any], context: Any) -> Exchange:
     """Return the exchange that carries a query of a snapshot out, in the names of whoever makes it."""
-    headers = {name: value for name, value in exchange.headers.items() if name not in {HEADER, b"accept"}}
+    headers = {
+        name: value for name, value in exchange.headers.items() if name not in {SNAPSHOT_HEADER, b"accept"}
+    }
     if context is None:
         headers[b"content-type"] = JSON.encode()
         return derived(exchange, raw=orjson.dumps(query), parameters={}, headers=headers)

@@ -5,17 +5,17 @@ What is written of a snapshot and what is to be told of it go into one commit.
 
 import asyncio
 import time
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Iterable
 from typing import Any, Final
 
 from handover.telemetry import get_logger
 from services.context_broker.model.problems import not_stored
 from services.context_broker.model.validation import timestamp_now
 from services.context_broker.snapshots.content import deletion_entries
-from services.context_broker.snapshots.snapshot import MAX_SNAPSHOTS, MAX_TOTAL_ENTITIES, Snapshot
+from services.context_broker.snapshots.snapshot import MAX_SNAPSHOTS, MAX_TOTAL_ENTITIES, Snapshot, restored
 from services.context_broker.snapshots.snapshot_notifications import SnapshotNotifier, notification_of
+from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries, Kind
-from services.context_broker.storage.journal import NotStored
 from services.context_broker.tenants import DEFAULT, Tenant, Tenants
 
 log = get_logger(__name__)
@@ -30,7 +30,16 @@ class SnapshotStore:
         self._tenants = tenants
         self.notifier = SnapshotNotifier(tenants)
         self.lock = asyncio.Lock()
+        self._by_tenant: dict[str, dict[str, Snapshot]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+
+    def of(self, tenant: Tenant) -> dict[str, Snapshot]:
+        """Return the snapshots of a tenant by their id."""
+        return self._by_tenant.setdefault(tenant.name, {})
+
+    def load(self, tenant: str, body: bytes) -> None:
+        """Load a stored snapshot."""
+        self._by_tenant.setdefault(tenant, {}).update(restored(body))
 
     def stop(self) -> None:
         """End all work on snapshots; what is unfinished has failed at the next start."""
@@ -46,7 +55,7 @@ class SnapshotStore:
 
     def schedule_expiry(self, tenant: Tenant, one: Snapshot) -> None:
         """Take a snapshot away when it expires, unless it was changed meanwhile."""
-        if tenant.snapshots.get(one.id) is not one:
+        if self.of(tenant).get(one.id) is not one:
             return
         left_s = one.expires_s - time.time()
         if left_s > 0:
@@ -68,7 +77,7 @@ class SnapshotStore:
 
     def publish(self, tenant: Tenant, one: Snapshot) -> None:
         """Have readers see a snapshot as it is now."""
-        tenant.snapshots[one.id] = one
+        self.of(tenant)[one.id] = one
         self.schedule_expiry(tenant, one)
 
     async def remove(self, tenant: Tenant, one: Snapshot) -> None:
@@ -78,7 +87,7 @@ class SnapshotStore:
         if notification is not None:
             gone.documents[notification.key] = notification.stored()
         await _write(tenant, gone)
-        tenant.snapshots.pop(one.id, None)
+        self.of(tenant).pop(one.id, None)
         await self.clear(self._tenants.inside(tenant, one.id))
         if notification is not None:
             self.notifier.add(notification)
@@ -94,12 +103,12 @@ class SnapshotStore:
 
     async def evict_for_one(self, tenant: Tenant) -> None:
         """Take away what is in excess of the snapshots of a tenant, with the one that is to come."""
-        for one in _by_worth(tenant)[: max(0, len(tenant.snapshots) + 1 - MAX_SNAPSHOTS)]:
+        for one in _by_worth(self.of(tenant).values())[: max(0, len(self.of(tenant)) + 1 - MAX_SNAPSHOTS)]:
             await self.remove(tenant, one)
 
     async def evict_for(self, tenant: Tenant, made: Snapshot, more: int) -> None:
         """Take away the snapshots that have to go so that there is room for more entities in another."""
-        others = [one for one in _by_worth(tenant) if one.id != made.id]
+        others = [one for one in _by_worth(self.of(tenant).values()) if one.id != made.id]
         sizes = [len(self._tenants.inside(tenant, one.id).store) for one in others]
         held, gone = more + sum(sizes), 0
         while held > MAX_TOTAL_ENTITIES and gone < len(others):
@@ -110,7 +119,7 @@ class SnapshotStore:
 
     async def _end(self, tenant: Tenant, one: Snapshot) -> None:
         async with self.lock:
-            if tenant.snapshots.get(one.id) is one:
+            if self.of(tenant).get(one.id) is one:
                 await self.remove(tenant, one)
 
     def _on_end(self, task: asyncio.Task[None]) -> None:
@@ -124,10 +133,10 @@ def entries(tenant: Tenant, one: Snapshot) -> Entries:
     return Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): one.stored()})
 
 
-def _by_worth(tenant: Tenant) -> list[Snapshot]:
+def _by_worth(snapshots: Iterable[Snapshot]) -> list[Snapshot]:
     """Return the snapshots, those first that have to go first when there are too many."""
     return sorted(
-        tenant.snapshots.values(),
+        snapshots,
         key=lambda one: (one.document["snapshotPriority"], one.document["lastUsedAt"]),
     )
 

@@ -13,14 +13,7 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.model.entity import (
-    NULL,
-    SAYS,
-    Attributes,
-    Event,
-    Instance,
-    dataset_of,
-)
+from services.context_broker.model.entity import NULL, SAYS, Attributes, Event, Instance, dataset_of
 from services.context_broker.model.validation import has_expired, moment, timestamp, timestamp_now
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow

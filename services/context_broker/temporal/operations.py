@@ -9,7 +9,6 @@ from typing import Any, Final, TypeVar
 
 import orjson
 
-from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import bad_request_data, not_read
 from services.context_broker.model.rendering import with_context
@@ -21,6 +20,7 @@ from services.context_broker.query.query_document import query_parameters, selec
 from services.context_broker.query.selection import Selection
 from services.context_broker.request.query_parameters import (
     LINK_PARAMETERS,
+    MAP_PARAMETERS,
     QUERY_PARAMETERS,
     VIEW_PARAMETERS,
     json_headers,
@@ -29,8 +29,8 @@ from services.context_broker.request.query_parameters import (
 )
 from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
 from services.context_broker.request.routing import Operation
+from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.history_archive import Archive
-from services.context_broker.storage.journal import NotStored
 from services.context_broker.temporal.history_reader import (
     EvolutionPage,
     HistoryRequest,

@@ -21,9 +21,9 @@ from services.context_broker.model.validation import moment, require_name, requi
 from services.context_broker.operations.entity_operations import DONE, absent
 from services.context_broker.request.request_context import PREFIX, Answer, Exchange
 from services.context_broker.request.routing import Operation
+from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.history_archive import END_OF_TIME, Archive, DepartedRow, HistoryRow
-from services.context_broker.storage.journal import NotStored
 from services.context_broker.temporal.history import SCOPE, Change, Departed, Recorder, place_of
 from services.context_broker.temporal.intake import Past, read_past
 from services.context_broker.temporal.subjects import Subject, subjects_of

@@ -12,9 +12,9 @@ from typing import Final
 
 from handover.telemetry import get_logger
 from services.context_broker.storage.commits import Commits
+from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.history_archive import END_OF_TIME, Archive, DepartedRow
-from services.context_broker.storage.journal import NotStored
 from services.context_broker.temporal.history import Departed, seq_before
 
 log = get_logger(__name__)

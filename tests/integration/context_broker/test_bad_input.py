@@ -82,7 +82,7 @@ def test_an_index_that_fails_touches_no_write(
 
     async def steps() -> None:
         broker = create_broker(BrokerSettings(data_dir=tmp_path))
-        await broker._broker.start()
+        await broker._serve()
         transport = httpx.ASGITransport(broker)
         async with httpx.AsyncClient(transport=transport, base_url="http://localhost/ngsi-ld/v1") as client:
             assert (await client.post("/entities", json=robot(kind, "0"))).status_code == 201

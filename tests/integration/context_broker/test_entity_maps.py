@@ -285,7 +285,7 @@ async def test_others_are_served_while_a_large_map_is_counted(
 ) -> None:
     monkeypatch.setattr(entity_map_pages, "CHECK_BATCH_SIZE", 2)
     broker = create_broker(BrokerSettings(data_dir=tmp_path))
-    await broker._broker.start()
+    await broker._serve()
     transport = httpx.ASGITransport(broker)
     async with httpx.AsyncClient(transport=transport, base_url="http://localhost/ngsi-ld/v1") as client:
         made = [{"id": f"urn:ngsi-ld:Many:{number}", "type": "Many"} for number in range(100)]

@@ -11,12 +11,12 @@ from datamodels.contexts import TermMap, resolve
 from handover.errors import Problem
 from services.context_broker.federation.distribution.fragments import (
     Fragment,
-    limited,
     merged,
     read_fragment,
     without_expired,
 )
 from services.context_broker.federation.distribution.translation import translated
+from services.context_broker.model.attribute_selection import select_attributes
 from services.context_broker.model.entity import Attributes, Entity
 
 TERMS = TermMap(None, resolve)
@@ -123,10 +123,10 @@ def test_nothing_is_made_up_and_no_attribute_is_lost(fragments: list[Fragment]) 
 
 def test_an_entity_is_limited_to_some_attributes() -> None:
     whole = entity(a=one(1), b=one(2), c=one(3))
-    assert limited(whole, None) is whole
-    assert limited(whole, frozenset({"urn:x:a", "urn:x:b"}), frozenset({"urn:x:b"})).attributes.keys() == {
-        "urn:x:a"
-    }
+    assert select_attributes(whole, None) is whole
+    assert select_attributes(
+        whole, frozenset({"urn:x:a", "urn:x:b"}), frozenset({"urn:x:b"})
+    ).attributes.keys() == {"urn:x:a"}
 
 
 def test_the_times_that_a_source_gives_are_kept() -> None:

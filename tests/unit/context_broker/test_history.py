@@ -32,7 +32,7 @@ from services.context_broker.temporal.history_reader import (
     EvolutionPage,
     HistoryRequest,
     read_evolution,
-    tell,
+    read_evolutions,
 )
 from services.context_broker.temporal.query import TemporalQuery
 from services.context_broker.temporal.rendering import content_range
@@ -256,7 +256,7 @@ def test_an_answer_over_many_entities_ends_at_one_time_for_all(
             seen = timestamp(START + timedelta(minutes=minute))
             life.change({"speed": {"type": "Property", "value": minute, "observedAt": seen}})
     question = HistoryRequest(TemporalQuery(time_property="observedAt"), lambda _: True)
-    found = tell(journal.archive, [life.subject() for life in lives], question, 0, 10, count=True)
+    found = read_evolutions(journal.archive, [life.subject() for life in lives], question, 0, 10, count=True)
     assert found.total == 3
     assert found.edge is not None
     counts = [sum(len(series.points) for series in one.all()) for one in found.evolutions]
@@ -269,7 +269,9 @@ def test_pages_of_entities_hold_each_once(journal: Journal) -> None:
         life.create({"speed": number} if number % 2 else {"heading": number})
     subjects = [life.subject() for life in lives]
     question = HistoryRequest(TemporalQuery(), lambda _: True, requires=frozenset({TERMS.expand("speed")}))
-    pages = [tell(journal.archive, subjects, question, offset, 2, count=False) for offset in (0, 2)]
+    pages = [
+        read_evolutions(journal.archive, subjects, question, offset, 2, count=False) for offset in (0, 2)
+    ]
     assert [one.subject.id for page in pages for one in page.evolutions] == [
         f"urn:x:{life.place}" for life in lives[1::2]
     ]

@@ -18,7 +18,6 @@ from services.context_broker.federation.distribution.distributed_operations impo
     Handler,
     Perform,
     Sources,
-    derived,
     gather_all,
 )
 from services.context_broker.federation.distribution.forwarding import (
@@ -46,6 +45,7 @@ from services.context_broker.federation.registrations.coverage import placement_
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.validation import require_uri
+from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.request_context import JSON, Answer, Exchange
 
 MAX_BATCH_SIZE: Final = 1000

@@ -6,7 +6,6 @@ become one. `local=true` and what no registration is about stay with the rooms.
 """
 
 import asyncio
-import copy
 import functools
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any, Final
@@ -15,7 +14,9 @@ from urllib.parse import quote
 from handover.errors import Problem
 from services.context_broker.federation.distribution.forwarding import Forwarder, RequestOrigin, SourceError
 from services.context_broker.federation.distribution.via import MAX_CHAIN_LENGTH, chain
+from services.context_broker.federation.entity_maps.mapped_exchange import entity_map_of
 from services.context_broker.federation.registrations.registration import Match, Registration
+from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.problems import ERRORS
 from services.context_broker.request.request_context import PREFIX, Answer, Exchange, problem_answer
 from services.context_broker.request.routing import Operation
@@ -37,7 +38,7 @@ class Sources:
     def __init__(self, exchange: Exchange, forwarder: Forwarder) -> None:
         self.exchange = exchange
         self.forwarder = forwarder
-        self.registry = exchange.tenant.registry
+        self.registry = federated(exchange.tenant).registry
         self.origin = RequestOrigin(exchange.headers, exchange.tenant.alias, self.registry)
         self.warnings: dict[tuple[int, str], None] = {}
         self.source_errors: list[SourceError] = []
@@ -50,14 +51,14 @@ class Sources:
         each narrowed to what that is (clause 5.7.2.4).
         """
         found = [one for one in matches if not self.has_visited(one.registration)]
-        entity_map = self.exchange.entity_map if uses_map else None
+        entity_map = entity_map_of(self.exchange) if uses_map else None
         if entity_map is None:
             return found
         return [some for one in found if (some := one.among(entity_map.entities)).parts]
 
     def map_headers(self, registration: Registration) -> tuple[tuple[str, str], ...]:
         """Return the header that names a source's own entity map, if the request is answered by maps."""
-        entity_map = self.exchange.entity_map
+        entity_map = entity_map_of(self.exchange)
         linked = None if entity_map is None else entity_map.linked.get(registration.id)
         return () if linked is None else ((MAP_HEADER, f"{PREFIX}entityMaps/{quote(linked, safe=':')}"),)
 
@@ -96,7 +97,7 @@ class Sources:
 Handler = Callable[[Sources, Exchange, Perform], Awaitable[Answer]]
 
 
-class Distribution:
+class DistributedOperations:
     """Carries out operations together with other sources; how (by name) is looked up at the first one."""
 
     def __init__(self, forwarder: Forwarder, handlers: Callable[[], Mapping[str, Handler]]) -> None:
@@ -129,14 +130,6 @@ def is_local(exchange: Exchange) -> bool:
         or exchange.parameter("type") == "*"
         or b"ngsild-snapshot" in exchange.headers
     )
-
-
-def derived(exchange: Exchange, **changed: Any) -> Exchange:
-    """Return the exchange with some of its parts changed, for the broker's own share of the operation."""
-    result = copy.copy(exchange)
-    for name, value in changed.items():
-        setattr(result, name, value)
-    return result
 
 
 async def gather_all(*asked: Awaitable[Any]) -> list[Any]:

@@ -14,7 +14,6 @@ from handover.errors import Problem
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
-    derived,
     gather_all,
 )
 from services.context_broker.federation.distribution.entity_fetching import (
@@ -38,6 +37,7 @@ from services.context_broker.federation.distribution.query_targets import (
 from services.context_broker.federation.distribution.source_responses import query_source
 from services.context_broker.federation.distribution.temporal_fetching import of_the_past, who
 from services.context_broker.federation.entity_maps.entity_map import Listed
+from services.context_broker.federation.entity_maps.mapped_exchange import with_map
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.validation import require_uri
@@ -181,9 +181,8 @@ async def map_temporal(sources: Sources, exchange: Exchange, perform: Perform) -
         asking += [map_collector.collect_temporal(match, each) for match in sources.unvisited(found)]
     if not asking:
         return await perform(exchange)
-    own = derived(
-        exchange, parameters={**exchange.parameters, "local": "true"}, elsewhere=map_collector.listed
-    )
+    local = {**exchange.parameters, "local": "true"}
+    own = with_map(exchange, parameters=local, listed=map_collector.listed)
     await gather_all(*asking)
     return await perform(own)
 

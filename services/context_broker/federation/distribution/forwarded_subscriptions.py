@@ -18,7 +18,7 @@ from services.context_broker.federation.registrations.registration import Entity
 from services.context_broker.federation.registrations.registration_intake import registration
 from services.context_broker.query.type_selection import TypeSelection
 
-PATH: Final = "relayedNotifications"
+PATH: Final = "sourceNotifications"
 _NOT_PASSED_ON: Final = (
     "id", "status", "isActive", "jsonldContext", "csf", "throttling", "lang", "datasetId", "localOnly",
     "notification", "createdAt", "modifiedAt", "watchedAttributes", "splitEntities", "ngsildConformance",

@@ -6,9 +6,10 @@ Each tells what it is registered for; what an exclusive or redirect source has i
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
-from services.context_broker.federation.distribution.fragments import Fragment, limited, merged
+from services.context_broker.federation.distribution.fragments import Fragment, merged
 from services.context_broker.federation.registrations.coverage import may_hold
 from services.context_broker.federation.registrations.registration import Mode, Registration
+from services.context_broker.model.attribute_selection import select_attributes
 from services.context_broker.model.entity import Entity, dataset_of
 from services.context_broker.storage.store import Store
 
@@ -63,7 +64,7 @@ def about(registration: Registration, entity: Entity) -> Entity | None:
             names = None if names is None or piece.attributes is None else names | piece.attributes
     if not is_about:
         return None
-    part = limited(entity, None if names is None else frozenset(names))
+    part = select_attributes(entity, None if names is None else frozenset(names))
     return part if registration.datasets is None else _of_datasets(part, registration.datasets, keep=True)
 
 
@@ -78,15 +79,15 @@ def unclaimed(fragment: Fragment, proxied: list[Registration]) -> Entity | None:
         for piece in one.information:
             if piece.is_about(fragment.entity):
                 if one.datasets is not None:
-                    claimed = left if piece.attributes is None else limited(left, piece.attributes)
+                    claimed = left if piece.attributes is None else select_attributes(left, piece.attributes)
                     rest = _of_datasets(claimed, one.datasets, keep=False)
                     left = replace(left, attributes={**left.attributes, **rest.attributes}, rendered={})
                     gone = claimed.attributes.keys() - rest.attributes.keys()
-                    left = limited(left, None, frozenset(gone))
+                    left = select_attributes(left, None, frozenset(gone))
                 elif piece.attributes is None:
                     return None
                 else:
-                    left = limited(left, None, piece.attributes)
+                    left = select_attributes(left, None, piece.attributes)
     return left
 
 

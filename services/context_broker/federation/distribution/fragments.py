@@ -55,27 +55,6 @@ def merged(fragments: Iterable[Fragment]) -> Entity:
     )
 
 
-def limited(entity: Entity, names: frozenset[str] | None, without: frozenset[str] = frozenset()) -> Entity:
-    """Return the entity with no attributes but those `names` (None for all), and not those `without`."""
-    kept = {
-        name: instances
-        for name, instances in entity.attributes.items()
-        if (names is None or name in names) and name not in without
-    }
-    if len(kept) == len(entity.attributes):
-        return entity
-    return Entity(
-        entity.id,
-        entity.types,
-        kept,
-        entity.created_at,
-        entity.modified_at,
-        entity.seq,
-        entity.scopes,
-        entity.expires_at,
-    )
-
-
 def without_expired(document: Any, now_s: float) -> Any:
     """Return what a source told of an entity without what has expired since; None if all of it has (4.22)."""
     if not isinstance(document, dict):

@@ -15,7 +15,6 @@ from services.context_broker.federation.distribution import outcomes, reading
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
-    derived,
     gather_all,
 )
 from services.context_broker.federation.distribution.entity_fetching import MAX_CONCURRENT_REQUESTS, MAX_IDS
@@ -31,6 +30,7 @@ from services.context_broker.federation.registrations.registration import Entity
 from services.context_broker.model.context import Context
 from services.context_broker.operations.purge import selection_to_purge
 from services.context_broker.query.selection import hits_of
+from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import selection_of
 from services.context_broker.request.request_context import Answer, Exchange
 

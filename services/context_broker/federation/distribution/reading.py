@@ -14,7 +14,6 @@ from handover.errors import Problem
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
-    derived,
     gateway_problem,
     gather_all,
 )
@@ -38,12 +37,14 @@ from services.context_broker.federation.distribution.query_targets import (
     target_of,
     types_of,
 )
+from services.context_broker.federation.entity_maps.mapped_exchange import listed_of, with_map
 from services.context_broker.federation.registrations.coverage import CoverageQuery
 from services.context_broker.federation.registrations.registration import EntityTarget, Match
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.validation import require_uri
 from services.context_broker.query.type_selection import of_types
+from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import datasets_of
 from services.context_broker.request.request_context import Answer, Exchange, problem_answer
 
@@ -70,8 +71,8 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> An
         return await perform(exchange)
     collector = FragmentCollector()
     await gather_all(*(fetch_entity(sources, one, entity_id, context, collector) for one in matches))
-    if exchange.elsewhere is not None:
-        exchange.elsewhere.entities = collector.origins(exchange.tenant.store)
+    if (listed := listed_of(exchange)) is not None:
+        listed.entities = collector.origins(exchange.tenant.store)
     proxied = [one.registration for one in matches if one.registration.mode.is_proxied]
     others = {entity_id: collector.entity(own, entity_id, proxied)}
     await _add_linked(sources, exchange, context, others)
@@ -165,7 +166,8 @@ async def _query(
     overlay_store = store.overlay(ids, None if ids is not None else types, others)
     overlay_store.origins = collector.origins(store)
     overlay = _over(exchange, overlay_store)
-    overlay.elsewhere = None if map_collector is None else map_collector.listed
+    if map_collector is not None:
+        overlay = with_map(overlay, listed=map_collector.listed)
     return await perform(overlay)
 
 

@@ -19,15 +19,7 @@ from services.context_broker.federation.distribution.fragments import (
 )
 from services.context_broker.federation.distribution.source_responses import place_of
 from services.context_broker.federation.registrations.registration import Registration
-from services.context_broker.model.entity import (
-    NULL,
-    SAYS,
-    Attributes,
-    Entity,
-    Instance,
-    Terms,
-    dataset_of,
-)
+from services.context_broker.model.entity import NULL, SAYS, Attributes, Entity, Instance, Terms, dataset_of
 from services.context_broker.model.entity_parser import expand
 
 _PREVIOUS: Final = {

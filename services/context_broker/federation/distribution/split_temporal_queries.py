@@ -12,7 +12,7 @@ import orjson
 
 from handover.errors import Problem
 from services.context_broker.federation.distribution import temporal_merge
-from services.context_broker.federation.distribution.distributed_operations import Perform, Sources, derived
+from services.context_broker.federation.distribution.distributed_operations import Perform, Sources
 from services.context_broker.federation.distribution.query_targets import FILTERS
 from services.context_broker.federation.distribution.temporal_fetching import (
     SHOWING,
@@ -30,6 +30,7 @@ from services.context_broker.model.entity import Entity, Instance
 from services.context_broker.model.entity_parser import expand, read_attribute
 from services.context_broker.query.query_document import selectors_of
 from services.context_broker.query.selection import Selection
+from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import LARGEST_LIMIT, selection_of
 from services.context_broker.request.request_context import Exchange
 from services.context_broker.temporal.query import TIME_PARAMETERS

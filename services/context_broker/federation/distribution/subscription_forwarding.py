@@ -45,14 +45,16 @@ from services.context_broker.federation.distribution.source_notifications import
 from services.context_broker.federation.distribution.via import chain
 from services.context_broker.federation.registrations.coverage import CoverageQuery
 from services.context_broker.federation.registrations.registration import Registration
+from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import bad_request_data, not_found, not_stored
 from services.context_broker.model.validation import shown
 from services.context_broker.network.http_client import HttpResponse
 from services.context_broker.request.request_context import JSON, Answer, Exchange
 from services.context_broker.request.routing import Operation
+from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries, Kind, Notice
-from services.context_broker.storage.journal import Journal, NotStored
+from services.context_broker.storage.journal import Journal
 from services.context_broker.tenants import Tenant, Tenants
 
 log = get_logger(__name__)
@@ -88,7 +90,7 @@ class SubscriptionForwarder:
     def operations(self) -> tuple[Operation, ...]:
         """Return where sources tell of what was passed on."""
         path = f"{PATH}/{{token}}"
-        name = "relayNotification"
+        name = "receiveSourceNotification"
         return (Operation("POST", path, name, "6.3.8", self.receive, frozenset(), of_no_tenant=True),)
 
     def handlers(self) -> dict[str, Handler]:
@@ -103,9 +105,8 @@ class SubscriptionForwarder:
             await self._restore(tenant, token, stored)
         for forwarded in self._relays.values():
             self._base = self._public_url or forwarded.base
-        self._tenants.on_registration = self.wake
         for one in self._tenants:
-            if not one.registry.is_empty or self._of(one):
+            if not one.federation.is_empty or self._of(one):
                 self.wake(one)
 
     def stop(self) -> None:
@@ -182,7 +183,7 @@ class SubscriptionForwarder:
         self, tenant: Tenant
     ) -> dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]]:
         found: dict[tuple[str, str], tuple[Subscription, Registration, dict[str, Any], str]] = {}
-        if tenant.registry.is_empty:
+        if tenant.federation.is_empty:
             return found
         for one in tenant.notifier.all():
             if not one.is_active(time.time()) or one.document.get("localOnly"):
@@ -209,10 +210,10 @@ class SubscriptionForwarder:
         passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
         found: dict[str, Registration] = {}
         for target in questions(one):
-            for match in tenant.registry.matching("createSubscription", target, where):
+            for match in federated(tenant).registry.matching("createSubscription", target, where):
                 source = match.registration
                 if self._forwarder.alias_of(source) not in passed and not self._forwarder.is_ourselves(
-                    source, tenant.registry, tenant.alias
+                    source, federated(tenant).registry, tenant.alias
                 ):
                     found[source.id] = source
         return found.values()
@@ -264,7 +265,7 @@ class SubscriptionForwarder:
             else:  # it learns from the answer to its next notification that nobody listens any more
                 await self._forget(tenant, forwarded)
                 return None
-            origin = RequestOrigin({}, tenant.alias, tenant.registry)
+            origin = RequestOrigin({}, tenant.alias, federated(tenant).registry)
             response, _ = await self._forwarder.send(forwarded.registration, request, origin)
             if response.status >= 500:
                 return f"{forwarded.registration.endpoint} answers {response.status}"
@@ -277,7 +278,7 @@ class SubscriptionForwarder:
 
     def _origin_of(self, tenant: Tenant, one: Subscription) -> RequestOrigin:
         came_by = str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")
-        return RequestOrigin({b"via": came_by} if came_by else {}, tenant.alias, tenant.registry)
+        return RequestOrigin({b"via": came_by} if came_by else {}, tenant.alias, federated(tenant).registry)
 
     def _of(self, tenant: Tenant) -> list[ForwardedSubscription]:
         return [one for one in self._relays.values() if one.tenant == tenant.name]
@@ -294,7 +295,7 @@ class SubscriptionForwarder:
     # What is heard
 
     async def receive(self, exchange: Exchange) -> Answer:
-        """POST relayedNotifications/{token}: a source tells of what was passed on to it."""
+        """POST sourceNotifications/{token}: a source tells of what was passed on to it."""
         forwarded = self._relays.get(exchange.names[0])
         if forwarded is None:
             raise not_found("nothing is subscribed to from here any more; delete the subscription")

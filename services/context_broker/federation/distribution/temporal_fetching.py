@@ -16,7 +16,6 @@ from services.context_broker.federation.distribution import temporal_merge
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
-    derived,
     gather_all,
 )
 from services.context_broker.federation.distribution.entity_fetching import MAX_IDS
@@ -34,6 +33,7 @@ from services.context_broker.federation.registrations.registration import Match,
 from services.context_broker.model.context import Context
 from services.context_broker.model.problems import too_many_results
 from services.context_broker.network.http_client import HttpResponse
+from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.request_context import Answer, Exchange
 from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.query import (

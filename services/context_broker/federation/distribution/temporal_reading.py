@@ -15,7 +15,6 @@ from services.context_broker.federation.distribution import temporal_merge
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
-    derived,
     gateway_problem,
     gather_all,
 )
@@ -44,11 +43,13 @@ from services.context_broker.federation.distribution.temporal_fetching import (
 )
 from services.context_broker.federation.distribution.temporal_merge import Evolution
 from services.context_broker.federation.entity_maps.entity_map import OWN
+from services.context_broker.federation.entity_maps.mapped_exchange import listed_of
 from services.context_broker.federation.registrations.registration import EntityTarget, Match, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.validation import require_uri
 from services.context_broker.query.pages import Window
+from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import (
     DEFAULT_LIMIT,
     LARGEST_LIMIT,
@@ -57,11 +58,7 @@ from services.context_broker.request.query_parameters import (
 )
 from services.context_broker.request.request_context import JSON_LD, Answer, Exchange, problem_answer
 from services.context_broker.temporal.operations import temporal_parameters
-from services.context_broker.temporal.query import (
-    Representation,
-    temporal_query,
-    temporal_view,
-)
+from services.context_broker.temporal.query import Representation, temporal_query, temporal_view
 
 
 async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
@@ -105,9 +102,9 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> An
         return own
     if own is not None:
         readers.insert(0, (None, of_own))
-    if exchange.elsewhere is not None:
+    if (listed := listed_of(exchange)) is not None:
         who = [OWN if registration is None else registration.id for registration, _ in readers]
-        exchange.elsewhere.entities = {entity_id: who}
+        listed.entities = {entity_id: who}
     if request.is_for_totals and len(readers) > 1:
         values = await values_of(readers, request)
         document = temporal_merge.aggregated(

@@ -17,7 +17,6 @@ from services.context_broker.federation.distribution import outcomes
 from services.context_broker.federation.distribution.distributed_operations import (
     Perform,
     Sources,
-    derived,
     gather_all,
 )
 from services.context_broker.federation.distribution.forwarding import (
@@ -48,6 +47,7 @@ from services.context_broker.model.entity_parser import expand
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_name, require_uri, shown
 from services.context_broker.query.type_selection import type_selection
+from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import datasets_of
 from services.context_broker.request.request_context import PREFIX, Answer, Exchange
 

@@ -28,8 +28,6 @@ from services.context_broker.model.validation import (
 from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import Entries, Kind
 
-MAP_PARAMETERS: Final = frozenset({"entityMap", "entityMapLifetime"})
-"""What a query has that wants a map."""
 OWN: Final = "@none"
 """Stands for the broker itself among those that have an entity."""
 TYPE: Final = "EntityMap"

@@ -6,39 +6,30 @@ from urllib.parse import quote, unquote
 
 import orjson
 
-from services.context_broker.federation.distribution.distributed_operations import derived
-from services.context_broker.federation.entity_maps.entity_map import (
-    MAP_PARAMETERS,
-    MAX_ENTITIES,
-    OWN,
-    EntityMap,
-    Listed,
-)
+from services.context_broker.extensions.federation import MAP_HEADER, SINGLE_ENTITY_READS
+from services.context_broker.federation.entity_maps.entity_map import MAX_ENTITIES, OWN, EntityMap, Listed
+from services.context_broker.federation.entity_maps.mapped_exchange import listed_of, with_map
 from services.context_broker.federation.entity_maps.pages import (
-    MAP_OPTION,
     SHAPING,
     Perform,
     for_the_query,
     map_page,
     query_mark,
 )
-from services.context_broker.federation.registrations.registration_operations import answer, with_context
+from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.problems import not_stored
 from services.context_broker.query.ordering import ordering
 from services.context_broker.query.query_document import query_parameters, selectors_of
 from services.context_broker.query.selection import Selection, hits_of
-from services.context_broker.request.query_parameters import QUERY_PARAMETERS, selection_of
+from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.document_answers import document_answer, in_media_type
+from services.context_broker.request.query_parameters import MAP_PARAMETERS, QUERY_PARAMETERS, selection_of
 from services.context_broker.request.request_context import PREFIX, Answer, Exchange
 from services.context_broker.request.routing import Operation
-from services.context_broker.storage.journal import NotStored
+from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.store import OverlayStore, Store
 from services.context_broker.temporal.operations import QUERYING
 
-HEADER: Final = b"ngsild-entitymap"
-OF_ONE: Final = frozenset({"retrieveEntity", "retrieveTemporal"})
-"""Operations on one entity: a map tells them whom to ask for it (clauses 5.7.1.4 and 5.7.3.4)."""
-THROUGH_A_MAP: Final = OF_ONE | {"queryEntity", "queryBatch", "queryTemporal"}
-"""Operations that can be answered by a map."""
 _LOCAL: Final = frozenset({"local"})
 _DONE: Final = Answer(204)
 _PAGE: Final = 1000
@@ -67,13 +58,13 @@ class EntityMapOperations:
 
     async def retrieve(self, exchange: Exchange) -> Answer:
         """GET entityMaps/{id}."""
-        return await _map_answer(exchange, exchange.tenant.entity_maps.get(exchange.names[0]), 200)
+        return await _map_answer(exchange, federated(exchange.tenant).entity_maps.get(exchange.names[0]), 200)
 
     async def update(self, exchange: Exchange) -> Answer:
         """PATCH entityMaps/{id}."""
         document, _ = await exchange.body()
         try:
-            await exchange.tenant.entity_maps.update(exchange.names[0], document)
+            await federated(exchange.tenant).entity_maps.update(exchange.names[0], document)
         except NotStored as error:
             raise not_stored(str(error)) from error
         return _DONE
@@ -81,7 +72,7 @@ class EntityMapOperations:
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE entityMaps/{id}."""
         try:
-            await exchange.tenant.entity_maps.delete(exchange.names[0])
+            await federated(exchange.tenant).entity_maps.delete(exchange.names[0])
         except NotStored as error:
             raise not_stored(str(error)) from error
         return _DONE
@@ -126,7 +117,7 @@ class EntityMapOperations:
         Where the map that is named is not there, or not any more, one is made (clause 5.7.2.4).
         """
         named = _named(exchange)
-        if operation.name in OF_ONE:
+        if operation.name in SINGLE_ENTITY_READS:
             return await self._entity(exchange, named, perform)
         if named is not None:
             return await self._page(exchange, named, perform)
@@ -139,7 +130,7 @@ class EntityMapOperations:
         if made.status >= 300:
             return made
         map_id = orjson.loads(made.body)["id"]
-        result = await self._page(exchange, exchange.tenant.entity_maps.get(map_id), perform)
+        result = await self._page(exchange, federated(exchange.tenant).entity_maps.get(map_id), perform)
         result.headers += [one for one in made.headers if one[0] == b"ngsild-warning"]
         return Answer(201 if result.status == 200 else result.status, result.body, result.headers)
 
@@ -147,7 +138,7 @@ class EntityMapOperations:
         """Answer with one entity, asking those who have it by the map; without one, note who they are."""
         listed = Listed()
         parameters = for_the_query(exchange.parameters)
-        asking = derived(exchange, entity_map=one, elsewhere=listed, parameters=parameters)
+        asking = with_map(exchange, entity_map=one, listed=listed, parameters=parameters)
         result = await perform(asking)
         if result.status >= 300:
             return result
@@ -166,13 +157,15 @@ class EntityMapOperations:
         lifetime = exchange.parameter("entityMapLifetime")
         try:
             query = query_mark(exchange)
-            return await exchange.tenant.entity_maps.make(entities, lifetime, elsewhere.linked, query)
+            return await federated(exchange.tenant).entity_maps.make(
+                entities, lifetime, elsewhere.linked, query
+            )
         except NotStored as error:
             raise not_stored(str(error)) from error
 
     async def _kept(self, exchange: Exchange, entities: dict[str, list[str]]) -> Answer:
         """Keep a map of the entities that were found here and of those that the maps of sources list."""
-        elsewhere = exchange.elsewhere or Listed()
+        elsewhere = listed_of(exchange) or Listed()
         for one, registrations in elsewhere.entities.items():
             known = entities.setdefault(one, [])
             known += [registration for registration in registrations if registration not in known]
@@ -181,21 +174,21 @@ class EntityMapOperations:
 
 async def _map_answer(exchange: Exchange, one: EntityMap, status: int) -> Answer:
     media_type, context = exchange.accept(), await exchange.reader_context()
-    result = answer(with_context(one.document(), media_type, context), media_type, context)
+    result = document_answer(in_media_type(one.document(), media_type, context), media_type, context)
     return Answer(status, result.body, [*result.headers, _location(one)])
 
 
 def _named(exchange: Exchange) -> EntityMap | None:
     """Return the map that a request names; None if it names none, or one that is not there any more."""
-    named = exchange.headers.get(HEADER)
+    named = exchange.headers.get(MAP_HEADER)
     if named is None:
         return None
     map_id = unquote(named.decode("latin-1").strip().rstrip("/").rpartition("/")[2])
-    return exchange.tenant.entity_maps.find(map_id)
+    return federated(exchange.tenant).entity_maps.find(map_id)
 
 
 def _location(one: EntityMap) -> tuple[bytes, bytes]:
-    return HEADER, f"{PREFIX}entityMaps/{quote(one.id, safe=':')}".encode()
+    return MAP_HEADER, f"{PREFIX}entityMaps/{quote(one.id, safe=':')}".encode()
 
 
 def _origins(store: Store, entity_id: str) -> list[str]:
@@ -209,20 +202,3 @@ def _without(given: Mapping[Any, Any], names: Any) -> dict[Any, Any]:
 
 def _plainly(exchange: Exchange, parameters: Mapping[str, str]) -> Exchange:
     return derived(exchange, parameters=parameters, headers=_without(exchange.headers, {b"accept"}))
-
-
-def wants_map(operation: Operation, exchange: Exchange) -> bool:
-    """Say whether a query is to be answered by a map that it names, or wants to have made.
-
-    It says the latter with entityMap=true or with entityMap among its options.
-    """
-    parameters = exchange.parameters
-    if HEADER not in exchange.headers and "entityMap" not in parameters and "options" not in parameters:
-        return False
-    if operation.name not in THROUGH_A_MAP:
-        return False
-    return (
-        HEADER in exchange.headers
-        or exchange.flag("entityMap")
-        or MAP_OPTION in parameters.get("options", "").split(",")
-    )

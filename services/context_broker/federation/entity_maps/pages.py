@@ -25,19 +25,21 @@ from urllib.parse import quote
 
 import orjson
 
-from services.context_broker.federation.distribution.distributed_operations import derived
-from services.context_broker.federation.entity_maps.entity_map import MAP_PARAMETERS, EntityMap
+from services.context_broker.extensions.federation import MAP_OPTION
+from services.context_broker.federation.entity_maps.entity_map import EntityMap
+from services.context_broker.federation.entity_maps.mapped_exchange import with_map
+from services.context_broker.federation.tenant_state import federated
 from services.context_broker.query import linked, ordering
 from services.context_broker.query.pages import PLACE, Window
-from services.context_broker.request.query_parameters import LARGEST_LIMIT, window_of
+from services.context_broker.request.derived_exchange import derived
+from services.context_broker.request.query_parameters import LARGEST_LIMIT, MAP_PARAMETERS, window_of
 from services.context_broker.request.request_context import Answer, Exchange
-from services.context_broker.storage.journal import NotStored
+from services.context_broker.storage.database import NotStored
 from services.context_broker.temporal.query import temporal_window
 
 Perform = Callable[[Exchange], Awaitable[Answer]]
 """Carries a query out, sources included."""
 
-MAP_OPTION: Final = "entityMap"
 CHECK_BATCH_SIZE: Final = LARGEST_LIMIT
 """Candidates that are checked in one go."""
 SHAPING: Final = frozenset({"options", "format", "count", "pick", "omit", "lang", "datasetId"})
@@ -96,7 +98,7 @@ class _Page:
         is_dropped = bool(self._gone) and self._map.query == query_mark(self._wanted)
         if is_dropped:
             with suppress(NotStored):  # they are dropped again after a restart
-                await self._wanted.tenant.entity_maps.drop(self._map.id, self._gone)
+                await federated(self._wanted.tenant).entity_maps.drop(self._map.id, self._gone)
         headers = [one for one in result.headers if not _is_page_header(one)]
         if window.count:
             headers.append((_COUNT, str(len(self._ids) - len(self._gone)).encode()))
@@ -137,11 +139,11 @@ class _Page:
         """Return the request for some ids, by the map: in the parameters, or in the selectors of a Query."""
         if self._wanted.method == "GET":
             parameters = {**parameters, "id": ",".join(ids)}
-            return derived(self._wanted, entity_map=self._map, parameters=parameters)
+            return with_map(self._wanted, entity_map=self._map, parameters=parameters)
         raw = _narrowed(document(), ids)
         if raw is None:
-            return derived(self._wanted, entity_map=self._map, parameters=parameters)
-        return derived(self._wanted, entity_map=self._map, parameters=parameters, raw=raw)
+            return with_map(self._wanted, entity_map=self._map, parameters=parameters)
+        return with_map(self._wanted, entity_map=self._map, parameters=parameters, raw=raw)
 
     def _links(
         self, shown: int, headers: list[tuple[bytes, bytes]], *, is_dropped: bool

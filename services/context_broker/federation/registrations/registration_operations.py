@@ -7,7 +7,7 @@ disk when its time comes, or at the next start.
 import asyncio
 import time
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import Final
 from urllib.parse import quote, urlsplit
 from uuid import uuid4
 
@@ -25,21 +25,21 @@ from services.context_broker.federation.registrations.registration_intake import
 from services.context_broker.federation.registrations.registration_search import SEARCH_PARAMETERS, search_of
 from services.context_broker.federation.registrations.registry import claims
 from services.context_broker.federation.registrations.source_subscriptions import notices_of_change
-from services.context_broker.model.context import Context
+from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.problems import already_exists, conflict, not_found, not_stored
 from services.context_broker.model.validation import require_uri, timestamp_now
 from services.context_broker.query.type_selection import of_types
+from services.context_broker.request.document_answers import document_answer, in_media_type
 from services.context_broker.request.query_parameters import (
     PAGE_PARAMETERS,
-    json_headers,
     options_of,
     page_links,
     window_of,
 )
-from services.context_broker.request.request_context import JSON_LD, PREFIX, Answer, Exchange
+from services.context_broker.request.request_context import PREFIX, Answer, Exchange
 from services.context_broker.request.routing import Operation
+from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries, Kind
-from services.context_broker.storage.journal import NotStored
 from services.context_broker.tenants import Tenant
 
 DONE: Final = Answer(204)
@@ -73,19 +73,19 @@ class RegistrationOperations:
         documents = [(orjson.loads(body), counts) for body, counts in kept]
         for document, counts in sorted(documents, key=lambda one: str(one[0].get("createdAt"))):
             made = registration(document, await self._contexts.as_before(document["context"]))
-            tenant.registry.load(made)
+            federated(tenant).registry.load(made)
             if counts is not None:
-                tenant.registry.restore_attempts(made.id, counts)
+                federated(tenant).registry.restore_attempts(made.id, counts)
             self._schedule_expiry(tenant, made)
 
     async def renew(self, tenant: Tenant, context_id: str) -> None:
         """Make those registrations anew whose context was fetched anew."""
         async with self._lock:
-            for one in list(tenant.registry):
+            for one in list(federated(tenant).registry):
                 if one.context.is_made_of(context_id):
                     context = await self._contexts.as_before(one.document["context"])
                     made = registration(one.document, context).with_attempts_of(one)
-                    tenant.registry.put(made)
+                    federated(tenant).registry.put(made)
                     self._schedule_expiry(tenant, made)
 
     async def create(self, exchange: Exchange) -> Answer:
@@ -107,7 +107,7 @@ class RegistrationOperations:
         refuse_past(made.document)
         await _require_open(exchange.tenant, made)
         async with self._lock:
-            if exchange.tenant.registry.get(made.id) is not None:
+            if federated(exchange.tenant).registry.get(made.id) is not None:
                 raise already_exists(
                     f"there is a registration {made.id} already; update it, or choose another id"
                 )
@@ -139,8 +139,8 @@ class RegistrationOperations:
             before, tenant = _existing(exchange), exchange.tenant
             gone = _deletion_of(tenant, before)
             await _write(tenant, gone)
-            tenant.registry.remove(before.id)
-            tenant.source_notifier.deliver(gone.owed)
+            federated(tenant).registry.remove(before.id)
+            federated(tenant).source_notifier.deliver(gone.owed)
         return DONE
 
     async def retrieve(self, exchange: Exchange) -> Answer:
@@ -148,7 +148,7 @@ class RegistrationOperations:
         media_type, context = exchange.accept(), await exchange.reader_context()
         sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
         document = shown_document(_existing(exchange), context, sys_attrs=sys_attrs)
-        return answer(with_context(document, media_type, context), media_type, context)
+        return document_answer(in_media_type(document, media_type, context), media_type, context)
 
     async def search(self, exchange: Exchange) -> Answer:
         """GET csourceRegistrations (clause 5.10.2): those concerned, each with what of it is."""
@@ -156,13 +156,15 @@ class RegistrationOperations:
         window = window_of(exchange)
         sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
         search = search_of(exchange.parameters, context)
-        found = exchange.tenant.registry.concerned(search.targets, search.wants)
+        found = federated(exchange.tenant).registry.concerned(search.targets, search.wants)
         page = found[window.offset : window.offset + window.limit]
         documents = [
             shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
             for one in page
         ]
-        result = answer([with_context(one, media_type, context) for one in documents], media_type, context)
+        result = document_answer(
+            [in_media_type(one, media_type, context) for one in documents], media_type, context
+        )
         if window.count:
             result.headers.append((b"ngsild-results-count", str(len(found)).encode()))
         more = window.offset + window.limit < len(found)
@@ -171,10 +173,10 @@ class RegistrationOperations:
 
     async def _keep(self, tenant: Tenant, before: Registration | None, made: Registration) -> None:
         key = (Kind.REGISTRATION, tenant.name, made.id)
-        owed = notices_of_change(tenant.source_notifier, before, made)
+        owed = notices_of_change(federated(tenant).source_notifier, before, made)
         await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}, owed=owed))
-        tenant.registry.put(made)
-        tenant.source_notifier.deliver(owed)
+        federated(tenant).registry.put(made)
+        federated(tenant).source_notifier.deliver(owed)
         self._schedule_expiry(tenant, made)
 
     def _schedule_expiry(self, tenant: Tenant, made: Registration) -> None:
@@ -185,27 +187,14 @@ class RegistrationOperations:
         loop = asyncio.get_running_loop()
         if left_s > 0:
             loop.call_later(min(left_s, MAX_TIMER_S), self._schedule_expiry, tenant, made)
-        elif tenant.registry.holds(made):
+        elif federated(tenant).registry.holds(made):
             gone = _deletion_of(tenant, made)
 
             def taken_away() -> None:
-                tenant.registry.remove_if_held(made)
-                tenant.source_notifier.deliver(gone.owed)
+                federated(tenant).registry.remove_if_held(made)
+                federated(tenant).source_notifier.deliver(gone.owed)
 
             tenant.commits.submit(gone, taken_away, lambda _: None)
-
-
-def answer(body: Any, media_type: str, context: Context) -> Answer:
-    """Return registrations, or documents like them, as an answer."""
-    headers = json_headers(context)
-    if media_type == JSON_LD:
-        headers = [(b"content-type", JSON_LD.encode())]
-    return Answer(200, orjson.dumps(body), headers)
-
-
-def with_context(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:
-    """Return a document as an answer of that media type has it."""
-    return {"@context": context.document, **document} if media_type == JSON_LD else document
 
 
 async def _require_open(tenant: Tenant, made: Registration) -> None:
@@ -216,7 +205,7 @@ async def _require_open(tenant: Tenant, made: Registration) -> None:
 
 def _existing(exchange: Exchange) -> Registration:
     registration_id = require_uri(exchange.names[0], "the registration id in the path")
-    found = exchange.tenant.registry.get(registration_id)
+    found = federated(exchange.tenant).registry.get(registration_id)
     if found is None:
         raise _absent(registration_id)
     return found
@@ -224,7 +213,7 @@ def _existing(exchange: Exchange) -> Registration:
 
 def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
     """Raise a problem (409) if a proxied registration would hide what is there (clauses 4.3.6.3, 5.9.2.4)."""
-    other = tenant.registry.conflicting_with(made)
+    other = federated(tenant).registry.conflicting_with(made)
     if other is not None:
         raise conflict(
             f"registration {other.id} ({other.mode.name.lower()}) has some of these entities and attributes; "
@@ -250,7 +239,7 @@ def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
 def _deletion_of(tenant: Tenant, one: Registration) -> Entries:
     registered = (Kind.REGISTRATION, tenant.name, one.id)
     attempts = (Kind.ATTEMPTS, tenant.name, one.id)
-    owed = notices_of_change(tenant.source_notifier, one, None)
+    owed = notices_of_change(federated(tenant).source_notifier, one, None)
     return Entries(documents={registered: None, attempts: None}, owed=owed)
 
 

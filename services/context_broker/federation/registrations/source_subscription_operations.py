@@ -5,6 +5,7 @@ from typing import Final
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.delivery.subscription_dispatcher import CourierOffice
 from services.context_broker.federation.registrations.source_subscriptions import notices_of_all
+from services.context_broker.federation.tenant_state import federated
 from services.context_broker.operations.subscription_operations import SubscriptionOperations
 from services.context_broker.request.query_parameters import PAGE_PARAMETERS
 from services.context_broker.request.routing import Operation
@@ -35,13 +36,13 @@ class SourceSubscriptionOperations(SubscriptionOperations):
 
     def book(self, tenant: Tenant) -> CourierOffice:
         """Return who knows a tenant's subscriptions to registrations."""
-        return tenant.source_notifier
+        return federated(tenant).source_notifier
 
     async def keep(self, tenant: Tenant, made: Subscription) -> None:
         """Write a subscription together with the notification that tells of all that match."""
         book = self.book(tenant)
         entries = self.entries_of(tenant, made)
-        entries.owed = notices_of_all(book, tenant.registry, made)
+        entries.owed = notices_of_all(book, federated(tenant).registry, made)
         await self.write(tenant, entries)
         book.put(made)
         book.deliver(entries.owed)

@@ -15,7 +15,7 @@ import orjson
 
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.delivery.periodic import Rounds
-from services.context_broker.delivery.subscription import JSON_LD, Subscription
+from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.delivery.subscription_dispatcher import MOST_TOLD_AT_ONCE, CourierOffice
 from services.context_broker.federation.registrations.coverage import period_of
 from services.context_broker.federation.registrations.registration import (
@@ -25,6 +25,7 @@ from services.context_broker.federation.registrations.registration import (
 )
 from services.context_broker.federation.registrations.registration_search import Search, target_for
 from services.context_broker.federation.registrations.registry import Registry
+from services.context_broker.model.negotiation import JSON_LD
 from services.context_broker.model.rendering import with_context
 from services.context_broker.model.validation import timestamp_now
 from services.context_broker.query.geo_query import geo_query_document

@@ -1,4 +1,4 @@
-"""Making snapshots: whatever goes wrong, the snapshot does not stay in the making, and says why."""
+"""Creation of snapshots: any failure ends the status "preparing" and is named in the snapshot."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -32,26 +32,26 @@ async def broker(tmp_path: Path) -> AsyncIterator[Broker]:
 
 
 async def settled(
-    broker: Broker, making: SnapshotCreator, keeping: SnapshotStore, *queries: Any, context: Any
+    broker: Broker, creator: SnapshotCreator, store: SnapshotStore, *queries: Any, context: Any
 ) -> Snapshot:
-    """Make a snapshot; return it once it is no longer being made."""
+    """Create a snapshot; return it once its status is no longer "preparing"."""
     tenant = broker.tenants.of(b"", makes=False)
     made = new_snapshot("urn:x:1", {"snapshotQueries": list(queries)})
-    await keeping.keep(tenant, made)
+    await store.keep(tenant, made)
     exchange = Exchange(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
-    making.start(exchange, made, context)
+    creator.start(exchange, made, context)
     async with asyncio.timeout(120):
-        while tenant.snapshots["urn:x:1"].status is Status.PREPARING:
+        while store.of(tenant)["urn:x:1"].status is Status.PREPARING:
             await asyncio.sleep(0.005)
-    async with keeping.lock:
-        return tenant.snapshots["urn:x:1"]
+    async with store.lock:
+        return store.of(tenant)["urn:x:1"]
 
 
 def kept_status(broker: Broker) -> list[bytes]:
     return [body for _, _, body in broker.journal.documents(Kind.SNAPSHOT)]
 
 
-async def test_a_query_that_breaks_is_told_and_the_others_are_carried_out(broker: Broker) -> None:
+async def test_a_failing_query_is_reported_and_the_others_are_carried_out(broker: Broker) -> None:
     asked = 0
 
     async def carry_out(operation: Operation, exchange: Exchange) -> Answer:
@@ -61,19 +61,19 @@ async def test_a_query_that_breaks_is_told_and_the_others_are_carried_out(broker
             raise ZeroDivisionError
         return await operation.answer(exchange)
 
-    keeping = SnapshotStore(broker.tenants)
-    making = SnapshotCreator(broker.tenants, keeping, carry_out, broker._by_name)
-    one = await settled(broker, making, keeping, QUERY, QUERY, context=None)
+    store = SnapshotStore(broker.tenants)
+    creator = SnapshotCreator(broker.tenants, store, carry_out, broker._by_name)
+    one = await settled(broker, creator, store, QUERY, QUERY, context=None)
     assert one.status is Status.PARTIAL
     broken, empty = one.document["snapshotQueriesDetails"]
     assert empty == {"resultStatus": "empty"}
     assert broken["problemDetails"]["detail"].startswith("ZeroDivisionError while carrying out the query")
 
 
-async def test_a_making_that_breaks_ends_in_failure_with_the_reason_on_disk(broker: Broker) -> None:
-    keeping = SnapshotStore(broker.tenants)
-    making = SnapshotCreator(broker.tenants, keeping, broker._answered, broker._by_name)
-    one = await settled(broker, making, keeping, 5, context="https://no.query.at.all")
+async def test_a_failed_creation_stores_the_status_failure_with_its_reason(broker: Broker) -> None:
+    store = SnapshotStore(broker.tenants)
+    creator = SnapshotCreator(broker.tenants, store, broker.federation.distribute, broker._by_name)
+    one = await settled(broker, creator, store, 5, context="https://no.query.at.all")
     assert one.status is Status.FAILURE
     (broken,) = one.document["snapshotQueriesDetails"]
     assert broken["problemDetails"]["detail"].startswith("TypeError while making the snapshot")

@@ -1,0 +1,109 @@
+"""Federation of one broker: puts registrations, distributed operations and entity maps together.
+
+A request of a tenant without registrations goes straight to the operation. With registrations it goes to
+`distribution`: the registry finds the context sources that can contribute, all are queried at the same time,
+and their results are merged with the broker's own. A request that names an entity map, or wants one, is
+answered from the map; its pages are read with the same distribution.
+"""
+
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
+
+from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.extensions.federation import wants_map
+from services.context_broker.federation.distribution.distributed_operations import (
+    DistributedOperations,
+    Handler,
+)
+from services.context_broker.federation.distribution.forwarding import Forwarder
+from services.context_broker.federation.distribution.subscription_forwarding import SubscriptionForwarder
+from services.context_broker.federation.entity_maps.operations import EntityMapOperations
+from services.context_broker.federation.registrations.registration_operations import RegistrationOperations
+from services.context_broker.federation.registrations.source_subscription_operations import (
+    SourceSubscriptionOperations,
+)
+from services.context_broker.federation.tenant_state import FederatedTenant, federated
+from services.context_broker.network.http_client import BodyReadingHttpClient
+from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.routing import Operation
+from services.context_broker.settings import BrokerSettings
+from services.context_broker.storage.document_counts import documents_with_counts
+from services.context_broker.storage.entries import Kind
+from services.context_broker.storage.journal import Journal
+from services.context_broker.tenants import Tenant, Tenants
+
+
+class BrokerFederation:
+    """Implements `Federation`. `perform` carries out an operation by its name, context sources included."""
+
+    def __init__(
+        self,
+        tenants: Tenants,
+        contexts: ContextBook,
+        settings: BrokerSettings,
+        perform: Callable[[str, Exchange], Awaitable[Answer]],
+    ) -> None:
+        self._tenants = tenants
+        self._registrations = RegistrationOperations(contexts)
+        self._source_subscriptions = SourceSubscriptionOperations(contexts)
+        self._entity_maps = EntityMapOperations(perform)
+        client = BodyReadingHttpClient(settings.outbound_policy(), settings.broker_notification_ca_file)
+        self._forwarder = Forwarder(contexts, settings.broker_source_timeout_s, client)
+        self._subscription_forwarder = SubscriptionForwarder(
+            tenants, contexts, self._forwarder, settings.broker_public_url
+        )
+        self._distribution = DistributedOperations(self._forwarder, self._handlers)
+
+    def operations(self) -> tuple[Operation, ...]:
+        return (
+            *self._registrations.operations(),
+            *self._source_subscriptions.operations(),
+            *self._subscription_forwarder.operations(),
+            *self._entity_maps.operations(),
+        )
+
+    def tenant_state(self, tenant: Tenant) -> FederatedTenant:
+        state = FederatedTenant(tenant)
+        state.registry.watchers.append(lambda *_: self._subscription_forwarder.wake(tenant))
+        return state
+
+    async def restore(self, journal: Journal) -> None:
+        for name, _, body in journal.documents(Kind.ENTITY_MAP):
+            federated(self._tenants.kept(name)).entity_maps.load(body)
+        registrations = documents_with_counts(journal, Kind.REGISTRATION, Kind.ATTEMPTS)
+        subscriptions = documents_with_counts(journal, Kind.SOURCE_SUBSCRIPTION, Kind.COUNTS)
+        for tenant in self._tenants:
+            await self._registrations.restore(tenant, registrations.get(tenant.name, ()))
+            await self._source_subscriptions.restore(tenant, subscriptions.get(tenant.name, ()))
+
+    async def start(self, journal: Journal) -> None:
+        await self._subscription_forwarder.start(journal)
+
+    def stop(self) -> None:
+        self._subscription_forwarder.stop()
+        self._forwarder.http_client.close()
+
+    async def refresh_context(self, tenant: Tenant, context_id: str) -> None:
+        await self._source_subscriptions.renew(tenant, context_id)
+        await self._registrations.renew(tenant, context_id)
+
+    async def answer(self, operation: Operation, exchange: Exchange) -> Answer:
+        if wants_map(operation, exchange):
+            return await self._entity_maps.answer(operation, exchange, partial(self.distribute, operation))
+        return await self.distribute(operation, exchange)
+
+    async def answer_locally(self, operation: Operation, exchange: Exchange) -> Answer:
+        if wants_map(operation, exchange):
+            return await self._entity_maps.answer(operation, exchange, operation.answer)
+        return await operation.answer(exchange)
+
+    async def distribute(self, operation: Operation, exchange: Exchange) -> Answer:
+        if exchange.tenant.federation.is_empty:
+            return await operation.answer(exchange)
+        return await self._distribution.answer(operation, exchange)
+
+    def _handlers(self) -> Mapping[str, Handler]:
+        """Return how operations are distributed; imported late, because most brokers have no registration."""
+        from services.context_broker.federation.distribution.handlers import HANDLERS  # noqa: PLC0415 - as said
+
+        return {**HANDLERS, **self._subscription_forwarder.handlers()}

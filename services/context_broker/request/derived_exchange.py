@@ -1,0 +1,14 @@
+"""Exchanges made from other ones, for a part of an operation."""
+
+import copy
+from typing import Any
+
+from services.context_broker.request.request_context import Exchange
+
+
+def derived(exchange: Exchange, **changes: Any) -> Exchange:
+    """Return a copy of the exchange with some attributes changed."""
+    result = copy.copy(exchange)
+    for name, value in changes.items():
+        setattr(result, name, value)
+    return result
