@@ -239,7 +239,9 @@ def operations_of(settings: BrokerSettings) -> tuple[Operation, ...]:
 
 def create_broker(settings: BrokerSettings) -> "BrokerApplication":
     """Return the broker as an ASGI application; raise `UsageError` when its database cannot be used."""
-    application = BrokerApplication(partial(_opened, settings), settings.data_dir)
+    application = BrokerApplication(
+        partial(_opened, settings), settings.data_dir, over_asgi=settings.broker_http == "asgi"
+    )
     application.open()
     return application
 

@@ -65,7 +65,7 @@ class BrokerApplication:
     `open_broker` returns a broker on its database. It is called again when another broker has taken over.
     """
 
-    def __init__(self, open_broker: Callable[[], Broker], data_dir: Path) -> None:
+    def __init__(self, open_broker: Callable[[], Broker], data_dir: Path, *, over_asgi: bool = False) -> None:
         self._open_broker = open_broker
         self._data_dir = data_dir
         self._broker: Broker
@@ -73,7 +73,7 @@ class BrokerApplication:
         self._standby_reason = ""
         self._checks: Mapping[str, Check] = {"database": self._check_database, "storage": self._check_storage}
         self._rest: ASGIApp | None = None
-        self.protocol = partial(BrokerProtocol, door=self.answer)
+        self.protocol = None if over_asgi else partial(BrokerProtocol, door=self.answer)
 
     def open(self) -> None:
         """Open the database. Raises `UsageError` when it cannot be used."""

@@ -1,6 +1,5 @@
 """Entity selectors: which entities a subscription is about, by id, pattern of id and type (clause 5.2.33)."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_uri, shown
-from services.context_broker.query.patterns import fits, pattern
+from services.context_broker.query.patterns import Pattern, fits, pattern
 from services.context_broker.query.type_selection import TypeSelection, type_selection
 
 
@@ -17,7 +16,7 @@ class EntitySelector:
     """Entities with one of the ids, or whose id fits the pattern, and of wanted types; None takes all."""
 
     ids: frozenset[str] | None = None
-    id_pattern: re.Pattern[str] | None = None
+    id_pattern: Pattern | None = None
     types: TypeSelection | None = None
     plain: str | None = None
     """The one type that is wanted, where it is one: it is looked for quicker than a selection."""

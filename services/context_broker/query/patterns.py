@@ -1,91 +1,74 @@
-"""Patterns that askers send, compiled with care: none may keep the broker busy for longer than a blink.
+"""Regular expressions in requests (`idPattern`, `~=` in q), matched in time linear in the text.
 
-Python's `re` is quick, but tries one way after the other; a pattern with many ways can take years. Only plain
-patterns are left to it, the others to a machine that goes all ways at once (`automaton`). What that cannot do
-is refused with the reason.
+Python's `re` backtracks: some short patterns would block the event loop for days. RE2 has no backtracking, a
+bound on memory, and refuses what needs backtracking (references, look-around). A `Set` of one pattern is used
+instead of a compiled pattern, since it reports only whether there is a match: 0.5 us a text, where a match
+object costs 1 to 9 us (docs/adr/0006-regular-expressions.md).
 """
 
-import re
-from collections.abc import Iterable
 from functools import lru_cache
-from re import _constants as code  # type: ignore[attr-defined]  # the parse tree is not typed
-from re import _parser as syntax  # type: ignore[attr-defined]
 from typing import Any, Final
 
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import shown
-from services.context_broker.query.automaton import Automaton, Unsupported
 
-LONGEST: Final = 512
-LONGEST_TEXT: Final = 512
-"""Characters of a text that a pattern is tried on."""
+MAX_LENGTH: Final = 512
+"""Characters of a pattern."""
+MAX_PROGRAM_SIZE: Final = 5000
+"""Instructions of a compiled pattern with its repetitions written out: far below what RE2 has memory for."""
 
-_STARTS: Final = frozenset({code.AT_BEGINNING, code.AT_BEGINNING_STRING})
-_OPEN: Final = frozenset({code.MAX_REPEAT, code.MIN_REPEAT, code.BRANCH})
-_NEVER_BACK: Final = frozenset(
-    {code.LITERAL, code.NOT_LITERAL, code.ANY, code.IN, code.NEGATE, code.RANGE, code.CATEGORY, code.AT,
-     code.SUBPATTERN, *_OPEN}
-)  # fmt: skip
+
+class Pattern:
+    """A compiled pattern; `text` is its source."""
+
+    __slots__ = ("_set", "text")
+
+    def __init__(self, text: str) -> None:
+        re2, options = _engine()
+        size = re2.compile(text, options).programsize
+        if size > MAX_PROGRAM_SIZE:
+            raise OverflowError(
+                f"its repetitions written out have {size} steps, {MAX_PROGRAM_SIZE} are allowed"
+            )
+        self.text = text
+        self._set = re2.Set.SearchSet(options)
+        self._set.Add(text)
+        self._set.Compile()
+
+    def is_found_in(self, text: str) -> bool:
+        """Return whether the pattern matches anywhere in `text`."""
+        return bool(self._set.Match(text))
+
+
+@lru_cache(maxsize=1)
+def _engine() -> tuple[Any, Any]:
+    import re2  # noqa: PLC0415 - 10 ms of the start, which a broker without patterns does not need
+
+    options = re2.Options()
+    options.log_errors = False
+    options.never_capture = True
+    return re2, options
 
 
 @lru_cache(maxsize=1024)
-def pattern(text: str) -> re.Pattern[str]:
-    """Return the compiled pattern, to be used with `fits`; raise a problem (400) when it cannot be used."""
-    if len(text) > LONGEST:
-        raise bad_request_data(f"a pattern has at most {LONGEST} characters, this one {len(text)}")
+def pattern(text: str) -> Pattern:
+    """Return the compiled pattern; raise a problem (400) when it cannot be used."""
+    if len(text) > MAX_LENGTH:
+        raise bad_request_data(f"a pattern has at most {MAX_LENGTH} characters, this one {len(text)}")
+    re2, _ = _engine()
     try:
-        compiled = re.compile(text)
-        _machine(text)
-    except (re.error, OverflowError, RecursionError) as error:
-        raise bad_request_data(f"the pattern {shown(text)} cannot be used: {error}") from None
-    except Unsupported as fault:
-        raise bad_request_data(f"the pattern {shown(text)} could take very long: {fault}") from None
-    return compiled
-
-
-def fits(expected: re.Pattern[str], text: str) -> bool:
-    """Say whether the pattern is found in `text`."""
-    machine = _machine(expected.pattern)
-    if machine is None:
-        return expected.search(text[:LONGEST_TEXT]) is not None
-    return machine.found_in(text[:LONGEST_TEXT])
-
-
-@lru_cache(maxsize=2048)
-def _machine(text: str) -> Automaton | None:
-    """Return the machine for a pattern; None for one so plain that `re` has no choice of ways."""
-    parsed = list(syntax.parse(text))
-    is_anchored = bool(parsed) and parsed[0][0] is code.AT and parsed[0][1] in _STARTS
-    found = list(_walk(parsed))
-    choices = [one for one in found if one[0] in _OPEN and not _is_fixed(one)]
-    is_plain = all(one[0] in _NEVER_BACK for one in found) and not any(
-        one[0] in _OPEN and _holds_choices(one) for one in found
+        return Pattern(text)
+    except re2.error as error:
+        reason = error.args[0]
+        reason = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
+    except (OverflowError, UnicodeEncodeError) as error:
+        reason = str(error)
+    raise bad_request_data(
+        f"the pattern {shown(text)} cannot be used: {reason}; patterns have the syntax of RE2, which has no "
+        "references and no look-around"
     )
-    # Each choice multiplies the ways by the length of the text; so does each place to begin at.
-    if is_plain and len(choices) + (not is_anchored) <= 2:
-        return None
-    return Automaton(text)
 
 
-def _is_fixed(one: tuple[Any, Any]) -> bool:
-    return one[0] is not code.BRANCH and one[1][0] == one[1][1]
-
-
-def _holds_choices(one: tuple[Any, Any]) -> bool:
-    inner = (below for part in _inside(one[1]) for below in _walk(part))
-    return any(below[0] in _OPEN and not _is_fixed(below) for below in inner)
-
-
-def _walk(parsed: Any) -> Iterable[tuple[Any, Any]]:
-    for operation, argument in parsed:
-        yield operation, argument
-        for inner in _inside(argument):
-            yield from _walk(inner)
-
-
-def _inside(argument: Any) -> Iterable[Any]:
-    if isinstance(argument, syntax.SubPattern):
-        yield argument
-    elif isinstance(argument, tuple | list):
-        for part in argument:
-            yield from _inside(part)
+def fits(expected: Pattern, text: str) -> bool:
+    """Return whether the pattern matches anywhere in `text`."""
+    return expected.is_found_in(text)

@@ -16,7 +16,7 @@ import orjson
 from handover.errors import Problem
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import moment, shown
-from services.context_broker.query.patterns import pattern
+from services.context_broker.query.patterns import Pattern, pattern
 
 LONGEST: Final = 20_000
 """Characters of a query that are read."""
@@ -98,7 +98,7 @@ class Matches:
     """The text fits (or, negated, does not fit) the pattern."""
 
     path: Path
-    pattern: re.Pattern[str]
+    pattern: Pattern
     negated: bool
 
 
@@ -313,7 +313,7 @@ class _Parser:
             self.fail(f'{shown(bare)} is no number, date or URI; text stands in double quotes: "{bare[:40]}"')
         return literal
 
-    def pattern(self) -> re.Pattern[str]:
+    def pattern(self) -> Pattern:
         quoted = self.match(_QUOTED)
         text = self.unquoted(quoted) if quoted is not None else self.bare_pattern()
         try:

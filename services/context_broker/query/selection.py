@@ -5,7 +5,6 @@ Clauses 4.9, 4.10, 4.17, 4.19 and 5.7.2. Indexes answer what they can; the rest 
 
 import asyncio
 import heapq
-import re
 import time
 from bisect import bisect_left, bisect_right
 from collections import OrderedDict
@@ -19,7 +18,7 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.query.geo_query import GeoQuery
 from services.context_broker.query.ordering import Ordering
 from services.context_broker.query.pages import Place, Window
-from services.context_broker.query.patterns import fits
+from services.context_broker.query.patterns import Pattern, fits
 from services.context_broker.query.q_grammar import parse, paths
 from services.context_broker.query.q_index import Condition, conditions
 from services.context_broker.query.q_match import ENTITY_TIMES, Lookup, Predicate, nobody, predicate
@@ -71,7 +70,7 @@ class Selection:
     """
 
     ids: tuple[str, ...] | None = None
-    id_pattern: re.Pattern[str] | None = None
+    id_pattern: Pattern | None = None
     types: TypeSelection | None = None
     attributes: frozenset[str] | None = None
     query: Query | None = None

@@ -135,7 +135,7 @@ def _entities(one: Subscription, source: Registration, dialect: SourceDialect) -
             if types:
                 narrowed["type"] = TypeSelection(types).written(dialect.name)
             if part.ids is None and selector is not None and selector.id_pattern is not None:
-                narrowed["idPattern"] = selector.id_pattern.pattern
+                narrowed["idPattern"] = selector.id_pattern.text
             for each in part.ids or (None,):
                 chosen = narrowed if each is None else {"id": each, **narrowed}
                 if chosen:

@@ -4,7 +4,6 @@ A context source registers what it can tell or take (clauses 5.2.8 to 5.2.11 and
 registration made ready for matching; `registration_intake` reads what is sent, `registry` finds it.
 """
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -13,7 +12,7 @@ from typing import Any, Final
 from services.context_broker.federation.registrations.operation_names import DEFAULT_GROUP, TEMPORAL
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
-from services.context_broker.query.patterns import fits
+from services.context_broker.query.patterns import Pattern, fits
 
 API_ROOT: Final = "/ngsi-ld/v1"
 TYPE: Final = "ContextSourceRegistration"
@@ -48,7 +47,7 @@ class EntityTarget:
     """
 
     ids: tuple[str, ...] | None = None
-    id_pattern: re.Pattern[str] | None = None
+    id_pattern: Pattern | None = None
     types: frozenset[str] | None = None
     attributes: frozenset[str] | None = None
 
@@ -71,7 +70,7 @@ class EntityInfo:
 
     types: frozenset[str]
     id: str | None = None
-    id_pattern: re.Pattern[str] | None = None
+    id_pattern: Pattern | None = None
 
     def has(self, entity_id: str) -> bool:
         """Say whether an entity with this id can be among them."""
