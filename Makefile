@@ -31,7 +31,7 @@ define tests_beside_page
 	exit $$((tests ? tests : page))
 endef
 
-.PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check dist third-party lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
+.PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
 
 help:  ## say what there is
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
@@ -112,6 +112,7 @@ python-check: setup
 	@$(BIN)/lint-imports
 	@$(BIN)/python -m datamodels.schemas --check
 	@$(BIN)/python -m requirements.third_party --check
+	@$(BIN)/python -m docs.site.reference --check
 
 page-check: setup
 	@$(PAGE) size
@@ -121,6 +122,13 @@ page-check: setup
 dist: setup  ## the wheel with the page in it, and the source archive
 	@rm -rf dist
 	@$(BIN)/python -m hatchling build -t sdist -t wheel -d dist
+
+docs: setup  ## build the documentation site into build/site
+	@$(BIN)/python -m docs.site.diagrams
+	@$(BIN)/mkdocs build --quiet --strict
+
+reference: setup  ## write the reference pages of the documentation from the code
+	@$(BIN)/python -m docs.site.reference
 
 third-party: setup  ## write THIRD_PARTY.md from the metadata of the installed packages
 	@$(BIN)/python -m requirements.third_party

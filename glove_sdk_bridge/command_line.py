@@ -26,6 +26,11 @@ class _Parser(argparse.ArgumentParser):
 
 def parse(words: list[str], program: str) -> argparse.Namespace:
     """Return what `words` ask for; raise `BridgeError` if they make no sense, SystemExit for --help."""
+    return parser(program).parse_args(words)
+
+
+def parser(program: str) -> argparse.ArgumentParser:
+    """Return the parser of the command line, with one sub-parser for each command."""
     parser = _Parser(
         prog=program, description="A glove becomes frames for the gesture controller.", allow_abbrev=False
     )
@@ -48,7 +53,7 @@ def parse(words: list[str], program: str) -> argparse.Namespace:
     _simulate_words(add("simulate", "A simulated operator does what the Tasks ask for.", glove, link))
     _record_words(add("record", "Write what a connected glove sends to a file.", glove))
     _calibrate_words(add("calibrate", "Fit a glove to its wearer: a fist, then an open hand.", glove))
-    return parser.parse_args(words)
+    return parser
 
 
 def _glove_words() -> _Parser:

@@ -78,10 +78,14 @@ def install() -> None:
 
 def npm(*words: str) -> None:
     """Run npm in the folder of the page; raises `CalledProcessError`."""
+    command, environment = npm_command()
+    subprocess.run([*command, *words], cwd=APP, check=True, env=environment)  # noqa: S603 - the words are ours
+
+
+def npm_command() -> tuple[list[str], dict[str, str]]:
+    """Return how npm is called, and the environment in which it finds its Node."""
     command, path = _npm()
-    subprocess.run(  # noqa: S603 - the words are ours
-        [*command, *words], cwd=APP, check=True, env={**os.environ, "PATH": path}
-    )
+    return command, {**os.environ, "PATH": path}
 
 
 def _npm() -> tuple[list[str], str]:

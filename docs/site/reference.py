@@ -1,0 +1,289 @@
+"""Writes the reference pages from the code: settings, commands, REST interfaces, metrics and messages.
+
+python -m docs.site.reference            # write docs/reference/*.md
+python -m docs.site.reference --check    # fail if a page is not up to date
+"""
+
+import argparse
+import ast
+import importlib
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+from fastapi import FastAPI
+from pydantic import SecretStr
+from pydantic.fields import FieldInfo
+from typer.main import get_command
+
+from glove_sdk_bridge.command_line import parser as glove_parser
+from handover.cli.main import app as command_line
+from handover.cli.services import BESIDES, SERVICES, Service
+from handover.settings import PREFIX, Settings
+from webui.messages import found_messages
+
+ROOT = Path(__file__).parents[2]
+PAGES = ROOT / "docs" / "reference"
+PACKAGES = ("handover", "services", "ros_fiware_bridge", "webui")
+METRIC_TYPES = {"Counter", "Gauge", "Histogram", "Summary"}
+WRITTEN_BY = "*Written by `make reference` from the code; do not edit.*"
+
+SETTINGS = f"""\
+# Settings
+
+{WRITTEN_BY}
+
+Each setting is an environment variable. A file `.env` in the current folder can hold them too, and a file in
+the folder that `HANDOVER_SECRETS_DIR` names can hold a secret. `handover settings` prints the values of this
+machine and where each comes from. A setting that several services read is listed once.
+"""
+
+CLI = f"""\
+# Command line
+
+{WRITTEN_BY}
+
+The options `--help` are left out.
+"""
+
+REST = f"""\
+# REST interfaces
+
+{WRITTEN_BY}
+
+Every service answers `/healthz`, `/readyz`, `/metrics` and `/context.jsonld`, and shows its interface with
+schemas on `/docs`. Errors are problem details (RFC 7807). The context broker answers NGSI-LD;
+[its operations](../../services/context_broker/operations.md) are a page of their own.
+"""
+
+METRICS = f"""\
+# Metrics
+
+{WRITTEN_BY}
+
+Prometheus reads them from `/metrics` of each service.
+
+"""
+
+MESSAGES = f"""\
+# Codes of errors and reasons
+
+{WRITTEN_BY}
+
+A text that a person reads travels with a code and its parameters (`detailCode`, `reasonCode`), so that a
+client can translate it. A code keeps its meaning. The page has the texts in English, German and Finnish.
+
+"""
+
+ALL = (*SERVICES, *BESIDES)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write or check the pages."""
+    parser = argparse.ArgumentParser(prog="python -m docs.site.reference")
+    parser.add_argument("--check", action="store_true", help="fail if a page is not up to date")
+    options = parser.parse_args(arguments)
+    stale = []
+    for name, write in WRITERS.items():
+        file, text = PAGES / name, "\n".join(write()) + "\n"
+        if file.exists() and file.read_text(encoding="utf-8") == text:
+            continue
+        stale.append(f"docs/reference/{name}")
+        if not options.check:
+            file.write_text(text, encoding="utf-8")
+    if stale and options.check:
+        raise SystemExit(f"not up to date: {', '.join(stale)}; write them with: make reference")
+
+
+def settings_page() -> Iterator[str]:
+    """Yield the lines of the page about settings."""
+    yield from SETTINGS.splitlines()
+    seen: set[str] = set()
+    sections: list[tuple[str, type[Settings]]] = [("All services", Settings)]
+    sections += [(service.name, service.settings) for service in ALL]
+    for title, settings in sections:
+        new = {name: info for name, info in settings.model_fields.items() if name not in seen}
+        seen |= new.keys()
+        if not new:
+            continue
+        yield ""
+        yield f"## {title}"
+        yield ""
+        yield "| Setting | Default | Meaning |"
+        yield "|---|---|---|"
+        for name, info in new.items():
+            yield f"| `{PREFIX}{name.upper()}` | {_default(info)} | {_cell(info.description or '')} |"
+
+
+def cli_page() -> Iterator[str]:
+    """Yield the lines of the page about the command line."""
+    yield from CLI.splitlines()
+    yield from _command(get_command(command_line), "handover")
+    glove = glove_parser("handover glove")
+    for action in glove._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for name, parser in action.choices.items():
+                yield from _glove_command(f"handover glove {name}", parser)
+
+
+def rest_page() -> Iterator[str]:
+    """Yield the lines of the page about the REST interfaces."""
+    yield from REST.splitlines()
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ[f"{PREFIX}DATA_DIR"] = folder
+        for service in ALL:
+            app = _application(service)
+            if app is not None:
+                yield from _routes(service, app)
+
+
+def metrics_page() -> Iterator[str]:
+    """Yield the lines of the page about metrics."""
+    yield from METRICS.splitlines()
+    yield "| Metric | Type | Labels | Meaning |"
+    yield "|---|---|---|---|"
+    for name, kind, labels, meaning in sorted(_metrics()):
+        shown = ", ".join(f"`{label}`" for label in labels)
+        yield f"| `{name}` | {kind.lower()} | {shown} | {_cell(meaning)} |"
+
+
+def messages_page() -> Iterator[str]:
+    """Yield the lines of the page about the codes of errors and reasons."""
+    yield from MESSAGES.splitlines()
+    yield "| Code | Text |"
+    yield "|---|---|"
+    for code, template in sorted({(found.code, found.template) for found in found_messages()}):
+        yield f"| `{code}` | {_cell(template)} |"
+
+
+WRITERS: Mapping[str, Callable[[], Iterator[str]]] = {
+    "settings.md": settings_page,
+    "cli.md": cli_page,
+    "rest.md": rest_page,
+    "metrics.md": metrics_page,
+    "messages.md": messages_page,
+}
+
+
+def _default(info: FieldInfo) -> str:
+    value = info.default
+    if value is None or value == () or isinstance(value, SecretStr):
+        return "–"
+    if isinstance(value, tuple):
+        value = ",".join(map(str, value))
+    return f"`{value}`"
+
+
+def _command(command: click.Command, name: str) -> Iterator[str]:
+    subcommands = getattr(command, "commands", None)
+    if subcommands is None or command.help:
+        yield ""
+        yield f"## `{name}`"
+        yield ""
+        yield from (command.help or command.short_help or "").strip().splitlines()
+    parameters = [one for one in command.params if "--help" not in one.opts]
+    if parameters:
+        yield ""
+        yield "| Argument or option | Default | Meaning |"
+        yield "|---|---|---|"
+    for parameter in parameters:
+        shown = (
+            parameter.human_readable_name
+            if isinstance(parameter, click.Argument)
+            else ", ".join(parameter.opts)
+        )
+        default = parameter.default
+        plain = (
+            default not in (None, False)
+            and not callable(default)
+            and "Sentinel" not in type(default).__name__
+        )
+        meaning = _cell(getattr(parameter, "help", "") or "")
+        yield f"| `{shown}` | {f'`{default}`' if plain else ''} | {meaning} |"
+    for subname, subcommand in (subcommands or {}).items():
+        yield from _command(subcommand, f"{name} {subname}")
+
+
+def _glove_command(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
+    yield ""
+    yield f"## `{name}`"
+    yield ""
+    yield parser.description or ""
+    yield ""
+    yield "| Argument or option | Default | Meaning |"
+    yield "|---|---|---|"
+    for action in parser._actions:
+        if isinstance(action, argparse._HelpAction):
+            continue
+        shown = ", ".join(action.option_strings) or action.dest
+        default = action.default if action.default not in (None, False, ()) else ""
+        meaning = (
+            (action.help or "").replace(" (default: %(default)s)", "").replace(" (default: %(default)g)", "")
+        )
+        meaning = meaning.replace(" (%(default)s)", "").replace(" (%(default)g)", "")
+        is_shown = default and action.nargs != 0 and "HANDOVER_" not in meaning
+        yield f"| `{shown}` | {f'`{default}`' if is_shown else ''} | {_cell(meaning)} |"
+
+
+def _application(service: Service) -> FastAPI | None:
+    for module in ("app", "server"):
+        try:
+            make = getattr(importlib.import_module(f"{service.module}.{module}"), "make_app", None)
+        except ModuleNotFoundError:
+            continue
+        if make is not None:
+            made: Any = make(service.settings.load())
+            while not isinstance(made, FastAPI):  # a wrapper of the application
+                made = next(value for name, value in vars(made).items() if name.lstrip("_") == "app")
+            return made
+    return None
+
+
+def _routes(service: Service, app: FastAPI) -> Iterator[str]:
+    yield ""
+    yield f"## {service.name}"
+    yield ""
+    yield f"`http://127.0.0.1:{service.settings.model_fields[service.port_field].default}`"
+    yield ""
+    yield "| Method and path | Meaning |"
+    yield "|---|---|"
+    for path, methods in app.openapi()["paths"].items():
+        if path in {"/healthz", "/readyz", "/metrics", "/context.jsonld"}:
+            continue
+        for method, operation in methods.items():
+            meaning = operation.get("description") or operation.get("summary", "")
+            yield f"| `{method.upper()} {path}` | {_cell(meaning.partition(chr(10) * 2)[0])} |"
+
+
+def _metrics() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            source = "" if "node_modules" in path.parts else path.read_text(encoding="utf-8")
+            if "prometheus_client" in source:
+                yield from _metrics_in(source)
+
+
+def _metrics_in(source: str) -> Iterator[tuple[str, str, tuple[str, ...], str]]:
+    for node in ast.walk(ast.parse(source)):
+        if not (
+            isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in METRIC_TYPES
+        ):
+            continue
+        given = [
+            ast.literal_eval(one) for one in node.args if isinstance(one, ast.Constant | ast.List | ast.Tuple)
+        ]
+        given += [ast.literal_eval(one.value) for one in node.keywords if one.arg == "labelnames"]
+        if len(given) >= 2 and str(given[0]).startswith("handover_"):
+            labels = tuple(given[2]) if len(given) > 2 else ()
+            yield given[0], node.func.id, labels, given[1]
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
+
+
+if __name__ == "__main__":
+    main()
