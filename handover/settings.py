@@ -151,6 +151,9 @@ class Settings(BaseSettings):
         None,
         description="a directory whose files, named like settings, hold secrets; made by `handover secrets`",
     )
+    extra_services: Names = Field(
+        (), description="services of other packages that `handover up` starts as well, with commas"
+    )
     reconcile_s: float = Field(5.0, gt=0, description="how often the broker is asked again, in seconds")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")
     log_format: Literal["text", "json"] = Field("text", description="how log lines look")

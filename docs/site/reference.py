@@ -21,7 +21,8 @@ from typer.main import get_command
 
 from glove_sdk_bridge.command_line import parser as glove_parser
 from handover.cli.main import app as command_line
-from handover.cli.services import BESIDES, SERVICES, Service
+from handover.cli.services import OPTIONAL_SERVICES, SERVICES
+from handover.extensions import Service
 from handover.settings import PREFIX, Settings
 from webui.messages import found_messages
 
@@ -78,7 +79,7 @@ client can translate it. A code keeps its meaning. The page has the texts in Eng
 
 """
 
-ALL = (*SERVICES, *BESIDES)
+ALL = (*SERVICES, *OPTIONAL_SERVICES)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -19,8 +19,8 @@ from urllib.parse import urlsplit
 
 import httpx
 
-from handover.cli.services import Service
 from handover.errors import UsageError
+from handover.extensions import Service
 from handover.ports import held
 from handover.retry import Backoff
 from handover.settings import LIFELINE, Settings

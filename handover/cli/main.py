@@ -15,7 +15,7 @@ from handover.cli.demo import demo as run_demo
 from handover.cli.doctor import examine
 from handover.cli.glove import bridge_words, change_token
 from handover.cli.launcher import Launcher
-from handover.cli.services import BESIDES, SERVICES, service_named, wanted
+from handover.cli.services import OPTIONAL_SERVICES, SERVICES, all_services, service_named, wanted
 from handover.errors import HandoverError, Problem, UsageError
 from handover.settings import Settings, origins
 from handover.sqlite_files import REMEDY
@@ -77,7 +77,9 @@ async def _up(settings: Settings) -> None:
 
 @app.command()
 def run(
-    service: Annotated[str, typer.Argument(help=", ".join(one.name for one in (*SERVICES, *BESIDES)))],
+    service: Annotated[
+        str, typer.Argument(help=", ".join(one.name for one in (*SERVICES, *OPTIONAL_SERVICES)))
+    ],
     port: Annotated[int | None, typer.Option("--port", help="Listen here instead.")] = None,
     data_dir: DataDir = None,
 ) -> None:
@@ -107,7 +109,7 @@ def glove(context: typer.Context) -> None:
 @app.command()
 def settings() -> None:
     """Every setting, its value and where it comes from."""
-    known = list(origins([service.settings for service in (*SERVICES, *BESIDES)]))
+    known = list(origins([service.settings for service in all_services()]))
     width = max(len(setting.name) for setting in known)
     for setting in known:
         say(f"{setting.name:<{width}}  {setting.value or '-':<36} {setting.origin:<12} {setting.description}")

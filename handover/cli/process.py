@@ -1,5 +1,6 @@
 """`handover process`: deploy BPMN files; start, list, show, cancel processes; retry failed Tasks."""
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,10 +8,11 @@ import httpx
 import orjson
 import typer
 
+from handover.cli.exporters import EXPORTERS, Exporter
 from handover.cli.services import service_named
 from handover.errors import UsageError
 
-app = typer.Typer(help="Processes: deploy, start, list, show, cancel, retry.", no_args_is_help=True)
+app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, retry.", no_args_is_help=True)
 
 
 @app.command()
@@ -50,6 +52,28 @@ def list_processes() -> None:
 def show(process: Annotated[str, typer.Argument(help="The id of the process.")]) -> None:
     """Show all that is known of a process."""
     print(orjson.dumps(_ask("GET", f"/processes/{process}"), option=orjson.OPT_INDENT_2).decode())
+
+
+@app.command()
+def export(
+    process: Annotated[str, typer.Argument(help="The id of the process.")],
+    form: Annotated[
+        str, typer.Option("--format", help="csv, json, or an exporter that is installed.")
+    ] = "csv",
+    output: Annotated[
+        Path | None, typer.Option("--output", help="The file; standard output if absent.")
+    ] = None,
+) -> None:
+    """Write the history of a process to a file."""
+    exporter: Exporter = EXPORTERS.load(form)
+    content = exporter(_ask("GET", f"/processes/{process}"))
+    if output is None:
+        sys.stdout.buffer.write(content)
+        return
+    try:
+        output.write_bytes(content)
+    except OSError as error:
+        raise UsageError(f"{output} cannot be written: {error.strerror}") from None
 
 
 @app.command()

@@ -1,9 +1,7 @@
 """The services of a cell, as the command line knows them: name, module and port."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
 from handover.errors import UsageError
+from handover.extensions import EXTRA_SERVICES, Service
 from handover.settings import Settings
 from ros_fiware_bridge.settings import BridgeSettings
 from services.context_broker.settings import BrokerSettings
@@ -11,39 +9,6 @@ from services.gesture_controller.settings import ControllerSettings
 from services.task_orchestrator.settings import OrchestratorSettings
 from services.trajectory_tool.settings import TrajectorySettings
 from webui.settings import WebuiSettings
-
-
-@dataclass(frozen=True, slots=True)
-class Service:
-    """One service; `port_field` is the setting that says where it answers HTTP."""
-
-    name: str
-    module: str
-    settings: type[Settings]
-    port_field: str
-    also_listens: tuple[tuple[str, str], ...] = ()
-    """More places where it listens: the settings that say the host and the port."""
-
-    @property
-    def port_setting(self) -> str:
-        """Return the name of the environment variable that sets the port."""
-        return f"HANDOVER_{self.port_field.upper()}"
-
-    def port(self) -> int:
-        """Return the port it listens on."""
-        return int(getattr(self.settings.load(), self.port_field))
-
-    def listens(self) -> Iterator[tuple[str, int, str]]:
-        """Yield every host and port it listens on, with the environment variable that sets the port."""
-        loaded = self.settings.load()
-        for host_field, port_field in (("host", self.port_field), *self.also_listens):
-            host, port = getattr(loaded, host_field), getattr(loaded, port_field)
-            yield str(host), int(port), f"HANDOVER_{port_field.upper()}"
-
-    def url(self) -> str:
-        """Return where it answers on this machine."""
-        return self.settings.load().url_of(self.port())
-
 
 SERVICES = (
     Service("context-broker", "services.context_broker", BrokerSettings, "broker_port"),
@@ -59,19 +24,37 @@ SERVICES = (
     Service("webui", "webui", WebuiSettings, "webui_port"),
 )
 ROS_BRIDGE = Service("ros-bridge", "ros_fiware_bridge", BridgeSettings, "bridge_port")
-BESIDES = (ROS_BRIDGE,)
-"""Services that are run where they are wanted."""
+OPTIONAL_SERVICES = (ROS_BRIDGE,)
+"""Services that start where a setting asks for them."""
 
 
 def wanted() -> tuple[Service, ...]:
-    """Return the services of the cell as it is set: the ROS bridge is one of them if it has a mapping."""
-    return (*SERVICES, ROS_BRIDGE) if BridgeSettings.load().ros_mapping is not None else SERVICES
+    """Return the services of the cell: with the ROS bridge if it has a mapping, and with extra ones."""
+    bridge = OPTIONAL_SERVICES if BridgeSettings.load().ros_mapping is not None else ()
+    return (*SERVICES, *bridge, *map(_extra, Settings.load().extra_services))
+
+
+def all_services() -> tuple[Service, ...]:
+    """Return every service that can be run, those of other packages too."""
+    return (*SERVICES, *OPTIONAL_SERVICES, *map(_extra, EXTRA_SERVICES.names()))
 
 
 def service_named(name: str) -> Service:
     """Return the service called `name`; raise `UsageError` with the names there are."""
-    for service in (*SERVICES, *BESIDES):
+    for service in (*SERVICES, *OPTIONAL_SERVICES):
         if service.name == name:
             return service
-    known = ", ".join(service.name for service in (*SERVICES, *BESIDES))
+    if name in EXTRA_SERVICES.names():
+        return _extra(name)
+    known = ", ".join((*(one.name for one in (*SERVICES, *OPTIONAL_SERVICES)), *EXTRA_SERVICES.names()))
     raise UsageError(f'there is no service "{name}"; the services are {known}')
+
+
+def _extra(name: str) -> Service:
+    service = EXTRA_SERVICES.load(name)
+    if not isinstance(service, Service):
+        raise UsageError(
+            f'the entry point "{name}" in "{EXTRA_SERVICES.group}" is no handover.extensions.Service; '
+            "correct it in the package that registers it"
+        )
+    return service

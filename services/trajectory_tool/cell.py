@@ -10,10 +10,9 @@ from services.trajectory_tool.contents import Contents, Lying, fresh
 from services.trajectory_tool.memory import Act, Memory, MemoryFile
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, Robot
-from services.trajectory_tool.ros_robot import RosRobot
+from services.trajectory_tool.robots import ROBOTS, Clock, RobotContext, RobotFactory
 from services.trajectory_tool.scene import Scene
 from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.simulated_ur10 import Clock, SimulatedUR10
 
 log = get_logger(__name__)
 
@@ -147,20 +146,17 @@ class Cell:
         clock: Clock | None,
         broker: BrokerClient | None,
     ) -> Robot:
-        joints = known.joints if known else self.scene.home_rad
-        closed = known.gripper_closed if known else False
-        acts_in_s = self.scene.gripper.acts_in_s
-        if settings.robot == "ros" and broker is not None:
-            return RosRobot(joints, settings, broker, gripper_closed=closed, gripper_s=acts_in_s)
-        return SimulatedUR10(
-            joints,
-            settings.limits,
-            something_there=lambda joints: self._between_fingers(self.arm.tool_pose(joints)) is not None,
-            gripper_closed=closed,
-            gripper_s=acts_in_s,
-            control_hz=settings.control_hz,
+        context = RobotContext(
+            settings=settings,
+            joints=known.joints if known else self.scene.home_rad,
+            gripper_closed=known.gripper_closed if known else False,
+            gripper_s=self.scene.gripper.acts_in_s,
+            is_between_fingers=lambda joints: self._between_fingers(self.arm.tool_pose(joints)) is not None,
+            broker=broker,
             clock=clock,
         )
+        factory: RobotFactory = ROBOTS.load(settings.robot)
+        return factory(context)
 
     def _between_fingers(self, tool: Pose) -> str | None:
         return self.contents.between_fingers(tool, self.scene.gripper.opening_m)

@@ -18,7 +18,6 @@ from services.trajectory_tool.cell import Cell
 from services.trajectory_tool.device import RobotDevice
 from services.trajectory_tool.metrics import TASKS
 from services.trajectory_tool.robot import RobotFault
-from services.trajectory_tool.ros_robot import RosRobot
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.work import Work
 
@@ -44,8 +43,7 @@ class Controller(Performer):
     def mount(self, app: FastAPI) -> None:
         """Add the routes that the broker notifies."""
         super().mount(app)
-        if isinstance(self.cell.robot, RosRobot):
-            self.cell.robot.mount(app)
+        self.cell.robot.mount(app)
 
     async def __aenter__(self) -> Self:
         await self._on.enter_async_context(self.cell)

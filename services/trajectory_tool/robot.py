@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
+from fastapi import FastAPI
+
 from handover.errors import HandoverError
 
 Joints = tuple[float, ...]
@@ -44,6 +46,9 @@ class JointState:
 
 class Robot(ABC):
     """An arm with a gripper; an asynchronous context manager while it is switched on."""
+
+    def mount(self, app: FastAPI) -> None:  # noqa: B027 - most robots have none
+        """Add routes of the robot's own, such as one for notifications."""
 
     @abstractmethod
     def state(self) -> JointState:

@@ -17,6 +17,7 @@ from typing import Any, Self
 from fastapi import FastAPI, Request, Response
 
 from handover.broker import BrokerClient, BrokerError, NotFound
+from handover.errors import UsageError
 from handover.messages import message
 from handover.notifications import NotificationReceiver
 from handover.resync import Resync
@@ -24,6 +25,7 @@ from handover.telemetry import get_logger
 from services.trajectory_tool.metrics import MOTION_SECONDS
 from services.trajectory_tool.orders import Ended, Orders
 from services.trajectory_tool.robot import JOINT_NAMES, Joints, JointState, Robot, RobotFault
+from services.trajectory_tool.robots import RobotContext
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
@@ -85,6 +87,19 @@ class RosRobot(Robot):
         self._ready = asyncio.Event()
         self._motion: _Motion | None = None
         self._fault = f"the ROS bridge has not told of {self.arm} yet"
+
+    @classmethod
+    def from_context(cls, context: RobotContext) -> Self:
+        """Return the robot of a cell; raise `UsageError` without a broker."""
+        if context.broker is None:
+            raise UsageError("a robot behind ROS is reached through the broker; start it with one")
+        return cls(
+            context.joints,
+            context.settings,
+            context.broker,
+            gripper_closed=context.gripper_closed,
+            gripper_s=context.gripper_s,
+        )
 
     def mount(self, app: FastAPI) -> None:
         """Add the route by which the broker tells of the arm and of orders."""

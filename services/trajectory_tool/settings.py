@@ -1,7 +1,7 @@
 """The settings of the trajectory tool, beside those that every component shares."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -18,8 +18,10 @@ class TrajectorySettings(Settings):
     trajectory_url: str | None = Field(
         None, description="where the broker reaches the trajectory tool; http://host:port of it if absent"
     )
-    robot: Literal["simulated", "ros"] = Field(
-        "simulated", description="what moves: a simulated UR10, or an arm of a ROS graph, by the ROS bridge"
+    robot: str = Field(
+        "simulated",
+        description="what moves: simulated (a UR10), ros (an arm of a ROS graph, through the ROS bridge), or "
+        "a robot that another package registers",
     )
     ros_arm: str = Field(
         "arm-1",

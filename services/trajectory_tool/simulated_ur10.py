@@ -7,24 +7,16 @@ import asyncio
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from threading import Event
 from typing import Self, TypeVar
 
 from handover.messages import message
 from services.trajectory_tool.metrics import MOTION_SECONDS, OVERRUNS
 from services.trajectory_tool.robot import Joints, JointState, Robot, RobotFault
+from services.trajectory_tool.robots import Clock, RobotContext
 from services.trajectory_tool.trajectory import Course, Limits, Setpoint, duration_s
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """Time for the robot: `now_s` on any monotonic clock, and how to wait for `s` seconds on it."""
-
-    now_s: Callable[[], float] = time.monotonic
-    wait_s: Callable[[float], None] = time.sleep
 
 
 class SimulatedUR10(Robot):
@@ -54,6 +46,19 @@ class SimulatedUR10(Robot):
         self._course: Course | None = None
         self._switched_off = Event()
         self._control = ThreadPoolExecutor(max_workers=1, thread_name_prefix="ur10-control")
+
+    @classmethod
+    def from_context(cls, context: RobotContext) -> Self:
+        """Return the robot of a cell."""
+        return cls(
+            context.joints,
+            context.settings.limits,
+            something_there=context.is_between_fingers,
+            gripper_closed=context.gripper_closed,
+            gripper_s=context.gripper_s,
+            control_hz=context.settings.control_hz,
+            clock=context.clock,
+        )
 
     async def __aenter__(self) -> Self:
         return self

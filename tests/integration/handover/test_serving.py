@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from handover.cli.services import BESIDES, SERVICES, Service
+from handover.cli.services import OPTIONAL_SERVICES, SERVICES
+from handover.extensions import Service
 from tests.kit.cell import Cell
 from tests.kit.ports import next_free_port
 from tests.kit.waiting import wait_for
@@ -48,7 +49,7 @@ def start(service: Service, data_dir: Path, **settings: str) -> "subprocess.Comp
     )
 
 
-@pytest.mark.parametrize("service", [*SERVICES, *BESIDES], ids=lambda service: service.name)
+@pytest.mark.parametrize("service", [*SERVICES, *OPTIONAL_SERVICES], ids=lambda service: service.name)
 def test_a_service_refuses_a_data_directory_in_which_it_cannot_write(
     service: Service, read_only: Path
 ) -> None:

@@ -10,7 +10,7 @@ from dotenv import dotenv_values
 
 from glove_sdk_bridge.command_line import parse
 from handover.cli.glove import bridge_words
-from handover.cli.services import BESIDES
+from handover.cli.services import OPTIONAL_SERVICES
 from handover.cli.services import SERVICES as USUAL
 from handover.settings import origins
 from services.context_broker.settings import BrokerSettings
@@ -19,7 +19,7 @@ REPOSITORY = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((REPOSITORY / "docker-compose.yml").read_text())
 ENV = {name: value or "" for name, value in dotenv_values(REPOSITORY / ".env", interpolate=False).items()}
 CONTAINERS: dict[str, dict[str, Any]] = COMPOSE["services"]
-SERVICES = (*USUAL, *BESIDES)
+SERVICES = (*USUAL, *OPTIONAL_SERVICES)
 OURS = {
     name: each
     for name, each in CONTAINERS.items()

@@ -9,8 +9,8 @@ import pytest
 
 from services.trajectory_tool import operations, parameters, scene
 from services.trajectory_tool.cell import Cell
+from services.trajectory_tool.robots import Clock
 from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.simulated_ur10 import Clock
 from services.trajectory_tool.work import Work
 from tests.kit.waiting import until
 

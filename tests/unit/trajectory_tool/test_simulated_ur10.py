@@ -11,8 +11,9 @@ import pytest
 from prometheus_client import REGISTRY
 
 from services.trajectory_tool.robot import RobotFault
+from services.trajectory_tool.robots import Clock
 from services.trajectory_tool.settings import TrajectorySettings
-from services.trajectory_tool.simulated_ur10 import Clock, SimulatedUR10
+from services.trajectory_tool.simulated_ur10 import SimulatedUR10
 
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
 FAR = (3.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import pytest
 
 from handover.cli.launcher import Launcher, make_room
-from handover.cli.services import SERVICES, Service
+from handover.cli.services import SERVICES
 from handover.errors import UsageError
+from handover.extensions import Service
 from handover.settings import Settings
 from services.context_broker.settings import BrokerSettings
 

@@ -1,0 +1,90 @@
+"""Extension points: robots, exporters and services by name, ours and those of other installed packages.
+
+A package registers what it adds with an entry point, and nothing else in the tree knows its name:
+
+    [project.entry-points."handover.exporters"]
+    xes = "xes_exporter:export"
+
+`docs/how-to/extend.md` describes each group. Recognizers and glove sources have registries of their own.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from handover.errors import UsageError
+from handover.settings import Settings
+
+
+class UnknownExtension(UsageError):
+    """Nothing is registered under this name, or it cannot be imported; the message says what there is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExtensionPoint:
+    """The things of one `kind`: `own` are ours by name, as `module:attribute`."""
+
+    kind: str
+    group: str
+    own: Mapping[str, str]
+
+    def names(self) -> list[str]:
+        """Return all names, ours first."""
+        return [*self.own, *sorted(self._registered().keys() - self.own.keys())]
+
+    def load(self, name: str) -> Any:
+        """Return what is registered as `name`, imported now; raise `UnknownExtension`."""
+        own = self.own.get(name)
+        point = EntryPoint(name, own, self.group) if own else self._registered().get(name)
+        if point is None:
+            raise UnknownExtension(
+                f'there is no {self.kind} "{name}"; there are: {", ".join(self.names()) or "none"}. '
+                f'A package adds one with an entry point in "{self.group}"'
+            )
+        try:
+            return point.load()
+        except Exception as error:  # a package of somebody else may fail in any way when it is imported
+            raise UnknownExtension(
+                f'the {self.kind} "{name}" ({point.value}) cannot be loaded: {type(error).__name__}: '
+                f"{error}; repair or remove the package that registers it"
+            ) from error
+
+    def _registered(self) -> Mapping[str, EntryPoint]:
+        return {point.name: point for point in entry_points(group=self.group)}
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """One service: `python -m module` runs it; `port_field` is the setting of its HTTP port."""
+
+    name: str
+    module: str
+    settings: type[Settings]
+    port_field: str
+    also_listens: tuple[tuple[str, str], ...] = ()
+    """More places where it listens: the settings of the host and the port."""
+
+    @property
+    def port_setting(self) -> str:
+        """Return the name of the environment variable that sets the port."""
+        return f"HANDOVER_{self.port_field.upper()}"
+
+    def port(self) -> int:
+        """Return the port it listens on."""
+        return int(getattr(self.settings.load(), self.port_field))
+
+    def listens(self) -> Iterator[tuple[str, int, str]]:
+        """Yield every host and port it listens on, with the environment variable that sets the port."""
+        loaded = self.settings.load()
+        for host_field, port_field in (("host", self.port_field), *self.also_listens):
+            host, port = getattr(loaded, host_field), getattr(loaded, port_field)
+            yield str(host), int(port), f"HANDOVER_{port_field.upper()}"
+
+    def url(self) -> str:
+        """Return where it answers on this machine."""
+        return self.settings.load().url_of(self.port())
+
+
+EXTRA_SERVICES = ExtensionPoint("service", "handover.services", {})
+"""Services of other packages; each entry point is a `Service`."""
