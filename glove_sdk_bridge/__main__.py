@@ -12,17 +12,12 @@ from glove_sdk_bridge.calibration import Calibrator
 from glove_sdk_bridge.command_line import parse
 from glove_sdk_bridge.controller import Controller
 from glove_sdk_bridge.errors import BridgeError
-from glove_sdk_bridge.forward import STDIN, Forward
+from glove_sdk_bridge.forward import STDIN
 from glove_sdk_bridge.frames import HANDS, Hello
 from glove_sdk_bridge.link import Link
 from glove_sdk_bridge.recorder import Recorder
-from glove_sdk_bridge.replay import Replay
-from glove_sdk_bridge.screen import Screen
-from glove_sdk_bridge.serial_port import SerialGlove
-from glove_sdk_bridge.simulated_glove import SimulatedGlove
-from glove_sdk_bridge.simulated_hand import SimulatedHand
-from glove_sdk_bridge.simulated_operator import SimulatedOperator
-from glove_sdk_bridge.source import Source, stream
+from glove_sdk_bridge.source import stream
+from glove_sdk_bridge.sources import source_kinds
 
 LIFELINE = "HANDOVER_LIFELINE"
 """Set by who starts us as a part of something larger: we end when our standard input does."""
@@ -61,32 +56,10 @@ def _do(asked: argparse.Namespace, stop: threading.Event) -> None:
         else:
             calibrator.from_table(asked.table, asked.fist, asked.open, asked.seconds)
         return
-    source, hand = _source(asked)
-    hello = Hello(asked.glove, asked.hand or hand or HANDS[0], asked.token)
+    source = source_kinds()[asked.command].make(asked, _say)
+    hello = Hello(asked.glove, asked.hand or getattr(source, "hand", None) or HANDS[0], asked.token)
     with Link(hello, asked.host, asked.port, say=_say) as link:
         stream(source, link, stop, _say)
-
-
-def _source(asked: argparse.Namespace) -> tuple[Source, str | None]:
-    """Return the source that is asked for, and the hand that it was recorded from, if it knows."""
-    if asked.command == "forward":
-        return Forward(say=_say), None
-    if asked.command == "serial":
-        return SerialGlove(
-            asked.device, say=_say, baud=asked.baud, invert=asked.invert, full_scale=asked.full_scale
-        ), None
-    if asked.command == "replay":
-        replay = Replay(
-            asked.file, say=_say, poses=asked.pose, rate_hz=asked.rate, speed=asked.speed, loop=asked.loop
-        )
-        return replay, replay.hand
-    return SimulatedGlove(
-        SimulatedHand(asked.seed, rate_hz=asked.rate),
-        SimulatedOperator(asked.seed, asked.mistakes, asked.speed),
-        Screen(Controller(asked.controller), asked.glove, say=_say),
-        say=_say,
-        calibrate=asked.calibrate,
-    ), None
 
 
 def _say(line: str) -> None:

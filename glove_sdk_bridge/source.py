@@ -13,7 +13,7 @@ _LOOK_EVERY_S = 0.2
 
 
 class Source(Protocol):
-    """Where frames come from."""
+    """Where frames come from. One that knows the hand has an attribute `hand`, "left" or "right"."""
 
     @property
     def patience_s(self) -> float | None:

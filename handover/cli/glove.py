@@ -6,6 +6,7 @@ from urllib.parse import quote
 
 import httpx
 
+from glove_sdk_bridge.sources import source_kinds
 from handover.errors import UsageError
 from services.gesture_controller.settings import ControllerSettings
 
@@ -25,7 +26,7 @@ def bridge_words(said: Sequence[str]) -> list[str]:
     The bridge knows nothing of our settings, since it runs where nothing of ours is installed; of two words
     it takes the later, so that what the person says counts.
     """
-    if not said or said[0] not in TALKS_TO:
+    if not said or said[0] not in {*TALKS_TO, *source_kinds()}:
         return list(said)
     settings = ControllerSettings.load()
     if settings.token is not None and not os.environ.get("HANDOVER_GLOVE_TOKEN"):
@@ -35,7 +36,7 @@ def bridge_words(said: Sequence[str]) -> list[str]:
         "port": str(settings.glove_port),
         "controller": settings.url_of(settings.controller_port, settings.controller_url),
     }
-    ours = [part for word in TALKS_TO[said[0]] for part in (f"--{word}", known[word])]
+    ours = [part for word in TALKS_TO.get(said[0], ("host", "port")) for part in (f"--{word}", known[word])]
     return [said[0], *ours, *said[1:]]
 
 

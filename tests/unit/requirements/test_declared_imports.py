@@ -9,7 +9,7 @@ from importlib.metadata import packages_distributions
 
 import pytest
 
-from tests.conftest import REPOSITORY
+from tests.kit.paths import REPOSITORY
 
 PACKAGES = ("datamodels", "glove_sdk_bridge", "handover", "ros_fiware_bridge", "services", "webui")
 

@@ -51,7 +51,7 @@ def test_ours_are_there() -> None:
 def test_the_example_is_found_by_its_entry_point_and_works(
     installed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(str(REPOSITORY / "examples"))
+    monkeypatch.syspath_prepend(str(REPOSITORY / "examples" / "nearest_recognizer"))
     a_package(installed, "nearest", "nearest_recognizer:Nearest")
     assert "nearest" in recognizers()
     senses = Senses(SAME, GESTURES, calibration=CALIBRATION, recognizer="nearest")

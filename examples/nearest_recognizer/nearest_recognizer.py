@@ -1,10 +1,4 @@
-"""An example: a recognizer of your own, which takes a hand for the gesture it is nearest to.
-
-Put it into a package and name it in the package's pyproject.toml; then `nearest` can be chosen:
-
-    [project.entry-points."handover.recognizers"]
-    nearest = "nearest_recognizer:Nearest"
-"""
+"""A recognizer that returns the gesture whose finger positions are nearest to the hand."""
 
 from services.gesture_controller.recognition.recognizer import CannotRecognize, Given, Recognition
 

@@ -1,0 +1,80 @@
+"""A robot whose joints turn at a constant speed: the smallest complete driver."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Self
+
+from services.trajectory_tool.robot import Joints, JointState, Robot
+from services.trajectory_tool.robots import RobotContext
+
+CYCLE_S = 0.02
+
+
+class SteadyRobot(Robot):
+    """Simulated joints; `context` has the stored state and the limits of the settings."""
+
+    def __init__(self, context: RobotContext) -> None:
+        self._positions = context.joints
+        self._velocities = (0.0,) * len(context.joints)
+        self._max_speeds = context.settings.limits.velocity
+        self._is_closed = context.gripper_closed
+        self._is_between_fingers = context.is_between_fingers
+        self._remaining_s = 0.0
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._velocities = (0.0,) * len(self._positions)
+
+    def state(self) -> JointState:
+        return JointState(time.time(), self._positions, self._velocities)
+
+    def remaining_s(self) -> float:
+        return self._remaining_s
+
+    def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
+        return max(
+            abs(there - here) / (limit * speed)
+            for here, there, limit in zip(start, target, self._max_speeds, strict=True)
+        )
+
+    async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
+        while (remaining_s := self.estimate_s(self._positions, target, speed)) > 0:
+            if not may_go():
+                break
+            self._step(target, min(CYCLE_S / remaining_s, 1.0))
+            self._remaining_s = remaining_s
+            await asyncio.sleep(CYCLE_S)
+        self._velocities = (0.0,) * len(self._positions)
+        self._remaining_s = 0.0
+        return self._positions == target
+
+    def _step(self, target: Joints, share: float) -> None:
+        """Turn every joint by `share` of what is left; a driver sends the positions to the robot here."""
+        before = self._positions
+        self._positions = (
+            target
+            if share == 1.0
+            else tuple(here + share * (there - here) for here, there in zip(before, target, strict=True))
+        )
+        self._velocities = tuple(
+            (after - here) / CYCLE_S for here, after in zip(before, self._positions, strict=True)
+        )
+
+    async def close_gripper(self) -> bool:
+        self._is_closed = True
+        return self._is_between_fingers(self._positions)
+
+    async def open_gripper(self) -> None:
+        self._is_closed = False
+
+    @property
+    def gripper_closed(self) -> bool:
+        return self._is_closed
+
+
+def make_robot(context: RobotContext) -> Robot:
+    """Return the robot of a cell."""
+    return SteadyRobot(context)
