@@ -125,7 +125,7 @@ dist: setup  ## the wheel with the page in it, and the source archive
 
 docs: setup  ## build the documentation site into build/site
 	@$(BIN)/python -m docs.site.diagrams
-	@$(BIN)/mkdocs build --quiet --strict
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 reference: setup  ## write the reference pages of the documentation from the code
 	@$(BIN)/python -m docs.site.reference

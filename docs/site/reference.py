@@ -8,6 +8,7 @@ import argparse
 import ast
 import importlib
 import os
+import socket
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -135,6 +136,7 @@ def rest_page() -> Iterator[str]:
     yield from REST.splitlines()
     with tempfile.TemporaryDirectory() as folder:
         os.environ[f"{PREFIX}DATA_DIR"] = folder
+        os.environ[f"{PREFIX}GLOVE_PORT"] = str(_free_port())  # the controller opens it with its application
         for service in ALL:
             app = _application(service)
             if app is not None:
@@ -167,6 +169,12 @@ WRITERS: Mapping[str, Callable[[], Iterator[str]]] = {
     "metrics.md": metrics_page,
     "messages.md": messages_page,
 }
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def _default(info: FieldInfo) -> str:
