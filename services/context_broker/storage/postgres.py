@@ -154,7 +154,8 @@ class PostgresDatabase:
                 return False
             raise NotStored(f"{self.name}: {_in_one_line(error)}") from error
         except NotStored:
-            connection.close()
+            if connection is not None:
+                connection.close()
             raise
         finally:
             self._waiting = None
@@ -305,6 +306,7 @@ class PostgresDatabase:
                 self.lost = f"another broker has written {self.name}; this one has to load it again"
             self._require_ownership(is_locked=is_locked)
             self._require_version(connection)
+            assert row is not None  # noqa: S101 - else `lost` is set, which _require_ownership has raised
         except (psycopg.Error, NotStored) as error:
             if connection is not None:
                 connection.close()
