@@ -14,7 +14,7 @@ from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.context_broker.api.application import BrokerApplication
 from services.context_broker.api.request_metrics import RequestMetrics
-from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.contexts.context_store import Documents
 from services.context_broker.contexts.fetching import Fetcher
 from services.context_broker.contexts.own_address import OwnAddress
@@ -28,14 +28,14 @@ from services.context_broker.operations.discovery_operations import DiscoveryOpe
 from services.context_broker.operations.entity_operations import EntityOperations
 from services.context_broker.operations.subscription_operations import SubscriptionOperations
 from services.context_broker.request.request_context import (
-    Answer,
-    Exchange,
     Request,
-    problem_answer,
+    RequestContext,
+    Response,
+    problem_response,
     read,
-    told_back,
+    with_echoed_headers,
 )
-from services.context_broker.request.routing import Directory, Operation
+from services.context_broker.request.routing import Operation, Router
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.storage.database import Database, SqliteDatabase
 from services.context_broker.storage.document_counts import documents_with_counts
@@ -63,7 +63,7 @@ class Broker:
         self.journal = journal
         self.tenants = Tenants(journal, settings)
         policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
-        self.contexts = ContextBook(
+        self.contexts = ContextResolver(
             self._keep_documents,
             lambda documents: self.tenants.commits.store_later(Entries(documents=dict(documents))),
             Fetcher(settings.broker_context_timeout_s, policy, ca_file),
@@ -71,14 +71,14 @@ class Broker:
             settings.broker_default_context,
         )
         self.contexts.on_renewal = self._renew
-        self._under_way: set[asyncio.Task[Answer]] = set()
+        self._running: set[asyncio.Task[Response]] = set()
         self.subscriptions = SubscriptionOperations(self.contexts)
         self.federation = self._federation()
         self.tenants.federation_of = self.federation.tenant_state
         self.snapshots = self._snapshots()
-        self.directory = Directory(
+        self.router = Router(
             operation
-            for room in (
+            for operations in (
                 EntityOperations(),
                 BatchOperations(),
                 DiscoveryOperations(),
@@ -89,7 +89,7 @@ class Broker:
                 TemporalOperations(journal.archive),
                 TemporalProvision(journal.archive, self.tenants.recorder),
             )
-            for operation in room.operations()
+            for operation in operations.operations()
         )
         self.retention = Retention(
             journal.archive,
@@ -122,7 +122,7 @@ class Broker:
 
     async def stop(self) -> None:
         """Commit what is on its way, and close."""
-        for task in self._under_way:
+        for task in self._running:
             task.cancel("the broker stops")
         self.tenants.ends.stop()
         self.snapshots.stop()
@@ -136,64 +136,64 @@ class Broker:
         await self.tenants.commits.stop()
         await asyncio.to_thread(self.journal.close)
 
-    async def answer(self, request: Request, body: bytes | Receive) -> Answer:
+    async def answer(self, request: Request, body: bytes | Receive) -> Response:
         """Answer one request, whose body is there or still to be received."""
         if request.method == "OPTIONS":
-            allowed = self.directory.allowed(request)
-            return Answer(204, b"", [(b"allow", ", ".join(allowed).encode())])
-        operation, names = self.directory.find(request)
+            allowed = self.router.allowed(request)
+            return Response(204, b"", [(b"allow", ", ".join(allowed).encode())])
+        operation, names = self.router.find(request)
         await read(request, body, self.settings.broker_max_body_bytes)
         started_s = time.perf_counter()
         try:
-            answer = await self._carried_out(operation, request, names)
+            answer = await self._execute(operation, request, names)
         except Problem as problem:
-            answer = problem_answer(problem)
-        answer = told_back(request, answer)
+            answer = problem_response(problem)
+        answer = with_echoed_headers(request, answer)
         REQUESTS.note(operation.title, answer.status, time.perf_counter() - started_s)
         return answer
 
-    async def _carried_out(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Answer:
+    async def _execute(self, operation: Operation, request: Request, names: tuple[str, ...]) -> Response:
         named = b"" if operation.of_no_tenant else request.headers.get(b"ngsild-tenant", b"")
         tenant = self.tenants.of(named, makes=operation.makes_tenant)
         try:
-            exchange = Exchange(request, names, self.contexts, tenant)
+            context = RequestContext(request, names, self.contexts, tenant)
             if request.parameters:
-                exchange.require_known(operation.parameters)
+                context.require_known(operation.parameters)
             if tenant.notifier.passes_headers_on:
                 REQUEST_HEADERS.set(request.headers)
             if (
                 operation.is_brief
                 and tenant.federation.is_empty
-                and not self._is_extended(operation, exchange)
+                and not self._is_extended(operation, context)
             ):
-                return await operation.answer(exchange)
-            return await self._at_length(self._with_extensions(operation, exchange))
+                return await operation.answer(context)
+            return await self._in_own_task(self._with_extensions(operation, context))
         finally:
             self.tenants.leave(tenant)
 
-    async def _at_length(self, work: Coroutine[None, None, Answer]) -> Answer:
+    async def _in_own_task(self, work: Coroutine[None, None, Response]) -> Response:
         """Have something done that may have to wait for others: it has a task of its own."""
         task = asyncio.get_running_loop().create_task(work)
-        self._under_way.add(task)
-        task.add_done_callback(self._under_way.discard)
+        self._running.add(task)
+        task.add_done_callback(self._running.discard)
         return await task
 
     @staticmethod
-    def _is_extended(operation: Operation, exchange: Exchange) -> bool:
+    def _is_extended(operation: Operation, context: RequestContext) -> bool:
         """Return whether a request names a snapshot or an entity map, or wants a map."""
-        return is_inside_snapshot(operation, exchange) or wants_map(operation, exchange)
+        return is_inside_snapshot(operation, context) or wants_map(operation, context)
 
-    async def _with_extensions(self, operation: Operation, exchange: Exchange) -> Answer:
+    async def _with_extensions(self, operation: Operation, context: RequestContext) -> Response:
         """Carry out an operation inside a snapshot, or with context sources and entity maps."""
-        if is_inside_snapshot(operation, exchange):
-            return await self.snapshots.answer(operation, exchange, self.federation.answer_locally)
-        return await self.federation.answer(operation, exchange)
+        if is_inside_snapshot(operation, context):
+            return await self.snapshots.answer(operation, context, self.federation.answer_locally)
+        return await self.federation.answer(operation, context)
 
-    async def _by_name(self, name: str, exchange: Exchange) -> Answer:
+    async def _by_name(self, name: str, context: RequestContext) -> Response:
         """Carry out an operation that another one needs."""
-        operations = (one for one in self.directory.operations if one.name == name)
-        wanted = next(one for one in operations if one.method == exchange.method)
-        return await self.federation.distribute(wanted, exchange)
+        operations = (one for one in self.router.operations if one.name == name)
+        wanted = next(one for one in operations if one.method == context.method)
+        return await self.federation.distribute(wanted, context)
 
     async def _renew(self, context_id: str) -> None:
         """Recompute everything that was derived from a changed @context."""
@@ -234,7 +234,7 @@ class Broker:
 def operations_of(settings: BrokerSettings) -> tuple[Operation, ...]:
     """Return all operations of a broker, of which nothing is started and nothing written."""
     journal = Journal(SqliteDatabase(settings.data_dir / "broker.db"))
-    return Broker(settings, journal).directory.operations
+    return Broker(settings, journal).router.operations
 
 
 def create_broker(settings: BrokerSettings) -> "BrokerApplication":

@@ -14,12 +14,12 @@ from services.context_broker.delivery.notifier import Notifier
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.problems import bad_request_data, no_such_tenant
-from services.context_broker.model.validation import LONGEST_TENANT, TENANT, inside, outside, shown
+from services.context_broker.model.validation import MAX_TENANT_LENGTH, TENANT, inside, outside, shown
 from services.context_broker.network.http_client import PooledHttpClient
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.storage.commits import CommitQueue, Commits, Failed, stored
 from services.context_broker.storage.entries import Entries, Kind
-from services.context_broker.storage.expiry_queue import Ends
+from services.context_broker.storage.expiry_queue import ExpiryQueue
 from services.context_broker.storage.journal import Journal
 from services.context_broker.storage.store import Store
 from services.context_broker.temporal.history import Recorder
@@ -33,7 +33,7 @@ class Tenant:
 
     def __init__(self, name: str, tenants: "Tenants", *, is_kept: bool) -> None:
         self.name = name
-        self.guests = 0
+        self.active_requests = 0
         self._tenants = tenants
         self.commits = _TenantCommits(name, tenants.commits, is_kept=is_kept)
         self.notifier = Notifier(name, self.commits, tenants.outbound)
@@ -94,7 +94,7 @@ class Tenants:
     """All tenants, and what they share."""
 
     def __init__(self, journal: Journal, settings: BrokerSettings) -> None:
-        self.ends = Ends()
+        self.ends = ExpiryQueue()
         self.commits = CommitQueue(journal, self._forget_staged)
         self.places: Iterator[int]
         self.outbound: Outbound
@@ -119,7 +119,7 @@ class Tenants:
         kept = [body for _, _, body in journal.documents(Kind.IDENTITY)]
         self.identify(kept[0] if kept else uuid4().hex[:12].encode())
         policy, ca_file = settings.outbound_policy(), settings.broker_notification_ca_file
-        self.places = itertools.count(journal.last_place() + 1)
+        self.places = itertools.count(journal.last_sequence() + 1)
         self.outbound = Outbound(
             journal,
             PooledHttpClient(policy, ca_file),
@@ -157,12 +157,12 @@ class Tenants:
         name = header.decode("latin-1").strip() if header else DEFAULT
         tenant = self._tenants.get(name)
         if tenant is not None:
-            tenant.guests += 1
+            tenant.active_requests += 1
             return tenant
         if not TENANT.fullmatch(name):
             raise bad_request_data(
                 f"NGSILD-Tenant {shown(name)} is no name of a tenant: letters, digits, _ - and . "
-                f"({LONGEST_TENANT} at most)"
+                f"({MAX_TENANT_LENGTH} at most)"
             )
         if not makes:
             raise no_such_tenant(
@@ -170,7 +170,7 @@ class Tenants:
                 "or registration that is made for it"
             )
         tenant = self._tenants[name] = Tenant(name, self, is_kept=False)
-        tenant.guests = 1
+        tenant.active_requests = 1
         return tenant
 
     def inside(self, tenant: Tenant, snapshot_id: str) -> Tenant:
@@ -195,8 +195,8 @@ class Tenants:
 
     def leave(self, tenant: Tenant) -> None:
         """Note that a request is over; a tenant for which nothing came to be kept is forgotten."""
-        tenant.guests -= 1
-        if not tenant.is_kept and not tenant.guests:
+        tenant.active_requests -= 1
+        if not tenant.is_kept and not tenant.active_requests:
             self._tenants.pop(tenant.name, None)
 
     def kept(self, name: str) -> Tenant:

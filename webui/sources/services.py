@@ -23,7 +23,7 @@ State = Literal["up", "degraded", "down"]
 COUNTED: Final[Mapping[str, Mapping[str, str]]] = {
     BROKER: {
         "requests": "handover_broker_requests_total",
-        "notifications": "handover_broker_notifications_sent_total",
+        "notifications": 'handover_broker_notifications_total{outcome="delivered"}',
     },
     ORCHESTRATOR: {
         "steps": "handover_orchestrator_step_seconds_count",
@@ -183,12 +183,15 @@ class Services(Source):
 
 
 def summed(metrics: str, counters: Mapping[str, str]) -> dict[str, float]:
-    """Return what `metrics` (the Prometheus text) counts, by the words of `counters`, labels added up."""
+    """Return what `metrics` (the Prometheus text) counts, by the words of `counters`.
+
+    A counter is one series, with its labels, or the sum of all series of a name.
+    """
     words = {name: word for word, name in counters.items()}
     counts = dict.fromkeys(counters, 0.0)
     for line in metrics.splitlines():
         name = line.split("{", 1)[0].split(" ", 1)[0]
-        word = words.get(name)
+        word = words.get(line.rsplit(" ", 1)[0]) or words.get(name)
         if word is not None:
             try:
                 counts[word] += float(line.rsplit(" ", 1)[1])

@@ -25,12 +25,12 @@ from services.context_broker.api.http_protocol import BrokerProtocol
 from services.context_broker.model.problems import is_standby, went_wrong
 from services.context_broker.request.request_context import (
     PREFIX,
-    Answer,
     Disconnected,
     Request,
+    Response,
     of_tenant,
-    problem_answer,
-    send_answer,
+    problem_response,
+    send_response,
 )
 from services.context_broker.storage.journal import Journal, NotStored
 
@@ -55,7 +55,7 @@ class Broker(Protocol):
     async def stop(self) -> None:
         """Commit what is pending, and close the database."""
 
-    async def answer(self, request: Request, body: bytes | Receive) -> Answer:
+    async def answer(self, request: Request, body: bytes | Receive) -> Response:
         """Return the response to a request, whose body is there or still to be received."""
 
 
@@ -73,7 +73,7 @@ class BrokerApplication:
         self._standby_reason = ""
         self._checks: Mapping[str, Check] = {"database": self._check_database, "storage": self._check_storage}
         self._rest: ASGIApp | None = None
-        self.protocol = None if over_asgi else partial(BrokerProtocol, door=self.answer)
+        self.protocol = None if over_asgi else partial(BrokerProtocol, handler=self.answer)
 
     def open(self) -> None:
         """Open the database. Raises `UsageError` when it cannot be used."""
@@ -87,7 +87,7 @@ class BrokerApplication:
         elif scope["type"] != "http" or not scope["path"].startswith(PREFIX):
             await (await self._others())(scope, receive, send)
         elif (answer := await self.answer(Request.of_scope(scope), receive)) is not None:
-            await send_answer(send, answer)
+            await send_response(send, answer)
 
     async def _live(self, receive: Receive, send: Send) -> None:
         await receive()
@@ -164,19 +164,19 @@ class BrokerApplication:
             )
         return self._rest
 
-    async def answer(self, request: Request, body: bytes | Receive) -> Answer | None:
+    async def answer(self, request: Request, body: bytes | Receive) -> Response | None:
         """Return the answer to a request about NGSI-LD; None if the client has disconnected."""
         try:
             if self._is_serving:
                 return await self._broker.answer(request, body)
-            return of_tenant(request, problem_answer(is_standby(self._standby_reason)))
+            return of_tenant(request, problem_response(is_standby(self._standby_reason)))
         except Problem as problem:
-            return of_tenant(request, problem_answer(problem))
+            return of_tenant(request, problem_response(problem))
         except Disconnected:
             return None
         except Exception as error:  # one broken request must not end the connection without an answer
             log.exception("request failed", method=request.method, path=request.path)
-            return of_tenant(request, problem_answer(went_wrong(error, "answering")))
+            return of_tenant(request, problem_response(went_wrong(error, "answering")))
 
     async def _check_database(self) -> None:
         """Raise an error, with the reason, unless this broker serves and can write its database."""

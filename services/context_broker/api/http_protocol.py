@@ -18,7 +18,13 @@ from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 from handover.http_protocol import BODY, HEAD, IDLE, IN_USE, Connections, HttpProtocol
 from handover.origin_guard import OriginPolicy
 from handover.telemetry import get_logger
-from services.context_broker.request.request_context import PREFIX, Answer, Request, by_name, problem_answer
+from services.context_broker.request.request_context import (
+    PREFIX,
+    Request,
+    Response,
+    by_name,
+    problem_response,
+)
 
 if TYPE_CHECKING:
     from uvicorn.config import Config
@@ -32,7 +38,7 @@ _ONE_PIECE: Final = 256 * 1024
 
 _CONTROLS: Final = bytes({*range(32), 127} - {ord("\t")})
 
-Door = Callable[[Request, bytes | Receive], Coroutine[Any, Any, Answer | None]]
+Handler = Callable[[Request, bytes | Receive], Coroutine[Any, Any, Response | None]]
 """Answers a request whose body is there or still to be received; None where the asker has gone."""
 
 
@@ -48,16 +54,16 @@ class BrokerProtocol(HttpProtocol):
         app_state: dict[str, Any],
         _loop: asyncio.AbstractEventLoop | None = None,
         *,
-        door: Door,
+        handler: Handler,
         policy: OriginPolicy,
         connections: Connections,
     ) -> None:
         super().__init__(config, server_state, app_state, _loop, connections=connections)
-        self.door = door
+        self.handler = handler
         self.policy = policy
         self.held: Callable[[], None] | None = None
         """Sends an answer that has to wait until the asker took what was sent before."""
-        self._next: Turn | None = None
+        self._next: RequestCycle | None = None
         self._is_reading = False
         self._said_always: tuple[object, bytes] = (None, b"")
 
@@ -96,33 +102,35 @@ class BrokerProtocol(HttpProtocol):
         target = httptools.parse_url(self.url)
         method = self.parser.get_method().decode("ascii")
         before: Any = self.cycle
-        turn: Any = Turn(self, Request(method, target.path, target.query or b"", by_name(self.headers)))
-        self.cycle = turn
+        cycle: Any = RequestCycle(
+            self, Request(method, target.path, target.query or b"", by_name(self.headers))
+        )
+        self.cycle = cycle
         if before is None or before.response_complete:
-            self._next = turn
+            self._next = cycle
         else:  # asked before the answer to the last one was there: one after the other
             self.flow.pause_reading()
-            self.pipeline.appendleft((turn, self.app))
+            self.pipeline.appendleft((cycle, self.app))
 
     def on_body(self, body: bytes) -> None:
         """Take a piece of a body."""
-        turn: Any = self.cycle
-        if not isinstance(turn, Turn):
+        cycle: Any = self.cycle
+        if not isinstance(cycle, RequestCycle):
             super().on_body(body)
             return
         self.body_bytes += len(body)
-        if not turn.response_complete:
-            turn.take(body)
+        if not cycle.response_complete:
+            cycle.take(body)
 
     def on_message_complete(self) -> None:
         """Note that a request is there as a whole."""
-        turn: Any = self.cycle
-        if not isinstance(turn, Turn):
+        cycle: Any = self.cycle
+        if not isinstance(cycle, RequestCycle):
             super().on_message_complete()
             return
-        turn.more_body = False
-        turn.set()
-        if turn.response_complete:  # it did not wait for the body
+        cycle.more_body = False
+        cycle.set()
+        if cycle.response_complete:  # it did not wait for the body
             self.phase, self.since_s = IDLE, 0.0
         else:
             self.phase = IN_USE
@@ -144,7 +152,7 @@ class BrokerProtocol(HttpProtocol):
             held()
 
     def _start_asgi_task(self, cycle: Any, app: Any) -> None:
-        if not isinstance(cycle, Turn):
+        if not isinstance(cycle, RequestCycle):
             super()._start_asgi_task(cycle, app)
             return
         self._next = cycle
@@ -155,12 +163,12 @@ class BrokerProtocol(HttpProtocol):
         """Answer what was asked, one after the other: most is answered before the next line runs."""
         self._is_reading = True
         while self._next is not None:
-            turn, self._next = self._next, None
-            turn.begin()
+            cycle, self._next = self._next, None
+            cycle.begin()
         self._is_reading = False
 
 
-class Turn:
+class RequestCycle:
     """One request and its answer; has what uvicorn's protocol looks for in a request under way.
 
     It goes as far as it can at once, and on when what it waits for is there, without a task: what needs one
@@ -168,26 +176,26 @@ class Turn:
     """
 
     __slots__ = (
-        "_asked", "_context", "_expects", "_news", "_protocol", "_work", "body", "disconnected",
+        "_context", "_expects", "_news", "_protocol", "_request", "_work", "body", "disconnected",
         "keep_alive", "more_body", "response_complete",
     )  # fmt: skip
 
-    def __init__(self, protocol: BrokerProtocol, asked: Request) -> None:
+    def __init__(self, protocol: BrokerProtocol, request: Request) -> None:
         self.disconnected = False
         self.response_complete = False
         self.body = b""
         self.more_body = True
-        headers, parser = asked.headers, protocol.parser
+        headers, parser = request.headers, protocol.parser
         # Only who says "connection" can have a connection kept by HTTP/1.0, in which we keep none.
         is_plain = b"connection" not in headers or parser.get_http_version() != "1.0"
         self.keep_alive: bool = is_plain and parser.should_keep_alive()
         self._protocol = protocol
-        self._asked = asked
+        self._request = request
         self._expects = b"expect" in headers and headers[b"expect"].lower() == b"100-continue"
         self._news: asyncio.Future[None] | None = None
 
     @property
-    def message_event(self) -> "Turn":
+    def message_event(self) -> "RequestCycle":
         """Return what is set when more has come; not kept, or no request would go before it is looked for."""
         return self
 
@@ -206,13 +214,13 @@ class Turn:
     def begin(self) -> None:
         """Begin to answer."""
         is_whole = not (self.more_body or self._expects)
-        asked, policy = self._asked, self._protocol.policy
-        if not policy.is_known(asked.headers) and (
-            refusal := policy.refusal(asked.method, asked.path, asked.headers)
+        request, policy = self._request, self._protocol.policy
+        if not policy.is_known(request.headers) and (
+            refusal := policy.refusal(request.method, request.path, request.headers)
         ):
-            self._end(problem_answer(refusal))
+            self._end(problem_response(refusal))
             return
-        self._work = self._protocol.door(asked, self.body if is_whole else self._receive)
+        self._work = self._protocol.handler(request, self.body if is_whole else self._receive)
         self._context = copy_context()
         self._context.run(self._go_on)
 
@@ -224,7 +232,7 @@ class Turn:
         except asyncio.CancelledError:  # the broker stops
             self._protocol.transport.close()
         except Exception:
-            log.exception("a request was not answered", path=self._asked.path)
+            log.exception("a request was not answered", path=self._request.path)
             self._protocol.transport.close()
         else:
             if awaited is None:
@@ -247,7 +255,7 @@ class Turn:
         piece, self.body = self.body, b""
         return {"type": "http.request", "body": piece, "more_body": self.more_body}
 
-    def _end(self, answer: Answer | None) -> None:
+    def _end(self, answer: Response | None) -> None:
         if answer is None:
             return
         if self._protocol.flow.write_paused:
@@ -255,7 +263,7 @@ class Turn:
         else:
             self._send(answer)
 
-    def _send(self, answer: Answer) -> None:
+    def _send(self, answer: Response) -> None:
         protocol = self._protocol
         if protocol.transport.is_closing():
             return
@@ -267,7 +275,7 @@ class Turn:
         if answer.status != 204:
             head.append(b"content-length: %d\r\n" % len(body))
         head.append(b"\r\n" if self.keep_alive else b"connection: close\r\n\r\n")
-        if self._asked.method == "HEAD":
+        if self._request.method == "HEAD":
             body = b""
         if len(body) <= _ONE_PIECE:
             head.append(body)

@@ -50,7 +50,7 @@ def _answered() -> CounterMetricFamily:
 
 def _took() -> HistogramMetricFamily:
     return HistogramMetricFamily(
-        "handover_broker_request_seconds",
+        "handover_broker_request_duration_seconds",
         "From a request to its answer, commit included",
         labels=["operation"],
     )

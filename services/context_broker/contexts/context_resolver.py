@@ -18,16 +18,16 @@ from datamodels.contexts import ContextNotAvailable, TermMap, is_core, resolve
 from handover.errors import Problem
 from handover.telemetry import get_logger
 from services.context_broker.contexts.context_store import (
-    ContextShelf,
+    ContextStore,
     Documents,
-    KeptContext,
+    StoredContext,
     cached,
     hosted,
     implicit,
     restored,
     shown_to,
 )
-from services.context_broker.contexts.fetching import LARGEST_CONTEXT, Fetcher, unavailable
+from services.context_broker.contexts.fetching import MAX_CONTEXT_BYTES, Fetcher, unavailable
 from services.context_broker.contexts.own_address import OwnAddress
 from services.context_broker.contexts.usage import Usage
 from services.context_broker.model.context import Context
@@ -41,9 +41,9 @@ log = get_logger(__name__)
 CORE: Final = "https://uri.etsi.org/ngsi-ld/v1/ngsi-ld-core-context-v1.8.jsonld"
 LARGEST_REMEMBERED: Final = 32 * 1024
 """Bytes of a context given in a body that is kept parsed."""
-MOST_CONTEXTS: Final = 1000
+MAX_CONTEXTS: Final = 1000
 """Contexts kept parsed; the least recently made are forgotten first."""
-MOST_FETCHED: Final = 5000
+MAX_FETCHED: Final = 5000
 """Contexts that were fetched and are kept; beyond it the one not used for longest makes room."""
 PUT_OFF_S: Final = 600.0
 """When a context whose time is over is asked for again if it could not be fetched anew."""
@@ -56,10 +56,10 @@ Keep = Callable[[Documents], Awaitable[None]]
 class _ResolvedContext(Context):
     """A context with the stored contexts that it was made of."""
 
-    uses: tuple[KeptContext, ...] = ()
+    uses: tuple[StoredContext, ...] = ()
 
 
-class ContextBook:
+class ContextResolver:
     """All contexts the broker has met.
 
     `keep` writes those that must survive, `keep_later` how they were used, in passing.
@@ -80,9 +80,9 @@ class ContextBook:
         self._keep = keep
         self._fetcher = fetcher
         self._own = own
-        self._shelf = ContextShelf()
+        self._shelf = ContextStore()
         self.usage = Usage(self._shelf, keep_later, self._refresh)
-        self._shipped: dict[str, KeptContext] = {}
+        self._shipped: dict[str, StoredContext] = {}
         self._ready: dict[str | bytes, _ResolvedContext] = {}
         self._made = 0
         self._needed: set[str] = set()
@@ -159,7 +159,7 @@ class ContextBook:
         ready = self._ready.get(key)
         if ready is not None:
             return ready
-        met: list[KeptContext] = []
+        met: list[StoredContext] = []
         try:
             terms = TermMap(given, lambda url: self._met(url, met, of_before=True))
             self._needed.update(one.id for one in met)
@@ -184,7 +184,7 @@ class ContextBook:
     async def _make(self, key: str | bytes, given: Any) -> _ResolvedContext:
         """Return a context once everything it refers to is there."""
         while True:
-            met: list[KeptContext] = []
+            met: list[StoredContext] = []
             try:
                 terms = TermMap(given, partial(self._met, met=met))
             except ContextNotAvailable as missing:
@@ -195,9 +195,9 @@ class ContextBook:
                 return self._remembered(key, given, terms, met)
 
     def _remembered(
-        self, key: str | bytes, given: Any, terms: Terms, met: list[KeptContext]
+        self, key: str | bytes, given: Any, terms: Terms, met: list[StoredContext]
     ) -> _ResolvedContext:
-        if len(self._ready) >= MOST_CONTEXTS:
+        if len(self._ready) >= MAX_CONTEXTS:
             del self._ready[next(iter(self._ready))]
         self._made += 1
         document = CORE if given is None else given
@@ -209,7 +209,9 @@ class ContextBook:
             self._ready[key] = context
         return context
 
-    def _met(self, url: str, met: list[KeptContext], *, of_before: bool = False) -> Mapping[str, Any] | None:
+    def _met(
+        self, url: str, met: list[StoredContext], *, of_before: bool = False
+    ) -> Mapping[str, Any] | None:
         """Return the document of a URL if it is there, and note in `met` what it belongs to."""
         one = self._at(url, of_before=of_before)
         if one is None:
@@ -217,13 +219,13 @@ class ContextBook:
         met.append(one)
         return one.document
 
-    def _at(self, url: str, *, of_before: bool = False) -> KeptContext | None:
+    def _at(self, url: str, *, of_before: bool = False) -> StoredContext | None:
         one = self._shelf.at(url)
         if one is not None and (of_before or not one.gone):
             return one
         return self._of_package(url)
 
-    def _of_package(self, url: str) -> KeptContext | None:
+    def _of_package(self, url: str) -> StoredContext | None:
         """Return a context that is shipped with the broker; it is there without being kept."""
         one = self._shipped.get(url)
         if one is None and (document := resolve(url)) is not None:
@@ -235,21 +237,21 @@ class ContextBook:
         if self._at(url) is not None:  # others waited for the same
             return
         others = [one for one in self._shelf if one.url is not None]
-        if len(others) >= MOST_FETCHED:
+        if len(others) >= MAX_FETCHED:
             oldest = min(others, key=lambda one: one.used_s or moment(one.created_at) or 0.0)
             await self._keep(_erasing([oldest]))
             self._unready(oldest)
             self._shelf.remove(oldest)
         await self._keep_one(cached(url, fetched.document, time.time() + fetched.kept_s))
 
-    def _refresh(self, one: KeptContext) -> None:
+    def _refresh(self, one: StoredContext) -> None:
         """Fetch a context anew whose time is over, beside the requests that use what there is."""
         one.expires_s = time.time() + PUT_OFF_S
         task = asyncio.get_running_loop().create_task(self._refreshed(one))
         self._refreshing.add(task)
         task.add_done_callback(self._refreshing.discard)
 
-    async def _refreshed(self, one: KeptContext) -> None:
+    async def _refreshed(self, one: StoredContext) -> None:
         url = one.url or ""
         try:
             fresh = await self._fetched(url)
@@ -265,7 +267,7 @@ class ContextBook:
         except Exception:
             log.exception("a context was not fetched anew", url=url)
 
-    async def _fetched(self, url: str) -> KeptContext:
+    async def _fetched(self, url: str) -> StoredContext:
         """Return what is published at `url` now; raise a problem (504) if it is no context."""
         try:
             fetched = await self._fetcher.fetch(url, again=True)
@@ -276,17 +278,17 @@ class ContextBook:
             raise unavailable(url, problem.detail) if problem.status == 400 else problem from None
         return cached(url, fetched.document, time.time() + fetched.kept_s)
 
-    async def _replace(self, one: KeptContext, fresh: KeptContext) -> None:
+    async def _replace(self, one: StoredContext, fresh: StoredContext) -> None:
         fresh.hits, fresh.used_s = one.hits, one.used_s
         await self._keep_one(fresh)
         self._unready(one)
         await self.on_renewal(one.id)
 
-    async def _keep_one(self, one: KeptContext) -> None:
+    async def _keep_one(self, one: StoredContext) -> None:
         await self._keep({(Kind.CONTEXT, one.tenant, one.key): one.stored()})
         self._shelf.put(one)
 
-    def _unready(self, one: KeptContext) -> None:
+    def _unready(self, one: StoredContext) -> None:
         """Forget what was made of a context that is another now."""
         ours = {one.id}
         self._ready = {
@@ -297,7 +299,7 @@ class ContextBook:
 
     # What clients do with them (clause 5.13)
 
-    def all(self, tenant: str) -> list[KeptContext]:
+    def all(self, tenant: str) -> list[StoredContext]:
         """Return the contexts that a tenant may see, and the core context."""
         kept = shown_to(tenant, self._shelf)
         urls = {one.url for one in kept}
@@ -305,7 +307,7 @@ class ContextBook:
         used = [one for one in self._shipped.values() if one is core or one.hits]
         return [*(one for one in used if one.url not in urls), *kept]
 
-    def named(self, name: str, tenant: str) -> KeptContext | None:
+    def named(self, name: str, tenant: str) -> StoredContext | None:
         """Return the context that a tenant names by its local identifier or its URL, None if it sees none."""
         one = self._shelf.named(name)
         if one is not None and shown_to(tenant, [one]):
@@ -313,12 +315,12 @@ class ContextBook:
         shipped = next((each for each in self._shipped.values() if each.id == name), None)
         return shipped or self._of_package(name)
 
-    def served(self, own_id: str) -> KeptContext | None:
+    def served(self, own_id: str) -> StoredContext | None:
         """Return the context of a local identifier, whoever it belongs to."""
         one = self._shelf.named(own_id)
         return None if one is None or one.gone else one
 
-    async def add(self, tenant: str, given: Any) -> KeptContext:
+    async def add(self, tenant: str, given: Any) -> StoredContext:
         """Keep a context that a client gave; raise a problem: 400 if it is none, 413 if it is too large."""
         one = hosted(tenant, {"@context": given})
         try:
@@ -326,12 +328,12 @@ class ContextBook:
         except ValueError as error:
             raise bad_request_data(f"the @context cannot be used: {error}") from None
         stored = one.stored()
-        if len(stored) > LARGEST_CONTEXT:
-            raise too_large(f"the @context has {len(stored)} bytes; {LARGEST_CONTEXT} are kept")
+        if len(stored) > MAX_CONTEXT_BYTES:
+            raise too_large(f"the @context has {len(stored)} bytes; {MAX_CONTEXT_BYTES} are kept")
         await self._keep_one(one)
         return one
 
-    async def delete(self, one: KeptContext) -> None:
+    async def delete(self, one: StoredContext) -> None:
         """Let go of a context. Subscriptions that were made with it go on with it."""
         one.gone = True
         try:
@@ -346,16 +348,16 @@ class ContextBook:
             raise
         self._unready(one)
 
-    async def reload(self, one: KeptContext) -> None:
+    async def reload(self, one: StoredContext) -> None:
         """Fetch a cached context anew; what there is stays if that fails (problem 504, clause 5.13.5.4)."""
         await self._replace(one, await self._fetched(one.url or ""))
 
-    def is_shipped(self, one: KeptContext) -> bool:
+    def is_shipped(self, one: StoredContext) -> bool:
         """Say whether a context comes with the broker, and is not kept in another version."""
         return self._shipped.get(one.url or "") is one
 
     @staticmethod
-    def is_core(one: KeptContext) -> bool:
+    def is_core(one: StoredContext) -> bool:
         """Say whether a context is the core context, of whichever version."""
         return one.url is not None and is_core(one.url)
 
@@ -364,7 +366,7 @@ async def _nobody(_: str) -> None:
     """Nobody has anything to do with a context that is another now."""
 
 
-def _erasing(gone: list[KeptContext]) -> dict[DocumentKey, bytes | None]:
+def _erasing(gone: list[StoredContext]) -> dict[DocumentKey, bytes | None]:
     kinds = (Kind.CONTEXT, Kind.CONTEXT_USAGE)
     return {(kind, one.tenant, one.key): None for one in gone for kind in kinds}
 

@@ -34,7 +34,7 @@ class ContextKind(StrEnum):
 
 
 @dataclass(slots=True, eq=False)
-class KeptContext:
+class StoredContext:
     """An @context that is kept. `url` is where a cached one was fetched; hosted ones belong to a tenant.
 
     `gone` is one that was deleted while a subscription may still need it: nobody sees it any more, and it is
@@ -92,25 +92,25 @@ class KeptContext:
 
 def cached(
     url: str, document: Mapping[str, Any], expires_s: float = math.inf, created_at: str | None = None
-) -> KeptContext:
+) -> StoredContext:
     """Return a context that was fetched from `url`."""
     own_id = str(uuid5(NAMESPACE_URL, url))
     created_at = created_at or timestamp_now()
-    return KeptContext(ContextKind.CACHED, "", own_id, url, document, created_at, expires_s)
+    return StoredContext(ContextKind.CACHED, "", own_id, url, document, created_at, expires_s)
 
 
-def hosted(tenant: str, document: Mapping[str, Any]) -> KeptContext:
+def hosted(tenant: str, document: Mapping[str, Any]) -> StoredContext:
     """Return a context that a client gave. Its id cannot be guessed: who knows its URL may read it."""
-    return KeptContext(ContextKind.HOSTED, tenant, str(uuid4()), None, document, timestamp_now())
+    return StoredContext(ContextKind.HOSTED, tenant, str(uuid4()), None, document, timestamp_now())
 
 
-def implicit(tenant: str, document: Mapping[str, Any]) -> KeptContext:
+def implicit(tenant: str, document: Mapping[str, Any]) -> StoredContext:
     """Return the context of a subscription that gave it in its body; equal ones have the same id."""
     own_id = str(uuid5(NAMESPACE_URL, f"{tenant}\n{orjson.dumps(document).decode()}"))
-    return KeptContext(ContextKind.IMPLICIT, tenant, own_id, None, document, timestamp_now())
+    return StoredContext(ContextKind.IMPLICIT, tenant, own_id, None, document, timestamp_now())
 
 
-def restored(tenant: str, key: str, stored: bytes) -> KeptContext:
+def restored(tenant: str, key: str, stored: bytes) -> StoredContext:
     """Return the context that `stored` had been."""
     said = orjson.loads(stored)
     if isinstance(said, dict):  # the first release kept the document and nothing else
@@ -119,35 +119,35 @@ def restored(tenant: str, key: str, stored: bytes) -> KeptContext:
     if kind == ContextKind.CACHED:
         one = cached(key, document, math.inf if expires_s is None else expires_s, created_at)
     else:
-        one = KeptContext(ContextKind(kind), tenant, key, None, document, created_at)
+        one = StoredContext(ContextKind(kind), tenant, key, None, document, created_at)
     one.gone = gone
     return one
 
 
-class ContextShelf:
+class ContextStore:
     """All kept contexts, found by URL or by local identifier."""
 
     def __init__(self) -> None:
-        self._by_id: dict[str, KeptContext] = {}
-        self._by_url: dict[str, KeptContext] = {}
+        self._by_id: dict[str, StoredContext] = {}
+        self._by_url: dict[str, StoredContext] = {}
 
-    def __iter__(self) -> Iterator[KeptContext]:
+    def __iter__(self) -> Iterator[StoredContext]:
         """Yield all of them, those that are gone too."""
         return iter(list(self._by_id.values()))
 
-    def put(self, one: KeptContext) -> None:
+    def put(self, one: StoredContext) -> None:
         """Keep a context, in place of the one with its identifier."""
         self._by_id[one.id] = one
         if one.url is not None:
             self._by_url[one.url] = one
 
-    def remove(self, one: KeptContext) -> None:
+    def remove(self, one: StoredContext) -> None:
         """Keep a context no longer."""
         self._by_id.pop(one.id, None)
         if one.url is not None:
             self._by_url.pop(one.url, None)
 
-    def at(self, url: str) -> KeptContext | None:
+    def at(self, url: str) -> StoredContext | None:
         """Return the context of a URL: where it was fetched, or an address of our own under any name.
 
         The broker has many names (a port mapped, a proxy before it); an identifier belongs to one broker.
@@ -157,12 +157,12 @@ class ContextShelf:
             one = self._by_id.get(unquote(found[1]))
         return one
 
-    def named(self, name: str) -> KeptContext | None:
+    def named(self, name: str) -> StoredContext | None:
         """Return the context that a client names by its local identifier or its URL."""
         return self._by_id.get(name) or self.at(name)
 
 
-def shown_to(tenant: str, contexts: Iterable[KeptContext]) -> list[KeptContext]:
+def shown_to(tenant: str, contexts: Iterable[StoredContext]) -> list[StoredContext]:
     """Return the contexts that a tenant may see: what was fetched belongs to all (clause 5.5.10)."""
     return [
         one for one in contexts if not one.gone and (one.kind is ContextKind.CACHED or one.tenant == tenant)

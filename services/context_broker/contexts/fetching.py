@@ -22,18 +22,18 @@ from services.context_broker.model.validation import shown
 from services.context_broker.network.http_client import BodyReadingHttpClient, SendError
 from services.context_broker.network.outbound_policy import OutboundPolicy
 
-LARGEST_CONTEXT: Final = 1024 * 1024
+MAX_CONTEXT_BYTES: Final = 1024 * 1024
 """Bytes of an @context, inflated: the largest published ones have half of it."""
 MAX_REDIRECTS: Final = 5
 LEAST_PAUSE_S: Final = 1.0
 """How long a URL that failed at once is left alone."""
-MOST_FAILURES: Final = 1000
+MAX_FAILURES: Final = 1000
 """URLs whose failure is remembered; more are asked again at once."""
-SHORTEST_KEPT_S: Final = 60.0
+MIN_KEPT_S: Final = 60.0
 """How long a context is kept at least, whatever its server says: nobody is asked at every request."""
 USUALLY_KEPT_S: Final = 86_400.0
 """How long a context is kept whose server says nothing."""
-LONGEST_KEPT_S: Final = 30 * 86_400.0
+MAX_KEPT_S: Final = 30 * 86_400.0
 _MAX_AGE: Final = re.compile(r"(?:^|[\s,])max-age=\"?([0-9]{1,10})")
 _HEADERS: Final = (
     ("Accept", "application/ld+json, application/json;q=0.9"),
@@ -57,7 +57,7 @@ class Fetcher:
 
     def __init__(self, timeout_s: float, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
         self._timeout_s = timeout_s
-        self._asker = BodyReadingHttpClient(policy, ca_file, LARGEST_CONTEXT)
+        self._asker = BodyReadingHttpClient(policy, ca_file, MAX_CONTEXT_BYTES)
         self._on_their_way: dict[str, asyncio.Task[Fetched]] = {}
         self._failed: dict[str, tuple[float, Problem]] = {}
 
@@ -95,7 +95,7 @@ class Fetcher:
             document = _context_in(text, url)
         except Problem as problem:
             took_s = time.monotonic() - began_s
-            if len(self._failed) >= MOST_FAILURES:
+            if len(self._failed) >= MAX_FAILURES:
                 del self._failed[next(iter(self._failed))]
             self._failed[url] = time.monotonic() + max(LEAST_PAUSE_S, 2 * took_s), problem
             raise
@@ -168,7 +168,7 @@ def kept_for_s(headers: Mapping[str, str]) -> float:
             wanted = parsedate_to_datetime(expires).timestamp() - time.time()
         except (ValueError, OverflowError):
             wanted = 0.0  # as RFC 9111 has it: a time that is none is past
-    return min(max(USUALLY_KEPT_S if wanted is None else wanted, SHORTEST_KEPT_S), LONGEST_KEPT_S)
+    return min(max(USUALLY_KEPT_S if wanted is None else wanted, MIN_KEPT_S), MAX_KEPT_S)
 
 
 def _context_in(text: bytes, url: str) -> Mapping[str, Any]:

@@ -10,7 +10,7 @@ from typing import Final
 
 import orjson
 
-from services.context_broker.contexts.context_store import ContextShelf, Documents, KeptContext
+from services.context_broker.contexts.context_store import ContextStore, Documents, StoredContext
 from services.context_broker.storage.entries import Kind
 
 KEPT_S: Final = 5.0
@@ -22,9 +22,9 @@ class Usage:
 
     def __init__(
         self,
-        shelf: ContextShelf,
+        shelf: ContextStore,
         keep_later: Callable[[Documents], None],
-        outdated: Callable[[KeptContext], None],
+        outdated: Callable[[StoredContext], None],
     ) -> None:
         self._shelf = shelf
         self._keep_later = keep_later
@@ -38,7 +38,7 @@ class Usage:
             one.hits, one.used_s = orjson.loads(stored)
             one.hits_kept = one.hits
 
-    def note(self, used: Sequence[KeptContext]) -> None:
+    def note(self, used: Sequence[StoredContext]) -> None:
         """Count contexts that are used now."""
         now_s = time.time()
         for one in used:
@@ -49,7 +49,7 @@ class Usage:
         if self._due is None:
             self._write_soon()
 
-    def seen(self, one: KeptContext) -> None:
+    def seen(self, one: StoredContext) -> None:
         """Count that a client looked at a cached context: it was found there (clause 5.13.3.5)."""
         one.hits += 1
         if self._due is None:

@@ -7,11 +7,11 @@ from typing import Final, Protocol
 from prometheus_client import Counter
 
 from handover.telemetry import get_logger
-from services.context_broker.delivery.endpoint_queue import Line
+from services.context_broker.delivery.endpoint_queue import EndpointQueue
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.model.validation import timestamp_now
 from services.context_broker.network.http_client import SendError
-from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.entries import PendingNotification
 from services.context_broker.storage.journal import Journal
 
 log = get_logger(__name__)
@@ -19,11 +19,14 @@ log = get_logger(__name__)
 _TRY_AGAIN: Final = frozenset({408, 425, 429})
 """Refusals that are about the moment, not about the notification."""
 
-SENT: Final = Counter("handover_broker_notifications_sent_total", "Notifications delivered")
-FAILED: Final = Counter("handover_broker_notifications_failed_total", "Attempts to notify that failed")
+NOTIFICATIONS: Final = Counter(
+    "handover_broker_notifications_total", "Attempts to send a notification, by their outcome", ["outcome"]
+)
+_DELIVERED: Final = NOTIFICATIONS.labels("delivered")
+_FAILED: Final = NOTIFICATIONS.labels("failed")
 
 
-class Office(Protocol):
+class DeliveryContext(Protocol):
     """Where couriers get from what they need: the notifier of a tenant."""
 
     tenant: str
@@ -36,7 +39,7 @@ class Office(Protocol):
     def keep_s(self) -> float:
         """How long a notification is tried again."""
 
-    def line(self, subscription: Subscription) -> Line:
+    def endpoint_queue(self, subscription: Subscription) -> EndpointQueue:
         """Return the way to the endpoint of a subscription."""
 
     async def post(self, subscription: Subscription, body: bytes, taken: bytes | None) -> int:
@@ -45,10 +48,12 @@ class Office(Protocol):
         `taken` are headers of the request that made the change, as JSON.
         """
 
-    def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
+    def together(self, notices: Mapping[str, PendingNotification]) -> dict[str, PendingNotification]:
         """Return those of the notices (by entity, one at least) that one notification can tell of."""
 
-    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+    def notification_of(
+        self, subscription: Subscription, notices: Mapping[str, PendingNotification]
+    ) -> bytes | None:
         """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
 
     def settle(self, subscription: Subscription, seqs: Iterable[int]) -> None:
@@ -56,7 +61,7 @@ class Office(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Fate:
+class DeliveryResult:
     """What came of an attempt: why it failed (None if it did not), and whether to try again.
 
     `is_there` says that somebody has answered.
@@ -68,15 +73,15 @@ class Fate:
 
 
 async def attempt(
-    office: Office, subscription: Subscription, body: bytes, taken: bytes | None, *, is_first: bool
-) -> Fate:
+    context: DeliveryContext, subscription: Subscription, body: bytes, taken: bytes | None, *, is_first: bool
+) -> DeliveryResult:
     """Send a notification once; `taken` are headers of the request that made the change, as JSON.
 
     The first attempt counts as sent, whatever comes of it (clause 5.8.6); each that fails counts as failed.
     """
     counts, is_there = subscription.counts, True
     try:
-        status = await office.post(subscription, body, taken)
+        status = await context.post(subscription, body, taken)
         why = None if 200 <= status < 300 else f"{subscription.endpoint.shown} answers {status}"
         again = status >= 500 or status in _TRY_AGAIN
     except SendError as error:
@@ -86,11 +91,11 @@ async def attempt(
     counts.last_notification = at
     if why is None:
         counts.last_success = at
-        SENT.inc()
+        _DELIVERED.inc()
     else:
         counts.failed += 1
         counts.last_failure = at
-        FAILED.inc()
-        office.settle(subscription, ())
+        _FAILED.inc()
+        context.settle(subscription, ())
         log.info("notification failed", subscription=subscription.id, why=why)
-    return Fate(why, again, is_there)
+    return DeliveryResult(why, again, is_there)

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Final
 
-from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.entries import PendingNotification
 from services.context_broker.storage.journal import Journal
 
 PAGE_BYTES: Final = 1024 * 1024
@@ -21,9 +21,9 @@ class Page:
     `owed` is how many are owed in all, and their bytes, if that was asked for.
     """
 
-    notices: list[Notice]
+    notices: list[PendingNotification]
     has_more: bool
-    owed: tuple[int, int] | None
+    pending: tuple[int, int] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,20 +42,20 @@ class Backlog:
         """Yield number and size in bytes of all that is owed, oldest first, some at a time."""
         after = 0
         while page := await asyncio.to_thread(
-            self.journal.owed_sizes, self.tenant, self.subscription, after, SIZES_PAGE
+            self.journal.pending_sizes, self.tenant, self.subscription, after, SIZES_PAGE
         ):
             yield page
             after = page[-1][0]
 
     def _page(self, after: int, limit: int, count: bool) -> Page:
         journal, tenant, one = self.journal, self.tenant, self.subscription
-        owed = journal.owed_in_all(tenant, one) if count else None
-        sizes = journal.owed_sizes(tenant, one, after, limit)
+        pending = journal.pending_total(tenant, one) if count else None
+        sizes = journal.pending_sizes(tenant, one, after, limit)
         fitting, room_bytes = 0, PAGE_BYTES
         for _, size in sizes:
             fitting += 1
             room_bytes -= size
             if room_bytes <= 0:
                 break
-        found = journal.owed(tenant, one, after, fitting) if fitting else []
-        return Page(found, len(sizes) == limit or fitting < len(sizes), owed)
+        found = journal.pending(tenant, one, after, fitting) if fitting else []
+        return Page(found, len(sizes) == limit or fitting < len(sizes), pending)

@@ -14,35 +14,41 @@ from typing import Final
 from prometheus_client import Counter
 
 from handover.telemetry import get_logger
-from services.context_broker.delivery.attempt import Office, attempt
+from services.context_broker.delivery.attempt import DeliveryContext, attempt
 from services.context_broker.delivery.backlog import Backlog
-from services.context_broker.delivery.endpoint_queue import FIRST_REST_S, SHED, WINDOW, Line, rest_s
+from services.context_broker.delivery.endpoint_queue import (
+    INITIAL_BACKOFF_S,
+    SHED,
+    WINDOW,
+    EndpointQueue,
+    backoff_s,
+)
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.model.validation import timestamp_now
-from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.entries import PendingNotification
 from services.context_broker.storage.journal import NotStored
 
 log = get_logger(__name__)
 
-RETRIES: Final = Counter("handover_broker_notifications_retries_total", "Attempts after one that failed")
-GIVEN_UP: Final = Counter(
-    "handover_broker_notifications_given_up_total", "Notifications given up", ["reason"]
+RETRIES: Final = Counter("handover_broker_notification_retries_total", "Attempts after one that failed")
+DROPPED: Final = Counter(
+    "handover_broker_notifications_dropped_total", "Notifications that were dropped", ["reason"]
 )
 
 
-class Courier:
+class DeliveryWorker:
     """Delivers the notifications of one subscription."""
 
-    def __init__(self, subscription: Subscription, office: Office) -> None:
+    def __init__(self, subscription: Subscription, context: DeliveryContext) -> None:
         self.subscription = subscription
-        self.owed = 0
-        self.owed_bytes = 0
-        self._office = office
-        self._line = office.line(subscription)
-        self._backlog = Backlog(office.journal, office.tenant, subscription.id)
-        self._line.join(self)
-        self._queue: deque[Notice] = deque()
-        self._throttled: dict[str, Notice] = {}
+        self.pending = 0
+        self.pending_bytes = 0
+        self._context = context
+        self._endpoint_queue = context.endpoint_queue(subscription)
+        self._backlog = Backlog(context.journal, context.tenant, subscription.id)
+        self._endpoint_queue.join(self)
+        self._queue: deque[PendingNotification] = deque()
+        self._throttled: dict[str, PendingNotification] = {}
         self._round: deque[bytes] = deque()
         self._last_sent_s = float("-inf")
         self._failures = 0
@@ -50,7 +56,7 @@ class Courier:
         self._more_on_disk = False
         self._loading = False
         self._last_seq = 0
-        self._sending: Notice | None = None
+        self._sending: PendingNotification | None = None
         self._was_tried = False
         self._is_uncounted = False
         self._something_new = asyncio.Event()
@@ -59,7 +65,7 @@ class Courier:
     @property
     def on_disk(self) -> int:
         """How many notifications wait on disk only."""
-        return max(0, self.owed - len(self._queue) - len(self._throttled))
+        return max(0, self.pending - len(self._queue) - len(self._throttled))
 
     @property
     def held(self) -> int:
@@ -74,18 +80,18 @@ class Courier:
     def start(self) -> None:
         """Look into the outbox for what is owed already."""
         self._more_on_disk = self._is_uncounted = True
-        if not self.owed:
-            self._owe(1, 1)  # something, as it seems; it is counted when it is read
+        if not self.pending:
+            self._count_pending(1, 1)  # something, as it seems; it is counted when it is read
         self._go_on()
 
-    def add(self, notice: Notice) -> None:
+    def add(self, notice: PendingNotification) -> None:
         """Take what is owed; it is in the outbox already."""
-        self._owe(1, notice.size)
+        self._count_pending(1, notice.size)
         if notice.seq <= self._last_seq:
             return  # it was loaded from there before we were told
-        if self._loading or self._more_on_disk or self._line.room <= 0:
+        if self._loading or self._more_on_disk or self._endpoint_queue.room <= 0:
             self._more_on_disk = True
-            if not self._line.is_shedding and self._line.has_too_much:
+            if not self._endpoint_queue.is_shedding and self._endpoint_queue.has_too_much:
                 self._shed_later()
         else:
             self._take(notice)
@@ -104,42 +110,42 @@ class Courier:
             self._task.cancel()
             self._task = None
         for notice in self._queue:
-            self._line.release(notice.size)
+            self._endpoint_queue.release(notice.size)
         self._queue.clear()
         self._throttled.clear()
         self._round.clear()
         self._more_on_disk = False
         self._last_seq = 0
-        self._owe(-self.owed, -self.owed_bytes)
-        self._line.leave(self)
+        self._count_pending(-self.pending, -self.pending_bytes)
+        self._endpoint_queue.leave(self)
 
     def end(self) -> None:
         """End for good: the subscription is no more."""
         self.stop()
-        self._line.part(self)
+        self._endpoint_queue.part(self)
 
     def change(self, subscription: Subscription) -> None:
         """Go on with a changed subscription, at once even if a retry was due later."""
         self.subscription = subscription
-        line = self._office.line(subscription)
-        if line is not self._line:
+        endpoint_queue = self._context.endpoint_queue(subscription)
+        if endpoint_queue is not self._endpoint_queue:
             for notice in self._queue:
-                self._line.release(notice.size)
-                line.take(notice.size)
-            self._line.part(self)
-            self._line = line
-            line.join(self)
-        self._line.leave(self)
+                self._endpoint_queue.release(notice.size)
+                endpoint_queue.take(notice.size)
+            self._endpoint_queue.part(self)
+            self._endpoint_queue = endpoint_queue
+            endpoint_queue.join(self)
+        self._endpoint_queue.leave(self)
         self._failures, self._rests_until_s = 0, 0.0
         self.wake()
-        if self.owed:
+        if self.pending:
             self._go_on()
 
     def wake(self) -> None:
         """Look again whether there is something to do now."""
         self._something_new.set()
 
-    def _take(self, notice: Notice) -> None:
+    def _take(self, notice: PendingNotification) -> None:
         self._last_seq = notice.seq
         if notice.waits_for_throttling:
             earlier = self._throttled.pop(notice.entity, None)  # what is told comes in the order of the last
@@ -148,20 +154,20 @@ class Courier:
                 self._strike([earlier])
         else:
             self._queue.append(notice)
-            self._line.take(notice.size)
+            self._endpoint_queue.take(notice.size)
 
-    def _owe(self, many: int, size: int) -> None:
-        self.owed += many
-        self.owed_bytes += size
-        self._line.owed_bytes += size
+    def _count_pending(self, many: int, size: int) -> None:
+        self.pending += many
+        self.pending_bytes += size
+        self._endpoint_queue.pending_bytes += size
 
-    def _strike(self, notices: Iterable[Notice]) -> None:
+    def _strike(self, notices: Iterable[PendingNotification]) -> None:
         """Note that notices are owed no longer."""
         seqs = []
         for notice in notices:
             seqs.append(notice.seq)
-            self._owe(-1, -notice.size)
-        self._office.settle(self.subscription, seqs)
+            self._count_pending(-1, -notice.size)
+        self._context.settle(self.subscription, seqs)
 
     def _go_on(self) -> None:
         if self._task is None or self._task.done():
@@ -184,9 +190,9 @@ class Courier:
                     await self._forget()
                 else:
                     await self._work_on()
-            self._owe(-self.owed, -self.owed_bytes)
+            self._count_pending(-self.pending, -self.pending_bytes)
         finally:
-            self._line.leave(self)
+            self._endpoint_queue.leave(self)
 
     async def _work_on(self) -> None:
         """Do the next thing."""
@@ -199,9 +205,9 @@ class Courier:
         elif (left_s := self._last_sent_s + self.subscription.throttling_s - time.monotonic()) > 0:
             await self._pause(left_s)
         else:
-            await self._tell_throttled()
+            await self._send_throttled()
 
-    async def _deliver(self, notice: Notice) -> None:
+    async def _deliver(self, notice: PendingNotification) -> None:
         """Try to send the notice at the head of the queue; it leaves the queue once it is done with."""
         assert notice.body is not None  # noqa: S101 - those without one wait apart
         self._sending = notice
@@ -211,7 +217,7 @@ class Courier:
             self._sending = None
         if is_done and self._queue and self._queue[0] is notice:
             self._queue.popleft()
-            self._line.release(notice.size)
+            self._endpoint_queue.release(notice.size)
             self._strike([notice])
 
     async def _go_round(self, body: bytes) -> None:
@@ -219,12 +225,12 @@ class Courier:
         if await self._send(body, None, time.time()):
             if self._round and self._round[0] is body:
                 self._round.popleft()
-            self._office.settle(self.subscription, ())
+            self._context.settle(self.subscription, ())
 
-    async def _tell_throttled(self) -> None:
+    async def _send_throttled(self) -> None:
         """Tell in one notification how all that changed while throttled is now."""
-        some = self._office.together(self._throttled)
-        body = self._office.notification_of(self.subscription, some)
+        some = self._context.together(self._throttled)
+        body = self._context.notification_of(self.subscription, some)
         taken = next(reversed(some.values())).headers
         if body is None or await self._send(body, taken, time.time()):
             told = [notice for one, notice in some.items() if self._throttled.get(one) is notice]
@@ -234,44 +240,44 @@ class Courier:
 
     async def _send(self, body: bytes, taken: bytes | None, at: float) -> bool:
         """Send when it is time, once; return whether it is done with: delivered, refused or too old."""
-        before, line = self.subscription, self._line
-        is_too_old = time.time() - at > self._office.keep_s
-        if line.failures or self._failures:
+        before, endpoint_queue = self.subscription, self._endpoint_queue
+        is_too_old = time.time() - at > self._context.keep_s
+        if endpoint_queue.failures or self._failures:
             if is_too_old:
                 self.subscription.counts.failed += not self._was_tried
                 self._was_tried = False
                 self._give_up("too old", "it could not be delivered in time")
                 return True
             rest_left_s = self._rests_until_s - time.monotonic()
-            wait_s = rest_left_s if rest_left_s > 0 else line.wait_s(self)
+            wait_s = rest_left_s if rest_left_s > 0 else endpoint_queue.wait_s(self)
             if wait_s != 0:
                 await self._pause(wait_s)
                 return False
             RETRIES.inc()
         is_first, self._was_tried = not self._was_tried, True
         started_s = time.monotonic()
-        fate = await attempt(self._office, before, body, taken, is_first=is_first)
-        self._was_tried = fate.why is not None and fate.again
-        if fate.why is None:
+        result = await attempt(self._context, before, body, taken, is_first=is_first)
+        self._was_tried = result.why is not None and result.again
+        if result.why is None:
             self._last_sent_s = time.monotonic()
             self._failures = 0
-            line.succeeded()
+            endpoint_queue.succeeded()
             return True
-        if not fate.again:
-            line.succeeded()  # it was answered, if badly
-            self._give_up("refused", fate.why)
+        if not result.again:
+            endpoint_queue.succeeded()  # it was answered, if badly
+            self._give_up("refused", result.why)
             return True
         cooldown_s = before.endpoint.cooldown_s
         if self.subscription is before:
             self._failures += 1
             # Where somebody answers, it may be this notification alone that is not taken: others go first.
-            own_s = rest_s(self._failures) if fate.is_there and self._failures > 1 else 0.0
+            own_s = backoff_s(self._failures) if result.is_there and self._failures > 1 else 0.0
             self._rests_until_s = time.monotonic() + max(own_s, cooldown_s)
-        line.failed(self, started_s, cooldown_s)
+        endpoint_queue.failed(self, started_s, cooldown_s)
         return False
 
     def _give_up(self, reason: str, why: str, many: int = 1) -> None:
-        GIVEN_UP.labels(reason).inc(many)
+        DROPPED.labels(reason).inc(many)
         log.warning("notifications given up", subscription=self.subscription.id, why=why, many=many)
 
     async def _pause(self, seconds: float | None) -> None:
@@ -287,8 +293,8 @@ class Courier:
 
     async def _load(self) -> None:
         self._loading, self._more_on_disk = True, False
-        sharing = sum(1 for one in self._line.couriers if one.owed_bytes)
-        limit = max(1, min(WINDOW // max(1, sharing), self._line.room))
+        sharing = sum(1 for one in self._endpoint_queue.workers if one.pending_bytes)
+        limit = max(1, min(WINDOW // max(1, sharing), self._endpoint_queue.room))
         try:
             page = await self._backlog.page(self._last_seq, limit, count=self._is_uncounted)
         except NotStored as error:
@@ -297,8 +303,8 @@ class Courier:
             return
         finally:
             self._loading = False
-        if page.owed is not None:
-            self._owe(page.owed[0] - self.owed, page.owed[1] - self.owed_bytes)
+        if page.pending is not None:
+            self._count_pending(page.pending[0] - self.pending, page.pending[1] - self.pending_bytes)
             self._is_uncounted = False
         for notice in page.notices:
             self._take(notice)
@@ -306,31 +312,33 @@ class Courier:
 
     async def _cannot_read(self, error: NotStored) -> None:
         log.warning("what is owed cannot be read", subscription=self.subscription.id, error=str(error))
-        await self._pause(FIRST_REST_S)
+        await self._pause(INITIAL_BACKOFF_S)
 
     def _shed_later(self) -> None:
         """See that some of what waits for the endpoint is given up."""
-        self._line.is_shedding = True
-        task = asyncio.get_running_loop().create_task(self._shed(self._line))
+        self._endpoint_queue.is_shedding = True
+        task = asyncio.get_running_loop().create_task(self._shed(self._endpoint_queue))
         task.add_done_callback(self._on_end)
 
-    async def _shed(self, line: Line) -> None:
+    async def _shed(self, endpoint_queue: EndpointQueue) -> None:
         """Give up the oldest of whoever owes most, for as long as more waits for the endpoint than may."""
         try:
-            while line.has_too_much:
-                most = max(line.couriers, key=lambda one: one.owed_bytes)
-                assert isinstance(most, Courier)  # noqa: S101 - only couriers are put there
-                wanted_bytes = line.owed_bytes - int(line.most_owed_bytes * (1 - SHED))
+            while endpoint_queue.has_too_much:
+                most = max(endpoint_queue.workers, key=lambda one: one.pending_bytes)
+                assert isinstance(most, DeliveryWorker)  # noqa: S101 - only couriers are put there
+                wanted_bytes = endpoint_queue.pending_bytes - int(
+                    endpoint_queue.max_pending_bytes * (1 - SHED)
+                )
                 if not await most._give_up_oldest(
                     wanted_bytes, "too many", "more waits for the endpoint than is kept"
                 ):
                     return
         finally:
-            line.is_shedding = False
+            endpoint_queue.is_shedding = False
 
     async def _forget(self) -> None:
         """Give up everything: the subscription has expired."""
-        self._line.leave(self)
+        self._endpoint_queue.leave(self)
         self._round.clear()
         self._more_on_disk = False
         if await self._give_up_oldest(None, "expired", "the subscription has expired") is None:
@@ -358,7 +366,7 @@ class Courier:
                 self.subscription.counts.failed += given_up
                 self.subscription.counts.last_failure = timestamp_now()
                 self._give_up(reason, why, given_up)
-            self._office.settle(self.subscription, ())
+            self._context.settle(self.subscription, ())
         return given_up
 
     def _drop(self, gone: Mapping[int, int]) -> None:
@@ -367,11 +375,11 @@ class Courier:
         if dropped and dropped[0] is self._queue[0]:
             self._was_tried = False
         for notice in dropped:
-            self._line.release(notice.size)
+            self._endpoint_queue.release(notice.size)
         if dropped:
             self._queue = deque(notice for notice in self._queue if notice.seq not in gone)
         for entity in [one for one, notice in self._throttled.items() if notice.seq in gone]:
             del self._throttled[entity]
         self._last_seq = max(self._last_seq, *gone) if gone else self._last_seq
-        self._owe(-len(gone), -sum(gone.values()))
-        self._office.settle(self.subscription, gone)
+        self._count_pending(-len(gone), -sum(gone.values()))
+        self._context.settle(self.subscription, gone)

@@ -15,7 +15,7 @@ JSON_LD: Final = "application/ld+json"
 GEO_JSON: Final = "application/geo+json"
 FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
 """The value of a header that is to be taken from the request that made the change."""
-MOST_PAIRS: Final = 50
+MAX_PAIRS: Final = 50
 """Headers a subscriber may ask for."""
 
 _OURS: Final = frozenset({"host", "content-length", "content-type", "transfer-encoding", "connection"})
@@ -108,9 +108,9 @@ def _check_http(uri: str) -> None:
 def _pairs(given: Any, what: str) -> Pairs:
     if given is None:
         return ()
-    if not isinstance(given, list) or len(given) > MOST_PAIRS:
+    if not isinstance(given, list) or len(given) > MAX_PAIRS:
         raise bad_request_data(
-            f'{what} is a list of at most {MOST_PAIRS} objects such as {{"key": "X-Cell", "value": "4"}}'
+            f'{what} is a list of at most {MAX_PAIRS} objects such as {{"key": "X-Cell", "value": "4"}}'
         )
     pairs: list[tuple[str, str]] = []
     for pair in given:

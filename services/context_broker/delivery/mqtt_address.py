@@ -8,7 +8,7 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import shown
 
 MQTT_SCHEMES: Final = ("mqtt://", "mqtts://")
-LONGEST_TOPIC: Final = 65_535
+MAX_TOPIC_LENGTH: Final = 65_535
 """Bytes that MQTT leaves room for."""
 _VERSIONS: Final = {"mqtt3.1.1": "3.1.1", "mqtt5.0": "5.0"}
 _QUALITIES: Final = {"0": 0, "1": 1, "2": 2}
@@ -41,7 +41,7 @@ def mqtt_address(uri: str, notifier_info: tuple[tuple[str, str], ...]) -> MqttAd
     except ValueError:
         host, port = None, None
     topic = unquote(parts.path).removeprefix("/") if host else ""
-    if not host or port == 0 or not topic or len(topic.encode()) > LONGEST_TOPIC:
+    if not host or port == 0 or not topic or len(topic.encode()) > MAX_TOPIC_LENGTH:
         raise bad_request_data(
             "notification.endpoint.uri of an MQTT endpoint names a server and a topic, such as "
             f"mqtt://127.0.0.1:1883/cell/tasks, not {shown(uri)}"

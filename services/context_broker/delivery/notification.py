@@ -18,7 +18,7 @@ from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.delivery.triggers import (
     ATTRIBUTE_DELETED,
     SCOPE,
-    Happened,
+    EntityChange,
     lost_instances,
 )
 from services.context_broker.model.context import link_header
@@ -62,7 +62,7 @@ def _conformed(data: bytes, version: Version, view: View) -> bytes:
     return orjson.dumps(conformance.conformed(orjson.loads(data), version, simplified=simplified))
 
 
-def as_it_is(subscription: Subscription, entity: Entity, lookup: Lookup = nobody) -> bytes:
+def entity_data(subscription: Subscription, entity: Entity, lookup: Lookup = nobody) -> bytes:
     """Return what a subscriber is told of an entity as it is: JSON objects with commas between them.
 
     One, or more with the entities it links to, which `lookup` finds.
@@ -72,19 +72,19 @@ def as_it_is(subscription: Subscription, entity: Entity, lookup: Lookup = nobody
     return _written(subscription, _documents(subscription, entity, lookup))
 
 
-def told_of(subscription: Subscription, change: Happened, lookup: Lookup = nobody) -> bytes:
+def change_data(subscription: Subscription, change: EntityChange, lookup: Lookup = nobody) -> bytes:
     """Return what a subscriber is told of a change of one entity, as `as_it_is`."""
     after = change.after
     if after is not None and not subscription.shows_changes:
-        gone = change.lost if subscription.triggers.tells_lost else frozenset()
+        gone = change.lost if subscription.triggers.reports_deletions else frozenset()
         if not gone:
-            return as_it_is(subscription, after, lookup)
+            return entity_data(subscription, after, lookup)
     deleted_at = timestamp(datetime.now(UTC))
     entity = _with_changes(subscription, change, deleted_at)
     documents = _documents(subscription, entity, lookup if after is not None else nobody)
     if after is None:
         documents[0] = (entity, _with_end(documents[0][1], subscription.view, deleted_at))
-    elif SCOPE in change.lost and subscription.triggers.tells_lost:
+    elif SCOPE in change.lost and subscription.triggers.reports_deletions:
         documents[0] = (entity, _without_scope(documents[0][1], subscription.view))
     return _written(subscription, documents)
 
@@ -139,7 +139,7 @@ def _prefers_plain_json(subscription: Subscription) -> bool:
     )
 
 
-def _with_changes(subscription: Subscription, change: Happened, deleted_at: str) -> Entity:
+def _with_changes(subscription: Subscription, change: EntityChange, deleted_at: str) -> Entity:
     """Return the entity with what it has lost, and with what was before if the subscriber wants that."""
     entity, shows, view = change.entity, subscription.shows_changes, subscription.view
     attributes = dict(change.after.attributes) if change.after is not None else {}
@@ -148,7 +148,7 @@ def _with_changes(subscription: Subscription, change: Happened, deleted_at: str)
         if shows:
             for name in change.updated.intersection(old):  # scopes have no place for what they were
                 attributes[name] = _with_previous(attributes[name], old[name])
-        if _tells_what_is_gone(subscription, change):
+        if _reports_deletions(subscription, change):
             watched = subscription.triggers.watched if change.after is None else None
             for name in change.lost.intersection(old):
                 if watched is None or name in watched:
@@ -169,7 +169,7 @@ def _without_scope(document: dict[str, Any], view: View) -> dict[str, Any]:
     return {**document, "scope": NULL}
 
 
-def _tells_what_is_gone(subscription: Subscription, change: Happened) -> bool:
+def _reports_deletions(subscription: Subscription, change: EntityChange) -> bool:
     """Say whether attributes that are gone are told one by one: with the entity, only if it was asked for."""
     if change.after is None and subscription.shows_changes:
         return True

@@ -14,16 +14,19 @@ from typing import Final
 import orjson
 
 from handover.telemetry import get_logger
-from services.context_broker.delivery.notification import as_it_is, notification, told_of
+from services.context_broker.delivery.notification import change_data, entity_data, notification
 from services.context_broker.delivery.outbound import Outbound
-from services.context_broker.delivery.periodic import Rounds
+from services.context_broker.delivery.periodic import PeriodicNotifications
 from services.context_broker.delivery.subscription import Subscription
-from services.context_broker.delivery.subscription_dispatcher import MOST_TOLD_AT_ONCE, CourierOffice
-from services.context_broker.delivery.triggers import Happened, happened
+from services.context_broker.delivery.subscription_dispatcher import (
+    MAX_ITEMS_PER_NOTIFICATION,
+    SubscriptionDispatcher,
+)
+from services.context_broker.delivery.triggers import EntityChange, entity_change
 from services.context_broker.model.entity import Entity, Event
 from services.context_broker.query.type_selection import of_types
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.entries import PendingNotification
 from services.context_broker.storage.store import Store
 
 log = get_logger(__name__)
@@ -34,7 +37,7 @@ CHUNK: Final = 500
 """Entities of a periodic notification that are looked at before others get their turn."""
 
 
-class Notifier(CourierOffice):
+class Notifier(SubscriptionDispatcher):
     """Knows all subscriptions of a tenant, tells what a change owes them, and has it delivered."""
 
     store: Store
@@ -45,11 +48,11 @@ class Notifier(CourierOffice):
         self._by_type: dict[str | None, list[Subscription]] = {}
         self._by_id: dict[str, list[Subscription]] = {}
         self._is_sorted = True
-        self._rounds = Rounds(self._tell_all)
+        self._periodic = PeriodicNotifications(self._notify_all)
 
     def stop(self) -> None:
         """End; what is owed stays in the outbox."""
-        self._rounds.stop()
+        self._periodic.stop()
         super().stop()
 
     def rearrange(self, changed: str | None = None) -> None:
@@ -58,8 +61,8 @@ class Notifier(CourierOffice):
         one = None if changed is None else self.get(changed)
         if one is not None and one.endpoint.taken:
             self.passes_headers_on = True
-        if self._rounds.concern(changed, one):
-            self._rounds.heed(self.all())
+        if self._periodic.is_affected(changed, one):
+            self._periodic.schedule(self.all())
 
     def _sort(self) -> None:
         """Sort the subscriptions by the ids or types they want, so that a change looks at few."""
@@ -86,7 +89,7 @@ class Notifier(CourierOffice):
         self.passes_headers_on = any(one.endpoint.taken for one in subscriptions)
         self._is_sorted = True
 
-    def announce(self, event: Event) -> list[Notice]:
+    def announce(self, event: Event) -> list[PendingNotification]:
         """Return the notifications that a change owes."""
         entity = event.after or event.before
         if not self._is_sorted:
@@ -103,7 +106,7 @@ class Notifier(CourierOffice):
             return []
         if named is not None or len(entity.types) > 1:
             interested = list(dict.fromkeys(interested))
-        change, now_s = happened(event), time.time()
+        change, now_s = entity_change(event), time.time()
         notices = [
             self._notice(one, change, now_s)
             for one in interested
@@ -111,7 +114,9 @@ class Notifier(CourierOffice):
         ]
         return [one for one in notices if one is not None]
 
-    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+    def notification_of(
+        self, subscription: Subscription, notices: Mapping[str, PendingNotification]
+    ) -> bytes | None:
         """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
         told: list[bytes] = []
         for entity_id, notice in notices.items():
@@ -120,47 +125,49 @@ class Notifier(CourierOffice):
                 continue
             entity = self.store.get(entity_id)
             if entity is not None and subscription.admits(entity, self.store.get):
-                told.append(as_it_is(subscription, entity, self.store.get))
+                told.append(entity_data(subscription, entity, self.store.get))
         return notification(subscription, told) if told else None
 
-    def _notice(self, subscription: Subscription, change: Happened, now_s: float) -> Notice | None:
+    def _notice(
+        self, subscription: Subscription, change: EntityChange, now_s: float
+    ) -> PendingNotification | None:
         entity_id, lookup = change.entity.id, self.store.latest
         try:
             body: bytes | None
             if not subscription.throttling_s:
-                body = notification(subscription, [told_of(subscription, change, lookup)])
+                body = notification(subscription, [change_data(subscription, change, lookup)])
             elif change.after is None or subscription.shows_changes or change.lost:
-                body = b"[" + told_of(subscription, change, lookup) + b"]"
+                body = b"[" + change_data(subscription, change, lookup) + b"]"
             else:
                 body = None
             taken = _taken(subscription.endpoint.taken) if subscription.endpoint.taken else None
         except Exception:  # whoever writes must not suffer from what somebody else has subscribed to
             log.exception("a change cannot be told", subscription=subscription.id, entity=entity_id)
             return None
-        return Notice(self.tenant, subscription.id, entity_id, now_s, body, headers=taken)
+        return PendingNotification(self.tenant, subscription.id, entity_id, now_s, body, headers=taken)
 
     # What is told periodically
 
-    async def _tell_all(self, subscription: Subscription) -> None:
+    async def _notify_all(self, subscription: Subscription) -> None:
         """Have a subscriber told how all its entities are now, some at a time; nothing if there are none."""
-        courier = self._couriers.get(subscription.id)
+        worker = self._workers.get(subscription.id)
         told: list[bytes] = []
         bodies: list[bytes] = []
         candidates = iter(self._candidates(subscription))
         while some := list(islice(candidates, CHUNK)):
             told += [
-                as_it_is(subscription, one, self.store.get)
+                entity_data(subscription, one, self.store.get)
                 for one in some
                 if subscription.selects(one, self.store.get)
             ]
-            if len(told) >= MOST_TOLD_AT_ONCE:
+            if len(told) >= MAX_ITEMS_PER_NOTIFICATION:
                 bodies.append(notification(subscription, told))
                 told = []
             await asyncio.sleep(0)
         if told:
             bodies.append(notification(subscription, told))
-        if courier is not None and bodies:
-            courier.offer(bodies)
+        if worker is not None and bodies:
+            worker.offer(bodies)
 
     def _candidates(self, subscription: Subscription) -> Iterable[Entity]:
         """Return the entities among which all are that a subscription is about."""

@@ -5,7 +5,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from weakref import WeakValueDictionary
 
 from services.context_broker.delivery.endpoint import Endpoint
-from services.context_broker.delivery.endpoint_queue import WAITING, Hold, Line, Waiting
+from services.context_broker.delivery.endpoint_queue import WAITING, EndpointQueue, EndpointUser, MemoryBudget
 from services.context_broker.delivery.mqtt_sender import MqttSender
 from services.context_broker.delivery.notification import headers, mqtt_message
 from services.context_broker.delivery.subscription import Subscription
@@ -30,24 +30,28 @@ class Outbound:
     timeout_s: float
     keep_s: float
     keep_bytes: int
-    hold: Hold = field(default_factory=Hold)
-    lines: "WeakValueDictionary[tuple[object, ...], Line]" = field(default_factory=WeakValueDictionary)
+    memory_budget: MemoryBudget = field(default_factory=MemoryBudget)
+    endpoint_queues: "WeakValueDictionary[tuple[object, ...], EndpointQueue]" = field(
+        default_factory=WeakValueDictionary
+    )
 
     def __post_init__(self) -> None:
         WAITING.labels("memory").set_function(lambda: sum(one.held for one in self._waiting()))
         WAITING.labels("disk").set_function(lambda: sum(one.on_disk for one in self._waiting()))
         WAITING.labels("throttled").set_function(lambda: sum(one.throttled for one in self._waiting()))
 
-    def _waiting(self) -> Iterator[Waiting]:
-        for line in list(self.lines.values()):
-            yield from list(line.couriers)
+    def _waiting(self) -> Iterator[EndpointUser]:
+        for endpoint_queue in list(self.endpoint_queues.values()):
+            yield from list(endpoint_queue.workers)
 
-    def line(self, endpoint: Endpoint) -> Line:
+    def endpoint_queue(self, endpoint: Endpoint) -> EndpointQueue:
         """Return the way to an endpoint; it is there for as long as a courier goes it."""
-        line = self.lines.get(endpoint.key)
-        if line is None:
-            line = self.lines[endpoint.key] = Line(self.hold, self.keep_bytes)
-        return line
+        endpoint_queue = self.endpoint_queues.get(endpoint.key)
+        if endpoint_queue is None:
+            endpoint_queue = self.endpoint_queues[endpoint.key] = EndpointQueue(
+                self.memory_budget, self.keep_bytes
+            )
+        return endpoint_queue
 
     async def post(self, subscription: Subscription, tenant: str, body: bytes, taken: bytes | None) -> int:
         """Send a notification; return the status of the answer, or raise `SendError` if there is none.

@@ -10,18 +10,18 @@ from services.context_broker.model.validation import moment
 
 log = get_logger(__name__)
 
-Tell = Callable[[Subscription], Awaitable[None]]
+Notify = Callable[[Subscription], Awaitable[None]]
 """Has a subscriber told how all its entities are now."""
 
 
-class Rounds:
+class PeriodicNotifications:
     """The rounds of one tenant: when which subscription is to be told."""
 
-    def __init__(self, tell: Tell) -> None:
-        self._tell = tell
+    def __init__(self, tell: Notify) -> None:
+        self._notify = tell
         self._tasks: dict[str, tuple[Subscription, asyncio.Task[None]]] = {}
 
-    def heed(self, subscriptions: list[Subscription]) -> None:
+    def schedule(self, subscriptions: list[Subscription]) -> None:
         """Go the rounds of these subscriptions, and of no others, from now on."""
         wanted = {one.id: one for one in subscriptions if one.interval_s is not None}
         for one in [one for one, (known, _) in self._tasks.items() if wanted.get(one) is not known]:
@@ -32,13 +32,13 @@ class Rounds:
             if one not in self._tasks and loop is not None:
                 self._tasks[one] = (subscription, loop.create_task(self._go(subscription)))
 
-    def concern(self, changed: str | None, now: Subscription | None) -> bool:
+    def is_affected(self, changed: str | None, now: Subscription | None) -> bool:
         """Say whether the rounds are others once a subscription is as it is `now`; or all are, without id."""
         return changed is None or changed in self._tasks or (now is not None and now.interval_s is not None)
 
     def stop(self) -> None:
         """Go no more rounds."""
-        self.heed([])
+        self.schedule([])
 
     async def _go(self, subscription: Subscription) -> None:
         assert subscription.interval_s is not None  # noqa: S101 - only those come here
@@ -50,7 +50,7 @@ class Rounds:
             if not subscription.is_active(now_s):
                 continue
             try:
-                await self._tell(subscription)
+                await self._notify(subscription)
             except Exception:  # one that cannot be told now is told the next time
                 log.exception("periodic notification failed", subscription=subscription.id)
 

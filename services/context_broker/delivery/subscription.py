@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from services.context_broker.delivery.endpoint import GEO_JSON, JSON, JSON_LD, Endpoint, endpoint
-from services.context_broker.delivery.triggers import Happened, Triggers, read_kinds
+from services.context_broker.delivery.triggers import EntityChange, Triggers, read_kinds
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
 from services.context_broker.model.entity_parser import expand
@@ -28,7 +28,7 @@ from services.context_broker.query.selection import Query, compiled
 
 __all__ = ["GEO_JSON", "JSON", "JSON_LD", "Counts", "Endpoint", "Subscription", "subscription"]
 
-MOST_SELECTORS: Final = 1000
+MAX_SELECTORS: Final = 1000
 """Entity selectors of one subscription: each is tried on each change of its types."""
 _FORMS: Final = {
     "normalized": Form.NORMALIZED,
@@ -127,9 +127,9 @@ class Subscription:
             and (self.places is None or self.places.wants(entity))
         )
 
-    def wants(self, change: Happened, now_s: float, lookup: Lookup = nobody) -> bool:
+    def wants(self, change: EntityChange, now_s: float, lookup: Lookup = nobody) -> bool:
         """Say whether a change is to be told; `lookup` finds entities that the changed one links to."""
-        return self.triggers.heed(change) and self.is_active(now_s) and self.selects(change.entity, lookup)
+        return self.triggers.match(change) and self.is_active(now_s) and self.selects(change.entity, lookup)
 
 
 def subscription(document: dict[str, Any], context: Context, names: Context | None = None) -> Subscription:
@@ -144,9 +144,9 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
             'a subscription has "entities" or "watchedAttributes" or both, unless it has "localOnly": true; '
             "add one of them"
         )
-    if entities is not None and (not isinstance(entities, list) or not 0 < len(entities) <= MOST_SELECTORS):
+    if entities is not None and (not isinstance(entities, list) or not 0 < len(entities) <= MAX_SELECTORS):
         raise bad_request_data(
-            f'"entities" is a list of 1 to {MOST_SELECTORS} selectors such as {{"type": "Task"}}'
+            f'"entities" is a list of 1 to {MAX_SELECTORS} selectors such as {{"type": "Task"}}'
         )
     notification = document.get("notification")
     if not isinstance(notification, dict):

@@ -6,19 +6,19 @@ from typing import Final
 
 import orjson
 
-from services.context_broker.delivery.delivery_worker import Courier
-from services.context_broker.delivery.endpoint_queue import Line
+from services.context_broker.delivery.delivery_worker import DeliveryWorker
+from services.context_broker.delivery.endpoint_queue import EndpointQueue
 from services.context_broker.delivery.outbound import Outbound
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.entries import DocumentKey, Entries, Kind, Notice
+from services.context_broker.storage.entries import DocumentKey, Entries, Kind, PendingNotification
 from services.context_broker.storage.journal import Journal
 
-MOST_TOLD_AT_ONCE: Final = 1000
+MAX_ITEMS_PER_NOTIFICATION: Final = 1000
 """Entities, or registrations, in one notification; more come in several."""
 
 
-class CourierOffice:
+class SubscriptionDispatcher:
     """Keeps the subscriptions of a tenant, and has what they are owed delivered."""
 
     counts_kind = Kind.COUNTS
@@ -28,60 +28,60 @@ class CourierOffice:
         self.tenant = tenant
         self.outbound = outbound
         self._commits = commits
-        self._couriers: dict[str, Courier] = {}
+        self._workers: dict[str, DeliveryWorker] = {}
 
     # What happens to subscriptions
 
     def start(self, subscriptions: Iterable[Subscription]) -> None:
         """Begin with the subscriptions of before; what is owed to them is sent now."""
         for subscription in subscriptions:
-            self._hire(subscription)
-        if self._couriers:
-            for one in self.journal.owed_to(self.tenant):
-                if one in self._couriers:
-                    self._couriers[one].start()
+            self._add_worker(subscription)
+        if self._workers:
+            for one in self.journal.pending_subscriptions(self.tenant):
+                if one in self._workers:
+                    self._workers[one].start()
         self.rearrange()
 
     def stop(self) -> None:
         """End; what is owed stays in the outbox."""
-        for courier in self._couriers.values():
-            courier.stop()
+        for worker in self._workers.values():
+            worker.stop()
 
     def put(self, subscription: Subscription) -> None:
         """Heed a new or a changed subscription from now on."""
-        courier = self._couriers.get(subscription.id)
-        if courier is None:
-            self._hire(subscription)
+        worker = self._workers.get(subscription.id)
+        if worker is None:
+            self._add_worker(subscription)
         else:
-            subscription.counts = courier.subscription.counts
-            courier.change(subscription)
+            subscription.counts = worker.subscription.counts
+            worker.change(subscription)
         self.rearrange(subscription.id)
 
     def remove(self, subscription_id: str) -> None:
         """Forget a subscription and what is owed to it."""
-        self._couriers.pop(subscription_id).end()
+        self._workers.pop(subscription_id).end()
         self.rearrange(subscription_id)
 
     def get(self, subscription_id: str) -> Subscription | None:
         """Return a subscription."""
-        courier = self._couriers.get(subscription_id)
-        return None if courier is None else courier.subscription
+        worker = self._workers.get(subscription_id)
+        return None if worker is None else worker.subscription
 
     def all(self) -> list[Subscription]:
         """Return all subscriptions in a stable order."""
-        return [courier.subscription for courier in self._couriers.values()]
+        return [worker.subscription for worker in self._workers.values()]
 
     def rearrange(self, changed: str | None = None) -> None:
         """Take note that a subscription came, changed or went, or that all are others now."""
 
     # What is to be delivered
 
-    def deliver(self, notices: list[Notice]) -> None:
+    def deliver(self, notices: list[PendingNotification]) -> None:
         """Hand notifications that are committed to their couriers."""
         for notice in notices:
-            courier = self._couriers.get(notice.subscription)
-            if courier is not None:
-                courier.add(notice)
+            worker = self._workers.get(notice.subscription)
+            if worker is not None:
+                worker.add(notice)
 
     # What couriers need
 
@@ -95,19 +95,21 @@ class CourierOffice:
         """How long a notification is tried again."""
         return self.outbound.keep_s
 
-    def line(self, subscription: Subscription) -> Line:
+    def endpoint_queue(self, subscription: Subscription) -> EndpointQueue:
         """Return the way to the endpoint of a subscription."""
-        return self.outbound.line(subscription.endpoint)
+        return self.outbound.endpoint_queue(subscription.endpoint)
 
     async def post(self, subscription: Subscription, body: bytes, taken: bytes | None) -> int:
         """Send a notification; see `Outbound.post`."""
         return await self.outbound.post(subscription, self.tenant, body, taken)
 
-    def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
+    def together(self, notices: Mapping[str, PendingNotification]) -> dict[str, PendingNotification]:
         """Return those of the notices (by entity) that one notification can tell of: the first ones."""
-        return dict(islice(notices.items(), MOST_TOLD_AT_ONCE))
+        return dict(islice(notices.items(), MAX_ITEMS_PER_NOTIFICATION))
 
-    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+    def notification_of(
+        self, subscription: Subscription, notices: Mapping[str, PendingNotification]
+    ) -> bytes | None:
         """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
         raise NotImplementedError
 
@@ -121,12 +123,12 @@ class CourierOffice:
             counts.last_success,
             counts.last_failure,
         ]
-        if subscription.id in self._couriers:
+        if subscription.id in self._workers:
             documents: dict[DocumentKey, bytes | None] = {
                 (self.counts_kind, self.tenant, subscription.id): orjson.dumps(told)
             }
             self._commits.store_later(Entries(settled=list(seqs), documents=documents))
 
-    def _hire(self, subscription: Subscription) -> Courier:
-        courier = self._couriers[subscription.id] = Courier(subscription, self)
-        return courier
+    def _add_worker(self, subscription: Subscription) -> DeliveryWorker:
+        worker = self._workers[subscription.id] = DeliveryWorker(subscription, self)
+        return worker

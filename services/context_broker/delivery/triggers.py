@@ -41,7 +41,7 @@ _NONE: Final[Names] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
-class Happened:
+class EntityChange:
     """What a change did to the attributes (IRIs) of an entity, and how the entity was and is.
 
     `lost` are attributes that have fewer instances than before; those of `deleted` have none at all.
@@ -61,13 +61,13 @@ class Happened:
         return one
 
 
-def happened(event: Event) -> Happened:
+def entity_change(event: Event) -> EntityChange:
     """Return what a change did."""
     before, after = event.before, event.after
     if before is None:
-        return Happened(before, after, created=_all_of(after) if after else _NONE)
+        return EntityChange(before, after, created=_all_of(after) if after else _NONE)
     if after is None:
-        return Happened(before, after, lost=_all_of(before))
+        return EntityChange(before, after, lost=_all_of(before))
     created: set[str] = set()
     updated: set[str] = set()
     lost = set(before.attributes.keys() - after.attributes.keys())
@@ -87,7 +87,7 @@ def happened(event: Event) -> Happened:
                 updated.add(name)
     if before.scopes != after.scopes:
         (created if not before.scopes else updated if after.scopes else lost).add(SCOPE)
-    return Happened(before, after, frozenset(created), frozenset(updated), frozenset(lost))
+    return EntityChange(before, after, frozenset(created), frozenset(updated), frozenset(lost))
 
 
 def _all_of(entity: Entity) -> Names:
@@ -111,7 +111,7 @@ class Triggers:
     kinds: frozenset[str] = DEFAULT
     watched: Names | None = None
 
-    def heed(self, change: Happened) -> bool:
+    def match(self, change: EntityChange) -> bool:
         """Say whether a change is one of those."""
         kinds, watched = self.kinds, self.watched
         if kinds is DEFAULT:  # as nearly all are
@@ -133,12 +133,12 @@ class Triggers:
         return concerns_whole and (watched is None or not watched.isdisjoint(change.entity.attributes))
 
     @property
-    def tells_lost(self) -> bool:
+    def reports_deletions(self) -> bool:
         """Say whether attributes that are gone are told of."""
         return ATTRIBUTE_DELETED in self.kinds
 
     @property
-    def tells_of_ends(self) -> bool:
+    def reports_expiry(self) -> bool:
         """Say whether the end of an entity can concern them."""
         return ENTITY_DELETED in self.kinds or ATTRIBUTE_DELETED in self.kinds
 

@@ -10,7 +10,7 @@ from typing import Final, Protocol
 
 from services.context_broker.extensions.unsupported import unsupported
 from services.context_broker.model.problems import not_supported
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.journal import Journal
 from services.context_broker.tenant_extensions import LocalTenant, TenantFederation
@@ -68,13 +68,13 @@ class Federation(Protocol):
     async def refresh_context(self, tenant: Tenant, context_id: str) -> None:
         """Recompute everything of a tenant that was derived from a changed @context."""
 
-    async def answer(self, operation: Operation, exchange: Exchange) -> Answer:
+    async def answer(self, operation: Operation, exchange: RequestContext) -> Response:
         """Carry out an operation with the context sources, and by an entity map if the request wants one."""
 
-    async def answer_locally(self, operation: Operation, exchange: Exchange) -> Answer:
+    async def answer_locally(self, operation: Operation, exchange: RequestContext) -> Response:
         """Carry out an operation on the tenant's own entities, by an entity map if the request wants one."""
 
-    async def distribute(self, operation: Operation, exchange: Exchange) -> Answer:
+    async def distribute(self, operation: Operation, exchange: RequestContext) -> Response:
         """Carry out an operation with the context sources, without entity maps."""
 
 
@@ -99,18 +99,18 @@ class LocalOnly:
     async def refresh_context(self, tenant: Tenant, context_id: str) -> None:
         return
 
-    async def answer(self, operation: Operation, exchange: Exchange) -> Answer:
+    async def answer(self, operation: Operation, exchange: RequestContext) -> Response:
         if wants_map(operation, exchange):
             raise not_supported(_OFF)
         return await operation.answer(exchange)
 
     answer_locally = answer
 
-    async def distribute(self, operation: Operation, exchange: Exchange) -> Answer:
+    async def distribute(self, operation: Operation, exchange: RequestContext) -> Response:
         return await operation.answer(exchange)
 
 
-def wants_map(operation: Operation, exchange: Exchange) -> bool:
+def wants_map(operation: Operation, exchange: RequestContext) -> bool:
     """Return whether a request names an entity map, or asks for one to be created.
 
     It asks with entityMap=true or with entityMap among its options.

@@ -10,7 +10,7 @@ from typing import Final, Protocol
 
 from services.context_broker.extensions.unsupported import unsupported
 from services.context_broker.model.problems import not_supported
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.journal import Journal
 
@@ -27,7 +27,7 @@ _OPERATIONS: Final = (
 SNAPSHOT_OPERATIONS: Final = frozenset(name for _, _, name, _ in _OPERATIONS)
 """Operations on snapshots themselves; NGSILD-Snapshot does not change what they are about."""
 
-CarryOut = Callable[[Operation, Exchange], Awaitable[Answer]]
+CarryOut = Callable[[Operation, RequestContext], Awaitable[Response]]
 
 
 class Snapshots(Protocol):
@@ -45,7 +45,7 @@ class Snapshots(Protocol):
     def stop(self) -> None:
         """Stop the background work."""
 
-    async def answer(self, operation: Operation, exchange: Exchange, carry_out: CarryOut) -> Answer:
+    async def answer(self, operation: Operation, exchange: RequestContext, carry_out: CarryOut) -> Response:
         """Carry out an operation inside the snapshot that the request names."""
 
 
@@ -64,10 +64,10 @@ class NoSnapshots:
     def stop(self) -> None:
         return
 
-    async def answer(self, operation: Operation, exchange: Exchange, carry_out: CarryOut) -> Answer:
+    async def answer(self, operation: Operation, exchange: RequestContext, carry_out: CarryOut) -> Response:
         raise not_supported(_OFF)
 
 
-def is_inside_snapshot(operation: Operation, exchange: Exchange) -> bool:
+def is_inside_snapshot(operation: Operation, exchange: RequestContext) -> bool:
     """Return whether an operation is about the content of a snapshot (clause 6.3.22)."""
     return SNAPSHOT_HEADER in exchange.headers and operation.name not in SNAPSHOT_OPERATIONS

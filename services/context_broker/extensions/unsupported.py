@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from services.context_broker.model.problems import not_supported
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
 
 Listed = tuple[str, str, str, str]
@@ -20,7 +20,7 @@ class _AnyParameter(frozenset[str]):
 def unsupported(listed: Iterable[Listed], detail: str) -> tuple[Operation, ...]:
     """Return the operations as ones that are refused with `detail`, whatever their parameters are."""
 
-    async def refuse(exchange: Exchange) -> Answer:  # noqa: ARG001 - as all operations
+    async def refuse(exchange: RequestContext) -> Response:  # noqa: ARG001 - as all operations
         raise not_supported(detail)
 
     return tuple(Operation(*one, refuse, _AnyParameter(), of_no_tenant=True) for one in listed)

@@ -9,7 +9,7 @@ answered from the map; its pages are read with the same distribution.
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 
-from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.extensions.federation import wants_map
 from services.context_broker.federation.distribution.distributed_operations import (
     DistributedOperations,
@@ -24,7 +24,8 @@ from services.context_broker.federation.registrations.source_subscription_operat
 )
 from services.context_broker.federation.tenant_state import FederatedTenant, federated
 from services.context_broker.network.http_client import BodyReadingHttpClient
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext as Exchange
+from services.context_broker.request.request_context import Response as Answer
 from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.storage.document_counts import documents_with_counts
@@ -39,7 +40,7 @@ class BrokerFederation:
     def __init__(
         self,
         tenants: Tenants,
-        contexts: ContextBook,
+        contexts: ContextResolver,
         settings: BrokerSettings,
         perform: Callable[[str, Exchange], Awaitable[Answer]],
     ) -> None:

@@ -281,7 +281,7 @@ def _merge_values(old: Any, new: Any, depth: int = 0) -> Any:
 def _without_nulls(instance: Instance) -> Instance:
     """Return the instance without members, and attributes of it, that a change said to delete."""
     for member, value in instance.items():
-        if value == NULL or (":" in member and _tells_deletion(value)):
+        if value == NULL or (":" in member and _reports_deletion(value)):
             break
     else:
         return instance
@@ -296,5 +296,5 @@ def _without_nulls(instance: Instance) -> Instance:
     return result
 
 
-def _tells_deletion(instances: Iterable[Instance]) -> bool:
+def _reports_deletion(instances: Iterable[Instance]) -> bool:
     return any(is_deletion(instance) for instance in instances)

@@ -149,14 +149,14 @@ def refuse_nulls(attributes: Attributes, terms: Terms, nulls: Nulls) -> None:
     """Raise a problem if attributes tell of something to delete where `nulls` does not allow it."""
     for name, instances in attributes.items():
         for instance in instances:
-            if _tells_null(instance, nulls):
+            if _reports_null(instance, nulls):
                 raise bad_request_data(
                     f"attribute {shown(terms.compact(name))} has {NULL}, which only has a meaning where a "
                     "change deletes something, and inside values only in a merge; leave it out"
                 )
 
 
-def _tells_null(instance: Instance, nulls: Nulls) -> bool:
+def _reports_null(instance: Instance, nulls: Nulls) -> bool:
     if nulls is Nulls.NOWHERE:
         if NULL in instance.values():
             return True
@@ -165,7 +165,7 @@ def _tells_null(instance: Instance, nulls: Nulls) -> bool:
     for member, value in instance.items():
         if value.__class__ is dict or value.__class__ is list:
             if ":" in member:
-                if any(_tells_null(one, nulls) for one in value):
+                if any(_reports_null(one, nulls) for one in value):
                     return True
             elif member != "json" and _holds_null(value):
                 return True

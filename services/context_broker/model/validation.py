@@ -9,12 +9,12 @@ from typing import Any
 from handover.durations import parse_duration
 from services.context_broker.model.problems import bad_request_data
 
-LONGEST_ID = 2048
-LONGEST_NAME = 512
-LONGEST_TENANT = 128
-LONGEST_TIME = 64
+MAX_ID_LENGTH = 2048
+MAX_NAME_LENGTH = 512
+MAX_TENANT_LENGTH = 128
+MAX_TIME_LENGTH = 64
 
-TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{LONGEST_TENANT}}}")
+TENANT = re.compile(rf"[A-Za-z0-9_.\-]{{1,{MAX_TENANT_LENGTH}}}")
 
 _INSIDE = "\u2234"
 """Begins the name of what belongs to a snapshot: no header can say it, so no asker can name it."""
@@ -69,7 +69,7 @@ def _second(second: int) -> str:
 
 def moment(text: str) -> float | None:
     """Return an ISO 8601 date or date-time in seconds since 1970 (UTC unless it says); None for others."""
-    return _moment(text) if 8 <= len(text) <= LONGEST_TIME else None
+    return _moment(text) if 8 <= len(text) <= MAX_TIME_LENGTH else None
 
 
 @lru_cache(maxsize=8192)
@@ -84,7 +84,7 @@ def _moment(text: str) -> float | None:
 
 def is_short_uri(value: str) -> bool:
     """Say whether a text is a URI of a usual length."""
-    return len(value) <= LONGEST_NAME and _is_uri(value)
+    return len(value) <= MAX_NAME_LENGTH and _is_uri(value)
 
 
 @lru_cache(maxsize=8192)
@@ -97,8 +97,8 @@ def require_uri(value: Any, what: str) -> str:
     """Return `value` if it is a URI; raise a problem that names `what` if not."""
     if not isinstance(value, str):
         raise bad_request_data(f"{what} must be a URI such as urn:ngsi-ld:Task:demo:1, not {shown(value)}")
-    if len(value) > LONGEST_ID:
-        raise bad_request_data(f"{what} has {len(value)} characters; {LONGEST_ID} are allowed")
+    if len(value) > MAX_ID_LENGTH:
+        raise bad_request_data(f"{what} has {len(value)} characters; {MAX_ID_LENGTH} are allowed")
     if not _URI.fullmatch(value):
         raise bad_request_data(
             f"{what} must be a URI such as urn:ngsi-ld:Task:demo:1 without spaces, quotes or brackets, "
@@ -156,10 +156,10 @@ def require_future(value: Any, what: str) -> str:
 
 def require_scope(value: Any) -> str:
     """Return `value` if it is a scope, as it was written; raise a problem if not (clause 4.18)."""
-    if not isinstance(value, str) or len(value) > LONGEST_NAME or not _SCOPE.fullmatch(value):
+    if not isinstance(value, str) or len(value) > MAX_NAME_LENGTH or not _SCOPE.fullmatch(value):
         raise bad_request_data(
             f"a scope is a path such as /Madrid/Gardens_2, each level a letter followed by letters, digits "
-            f"and _ ({LONGEST_NAME} characters at most), not {shown(value)}"
+            f"and _ ({MAX_NAME_LENGTH} characters at most), not {shown(value)}"
         )
     return value
 
@@ -172,10 +172,10 @@ def require_name(value: Any, what: str) -> str:
     """
     if not isinstance(value, str) or not value:
         raise bad_request_data(f"{what} must be a name, not {shown(value)}")
-    if len(value) <= LONGEST_NAME and _is_name(value):
+    if len(value) <= MAX_NAME_LENGTH and _is_name(value):
         return value
-    if len(value) > LONGEST_NAME:
-        raise bad_request_data(f"{what} has {len(value)} characters; {LONGEST_NAME} are allowed")
+    if len(value) > MAX_NAME_LENGTH:
+        raise bad_request_data(f"{what} has {len(value)} characters; {MAX_NAME_LENGTH} are allowed")
     if value.startswith("@") or _UNFIT_IN_NAMES.search(value):
         raise bad_request_data(
             f"{what} {shown(value)} is no name: leave out spaces, quotes, brackets and @ = ; , | < >"

@@ -27,7 +27,7 @@ from services.context_broker.operations.entity_operations import (
     read_merge,
 )
 from services.context_broker.query.query_document import query_parameters, selectors_of
-from services.context_broker.request.entity_query import answered, asking_of
+from services.context_broker.request.entity_query import answered, entity_query_of
 from services.context_broker.request.query_parameters import (
     LINK_PARAMETERS,
     MAP_PARAMETERS,
@@ -35,7 +35,7 @@ from services.context_broker.request.query_parameters import (
     WALK_PARAMETERS,
     options_of,
 )
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation, brief
 from services.context_broker.storage.store import Store
 
@@ -51,13 +51,13 @@ class _Change:
     """A change on its way; without `fate` there was nothing to do, `refusal` tells what was left undone."""
 
     entity_id: str
-    fate: asyncio.Future[None] | None
+    outcome: asyncio.Future[None] | None
     is_new: bool = False
     refusal: Problem | None = None
 
 
 @dataclass(slots=True)
-class _Fates:
+class _BatchResult:
     """What has become of the entities of one request."""
 
     created: list[str] = field(default_factory=list)
@@ -73,8 +73,8 @@ class _Fates:
         """Wait until everything on its way is safe, or known not to be."""
         for change in self.on_their_way:
             try:
-                if change.fate is not None:
-                    await change.fate
+                if change.outcome is not None:
+                    await change.outcome
                 if change.refusal is not None:
                     raise change.refusal
             except Problem as problem:
@@ -84,12 +84,12 @@ class _Fates:
                 if change.is_new:
                     self.created.append(change.entity_id)
 
-    def answer(self, all_well: Answer) -> Answer:
+    def answer(self, all_well: Response) -> Response:
         """Return `all_well` if nothing was refused, else 207 with what was, and what was not."""
         if not self.errors:
             return all_well
         body = orjson.dumps({"success": self.succeeded, "errors": self.errors})
-        return Answer(207, body, [(b"content-type", b"application/json")])
+        return Response(207, body, [(b"content-type", b"application/json")])
 
 
 class BatchOperations:
@@ -112,58 +112,58 @@ class BatchOperations:
             Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _WRITE),
         )
 
-    async def create(self, exchange: Exchange) -> Answer:
+    async def create(self, exchange: RequestContext) -> Response:
         """POST entityOperations/create."""
-        fates = await self._each(exchange, self._create)
-        return fates.answer(_created(fates.created))
+        result = await self._each(exchange, self._create)
+        return result.answer(_created(result.created))
 
-    async def upsert(self, exchange: Exchange) -> Answer:
+    async def upsert(self, exchange: RequestContext) -> Response:
         """POST entityOperations/upsert; options=update keeps attributes that are not named."""
         options = _UPSERTING.intersection(options_of(exchange, FORMS | _UPSERTING))
         if len(options) > 1:
             raise bad_request_data("options is update or replace, not both")
         keeps = options == {"update"}
-        fates = await self._each(
+        result = await self._each(
             exchange,
             lambda store, given, context: self._upsert(store, given, context, keeps=keeps),
             _UPSERTING,
         )
-        return fates.answer(_created(fates.created) if fates.created else DONE)
+        return result.answer(_created(result.created) if result.created else DONE)
 
-    async def update(self, exchange: Exchange) -> Answer:
+    async def update(self, exchange: RequestContext) -> Response:
         """POST entityOperations/update; options=noOverwrite leaves attributes that are there alone."""
         overwrite = "noOverwrite" not in options_of(exchange, FORMS | _KEEPING)
-        fates = await self._each(
+        result = await self._each(
             exchange,
             lambda store, given, context: self._append(store, given, context, overwrite=overwrite),
             _KEEPING,
         )
-        return fates.answer(DONE)
+        return result.answer(DONE)
 
-    async def merge(self, exchange: Exchange) -> Answer:
+    async def merge(self, exchange: RequestContext) -> Response:
         """POST entityOperations/merge."""
         return (await self._each(exchange, self._merge)).answer(DONE)
 
-    async def delete(self, exchange: Exchange) -> Answer:
+    async def delete(self, exchange: RequestContext) -> Response:
         """POST entityOperations/delete with a list of ids."""
         exchange.content_type()
-        fates, store = _Fates(), exchange.tenant.store
+        result, store = _BatchResult(), exchange.tenant.store
         for given in _as_list(exchange.document(), "entity ids"):
             try:
                 entity_id = require_uri(given, "an entity id")
-                fates.on_their_way.append(self._delete(store, entity_id))
+                result.on_their_way.append(self._delete(store, entity_id))
             except Problem as problem:
-                fates.refuse(given, problem)
-        await fates.settle()
-        return fates.answer(DONE)
+                result.refuse(given, problem)
+        await result.settle()
+        return result.answer(DONE)
 
-    async def query(self, exchange: Exchange) -> Answer:
+    async def query(self, exchange: RequestContext) -> Response:
         """POST entityOperations/query with a Query document (clause 5.2.23)."""
         exchange.accept(WITH_GEO_JSON)
         document, context = await exchange.body()
         given = {**exchange.parameters, **query_parameters(document)}
         asked, exchange.parameters = exchange.parameters, given
-        asking = asking_of(exchange, given, context, selectors_of(document, context))
+        asking = entity_query_of(exchange, given, context, selectors_of(document, context))
         exchange.parameters = (
             asked  # the links to other pages repeat what the URL had; the body is sent again
         )
@@ -171,25 +171,25 @@ class BatchOperations:
 
     async def _each(
         self,
-        exchange: Exchange,
+        exchange: RequestContext,
         act: Callable[[Store, Any, Context], _Change],
         others: frozenset[str] = frozenset(),
-    ) -> _Fates:
+    ) -> _BatchResult:
         """Have `act` done with each document; `others` are options that the operation has besides forms."""
         if is_simplified(exchange, others):
             act = partial(_from_simplified, act)
         media_type = exchange.content_type()
         exchange.require_no_link(media_type)
         documents = _as_list(exchange.document(), "entities")
-        fates = _Fates()
+        result = _BatchResult()
         for given in documents:
             try:
                 context = await exchange.context_of(given, media_type)
-                fates.on_their_way.append(act(exchange.tenant.store, given, context))
+                result.on_their_way.append(act(exchange.tenant.store, given, context))
             except Problem as problem:
-                fates.refuse(given.get("id") if isinstance(given, dict) else None, problem)
-        await fates.settle()
-        return fates
+                result.refuse(given.get("id") if isinstance(given, dict) else None, problem)
+        await result.settle()
+        return result
 
     @staticmethod
     def _delete(store: Store, entity_id: str) -> _Change:
@@ -249,8 +249,8 @@ class BatchOperations:
         return _Change(before.id, store.stage(Event(before, outcome.entity, outcome.touched)))
 
 
-def _created(ids: list[str]) -> Answer:
-    return Answer(201, orjson.dumps(ids), [(b"content-type", b"application/json")])
+def _created(ids: list[str]) -> Response:
+    return Response(201, orjson.dumps(ids), [(b"content-type", b"application/json")])
 
 
 def _from_simplified(

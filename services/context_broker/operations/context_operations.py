@@ -5,20 +5,20 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.contexts.context_resolver import ContextBook
-from services.context_broker.contexts.context_store import PATH, ContextKind, KeptContext
+from services.context_broker.contexts.context_resolver import ContextResolver
+from services.context_broker.contexts.context_store import PATH, ContextKind, StoredContext
 from services.context_broker.model.problems import bad_request_data, invalid_request, not_found, not_supported
 from services.context_broker.model.validation import shown
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.request.routing import Operation
 
-DONE: Final = Answer(204)
+DONE: Final = Response(204)
 
 
 class ContextOperations:
     """What can be done to @contexts."""
 
-    def __init__(self, contexts: ContextBook) -> None:
+    def __init__(self, contexts: ContextResolver) -> None:
         self._contexts = contexts
 
     def operations(self) -> tuple[Operation, ...]:
@@ -32,7 +32,7 @@ class ContextOperations:
             Operation("DELETE", one, "deleteContext", "6.30.3.2", self.delete, frozenset({"reload"})),
         )
 
-    async def add(self, exchange: Exchange) -> Answer:
+    async def add(self, exchange: RequestContext) -> Response:
         """POST jsonldContexts: the @context stands in the body, whichever media type it has."""
         exchange.content_type()
         document = exchange.document()
@@ -41,9 +41,9 @@ class ContextOperations:
         one = await self._contexts.add(exchange.tenant.name, document["@context"])
         # Absolute: what a client does with it is to name it as the @context of its requests.
         location = one.address(self._contexts.base(exchange.headers))
-        return Answer(201, b"", [(b"location", location.encode())])
+        return Response(201, b"", [(b"location", location.encode())])
 
-    async def list(self, exchange: Exchange) -> Answer:
+    async def list(self, exchange: RequestContext) -> Response:
         """GET jsonldContexts: their URLs; with details=true how they are used too."""
         media_type, base = exchange.accept(), self._contexts.base(exchange.headers)
         kind = exchange.parameter("kind")
@@ -54,7 +54,7 @@ class ContextOperations:
             return _answer([one.details(base) for one in found], media_type)
         return _answer([one.address(base) for one in found], media_type)
 
-    async def serve(self, exchange: Exchange) -> Answer:
+    async def serve(self, exchange: RequestContext) -> Response:
         """GET jsonldContexts/{contextId}: its content, with details=true how it is used.
 
         The content is also given to who names no tenant, whichever it belongs to: what reads an @context
@@ -79,7 +79,7 @@ class ContextOperations:
             )
         return _answer(one.document, media_type)
 
-    async def delete(self, exchange: Exchange) -> Answer:
+    async def delete(self, exchange: RequestContext) -> Response:
         """DELETE jsonldContexts/{contextId}; with reload=true a cached one is fetched anew."""
         one = self._existing(exchange)
         again = exchange.flag("reload")
@@ -102,18 +102,18 @@ class ContextOperations:
         await self._contexts.delete(one)
         return DONE
 
-    def _existing(self, exchange: Exchange) -> KeptContext:
+    def _existing(self, exchange: RequestContext) -> StoredContext:
         one = self._contexts.named(exchange.names[0], exchange.tenant.name)
         if one is None:
             raise _absent(exchange)
         return one
 
 
-def _absent(exchange: Exchange) -> Exception:
+def _absent(exchange: RequestContext) -> Exception:
     return not_found(
         f"there is no @context {shown(exchange.names[0])}; GET {PATH.rstrip('/')} lists those there are"
     )
 
 
-def _answer(body: Any, media_type: str) -> Answer:
-    return Answer(200, orjson.dumps(body), [(b"content-type", media_type.encode())])
+def _answer(body: Any, media_type: str) -> Response:
+    return Response(200, orjson.dumps(body), [(b"content-type", media_type.encode())])

@@ -16,7 +16,7 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.problems import not_found
 from services.context_broker.model.validation import require_name, shown, timestamp_now
 from services.context_broker.request.query_parameters import json_headers
-from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
+from services.context_broker.request.request_context import JSON_LD, RequestContext, Response
 from services.context_broker.request.routing import Operation, brief
 from services.context_broker.tenant_extensions import Announced
 
@@ -48,34 +48,34 @@ class DiscoveryOperations:
             ),
         )
 
-    async def types(self, exchange: Exchange) -> Answer:
+    async def types(self, request: RequestContext) -> Response:
         """GET types; with details=true the attributes of each (clauses 5.7.5 and 5.7.6)."""
-        context = await exchange.reader_context()
-        compact, census = context.terms.compact, exchange.tenant.store.census
-        registered = list(_registered(exchange))
+        context = await request.reader_context()
+        compact, census = context.terms.compact, request.tenant.store.census
+        registered = list(_registered(request))
         kinds = sorted({*census.types(), *(kind for _, types in registered for kind in types)})
-        if not exchange.flag("details"):
-            return _answer(exchange, context, _listed("EntityTypeList", "typeList", kinds, context), kinds)
+        if not request.flag("details"):
+            return _answer(request, context, _listed("EntityTypeList", "typeList", kinds, context), kinds)
         body = [
             {
                 "id": kind,
                 "type": "EntityType",
                 "typeName": compact(kind),
-                "attributeNames": [compact(name) for name in _names(exchange, kind, registered)],
+                "attributeNames": [compact(name) for name in _names(request, kind, registered)],
             }
             for kind in kinds
         ]
-        return _answer(exchange, context, body, kinds)
+        return _answer(request, context, body, kinds)
 
-    async def type_details(self, exchange: Exchange) -> Answer:
+    async def type_details(self, request: RequestContext) -> Response:
         """GET types/{type} (clause 5.7.7)."""
-        context = await exchange.reader_context()
-        kind = context.terms.expand(require_name(exchange.names[0], "the type in the path"))
-        compact, census = context.terms.compact, exchange.tenant.store.census
-        registered = [one for one in _registered(exchange) if kind in one[1]]
+        context = await request.reader_context()
+        kind = context.terms.expand(require_name(request.names[0], "the type in the path"))
+        compact, census = context.terms.compact, request.tenant.store.census
+        registered = [one for one in _registered(request) if kind in one[1]]
         count = census.entities_of(kind)
         if not count and not registered:
-            raise not_found(f"there is no entity of the type {shown(exchange.names[0])} ({kind})")
+            raise not_found(f"there is no entity of the type {shown(request.names[0])} ({kind})")
         known = census.attributes_of(kind)
         body = {
             "id": kind,
@@ -89,39 +89,39 @@ class DiscoveryOperations:
                     "attributeName": compact(name),
                     "attributeTypes": sorted(known.get(name, ())),
                 }
-                for name in _names(exchange, kind, registered)
+                for name in _names(request, kind, registered)
             ],
         }
-        return _answer(exchange, context, body)
+        return _answer(request, context, body)
 
-    async def attributes(self, exchange: Exchange) -> Answer:
+    async def attributes(self, request: RequestContext) -> Response:
         """GET attributes; with details=true the types that have each (clauses 5.7.8 and 5.7.9)."""
-        context = await exchange.reader_context()
-        compact, census = context.terms.compact, exchange.tenant.store.census
-        registered = list(_registered(exchange))
+        context = await request.reader_context()
+        compact, census = context.terms.compact, request.tenant.store.census
+        registered = list(_registered(request))
         names = sorted({*census.attributes(), *(name for one, _ in registered for name in one)})
-        if not exchange.flag("details"):
+        if not request.flag("details"):
             body: Any = _listed("AttributeList", "attributeList", names, context)
-            return _answer(exchange, context, body, names)
+            return _answer(request, context, body, names)
         body = [
             {
                 "id": name,
                 "type": "Attribute",
                 "attributeName": compact(name),
-                "typeNames": [compact(kind) for kind in _types_with(exchange, name, registered)],
+                "typeNames": [compact(kind) for kind in _types_with(request, name, registered)],
             }
             for name in names
         ]
-        return _answer(exchange, context, body, names)
+        return _answer(request, context, body, names)
 
-    async def attribute_details(self, exchange: Exchange) -> Answer:
+    async def attribute_details(self, request: RequestContext) -> Response:
         """GET attributes/{attrId} (clause 5.7.10)."""
-        context = await exchange.reader_context()
-        name = context.terms.expand(require_name(exchange.names[0], "the attribute in the path"))
-        kinds = exchange.tenant.store.census.kinds_of(name)
-        registered = [one for one in _registered(exchange) if name in one[0]]
+        context = await request.reader_context()
+        name = context.terms.expand(require_name(request.names[0], "the attribute in the path"))
+        kinds = request.tenant.store.census.kinds_of(name)
+        registered = [one for one in _registered(request) if name in one[0]]
         if not kinds and not registered:
-            raise not_found(f"no entity has the attribute {shown(exchange.names[0])} ({name})")
+            raise not_found(f"no entity has the attribute {shown(request.names[0])} ({name})")
         compact = context.terms.compact
         body = {
             "id": name,
@@ -129,14 +129,14 @@ class DiscoveryOperations:
             "attributeName": compact(name),
             "attributeCount": sum(kinds.values()),
             "attributeTypes": sorted(kinds),
-            "typeNames": [compact(kind) for kind in _types_with(exchange, name, registered)],
+            "typeNames": [compact(kind) for kind in _types_with(request, name, registered)],
         }
-        return _answer(exchange, context, body)
+        return _answer(request, context, body)
 
-    async def source_identity(self, exchange: Exchange) -> Answer:
+    async def source_identity(self, request: RequestContext) -> Response:
         """GET info/sourceIdentity (clause 5.15): who answers, for the tenant that is asked about."""
-        context = await exchange.reader_context()
-        alias = exchange.tenant.alias
+        context = await request.reader_context()
+        alias = request.tenant.alias
         body = {
             "id": f"urn:ngsi-ld:ContextSourceIdentity:{alias}",
             "type": "ContextSourceIdentity",
@@ -145,26 +145,26 @@ class DiscoveryOperations:
             "contextSourceUptime": f"PT{time.monotonic() - self._since_s:.3f}S",
             "contextSourceExtras": {"ngsildConformance": "{}.{}".format(*OURS)},
         }
-        return _answer(exchange, context, body)
+        return _answer(request, context, body)
 
 
-def _registered(exchange: Exchange) -> Iterator[Announced]:
+def _registered(request: RequestContext) -> Iterator[Announced]:
     """Yield what sources have registered for the tenant; nothing if it is asked for what is stored here."""
-    if exchange.flag("local"):
+    if request.flag("local"):
         return
-    yield from exchange.tenant.federation.announced()
+    yield from request.tenant.federation.announced()
 
 
-def _names(exchange: Exchange, kind: str, registered: list[Announced]) -> list[str]:
+def _names(request: RequestContext, kind: str, registered: list[Announced]) -> list[str]:
     """Return the attributes of a type, those stored first."""
-    stored = exchange.tenant.store.census.attributes_of(kind)
+    stored = request.tenant.store.census.attributes_of(kind)
     told = (name for names, types in registered if kind in types for name in sorted(names))
     return list(dict.fromkeys((*stored, *told)))
 
 
-def _types_with(exchange: Exchange, name: str, registered: list[Announced]) -> list[str]:
+def _types_with(request: RequestContext, name: str, registered: list[Announced]) -> list[str]:
     """Return the types that have an attribute."""
-    stored = exchange.tenant.store.census.types_with(name)
+    stored = request.tenant.store.census.types_with(name)
     return sorted({*stored, *(kind for names, types in registered if name in names for kind in types)})
 
 
@@ -177,14 +177,14 @@ def _listed(kind: str, member: str, found: list[str], context: Context) -> dict[
     }
 
 
-def _answer(exchange: Exchange, context: Context, body: Any, found: list[str] | None = None) -> Answer:
-    if exchange.accept() == JSON_LD:
+def _answer(request: RequestContext, context: Context, body: Any, found: list[str] | None = None) -> Response:
+    if request.accept() == JSON_LD:
         documents = body if isinstance(body, list) else [body]
         written = [{"@context": context.document, **document} for document in documents]
         body = written if isinstance(body, list) else written[0]
         headers = [(b"content-type", JSON_LD.encode())]
     else:
         headers = json_headers(context)
-    if found is not None and exchange.flag("count"):
+    if found is not None and request.flag("count"):
         headers.append((b"ngsild-results-count", str(len(found)).encode()))
-    return Answer(200, orjson.dumps(body), headers)
+    return Response(200, orjson.dumps(body), headers)

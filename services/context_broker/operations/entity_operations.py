@@ -39,7 +39,7 @@ from services.context_broker.model.validation import (
 )
 from services.context_broker.operations.purge import PURGE_PARAMETERS, purge
 from services.context_broker.query.type_selection import type_selection
-from services.context_broker.request.entity_query import answered, asking_of, join_of
+from services.context_broker.request.entity_query import answered, entity_query_of, join_of
 from services.context_broker.request.entity_responses import Showing, entity_answer
 from services.context_broker.request.query_parameters import (
     LINK_PARAMETERS,
@@ -49,11 +49,11 @@ from services.context_broker.request.query_parameters import (
     options_of,
     view_of,
 )
-from services.context_broker.request.request_context import JSON, PREFIX, Answer, Exchange
+from services.context_broker.request.request_context import JSON, PREFIX, RequestContext, Response
 from services.context_broker.request.routing import Operation, brief
 from services.context_broker.storage.store import Store
 
-DONE: Final = Answer(204)
+DONE: Final = Response(204)
 _AT: Final = f"{PREFIX}entities/".encode()
 _AS_IT_IS: Final = b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.-~:"
 """What stands in a path as it is."""
@@ -91,7 +91,7 @@ class EntityOperations:
             Operation("PUT", attribute, "replaceAttrs", "6.7.3.3", self.replace_attribute, _ONE),
         )
 
-    async def create(self, exchange: Exchange) -> Answer:
+    async def create(self, exchange: RequestContext) -> Response:
         """POST entities."""
         simplified = is_simplified(exchange)
         document, context = await exchange.body()
@@ -99,20 +99,20 @@ class EntityOperations:
         change = read_entity(bare(document, context) if simplified else document, context.terms, nulls)
         store = exchange.tenant.store
         await store.stage(creation(store, change))
-        return Answer(201, b"", [(b"location", _location(change.id or ""))])
+        return Response(201, b"", [(b"location", _location(change.id or ""))])
 
-    async def query(self, exchange: Exchange) -> Answer:
+    async def query(self, exchange: RequestContext) -> Response:
         """GET entities."""
         exchange.accept(WITH_GEO_JSON)
         context = await exchange.reader_context()
-        asking = asking_of(exchange, exchange.parameters, context)
+        asking = entity_query_of(exchange, exchange.parameters, context)
         return await answered(exchange, exchange.tenant.store, asking)
 
-    async def purge(self, exchange: Exchange) -> Answer:
+    async def purge(self, exchange: RequestContext) -> Response:
         """DELETE entities."""
         return await purge(exchange)
 
-    async def retrieve(self, exchange: Exchange) -> Answer:
+    async def retrieve(self, exchange: RequestContext) -> Response:
         """GET entities/{id}."""
         exchange.accept(WITH_GEO_JSON)
         context = await exchange.reader_context()
@@ -130,13 +130,13 @@ class EntityOperations:
         store = exchange.tenant.store
         return entity_answer(exchange, entity, Showing(context, view, join, store.get))
 
-    async def delete(self, exchange: Exchange) -> Answer:
+    async def delete(self, exchange: RequestContext) -> Response:
         """DELETE entities/{id}."""
         context = await exchange.reader_context() if exchange.parameters else None
         await exchange.tenant.store.stage(Event.end_of(self.existing(exchange, context)))
         return DONE
 
-    async def replace(self, exchange: Exchange) -> Answer:
+    async def replace(self, exchange: RequestContext) -> Response:
         """PUT entities/{id}."""
         simplified = is_simplified(exchange)
         document, context = await exchange.body()
@@ -147,7 +147,7 @@ class EntityOperations:
         await self._carry_out(exchange, changes.replaced(before, change, timestamp_now()))
         return DONE
 
-    async def merge(self, exchange: Exchange) -> Answer:
+    async def merge(self, exchange: RequestContext) -> Response:
         """PATCH entities/{id}: what is left unsaid stays, NULL deletes, objects as values are merged."""
         simplified = is_simplified(exchange)
         observed_at, language = exchange.parameter("observedAt"), exchange.parameter("lang")
@@ -159,7 +159,7 @@ class EntityOperations:
         await self._carry_out(exchange, changes.merged(before, change, timestamp_now(), observed_at))
         return DONE
 
-    async def append(self, exchange: Exchange) -> Answer:
+    async def append(self, exchange: RequestContext) -> Response:
         """POST entities/{id}/attrs."""
         overwrite = "noOverwrite" not in options_of(exchange, FORMS | {"noOverwrite"})
         simplified = is_simplified(exchange, frozenset({"noOverwrite"}))
@@ -172,7 +172,7 @@ class EntityOperations:
         await self._carry_out(exchange, outcome)
         return _update_result(change, outcome)
 
-    async def update(self, exchange: Exchange) -> Answer:
+    async def update(self, exchange: RequestContext) -> Response:
         """PATCH entities/{id}/attrs."""
         simplified = is_simplified(exchange)
         document, context = await exchange.body()
@@ -186,7 +186,7 @@ class EntityOperations:
         await self._carry_out(exchange, outcome)
         return DONE
 
-    async def update_attribute(self, exchange: Exchange) -> Answer:
+    async def update_attribute(self, exchange: RequestContext) -> Response:
         """PATCH entities/{id}/attrs/{name}: overwrites members of the attribute."""
         document, context = await exchange.body()
         if exchange.names[1] == "scope":
@@ -210,7 +210,7 @@ class EntityOperations:
         await self._carry_out(exchange, outcome)
         return DONE
 
-    async def replace_attribute(self, exchange: Exchange) -> Answer:
+    async def replace_attribute(self, exchange: RequestContext) -> Response:
         """PUT entities/{id}/attrs/{name}: replaces one instance, by datasetId; others stay."""
         document, context = await exchange.body()
         if exchange.names[1] == "scope":
@@ -227,7 +227,7 @@ class EntityOperations:
         await self._carry_out(exchange, changes.updated(before, change, timestamp_now()))
         return DONE
 
-    async def delete_attribute(self, exchange: Exchange) -> Answer:
+    async def delete_attribute(self, exchange: RequestContext) -> Response:
         """DELETE entities/{id}/attrs/{name}; one instance by datasetId, or every one with deleteAll."""
         context = await exchange.reader_context()
         name = self._attribute_name(exchange, context)
@@ -251,7 +251,7 @@ class EntityOperations:
         await self._carry_out(exchange, outcome)
         return DONE
 
-    def existing(self, exchange: Exchange, context: Context | None) -> Entity:
+    def existing(self, exchange: RequestContext, context: Context | None) -> Entity:
         """Return the entity that the path names, as the last write left it.
 
         Raises a problem (404) if there is none, or none of the types that the parameter `type` selects.
@@ -263,18 +263,18 @@ class EntityOperations:
             _require_type(exchange, entity, context)
         return entity
 
-    async def _carry_out(self, exchange: Exchange, outcome: Outcome) -> None:
+    async def _carry_out(self, exchange: RequestContext, outcome: Outcome) -> None:
         """Make an outcome durable. No await may stand between reading the entity and this."""
         before = exchange.tenant.store.latest(exchange.names[0])
         if before is not None and outcome.entity is not before:
             await exchange.tenant.store.stage(Event(before, outcome.entity, outcome.touched))
 
     @staticmethod
-    def _attribute_name(exchange: Exchange, context: Context) -> str:
+    def _attribute_name(exchange: RequestContext, context: Context) -> str:
         return expand(require_name(exchange.names[1], "the attribute name in the path"), context.terms)
 
     @staticmethod
-    def _instances(exchange: Exchange, entity: Entity, name: str) -> list[Instance]:
+    def _instances(exchange: RequestContext, entity: Entity, name: str) -> list[Instance]:
         instances = entity.attributes.get(name)
         if instances is None:
             raise not_found(
@@ -308,7 +308,7 @@ def nothing_left(entity_id: str) -> Problem:
     return not_found(f"pick and omit leave nothing of entity {entity_id}; ask for something that it has")
 
 
-def _absent_instance(exchange: Exchange, dataset: str | None) -> Problem:
+def _absent_instance(exchange: RequestContext, dataset: str | None) -> Problem:
     which = "default instance" if dataset is None else f"instance with the datasetId {shown(dataset)}"
     return not_found(f"attribute {shown(exchange.names[1])} has no {which}")
 
@@ -336,7 +336,7 @@ def bare(document: object, context: Context, before: Entity | None = None) -> ob
     return normalized(document, before, context.terms) if isinstance(document, dict) else document
 
 
-def is_simplified(exchange: Exchange, others: frozenset[str] = frozenset()) -> bool:
+def is_simplified(exchange: RequestContext, others: frozenset[str] = frozenset()) -> bool:
     """Say whether the body is in simplified form; any other form tells by itself which it is.
 
     `others` are the options that the operation has besides.
@@ -352,7 +352,7 @@ def is_simplified(exchange: Exchange, others: frozenset[str] = frozenset()) -> b
     return not forms.isdisjoint(_SIMPLIFIED)
 
 
-def _about(exchange: Exchange, change: Change) -> Change:
+def _about(exchange: RequestContext, change: Change) -> Change:
     """Return a change if it is about the entity that the path names; raise a problem if not."""
     if change.id is not None and change.id != exchange.names[0]:
         raise bad_request_data(
@@ -361,7 +361,7 @@ def _about(exchange: Exchange, change: Change) -> Change:
     return change
 
 
-def _require_type(exchange: Exchange, entity: Entity, context: Context) -> None:
+def _require_type(exchange: RequestContext, entity: Entity, context: Context) -> None:
     wanted = exchange.parameter("type")
     if wanted is not None and not type_selection(wanted, context.terms.expand).wants(entity.types):
         raise not_found(f"there is no entity {entity.id} of type {shown(wanted)}; it has other types")
@@ -373,7 +373,7 @@ def _without_context(document: dict[str, Any]) -> dict[str, Any]:
     return {member: value for member, value in document.items() if member != "@context"}
 
 
-def _update_result(change: Change, outcome: Outcome) -> Answer:
+def _update_result(change: Change, outcome: Outcome) -> Response:
     """Return what became of the attributes (5.2.18); their names are IRIs, for it has no @context (6.3.6)."""
     if not outcome.refused:
         return DONE
@@ -382,4 +382,4 @@ def _update_result(change: Change, outcome: Outcome) -> Answer:
         "updated": [name for name in names if name not in outcome.refused or name in outcome.touched],
         "notUpdated": [{"attributeName": name, "reason": reason} for name, reason in outcome.refused.items()],
     }
-    return Answer(207, orjson.dumps(body), [(b"content-type", JSON.encode())])
+    return Response(207, orjson.dumps(body), [(b"content-type", JSON.encode())])

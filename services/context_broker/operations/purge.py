@@ -13,7 +13,7 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import timestamp_now
 from services.context_broker.query.selection import Selection, hits_of
 from services.context_broker.request.query_parameters import names_of, selection_of
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext, Response
 
 PURGE_PARAMETERS: Final = frozenset(
     {"type", "id", "idPattern", "attrs", "q", "csf", "scopeQ", "geometry", "georel", "coordinates",
@@ -25,7 +25,7 @@ AT_ONCE: Final = 500
 _SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt", "observedAt"})
 
 
-async def purge(exchange: Exchange) -> Answer:
+async def purge(exchange: RequestContext) -> Response:
     """DELETE entities: 204 when all are purged, 207 with what was not."""
     context = await exchange.reader_context()
     selection = selection_to_purge(exchange, context)
@@ -35,16 +35,16 @@ async def purge(exchange: Exchange) -> Answer:
     succeeded: list[str] = []
     errors: list[dict[str, Any]] = []
     for start in range(0, len(ids), AT_ONCE):
-        fates: dict[str, asyncio.Future[None]] = {}
+        staged: dict[str, asyncio.Future[None]] = {}
         for entity_id in ids[start : start + AT_ONCE]:
             entity = store.latest(entity_id)
             event = None if entity is None or not selection.wants(entity) else _event(entity, names, keep)
             if event is None:
                 succeeded.append(entity_id)
             else:
-                fates[entity_id] = store.stage(event)
-        outcomes = await asyncio.gather(*fates.values(), return_exceptions=True)
-        for entity_id, outcome in zip(fates, outcomes, strict=True):
+                staged[entity_id] = store.stage(event)
+        outcomes = await asyncio.gather(*staged.values(), return_exceptions=True)
+        for entity_id, outcome in zip(staged, outcomes, strict=True):
             if isinstance(outcome, Problem):
                 errors.append({"entityId": entity_id, "error": outcome.body()})
             elif outcome is not None:
@@ -52,9 +52,9 @@ async def purge(exchange: Exchange) -> Answer:
             else:
                 succeeded.append(entity_id)
     if not errors:
-        return Answer(204)
+        return Response(204)
     body = orjson.dumps({"success": succeeded, "errors": errors})
-    return Answer(207, body, [(b"content-type", b"application/json")])
+    return Response(207, body, [(b"content-type", b"application/json")])
 
 
 def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | None:
@@ -65,7 +65,7 @@ def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | 
     return None if outcome.entity is entity else Event(entity, outcome.entity, outcome.touched)
 
 
-def _named(exchange: Exchange, context: Context) -> tuple[frozenset[str] | None, bool]:
+def _named(exchange: RequestContext, context: Context) -> tuple[frozenset[str] | None, bool]:
     """Return the attributes that are to go or, if so said, to stay; None if the entities go."""
     keep, drop = exchange.parameter("keep"), exchange.parameter("drop")
     if keep is not None and drop is not None:
@@ -73,7 +73,7 @@ def _named(exchange: Exchange, context: Context) -> tuple[frozenset[str] | None,
     return names_of(drop if keep is None else keep, context), keep is not None
 
 
-def selection_to_purge(exchange: Exchange, context: Context) -> Selection:
+def selection_to_purge(exchange: RequestContext, context: Context) -> Selection:
     """Return what is to be purged; raise a problem (400) if that is whatever is there.
 
     Ids and system attributes alone choose nothing, unless only attributes are to go (clause 5.6.21.4).

@@ -12,9 +12,9 @@ import orjson
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.delivery.subscription import Counts, Subscription, subscription
-from services.context_broker.delivery.subscription_dispatcher import CourierOffice
+from services.context_broker.delivery.subscription_dispatcher import SubscriptionDispatcher
 from services.context_broker.delivery.subscription_documents import (
     CAME_BY,
     NAMES_IN,
@@ -33,7 +33,7 @@ from services.context_broker.request.query_parameters import (
     page_links,
     window_of,
 )
-from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
+from services.context_broker.request.request_context import JSON_LD, RequestContext, Response
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.journal import NotStored
@@ -41,7 +41,7 @@ from services.context_broker.tenants import Tenant
 
 log = get_logger(__name__)
 
-DONE: Final = Answer(204)
+DONE: Final = Response(204)
 _LOCAL: Final = frozenset({"local"})
 _VIEW: Final = frozenset({"options"})
 _SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
@@ -57,7 +57,7 @@ class SubscriptionOperations:
     BESIDES: frozenset[str] = frozenset()
     """Members that such a subscription has besides those of all."""
 
-    def __init__(self, contexts: ContextBook) -> None:
+    def __init__(self, contexts: ContextResolver) -> None:
         self._contexts = contexts
         self._one_at_a_time = asyncio.Lock()
 
@@ -73,7 +73,7 @@ class SubscriptionOperations:
             Operation("DELETE", one, "deleteSubscription", "6.11.3.3", self.delete, _LOCAL),
         )
 
-    def book(self, tenant: Tenant) -> CourierOffice:
+    def book(self, tenant: Tenant) -> SubscriptionDispatcher:
         """Return who knows a tenant's subscriptions and has their notifications delivered."""
         return tenant.notifier
 
@@ -114,7 +114,7 @@ class SubscriptionOperations:
                     except Problem as problem:  # it goes on with the context that it was made with
                         log.warning("a subscription keeps its context", one=one.id, why=problem.detail)
 
-    async def create(self, exchange: Exchange) -> Answer:
+    async def create(self, exchange: RequestContext) -> Response:
         """POST subscriptions."""
         given, context = await exchange.body()
         document = kept_document(given, context, self.BESIDES)
@@ -137,9 +137,9 @@ class SubscriptionOperations:
                 )
             await self.keep(exchange.tenant, made)
         location = f"{exchange.path.rstrip('/')}/{quote(made.id, safe=':')}".encode()
-        return Answer(201, b"", [(b"location", location)])
+        return Response(201, b"", [(b"location", location)])
 
-    async def update(self, exchange: Exchange) -> Answer:
+    async def update(self, exchange: RequestContext) -> Response:
         """PATCH subscriptions/{id}."""
         given, context = await exchange.body()
         change = kept_document(given, context, self.BESIDES)
@@ -154,7 +154,7 @@ class SubscriptionOperations:
             await self.keep(exchange.tenant, made)
         return DONE
 
-    async def delete(self, exchange: Exchange) -> Answer:
+    async def delete(self, exchange: RequestContext) -> Response:
         """DELETE subscriptions/{id}."""
         async with self._one_at_a_time:
             before = self._existing(exchange)
@@ -164,13 +164,13 @@ class SubscriptionOperations:
             self.book(exchange.tenant).remove(before.id)
         return DONE
 
-    async def retrieve(self, exchange: Exchange) -> Answer:
+    async def retrieve(self, exchange: RequestContext) -> Response:
         """GET subscriptions/{id}."""
         media_type, context = exchange.accept(), await exchange.reader_context()
         document = self._shown(self._existing(exchange), exchange, context)
         return _answer(_with_context(document, media_type, context), media_type, context)
 
-    async def list(self, exchange: Exchange) -> Answer:
+    async def list(self, exchange: RequestContext) -> Response:
         """GET subscriptions."""
         media_type, context = exchange.accept(), await exchange.reader_context()
         window = window_of(exchange)
@@ -184,7 +184,7 @@ class SubscriptionOperations:
         answer.headers += page_links(exchange, window, media_type, more=more)
         return answer
 
-    def _existing(self, exchange: Exchange) -> Subscription:
+    def _existing(self, exchange: RequestContext) -> Subscription:
         subscription_id = require_uri(exchange.names[0], "the subscription id in the path")
         found = self.book(exchange.tenant).get(subscription_id)
         if found is None:
@@ -204,7 +204,7 @@ class SubscriptionOperations:
             kept[NAMES_IN] = names.document
         return subscription(kept, used, names)
 
-    async def _with_link(self, exchange: Exchange, made: Subscription) -> Subscription:
+    async def _with_link(self, exchange: RequestContext, made: Subscription) -> Subscription:
         """Return the subscription with a context that its notifications can name in a Link header."""
         base = self._contexts.base(exchange.headers)
         linked = await self._contexts.linked(made.context, exchange.tenant.name, base)
@@ -235,7 +235,7 @@ class SubscriptionOperations:
             raise not_stored(str(error)) from error
 
     @staticmethod
-    def _shown(one: Subscription, exchange: Exchange, context: Context) -> dict[str, Any]:
+    def _shown(one: Subscription, exchange: RequestContext, context: Context) -> dict[str, Any]:
         sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
         return shown_document(one, context, time.time(), sys_attrs=sys_attrs)
 
@@ -244,11 +244,11 @@ def _with_context(document: dict[str, Any], media_type: str, context: Context) -
     return {"@context": context.document, **document} if media_type == JSON_LD else document
 
 
-def _answer(body: Any, media_type: str, context: Context) -> Answer:
+def _answer(body: Any, media_type: str, context: Context) -> Response:
     headers = json_headers(context)
     if media_type == JSON_LD:
         headers = [(b"content-type", JSON_LD.encode())]
-    return Answer(200, orjson.dumps(body), headers)
+    return Response(200, orjson.dumps(body), headers)
 
 
 def _absent(subscription_id: str) -> Problem:

@@ -16,8 +16,8 @@ from services.context_broker.model.validation import shown
 Key = Callable[[str], Any]
 """Gives a text what it is ordered by."""
 
-_LONGEST_TAG: Final = 100
-_AS_LETTERS: Final = {
+_MAX_TAG_LENGTH: Final = 100
+_REPLACEMENTS: Final = {
     "æ": "ae", "œ": "oe", "ø": "o", "đ": "d", "ð": "d", "ł": "l", "ħ": "h", "þ": "th", "ı": "i",
 }  # fmt: skip
 """Letters that are not made of a letter and an accent, and where they belong."""
@@ -53,16 +53,16 @@ def collation(tag: str | None) -> Key:
 @lru_cache(maxsize=16)
 def _collation(tag: str) -> Key:
     language, _, extension = tag.partition("-u-")
-    options = _options(extension) if len(tag) <= _LONGEST_TAG else None
+    options = _options(extension) if len(tag) <= _MAX_TAG_LENGTH else None
     language = language.partition("-")[0]
     if options is None or not (language in _AS_ROOT or language in _AT_HOME):
         raise _unknown(tag)
     own = dict(_AT_HOME.get(language, {}))
-    as_letters = _AS_LETTERS
+    replacements = _REPLACEMENTS
     if options.pop("co", "standard") == "phonebk":
         if language != "de":
             raise _unknown(tag)
-        as_letters = {**_AS_LETTERS, **_PHONE_BOOK}
+        replacements = {**_REPLACEMENTS, **_PHONE_BOOK}
     strength = _STRENGTHS[options.pop("ks", "level3")]
     is_numeric = options.pop("kn", "false") in {"true", ""}
     upper_first = options.pop("kf", "lower") == "upper"
@@ -72,7 +72,7 @@ def _collation(tag: str) -> Key:
     @lru_cache(maxsize=4096)
     def key(text: str) -> Any:
         composed = unicodedata.normalize("NFC", text)
-        letters = _letters(composed.casefold(), own, as_letters)
+        letters = _without_accents(composed.casefold(), own, replacements)
         if is_numeric:
             letters = _DIGITS.sub(
                 lambda found: f"{len(found[0].lstrip('0')):05}{found[0].lstrip('0')}", letters
@@ -106,7 +106,7 @@ def _options(extension: str) -> dict[str, str] | None:
     return options if all(value in known[name] for name, value in options.items()) else None
 
 
-def _letters(text: str, own: dict[str, str], as_letters: dict[str, str]) -> str:
+def _without_accents(text: str, own: dict[str, str], replacements: dict[str, str]) -> str:
     """Return the text without accents; letters of the language's own are put after z."""
     if text.isascii():
         return text
@@ -114,8 +114,8 @@ def _letters(text: str, own: dict[str, str], as_letters: dict[str, str]) -> str:
     for sign in text:
         if sign in own:
             found.append(_AFTER_Z + own[sign])
-        elif sign in as_letters:
-            found.append(as_letters[sign])
+        elif sign in replacements:
+            found.append(replacements[sign])
         else:
             found.append(
                 "".join(c for c in unicodedata.normalize("NFD", sign) if not unicodedata.combining(c))

@@ -18,7 +18,7 @@ from services.context_broker.query.q_match import Lookup
 PARAMETERS: Final = frozenset({"join", "joinLevel", "containedBy"})
 DEEPEST: Final = 10
 """Links that are followed one after the other."""
-MOST_LINKED: Final = 10_000
+MAX_LINKED: Final = 10_000
 """Linked entities in one answer; a web of links could otherwise be told in endless ways."""
 
 Shown = tuple[Entity, dict[str, Any]]
@@ -133,9 +133,9 @@ class _Walk:
         found = self._lookup(target)
         if found is not None:
             self._met += 1
-            if self._met > MOST_LINKED:
+            if self._met > MAX_LINKED:
                 raise too_many_results(
-                    f"the entities asked for link to more than {MOST_LINKED} others; ask for fewer with "
+                    f"the entities asked for link to more than {MAX_LINKED} others; ask for fewer with "
                     "limit, or follow fewer links with joinLevel"
                 )
         return found

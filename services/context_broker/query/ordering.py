@@ -23,10 +23,10 @@ from services.context_broker.query.q_grammar import Path, path_of
 from services.context_broker.query.q_match import Expand, Wordings, finder, nobody
 
 PARAMETERS: Final = frozenset({"orderBy", "orderFrom", "orderGeometry", "collation"})
-MOST_KEYS: Final = 10
+MAX_KEYS: Final = 10
 """Members by which entities are ordered at once."""
 
-LONGEST_TOLD: Final = 256
+MAX_KEY_LENGTH: Final = 256
 """Characters of a text that count in an order; entities whose texts begin alike come as they were created.
 What an entity is ordered by has to fit into the address of the next page."""
 
@@ -44,7 +44,7 @@ _COUNTED: Final = frozenset({_PLACE, _NUMBER, _TRUTH, _DATE, _DATE_TIME})
 """Kinds of values that are turned round by their sign."""
 _TYPED: Final = {"Time": _TIME, "Date": _DATE, "DateTime": _DATE_TIME}
 
-Told = list[Any]
+KeyValue = list[Any]
 """What an entity is ordered by under one key: what kind of value it is, and the value."""
 
 
@@ -67,7 +67,7 @@ class _Downwards:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OrderKey:
-    tell: Callable[[Entity], Told]
+    tell: Callable[[Entity], KeyValue]
     is_descending: bool
 
 
@@ -79,7 +79,7 @@ class Ordering:
     keys: tuple[_OrderKey, ...]
     collated: Key
 
-    def told(self, entity: Entity) -> list[Told]:
+    def told(self, entity: Entity) -> list[KeyValue]:
         """Return what the entity is ordered by, as JSON has it."""
         return [_of_bearable_length(key.tell(entity)) for key in self.keys]
 
@@ -162,8 +162,8 @@ def made(
     terms: Sequence[str], origin: Geometry | None, tag: str | None, expand: Expand, text: str
 ) -> Ordering:
     """Return the order by `terms` such as `age;desc`; `origin` is where distances are measured from."""
-    if len(terms) > MOST_KEYS:
-        raise bad_request_data(f"orderBy has {len(terms)} members; {MOST_KEYS} are allowed")
+    if len(terms) > MAX_KEYS:
+        raise bad_request_data(f"orderBy has {len(terms)} members; {MAX_KEYS} are allowed")
     return Ordering(text, tuple(_order_key(term, origin, expand) for term in terms), collation(tag))
 
 
@@ -183,7 +183,7 @@ def _order_key(term: str, origin: Geometry | None, expand: Expand) -> _OrderKey:
     return _OrderKey(tell, direction.endswith("desc"))
 
 
-def _teller(path: Path, expand: Expand) -> Callable[[Entity], Told]:
+def _teller(path: Path, expand: Expand) -> Callable[[Entity], KeyValue]:
     name = path.names[0] if len(path.names) == 1 and not path.trail else ""
     if name == "id":
         return lambda entity: [_TEXT, entity.id]
@@ -194,20 +194,20 @@ def _teller(path: Path, expand: Expand) -> Callable[[Entity], Told]:
     find = finder(path, expand)
     is_time = path.names[-1] in _TIMES and not path.trail
 
-    def tell(entity: Entity) -> Told:
+    def tell(entity: Entity) -> KeyValue:
         for value in find(entity, nobody):  # of several instances the first, which is the default one if any
-            return _told(value, is_time=is_time)
+            return _key_value(value, is_time=is_time)
         return [_ABSENT, None]
 
     return tell
 
 
 def _distance_teller(
-    path: Path, origin: Geometry, tell: Callable[[Entity], Told], expand: Expand
-) -> Callable[[Entity], Told]:
+    path: Path, origin: Geometry, tell: Callable[[Entity], KeyValue], expand: Expand
+) -> Callable[[Entity], KeyValue]:
     find = finder(path, expand)
 
-    def told(entity: Entity) -> Told:
+    def told(entity: Entity) -> KeyValue:
         distances = [
             distance_to_m(origin, value)
             for value in find(entity, nobody)
@@ -218,7 +218,7 @@ def _distance_teller(
     return told
 
 
-def _told(value: Any, *, is_time: bool) -> Told:
+def _key_value(value: Any, *, is_time: bool) -> KeyValue:
     if isinstance(value, bool):
         return [_TRUTH, value]
     if isinstance(value, int | float):
@@ -227,18 +227,18 @@ def _told(value: Any, *, is_time: bool) -> Told:
         seconds = moment(value) if is_time else None
         return [_TEXT, value] if seconds is None else [_DATE_TIME, seconds]
     if isinstance(value, Wordings):
-        return _told(value.get("@none", next(iter(value.values()), None)), is_time=False)
-    return _told_object(value) if isinstance(value, dict) else _told_list(value)
+        return _key_value(value.get("@none", next(iter(value.values()), None)), is_time=False)
+    return _object_value(value) if isinstance(value, dict) else _list_value(value)
 
 
-def _told_list(value: Any) -> Told:
+def _list_value(value: Any) -> KeyValue:
     if not isinstance(value, list):
         return [_NULL, None]
     # A relationship to one entity is told as a list of one.
-    return _told(value[0], is_time=False) if len(value) == 1 else [_LIST, _written(value)]
+    return _key_value(value[0], is_time=False) if len(value) == 1 else [_LIST, _written(value)]
 
 
-def _told_object(value: dict[str, Any]) -> Told:
+def _object_value(value: dict[str, Any]) -> KeyValue:
     typed, literal = _TYPED.get(str(value.get("@type"))), value.get("@value")
     if typed is None or not isinstance(literal, str):
         return [_OBJECT, _written(value)]
@@ -248,9 +248,9 @@ def _told_object(value: dict[str, Any]) -> Told:
     return [_TEXT, literal] if seconds is None else [typed, seconds]
 
 
-def _of_bearable_length(told: Told) -> Told:
+def _of_bearable_length(told: KeyValue) -> KeyValue:
     kind, value = told
-    return [kind, value[:LONGEST_TOLD]] if isinstance(value, str) and len(value) > LONGEST_TOLD else told
+    return [kind, value[:MAX_KEY_LENGTH]] if isinstance(value, str) and len(value) > MAX_KEY_LENGTH else told
 
 
 def _written(value: Any) -> str:

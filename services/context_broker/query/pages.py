@@ -18,8 +18,8 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import shown
 
 DEFAULT_LIMIT: Final = 20
-LARGEST_LIMIT: Final = 1000
-LONGEST_PLACE: Final = 32 * 1024
+MAX_LIMIT: Final = 1000
+MAX_PLACE_LENGTH: Final = 32 * 1024
 """Characters of a place: ten texts by which entities are ordered fit in, of any script."""
 
 PLACE: Final = "place"
@@ -77,7 +77,7 @@ def place_of(text: str, mark: int) -> Place:
 
 
 def _read(text: str) -> tuple[Place | None, Any]:
-    if len(text) > LONGEST_PLACE:
+    if len(text) > MAX_PLACE_LENGTH:
         return None, None
     try:
         is_end, seq, mark, told = orjson.loads(urlsafe_b64decode(text + "=" * (-len(text) % 4)))

@@ -12,7 +12,7 @@ from services.context_broker.query.patterns import pattern
 from services.context_broker.query.selection import Selection
 from services.context_broker.query.type_selection import type_selection
 
-MOST_SELECTORS: Final = 1000
+MAX_SELECTORS: Final = 1000
 """Entity selectors in one query."""
 
 TEMPORAL: Final = frozenset({"temporalQ", "aggrParams"})
@@ -59,8 +59,8 @@ def _selectors(document: Any) -> list[Any]:
     given = document.get("entities", [])
     if not isinstance(given, list) or ("entities" in document and not given):
         raise bad_request_data('"entities" is a list with at least one selector such as {"type": "Task"}')
-    if len(given) > MOST_SELECTORS:
-        raise bad_request_data(f'"entities" has {len(given)} selectors; {MOST_SELECTORS} are taken at once')
+    if len(given) > MAX_SELECTORS:
+        raise bad_request_data(f'"entities" has {len(given)} selectors; {MAX_SELECTORS} are taken at once')
     return given
 
 

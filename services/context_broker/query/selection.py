@@ -29,7 +29,7 @@ CHUNK: Final = 256
 """Entities looked at before the clock is."""
 TURN_S: Final = 0.004
 """How long entities are looked at before others get their turn: a notification is to wait no longer."""
-MOST_QUERIES: Final = 1000
+MAX_QUERIES: Final = 1000
 
 
 class EntityStore(Protocol):
@@ -149,7 +149,7 @@ def compiled(text: str, context: Context, expanded: frozenset[str] = frozenset()
             max(path.hops for path in ways),
             any(path.names[0] not in ENTITY_TIMES for path in ways),
         )
-        if len(_compiled) > MOST_QUERIES:
+        if len(_compiled) > MAX_QUERIES:
             _compiled.popitem(last=False)
     return query
 

@@ -3,10 +3,10 @@
 import copy
 from typing import Any
 
-from services.context_broker.request.request_context import Exchange
+from services.context_broker.request.request_context import RequestContext
 
 
-def derived(exchange: Exchange, **changes: Any) -> Exchange:
+def derived(exchange: RequestContext, **changes: Any) -> RequestContext:
     """Return a copy of the exchange with some attributes changed."""
     result = copy.copy(exchange)
     for name, value in changes.items():

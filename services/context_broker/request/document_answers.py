@@ -6,15 +6,15 @@ import orjson
 
 from services.context_broker.model.context import Context
 from services.context_broker.request.query_parameters import json_headers
-from services.context_broker.request.request_context import JSON_LD, Answer
+from services.context_broker.request.request_context import JSON_LD, Response
 
 
-def document_answer(body: Any, media_type: str, context: Context) -> Answer:
+def document_answer(body: Any, media_type: str, context: Context) -> Response:
     """Return 200 with the body; `in_media_type` has been applied to each of its documents."""
     headers = json_headers(context)
     if media_type == JSON_LD:
         headers = [(b"content-type", JSON_LD.encode())]
-    return Answer(200, orjson.dumps(body), headers)
+    return Response(200, orjson.dumps(body), headers)
 
 
 def in_media_type(document: dict[str, Any], media_type: str, context: Context) -> dict[str, Any]:

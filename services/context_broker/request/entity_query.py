@@ -15,12 +15,12 @@ from services.context_broker.query.pages import Window, mark_of
 from services.context_broker.query.selection import Selection, search
 from services.context_broker.request.entity_responses import Showing, entities_answer
 from services.context_broker.request.query_parameters import selection_of, view_of, window_of
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext, Response
 from services.context_broker.storage.store import Store
 
 
 @dataclass(frozen=True, slots=True)
-class Asking:
+class EntityQuery:
     """What one asker wants of the entities; `mark` tells its order from others in the links to pages."""
 
     context: Context
@@ -32,12 +32,12 @@ class Asking:
     mark: int
 
 
-def asking_of(
-    exchange: Exchange,
+def entity_query_of(
+    exchange: RequestContext,
     given: Mapping[str, str],
     context: Context,
     any_of: tuple[Selection, ...] = (),
-) -> Asking:
+) -> EntityQuery:
     """Return what the parameters `given` ask for, of entities that fit one of `any_of` if there are any.
 
     Raises a problem (400) that names what cannot be read, or may not be asked for.
@@ -47,7 +47,7 @@ def asking_of(
     order = ordering.ordering(given, context.terms.expand)
     join = join_of(given, view, selection)
     mark = mark_of(context.text, "" if order is None else order.text)
-    return Asking(context, view, selection, window_of(exchange, mark=mark), order, join, mark)
+    return EntityQuery(context, view, selection, window_of(exchange, mark=mark), order, join, mark)
 
 
 def join_of(given: Mapping[str, str], view: View, selection: Selection | None = None) -> Join | None:
@@ -59,7 +59,7 @@ def join_of(given: Mapping[str, str], view: View, selection: Selection | None = 
     return join
 
 
-async def answered(exchange: Exchange, store: Store, asking: Asking) -> Answer:
+async def answered(exchange: RequestContext, store: Store, asking: EntityQuery) -> Response:
     """Return the answer to a query out of the entities in `store`."""
     page = await search(store, asking.selection, asking.window, asking.order)
     showing = Showing(asking.context, asking.view, asking.join, store.get)

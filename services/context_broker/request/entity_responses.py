@@ -19,7 +19,7 @@ from services.context_broker.query.q_match import Lookup, nobody
 from services.context_broker.query.selection import Page
 from services.context_broker.request.geojson_parameters import has_context_in_body, place_of
 from services.context_broker.request.query_parameters import json_headers, page_link
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext, Response
 
 
 class Showing(NamedTuple):
@@ -31,24 +31,24 @@ class Showing(NamedTuple):
     lookup: Lookup = nobody
 
 
-def entity_answer(exchange: Exchange, entity: Entity, showing: Showing) -> Answer:
+def entity_answer(exchange: RequestContext, entity: Entity, showing: Showing) -> Response:
     """Return one entity as an answer; with flat linked ones it is a list, be there any or not (4.5.23.3)."""
     if showing.join is not None and showing.join.is_flat:
-        return Answer(200, *_list_body(exchange, [entity], showing))
+        return Response(200, *_list_body(exchange, [entity], showing))
     accept, context = exchange.accept(WITH_GEO_JSON), showing.context
     if accept == GEO_JSON:
         (one,) = _features(exchange, [entity], showing)
         in_body = has_context_in_body(exchange)
-        return Answer(200, feature_body(one, context, with_context=in_body), _geo_headers(context, in_body))
+        return Response(200, feature_body(one, context, with_context=in_body), _geo_headers(context, in_body))
     (text,) = _texts([entity], showing)
     if accept == JSON_LD:
-        return Answer(200, with_context(text, context), [(b"content-type", JSON_LD.encode())])
-    return Answer(200, text, json_headers(context))
+        return Response(200, with_context(text, context), [(b"content-type", JSON_LD.encode())])
+    return Response(200, text, json_headers(context))
 
 
 def entities_answer(
-    exchange: Exchange, page: Page, window: Window, showing: Showing, mark: int = 0
-) -> Answer:
+    exchange: RequestContext, page: Page, window: Window, showing: Showing, mark: int = 0
+) -> Response:
     """Return a page of entities as an answer, with links to its neighbours.
 
     The links hold places in the order that `mark` tells from others. To a POST the same body goes with them.
@@ -57,7 +57,7 @@ def entities_answer(
     if page.total is not None:
         headers.append((b"ngsild-results-count", str(page.total).encode()))
     if window.limit == 0:
-        return Answer(200, body, headers)
+        return Response(200, body, headers)
     accept = exchange.accept(WITH_GEO_JSON)
     if page.before:
         place = None if page.first is None else page.first.written(mark)
@@ -65,11 +65,11 @@ def entities_answer(
     if page.more:
         place = None if page.last is None else page.last.written(mark)
         headers.append(page_link(exchange, window.offset + window.limit, "next", accept, place))
-    return Answer(200, body, headers)
+    return Response(200, body, headers)
 
 
 def _list_body(
-    exchange: Exchange, entities: list[Entity], showing: Showing
+    exchange: RequestContext, entities: list[Entity], showing: Showing
 ) -> tuple[bytes, list[tuple[bytes, bytes]]]:
     accept, context = exchange.accept(WITH_GEO_JSON), showing.context
     if accept == GEO_JSON:
@@ -91,7 +91,7 @@ def _texts(entities: list[Entity], showing: Showing) -> Iterable[bytes]:
     return (orjson.dumps(one) for _, one in joined(entities, context.terms, view, join, showing.lookup))
 
 
-def _features(exchange: Exchange, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:
+def _features(exchange: RequestContext, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:
     place, terms, view = place_of(exchange, showing.context), showing.context.terms, showing.view
     if showing.join is None:
         told = [(one, render(one, terms, view)) for one in entities]

@@ -9,12 +9,12 @@ from services.context_broker.model.geojson import LOCATION
 from services.context_broker.model.negotiation import GEO_JSON, WITH_GEO_JSON
 from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import require_name
-from services.context_broker.request.request_context import Exchange
+from services.context_broker.request.request_context import RequestContext
 
 _PLAIN_BODY: Final = re.compile(rb'(?:^|[,;\s])body\s*=\s*"?json"?(?:$|[,;\s])', re.IGNORECASE)
 
 
-def place_of(exchange: Exchange, context: Context) -> str:
+def place_of(exchange: RequestContext, context: Context) -> str:
     """Return the GeoProperty (IRI) that is asked to be the geometry.
 
     Raises a problem (400) if one is asked for and the answer is not to be GeoJSON.
@@ -27,6 +27,6 @@ def place_of(exchange: Exchange, context: Context) -> str:
     return expand(require_name(given, "geometryProperty"), context.terms)
 
 
-def has_context_in_body(exchange: Exchange) -> bool:
+def has_context_in_body(exchange: RequestContext) -> bool:
     """Say whether the @context goes into the GeoJSON: yes, unless the asker prefers plain JSON as body."""
     return _PLAIN_BODY.search(exchange.headers.get(b"prefer", b"")) is None

@@ -21,10 +21,10 @@ from services.context_broker.query.scope_query import scope_query
 from services.context_broker.query.selection import Selection, compiled
 from services.context_broker.query.type_selection import type_selection
 from services.context_broker.request.geojson_parameters import place_of
-from services.context_broker.request.request_context import Exchange
+from services.context_broker.request.request_context import RequestContext
 
 DEFAULT_LIMIT: Final = 20
-LARGEST_LIMIT: Final = 1000
+MAX_LIMIT: Final = 1000
 VIEW_PARAMETERS: Final = frozenset(
     {"options", "format", "attrs", "pick", "omit", "lang", "datasetId", "geometryProperty", "local"}
 )
@@ -54,7 +54,7 @@ WHOLE: Final = View()
 """How entities are wanted by who says nothing of it: most do, and most often."""
 
 
-def options_of(exchange: Exchange, known: frozenset[str] = _OPTIONS) -> set[str]:
+def options_of(exchange: RequestContext, known: frozenset[str] = _OPTIONS) -> set[str]:
     """Return the parameter `options` as a set; raise a problem for one that is not known."""
     given = exchange.parameter("options")
     if not given:
@@ -73,7 +73,7 @@ def names_of(given: str | None, context: Context) -> frozenset[str] | None:
     return frozenset(names)
 
 
-def view_of(exchange: Exchange, context: Context) -> View:
+def view_of(exchange: RequestContext, context: Context) -> View:
     """Return how the asker wants entities."""
     if not exchange.parameters:
         return WHOLE
@@ -115,12 +115,12 @@ def datasets_of(given: str | None) -> frozenset[str | None] | None:
     )
 
 
-def window_of(exchange: Exchange, options: frozenset[str] = _OPTIONS, mark: int = 0) -> Window:
+def window_of(exchange: RequestContext, options: frozenset[str] = _OPTIONS, mark: int = 0) -> Window:
     """Return which page the asker wants; `mark` tells the order in which its place is one."""
     offset = _whole_number(exchange, "offset", 0)
     limit = _whole_number(exchange, "limit", DEFAULT_LIMIT)
-    if limit > LARGEST_LIMIT:
-        raise too_many_results(f"limit is at most {LARGEST_LIMIT}, not {limit}; ask page by page with offset")
+    if limit > MAX_LIMIT:
+        raise too_many_results(f"limit is at most {MAX_LIMIT}, not {limit}; ask page by page with offset")
     count = exchange.flag("count") or "count" in options_of(exchange, options)
     if limit == 0 and not count:
         raise bad_request_data("limit=0 asks for nothing; add count=true to learn how many there are")
@@ -192,7 +192,7 @@ def json_headers(context: Context) -> list[tuple[bytes, bytes]]:
 
 
 def page_links(
-    exchange: Exchange, window: Window, media_type: str, *, more: bool
+    exchange: RequestContext, window: Window, media_type: str, *, more: bool
 ) -> list[tuple[bytes, bytes]]:
     """Return the Link headers to the page before and after."""
     links: list[tuple[bytes, bytes]] = []
@@ -206,7 +206,7 @@ def page_links(
 
 
 def page_link(
-    exchange: Exchange, offset: int, relation: str, media_type: str, place: str | None = None
+    exchange: RequestContext, offset: int, relation: str, media_type: str, place: str | None = None
 ) -> tuple[bytes, bytes]:
     """Return the Link header to another page of what was asked for; `place` is where it starts or ends."""
     parameters = {name: value for name, value in exchange.parameters.items() if name != PLACE}
@@ -219,7 +219,7 @@ def page_link(
     return b"link", f'<{exchange.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
 
 
-def _whole_number(exchange: Exchange, name: str, default: int) -> int:
+def _whole_number(exchange: RequestContext, name: str, default: int) -> int:
     """Return a query parameter that is a whole number from 0 on."""
     given = exchange.parameter(name)
     if given is None:

@@ -14,7 +14,7 @@ import orjson
 from starlette.types import Receive, Scope, Send
 
 from handover.errors import Problem
-from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.model.context import Context
 from services.context_broker.model.negotiation import (
     GEO_JSON,
@@ -39,14 +39,14 @@ from services.context_broker.model.problems import (
 from services.context_broker.model.validation import shown
 from services.context_broker.tenants import Tenant
 
-__all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Answer", "Disconnected", "Exchange", "Request"]
+__all__ = ["GEO_JSON", "JSON", "JSON_LD", "PREFIX", "Disconnected", "Request", "RequestContext", "Response"]
 
 PREFIX: Final = "/ngsi-ld/v1/"
-LONGEST_QUERY: Final = 64 * 1024
+MAX_QUERY_LENGTH: Final = 64 * 1024
 _ANSWERED_AS: Final = {"HEAD": "GET"}
 """An operation is carried out alike for both; the server leaves the body of an answer to HEAD out."""
-LONGEST_HEADER: Final = 4096
-MOST_PARAMETERS: Final = 100
+MAX_HEADER_LENGTH: Final = 4096
+MAX_PARAMETERS: Final = 100
 """Parameters that are read: no operation has half as many."""
 LONGEST_REMEMBERED: Final = 1024
 """Characters of the query of a URL that is kept parsed."""
@@ -76,7 +76,7 @@ class Disconnected(Exception):
 
 
 @dataclass(slots=True)
-class Answer:
+class Response:
     """What goes back: a status, a body and headers."""
 
     status: int
@@ -134,13 +134,13 @@ def by_name(headers: Sequence[tuple[bytes, bytes]]) -> dict[bytes, bytes]:
     return found
 
 
-class Exchange:
+class RequestContext:
     """A request on its way through the broker; `names` are the parts of the path that name things."""
 
     __slots__ = ("contexts", "headers", "method", "names", "parameters", "path", "raw", "tenant")
 
     def __init__(
-        self, request: Request, names: tuple[str, ...], contexts: ContextBook, tenant: Tenant
+        self, request: Request, names: tuple[str, ...], contexts: ContextResolver, tenant: Tenant
     ) -> None:
         self.method = _ANSWERED_AS.get(request.method, request.method)
         self.path = request.path
@@ -254,8 +254,8 @@ class Exchange:
 
 
 def _of_bearable_length(given: bytes, name: str) -> bytes:
-    if len(given) > LONGEST_HEADER:
-        raise invalid_request(f"the {name} header has {len(given)} characters; {LONGEST_HEADER} are read")
+    if len(given) > MAX_HEADER_LENGTH:
+        raise invalid_request(f"the {name} header has {len(given)} characters; {MAX_HEADER_LENGTH} are read")
     return given
 
 
@@ -269,7 +269,7 @@ def _parameters(query: bytes) -> Mapping[str, str]:
 def _read_parameters(query: bytes) -> Mapping[str, str]:
     try:
         text = query.decode("ascii")
-        pairs = parse_qsl(text, keep_blank_values=True, errors="strict", max_num_fields=MOST_PARAMETERS)
+        pairs = parse_qsl(text, keep_blank_values=True, errors="strict", max_num_fields=MAX_PARAMETERS)
     except ValueError as error:
         raise invalid_request(
             f"the query of the URL cannot be read: {error}; percent-encode it as UTF-8"
@@ -289,8 +289,10 @@ async def read(request: Request, body: bytes | Receive, max_bytes: int) -> None:
     for one larger than `max_bytes`.
     """
     if request.query:
-        if len(request.query) > LONGEST_QUERY:
-            raise invalid_request(f"the query of the URL has more than {LONGEST_QUERY} characters; use POST")
+        if len(request.query) > MAX_QUERY_LENGTH:
+            raise invalid_request(
+                f"the query of the URL has more than {MAX_QUERY_LENGTH} characters; use POST"
+            )
         request.parameters = _parameters(request.query)
     announced = request.headers.get(b"content-length")
     if announced is None:
@@ -316,7 +318,7 @@ async def _whole(receive: Receive, max_bytes: int) -> bytes:
     return b"".join(pieces)
 
 
-async def send_answer(send: Send, answer: Answer) -> None:
+async def send_response(send: Send, answer: Response) -> None:
     """Send an answer."""
     headers = [*answer.headers, (b"content-length", str(len(answer.body)).encode())]
     if answer.status == 204:
@@ -325,7 +327,7 @@ async def send_answer(send: Send, answer: Answer) -> None:
     await send({"type": "http.response.body", "body": answer.body})
 
 
-def told_back(request: Request, answer: Answer) -> Answer:
+def with_echoed_headers(request: Request, answer: Response) -> Response:
     """Return the answer with what the asker is told of its own headers: the tenant, the version it prefers.
 
     The tenant is told in errors too (clause 6.3.14). An answer that was made to conform to an earlier version
@@ -333,47 +335,47 @@ def told_back(request: Request, answer: Answer) -> Answer:
     """
     tenant = request.headers.get(b"ngsild-tenant")
     if tenant is not None:
-        answer = Answer(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", tenant)])
+        answer = Response(answer.status, answer.body, [*answer.headers, (b"ngsild-tenant", tenant)])
     prefer = request.headers.get(b"prefer")
     if prefer is None or answer.status != 200:
         return answer
     return _as_preferred(request, prefer, answer)
 
 
-def of_tenant(request: Request, answer: Answer) -> Answer:
+def of_tenant(request: Request, answer: Response) -> Response:
     """Return the answer to a request that was refused before it was read, with its tenant told back."""
     tenant = request.headers.get(b"ngsild-tenant")
     told = [] if tenant is None else [(b"ngsild-tenant", tenant)]
-    return Answer(answer.status, answer.body, [*answer.headers, *told])
+    return Response(answer.status, answer.body, [*answer.headers, *told])
 
 
-def _as_preferred(request: Request, prefer: bytes, answer: Answer) -> Answer:
+def _as_preferred(request: Request, prefer: bytes, answer: Response) -> Response:
     from services.context_broker.model import conformance  # noqa: PLC0415 - few ask for another version
 
     try:
         version = preferred_version(_of_bearable_length(prefer, "Prefer"))
     except Problem as problem:
-        return problem_answer(problem)
+        return problem_response(problem)
     if version is None or not answer.body:
         return answer
     applied = "ngsi-ld={}.{}".format(*min(version, conformance.OURS)).encode()
     headers = [*answer.headers, (b"preference-applied", applied)]
     if not request.path.startswith(_WITH_ENTITIES):
-        return Answer(200, answer.body, headers)
+        return Response(200, answer.body, headers)
     said = request.parameters.get("format") or request.parameters.get("options", "")
     document = orjson.loads(answer.body)
     simplified = not {"keyValues", "simplified"}.isdisjoint(said.split(","))
     conformed = conformance.conformed(document, version, simplified=simplified)
     if conformed is document:
-        return Answer(200, answer.body, headers)
-    return Answer(203, orjson.dumps(conformed), headers)
+        return Response(200, answer.body, headers)
+    return Response(203, orjson.dumps(conformed), headers)
 
 
-def problem_answer(problem: Problem) -> Answer:
+def problem_response(problem: Problem) -> Response:
     """Return a problem as an answer: RFC 7807 as plain JSON, for old clients (clauses 5.5.3 and 6.3.3)."""
     if problem.status in _WITHOUT_BODY:
-        return Answer(problem.status, b"", list(_WITHOUT_BODY[problem.status]))
+        return Response(problem.status, b"", list(_WITHOUT_BODY[problem.status]))
     headers = [(b"content-type", JSON.encode())]
     if isinstance(problem, MethodNotAllowed):
         headers.append((b"allow", ", ".join(problem.allowed).encode()))
-    return Answer(problem.status, orjson.dumps(problem.body()), headers)
+    return Response(problem.status, orjson.dumps(problem.body()), headers)

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from services.context_broker.model.problems import bad_request_data, method_not_allowed, not_found
-from services.context_broker.request.request_context import PREFIX, Answer, Exchange, Request
+from services.context_broker.request.request_context import PREFIX, Request, RequestContext, Response
 
-Answering = Callable[[Exchange], Awaitable[Answer]]
+Answering = Callable[[RequestContext], Awaitable[Response]]
 
 _NAME: Final = "{"
 
@@ -48,7 +48,7 @@ def brief(*operations: Operation) -> tuple[Operation, ...]:
 
 
 @dataclass(slots=True)
-class _Place:
+class _Route:
     """A path, and what can be done there by method."""
 
     template: tuple[str, ...]
@@ -75,18 +75,18 @@ class _Place:
         return tuple([parts[at] for at in self._names])
 
 
-class Directory:
+class Router:
     """Finds the operation for a request."""
 
     def __init__(self, operations: Iterable[Operation]) -> None:
-        self._places: dict[tuple[str, int], list[_Place]] = {}
+        self._places: dict[tuple[str, int], list[_Route]] = {}
         self.operations: tuple[Operation, ...] = tuple(operations)
         for one in self.operations:
             template = tuple(_NAME if part.startswith(_NAME) else part for part in one.path.split("/"))
             places = self._places.setdefault((template[0], len(template)), [])
             place = next((known for known in places if known.template == template), None)
             if place is None:
-                place = _Place(template)
+                place = _Route(template)
                 places.append(place)
             place.methods[one.method] = one
 
@@ -110,7 +110,7 @@ class Directory:
         """Return the methods that a path takes; raise a problem (404) if there is no such path."""
         return self._place(request)[0].allowed()
 
-    def _place(self, request: Request) -> tuple[_Place, tuple[str, ...]]:
+    def _place(self, request: Request) -> tuple[_Route, tuple[str, ...]]:
         parts = request.path_parts()
         for place in self._places.get((parts[0], len(parts)), ()):
             names = place.names(parts)

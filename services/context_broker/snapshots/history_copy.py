@@ -6,7 +6,15 @@ from typing import Any, Final
 import orjson
 
 from services.context_broker.request.derived_exchange import derived
-from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
+from services.context_broker.request.request_context import (
+    JSON_LD,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 from services.context_broker.snapshots.snapshot import Status, details
 from services.context_broker.tenants import Tenant
 

@@ -15,7 +15,15 @@ from services.context_broker.extensions.snapshots import SNAPSHOT_HEADER, CarryO
 from services.context_broker.model.problems import already_exists, not_found
 from services.context_broker.model.validation import inside, moment, outside, require_uri
 from services.context_broker.request.document_answers import document_answer, in_media_type
-from services.context_broker.request.request_context import PREFIX, Answer, Exchange
+from services.context_broker.request.request_context import (
+    PREFIX,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 from services.context_broker.request.routing import Operation
 from services.context_broker.snapshots.history_copy import PerformByName
 from services.context_broker.snapshots.purge import purge_filter
@@ -70,7 +78,7 @@ class BrokerSnapshots:
 
         What was not told is told now, and that what was being made has failed.
         """
-        pending = [restored(*stored) for stored in journal.documents(Kind.SNAPSHOT_TELLING)]
+        pending = [restored(*stored) for stored in journal.documents(Kind.SNAPSHOT_NOTIFICATION)]
         for notification in sorted(pending, key=lambda one: one.at):
             self.notifier.add(notification)
         kept: set[str] = set()

@@ -17,7 +17,15 @@ from services.context_broker.query.query_document import query_parameters, selec
 from services.context_broker.query.selection import hits_of
 from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import selection_of
-from services.context_broker.request.request_context import JSON, Answer, Exchange
+from services.context_broker.request.request_context import (
+    JSON,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 from services.context_broker.request.routing import Operation
 from services.context_broker.snapshots.content import SnapshotContent, write_content
 from services.context_broker.snapshots.history_copy import EVERYTHING, PerformByName, copy_history

@@ -15,7 +15,7 @@ import orjson
 
 from handover.retry import Backoff
 from handover.telemetry import get_logger
-from services.context_broker.delivery.delivery_worker import GIVEN_UP
+from services.context_broker.delivery.delivery_worker import DROPPED
 from services.context_broker.model.validation import tenant_headers, timestamp_now
 from services.context_broker.network.http_client import SendError
 from services.context_broker.snapshots.snapshot import Snapshot
@@ -51,7 +51,7 @@ class SnapshotNotification:
     @property
     def key(self) -> DocumentKey:
         """Return what it is kept under."""
-        return Kind.SNAPSHOT_TELLING, self.tenant, self.id
+        return Kind.SNAPSHOT_NOTIFICATION, self.tenant, self.id
 
     def stored(self) -> bytes:
         """Return it as the journal keeps it."""
@@ -152,7 +152,7 @@ class SnapshotNotifier:
             return None
 
     def _fail(self, one: SnapshotNotification, why: str) -> None:
-        GIVEN_UP.labels(why).inc()
+        DROPPED.labels(why).inc()
         log.warning("nobody was told of a snapshot", endpoint=one.endpoint, why=why)
         self._delete(one)
 

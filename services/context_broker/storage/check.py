@@ -13,7 +13,7 @@ from typing import Any, Final
 from handover.errors import UsageError
 from handover.sqlite_files import faults_of
 from services.context_broker.storage import checksums
-from services.context_broker.storage.checkpoint import Filing
+from services.context_broker.storage.checkpoint import Checkpointer
 from services.context_broker.storage.database import NotStored, SqliteDatabase
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT
 from services.context_broker.storage.write_ahead_log import Damaged
@@ -32,7 +32,7 @@ _ROWS: Final[dict[str, tuple[Callable[..., int], str]]] = {
 def faults_in(path: Path) -> Iterator[str]:
     """Yield what is wrong with the database of a broker and the log beside it, a line each."""
     database = SqliteDatabase(path)
-    filing = Filing(database, lambda *_: None, lambda _: None)
+    filing = Checkpointer(database, lambda *_: None, lambda _: None)
     try:
         filing.require_database()
         if not path.exists():
@@ -82,7 +82,7 @@ def _shown(row: list[Any]) -> str:
     return ", ".join(str(value) for value in row[:3] if not isinstance(value, bytes))
 
 
-def _faults_of_log(database: SqliteDatabase, filing: Filing) -> Iterator[str]:
+def _faults_of_log(database: SqliteDatabase, filing: Checkpointer) -> Iterator[str]:
     try:
         database.keep_others_out()
     except UsageError:

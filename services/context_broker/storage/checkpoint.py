@@ -22,7 +22,7 @@ from services.context_broker.storage import checksums
 from services.context_broker.storage.database import NotStored, Row, SqliteDatabase, Writer, unusable
 from services.context_broker.storage.entries import Entries, Kind
 from services.context_broker.storage.records import decoded, encoded
-from services.context_broker.storage.write_ahead_log import Damaged, Log
+from services.context_broker.storage.write_ahead_log import Damaged, WriteAheadLog
 
 log = get_logger(__name__)
 
@@ -35,25 +35,29 @@ SUPPOSED: Final = 0.995
 QUICK_BYTES: Final = 64 * 1024
 """What is written at once at most."""
 
-UNFILED = Gauge("handover_broker_log_unfiled", "Commits in the log that are not in the tables yet")
-NOT_FILED = Counter("handover_broker_log_filing_failed_total", "Times the tables could not be written")
+UNCHECKPOINTED = Gauge(
+    "handover_broker_write_ahead_log_commits", "Commits in the log that are not in the tables yet"
+)
+CHECKPOINT_FAILURES = Counter(
+    "handover_broker_checkpoint_failures_total", "Times the tables could not be written"
+)
 
 Write = Callable[[Writer, Entries], None]
 
 
-class Filing:
+class Checkpointer:
     """The log and the way from there into the tables; `write` writes entries whose notices have numbers."""
 
     def __init__(self, database: SqliteDatabase, write: Write, tidy: Callable[[Writer], None]) -> None:
         self._database = database
         self._write = write
         self._tidy = tidy
-        self._log = Log(database.path)
+        self._log = WriteAheadLog(database.path)
         self.left: list[Entries] = []
         """What an earlier process has left in the log, until it is filed."""
         self._no_room: str | None = None
         """Why nothing can be written: the log could not be begun."""
-        self._not_filed: str | None = None
+        self._not_checkpointed: str | None = None
         """Why the tables cannot be written."""
         self._not_written: str | None = None
         """Why the log could not be written the last time."""
@@ -65,7 +69,7 @@ class Filing:
         """Records: what they were made of takes ten times the memory."""
         self._guard = threading.Lock()
         """Of what waits, and of the log."""
-        self._filing = threading.Lock()
+        self._checkpointer = threading.Lock()
         """Held by whoever writes the tables: one at a time."""
         self._wanted = threading.Event()
         self._ends = threading.Event()
@@ -109,12 +113,12 @@ class Filing:
             log.warning("no room on the disk: reads only", database=str(self.path), error=str(error))
             self._wanted.set()
         self._database.before_reading = self.settle
-        UNFILED.set_function(lambda: len(self._waiting))
+        UNCHECKPOINTED.set_function(lambda: len(self._waiting))
         self._thread.start()
 
     def require_room(self) -> None:
         """Raise `NotStored` with the reason while the log or the tables cannot be written."""
-        if (reason := self._no_room or self._not_written or self._not_filed) is not None:
+        if (reason := self._no_room or self._not_written or self._not_checkpointed) is not None:
             raise NotStored(reason)
 
     def scan_tables(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
@@ -135,11 +139,13 @@ class Filing:
             *state, checksum = states[0]
             if not checksums.holds(checksums.of_state, checksum, state):
                 raise Damaged(f"{self.path}: what it says of its log is not as it was written")
-            identity, opening, filed, is_open = state
+            identity, opening, checkpointed, is_open = state
             self._identity, self._opening = bytes.fromhex(identity), bytes.fromhex(opening)
             self._is_open = bool(is_open)
         if self._is_open:
-            self.left = [decoded(record) for record in self._log.read(self._identity, self._opening, filed)]
+            self.left = [
+                decoded(record) for record in self._log.read(self._identity, self._opening, checkpointed)
+            ]
         elif (foreign := self._log.foreign(self._identity, self._opening)) is not None:
             raise Damaged(f"{foreign}: {self.path.name} is an older copy, or of another place")
 
@@ -148,7 +154,7 @@ class Filing:
 
         The tables say that no log counts while its files are overwritten: it may be killed at any time.
         """
-        with self._filing:
+        with self._checkpointer:
             if self._has_begun:
                 return
             try:
@@ -175,9 +181,9 @@ class Filing:
             self._is_open = self._has_begun = True
             self._flush_s, self._no_room = flush_s, None
 
-    def _write_state(self, writer: Writer, filed: int, *, is_open: bool) -> None:
+    def _write_state(self, writer: Writer, checkpointed: int, *, is_open: bool) -> None:
         """Write what the tables say of the log: whose it is, and up to where it is filed."""
-        row = (self._identity.hex(), self._opening.hex(), filed, int(is_open))
+        row = (self._identity.hex(), self._opening.hex(), checkpointed, int(is_open))
         writer.run(
             "INSERT INTO log_state (name, identity, opening, filed, is_open, checksum) "
             "VALUES ('log', ?, ?, ?, ?, ?) ON CONFLICT (name) DO UPDATE SET opening = excluded.opening, "
@@ -204,10 +210,10 @@ class Filing:
             self._begin()
         record = encoded(entries)
         if self._log.never_fits(record):
-            self._file(entries)
+            self._checkpoint(entries)
             return
         if not self._log.has_room(record):
-            self._file()
+            self._checkpoint()
         self._append(record)
         # A thread waits for the interpreter too, so that it cannot tell how long the disk took: that it has
         # become quicker is supposed, a little more each time, until the event loop tries it.
@@ -232,7 +238,7 @@ class Filing:
         if self.left:
             raise NotStored(f"{self._database.name}: {self._no_room}")
         if self._waiting:
-            self._file()
+            self._checkpoint()
 
     def close(self) -> None:
         """File what waits, and let go."""
@@ -249,11 +255,11 @@ class Filing:
                 is_filed = True
             except NotStored as error:
                 log.warning("what is in the log is filed at the next start", error=str(error))
-        self._log.close(in_order=is_filed)
+        self._log.close(by_sequence=is_filed)
 
-    def _file(self, besides: Entries | None = None) -> None:
+    def _checkpoint(self, besides: Entries | None = None) -> None:
         """Write what waits into the tables, and what is too long for the log."""
-        with self._filing:
+        with self._checkpointer:
             with self._guard:
                 waiting, number = self._waiting.copy(), self._log.number
             if not waiting and besides is None:
@@ -265,7 +271,7 @@ class Filing:
                 self._write_state(writer, number, is_open=True)
             with self._guard:
                 del self._waiting[: len(waiting)]
-                self._log.filed(number)
+                self._log.checkpointed(number)
 
     def _work(self) -> None:
         """File in a thread of its own what has become much, or has waited long."""
@@ -284,11 +290,11 @@ class Filing:
                         self._log.try_out()
                     self._not_written = None
                 self.settle()
-                self._not_filed = None
+                self._not_checkpointed = None
             except Exception as error:  # noqa: BLE001 - without this thread the log would become full
-                NOT_FILED.inc()
+                CHECKPOINT_FAILURES.inc()
                 if self._no_room is None:
-                    self._not_filed = str(error)
+                    self._not_checkpointed = str(error)
                     log.warning("changes wait in the log: the tables cannot be written", error=str(error))
                 self._ends.wait(RETRY_S)
                 self._wanted.set()
@@ -310,9 +316,9 @@ def lots(commits: list[Entries]) -> list[Entries]:
         if forgets:
             lot = None
     for lot in made:
-        told = set(lot.settled).intersection(notice.seq for notice in lot.owed)
+        told = set(lot.settled).intersection(notice.seq for notice in lot.pending)
         if told:
-            lot.owed = [notice for notice in lot.owed if notice.seq not in told]
+            lot.pending = [notice for notice in lot.pending if notice.seq not in told]
             lot.settled = [seq for seq in lot.settled if seq not in told]
         latest = {row[:2]: row for row in lot.history}
         lot.history = list(latest.values())

@@ -59,9 +59,9 @@ def of_departed(place: int, tenant: str, name: str, body: bytes) -> int:
     return crc32(body, crc32(f"{tenant}\0{name}".encode(), crc32(_PLACE.pack(place))))
 
 
-def of_state(identity: str, opening: str, filed: int, is_open: int) -> int:
+def of_state(identity: str, opening: str, checkpointed: int, is_open: int) -> int:
     """Return the checksum of the row of `log_state`."""
-    return crc32(f"{identity} {opening} {filed} {is_open}".encode())
+    return crc32(f"{identity} {opening} {checkpointed} {is_open}".encode())
 
 
 def holds(of: Callable[..., int], checksum: Any, row: Sequence[Any]) -> bool:

@@ -26,8 +26,8 @@ log = get_logger(__name__)
 Failed = Callable[[Exception], None]
 """Takes `NotStored` when nothing of a write is kept, `NotCompleted` when it is, and what follows failed."""
 
-LARGEST_GROUP = 2000
-LONGEST_FLUSH_S = 0.0005
+MAX_GROUP = 2000
+MAX_FLUSH_S = 0.0005
 """What the event loop waits for a disk at most: as long as two or three requests take."""
 HANDING_OVER_S = 0.0001
 """What it costs a write to go to a thread and back, most of it waiting for the interpreter."""
@@ -42,7 +42,7 @@ NOT_COMPLETED = Counter(
     "handover_broker_completions_failed_total", "Writes that are stored, and whose completion raised an error"
 )
 GROUPS = TalliedMetric(
-    "handover_broker_commit_group", "Writes in one commit", (1, 2, 4, 8, 16, 32, 64, 256, 1024)
+    "handover_broker_commit_group_writes", "Writes in one commit", (1, 2, 4, 8, 16, 32, 64, 256, 1024)
 )
 
 
@@ -140,7 +140,7 @@ class CommitQueue:
         """Say whether the event loop loses less by a flush than by handing so many writes over, as a rule."""
         flush_s, before_s, self._sent_s = self._journal.flush_s, self._sent_s, time.monotonic()
         self._usual += (count - self._usual) / REMEMBERED
-        if flush_s > LONGEST_FLUSH_S:
+        if flush_s > MAX_FLUSH_S:
             return False
         # Each write is handed over, and each then waits for all of them.
         return flush_s < self._usual**2 * HANDING_OVER_S or self._sent_s - before_s > IDLE_S
@@ -162,7 +162,7 @@ class CommitQueue:
             log.exception("a group of writes cannot be committed together", writes=len(writes))
             return False  # the thread finds the write that is to blame
         GROUPS.tally.note(len(writes))
-        self._tell_success(writes)
+        self._report_success(writes)
         return True
 
     async def store(self, entries: Entries) -> None:
@@ -198,7 +198,7 @@ class CommitQueue:
             one = self._queue.get()
             while one is not None:
                 group += one
-                if len(group) >= LARGEST_GROUP:
+                if len(group) >= MAX_GROUP:
                     break
                 try:
                     one = self._queue.get_nowait()
@@ -212,7 +212,7 @@ class CommitQueue:
     def _commit(self, group: list[Write]) -> None:
         built_on_sand = [write for write in group if write.era <= self._refused_era]
         if built_on_sand:
-            self._tell_failure(
+            self._report_failure(
                 built_on_sand, NotStored("an earlier change that it may build on was not stored")
             )
         firm = [write for write in group if write.era > self._refused_era]
@@ -231,14 +231,14 @@ class CommitQueue:
                 self._refuse(firm, NotStored(f"{type(error).__name__}: {error}"))
         else:
             GROUPS.tally.note(len(firm))
-            self._call(self._tell_success, firm)
+            self._call(self._report_success, firm)
 
     def _refuse(self, writes: list[Write], error: NotStored) -> None:
         self._refused_era = max(write.era for write in writes)
         REFUSED.inc()
-        self._tell_failure(writes, error)
+        self._report_failure(writes, error)
 
-    def _tell_failure(self, writes: list[Write], error: NotStored) -> None:
+    def _report_failure(self, writes: list[Write], error: NotStored) -> None:
         self._call(self._on_failure, writes, error)
 
     def _call(self, function: Callable[..., None], *arguments: object) -> None:
@@ -247,7 +247,7 @@ class CommitQueue:
 
     # On the loop
 
-    def _tell_success(self, writes: list[Write]) -> None:
+    def _report_success(self, writes: list[Write]) -> None:
         self._under_way -= len(writes)
         for write in writes:
             try:
@@ -285,15 +285,15 @@ def together(writes: list[Write]) -> Entries:
 
 async def stored(commits: Commits, entries: Entries) -> None:
     """Submit a write and return when it is safe; raise `NotStored` if the disk refuses."""
-    fate: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    outcome: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def done() -> None:
-        if not fate.done():
-            fate.set_result(None)
+        if not outcome.done():
+            outcome.set_result(None)
 
     def failed(error: Exception) -> None:
-        if not fate.done():
-            fate.set_exception(error)
+        if not outcome.done():
+            outcome.set_exception(error)
 
     commits.submit(entries, done, failed)
-    await fate
+    await outcome

@@ -29,7 +29,7 @@ class Kind(StrEnum):
     SOURCE_SUBSCRIPTION = "source subscription"
     """To registrations of context sources; its counts are kept as those of other subscriptions."""
     SNAPSHOT = "snapshot"
-    SNAPSHOT_TELLING = "snapshot telling"
+    SNAPSHOT_NOTIFICATION = "snapshot telling"
     """A notification of how a snapshot is that is owed to somebody."""
     REGISTRATION = "registration"
     ATTEMPTS = "attempts"
@@ -49,7 +49,7 @@ class EntityRow(NamedTuple):
 
 
 @dataclass(slots=True, eq=False)
-class Notice:
+class PendingNotification:
     """A notification that is owed.
 
     Without `body`, or with one that is a list of entities instead of a notification, it waits for its
@@ -84,7 +84,7 @@ class Entries:
     entities: dict[int, EntityRow] = field(default_factory=dict)
     """By place in the order of creation."""
     documents: dict[DocumentKey, bytes | None] = field(default_factory=dict)
-    owed: list[Notice] = field(default_factory=list)
+    pending: list[PendingNotification] = field(default_factory=list)
     settled: list[int] = field(default_factory=list)
     history: list[HistoryRow] = field(default_factory=list)
     cleared: list[tuple[int, int]] = field(default_factory=list)
@@ -96,8 +96,8 @@ class Entries:
         """Put what comes later into the same commit."""
         self.entities.update(later.entities)
         self.history.extend(later.history)
-        if later.owed:
-            self.owed.extend(later.owed)
+        if later.pending:
+            self.pending.extend(later.pending)
         if later.settled:
             self.settled.extend(later.settled)
         if later.documents:

@@ -19,7 +19,7 @@ from services.context_broker.storage.journal import NotStored
 
 log = get_logger(__name__)
 
-LONGEST_SLEEP_S: Final = 30.0
+MAX_SLEEP_S: Final = 30.0
 """The wall clock may be set meanwhile: it is looked at no less often than this."""
 RETRY_S: Final = 1.0
 """How long an end waits that could not be stored."""
@@ -39,7 +39,7 @@ class Store(Protocol):
         """Put a change on its way."""
 
 
-class Ends:
+class ExpiryQueue:
     """Knows when entities end, of all tenants, and ends them."""
 
     def __init__(self) -> None:
@@ -92,7 +92,7 @@ class Ends:
             self._timer.cancel()
             self._timer = None
         if self._loop is not None and self._queue:
-            wait_s = min(max(0.0, self._queue[0][0] - time.time()), LONGEST_SLEEP_S)
+            wait_s = min(max(0.0, self._queue[0][0] - time.time()), MAX_SLEEP_S)
             self._timer = self._loop.call_later(wait_s, self._work)
 
     def _work(self) -> None:
@@ -124,8 +124,8 @@ class Ends:
             outcome = changes.outlived(entity, now_s, timestamp_now())
             event = Event(entity, outcome.entity, outcome.touched)
 
-        def ended(fate: asyncio.Future[None]) -> None:
-            error = None if fate.cancelled() else fate.exception()
+        def ended(outcome: asyncio.Future[None]) -> None:
+            error = None if outcome.cancelled() else outcome.exception()
             if isinstance(error, NotStored | Problem):
                 log.warning("an end could not be stored", entity=entity.id, error=str(error))
                 self._put(store, entity.id, time.time() + RETRY_S)

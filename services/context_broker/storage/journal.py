@@ -13,10 +13,10 @@ from handover.errors import UsageError
 from handover.sqlite_files import damage
 from handover.telemetry import get_logger
 from services.context_broker.storage import checksums
-from services.context_broker.storage.checkpoint import Filing
+from services.context_broker.storage.checkpoint import Checkpointer
 from services.context_broker.storage.checksums import require_row
 from services.context_broker.storage.database import Database, NotStored, Row, SqliteDatabase, Writer
-from services.context_broker.storage.entries import OVERHEAD_BYTES, Entries, Kind, Notice
+from services.context_broker.storage.entries import OVERHEAD_BYTES, Entries, Kind, PendingNotification
 from services.context_broker.storage.history_archive import Archive, write_archive
 
 __all__ = ["Journal", "NotStored"]
@@ -74,8 +74,8 @@ class Journal:
         self.name = database.name
         self.archive = Archive(database)
         self._database = database
-        self._filing = (
-            Filing(database, _file, lambda writer: _tidy(writer, _file))
+        self._checkpointer = (
+            Checkpointer(database, _checkpoint, lambda writer: _tidy(writer, _checkpoint))
             if isinstance(database, SqliteDatabase)
             else None
         )
@@ -87,13 +87,15 @@ class Journal:
 
         Without room on the disk it is opened for reading; commits are refused until there is room.
         """
-        if self._filing is not None:
-            self._filing.require_database()
+        if self._checkpointer is not None:
+            self._checkpointer.require_database()
         self._database.open(SCHEMA_VERSION, SCRIPT)
-        if self._filing is not None:
-            self._filing.open()
-            last = self._filing.last_of("SELECT coalesce(max(seq), 0) FROM outbox")
-            self._last_notice = max(last, *(one.seq for left in self._filing.left for one in left.owed), 0)
+        if self._checkpointer is not None:
+            self._checkpointer.open()
+            last = self._checkpointer.last_of("SELECT coalesce(max(seq), 0) FROM outbox")
+            self._last_notice = max(
+                last, *(one.seq for left in self._checkpointer.left for one in left.pending), 0
+            )
 
     def try_lock(self) -> bool:
         """Become the broker that writes the database, if there is no other. Raises `NotStored`."""
@@ -104,7 +106,7 @@ class Journal:
         return self._begin_if(self._database.wait_for_lock())
 
     def _begin_if(self, is_locked: bool) -> bool:
-        if is_locked and self._filing is None:
+        if is_locked and self._checkpointer is None:
             with self._database.transaction() as writer:
                 _tidy(writer, _write_tables)
             self._last_notice = self._database.read("SELECT coalesce(max(seq), 0) FROM outbox")[0][0]
@@ -126,21 +128,21 @@ class Journal:
 
     def require_room(self) -> None:
         """Raise `NotStored` with the reason while the disk does not take what is committed."""
-        if self._filing is not None:
-            self._filing.require_room()
+        if self._checkpointer is not None:
+            self._checkpointer.require_room()
 
     def commit(self, entries: Entries) -> None:
         """Write all of `entries` or nothing, and return when it is safe. Raises `NotStored`."""
         _number(entries, self._last_notice)
-        if self._filing is not None:
-            self._filing.commit(entries)
+        if self._checkpointer is not None:
+            self._checkpointer.commit(entries)
         else:
             try:
                 self._write(entries)
             except NotStored as error:  # the connection may have ended while it was idle
                 log.info("a commit is tried once more", error=str(error))
                 self._write(entries)
-        self._last_notice += len(entries.owed)
+        self._last_notice += len(entries.pending)
 
     def _write(self, entries: Entries) -> None:
         with self._database.transaction() as writer:
@@ -149,30 +151,30 @@ class Journal:
     @property
     def flush_s(self) -> float:
         """Return how long a commit has waited for the disk of late."""
-        return math.inf if self._filing is None else self._filing.flush_s
+        return math.inf if self._checkpointer is None else self._checkpointer.flush_s
 
     def commit_at_once(self, entries: Entries) -> bool:
         """Do as `commit` and return true if nothing but a flush is to be waited for; else do nothing.
 
         From any thread, while no other commits.
         """
-        if self._filing is None:
+        if self._checkpointer is None:
             return False
         _number(entries, self._last_notice)
-        done = self._filing.commit_at_once(entries)
+        done = self._checkpointer.commit_at_once(entries)
         if done:
-            self._last_notice += len(entries.owed)
+            self._last_notice += len(entries.pending)
         return done
 
     def settle(self) -> None:
         """Return when the tables hold everything committed so far. Raises `NotStored`."""
-        if self._filing is not None:
-            self._filing.settle()
+        if self._checkpointer is not None:
+            self._checkpointer.settle()
 
     @property
     def is_on_disk(self) -> bool:
         """Return whether the database is a file of this machine."""
-        return self._filing is not None
+        return self._checkpointer is not None
 
     def close(self) -> None:
         """Close the database; from any thread. Doing it twice is harmless."""
@@ -180,8 +182,8 @@ class Journal:
             return
         self.is_closed = True
         self.archive.close()
-        if self._filing is not None:
-            self._filing.close()
+        if self._checkpointer is not None:
+            self._checkpointer.close()
         self._database.close()
 
     def entities(self) -> Iterator[tuple[str, bytes]]:
@@ -224,14 +226,14 @@ class Journal:
     def _left(self) -> Entries:
         """Return what is committed and cannot be filed for want of room, as the start has found it."""
         together = Entries()
-        for one in () if self._filing is None else self._filing.left:
+        for one in () if self._checkpointer is None else self._checkpointer.left:
             together.add(one)
         return together
 
     def _scan(self, statement: str, parameters: Sequence[Any] = ()) -> Iterator[Row]:
         """Yield rows as they are in the tables if something cannot be filed, else with everything filed."""
-        if self._filing is not None and self._filing.left:
-            return self._filing.scan_tables(statement, parameters)
+        if self._checkpointer is not None and self._checkpointer.left:
+            return self._checkpointer.scan_tables(statement, parameters)
         return self._database.scan(statement, parameters)
 
     def _damaged(self, row: Sequence[Any]) -> UsageError:
@@ -240,14 +242,14 @@ class Journal:
         return UsageError(damage(f"{where}: {what} is not as it was written"))
 
     def _require_total(self, table: str, number: int, total: int) -> None:
-        if self._filing is None:
+        if self._checkpointer is None:
             return
         ((wanted, checksum),) = self._scan("SELECT number, checksum FROM totals WHERE name = ?", (table,))
         if (number, total) != (wanted, checksum):
             fault = f"the table {table} has {number} rows, and not the {wanted} that were written"
-            raise UsageError(damage(f"{self._filing.path}: {fault}"))
+            raise UsageError(damage(f"{self._checkpointer.path}: {fault}"))
 
-    def owed(self, tenant: str, subscription: str, after: int, limit: int) -> list[Notice]:
+    def pending(self, tenant: str, subscription: str, after: int, limit: int) -> list[PendingNotification]:
         """Return the oldest notifications owed to a subscription after number `after`; from any thread.
 
         Raises `NotStored` when the disk cannot be read.
@@ -260,14 +262,14 @@ class Journal:
         for *row, checksum in rows:
             require_row(checksums.of_notice, checksum, row, self._damaged_notice)
         return [
-            Notice(tenant, subscription, entity, at, body, seq, headers)
+            PendingNotification(tenant, subscription, entity, at, body, seq, headers)
             for seq, _, _, entity, at, body, headers, _ in rows
         ]
 
     def _damaged_notice(self, row: Sequence[Any]) -> NotStored:
         return NotStored(damage(f"{self.name}: notification {row[0]} is not as it was written"))
 
-    def owed_sizes(self, tenant: str, subscription: str, after: int, limit: int) -> list[tuple[int, int]]:
+    def pending_sizes(self, tenant: str, subscription: str, after: int, limit: int) -> list[tuple[int, int]]:
         """Return number and bytes of the oldest notifications owed after number `after`, as `owed`."""
         rows = self._database.read(
             "SELECT seq, coalesce(length(body), 0) FROM outbox "
@@ -276,7 +278,7 @@ class Journal:
         )
         return [(seq, size + OVERHEAD_BYTES) for seq, size in rows]
 
-    def owed_in_all(self, tenant: str, subscription: str) -> tuple[int, int]:
+    def pending_total(self, tenant: str, subscription: str) -> tuple[int, int]:
         """Return how many notifications are owed to a subscription, and their bytes, as `owed`."""
         ((many, size),) = self._database.read(
             "SELECT count(*), coalesce(sum(length(body)), 0) FROM outbox "
@@ -285,13 +287,13 @@ class Journal:
         )
         return many, int(size) + many * OVERHEAD_BYTES
 
-    def owed_to(self, tenant: str) -> set[str]:
+    def pending_subscriptions(self, tenant: str) -> set[str]:
         """Return the subscriptions of a tenant to which anything is owed, as `owed`."""
         rows = self._scan("SELECT DISTINCT subscription FROM outbox WHERE tenant = ?", (tenant,))
-        left = {one.subscription for one in self._left().owed if one.tenant == tenant}
+        left = {one.subscription for one in self._left().pending if one.tenant == tenant}
         return left | {subscription for (subscription,) in rows}
 
-    def last_place(self) -> int:
+    def last_sequence(self) -> int:
         """Return the highest place in the order of creation."""
         ((last,),) = self._scan("SELECT coalesce(max(seq), 0) FROM entities")
         ((gone,),) = self._scan("SELECT coalesce(max(place), 0) FROM departed")
@@ -301,7 +303,7 @@ class Journal:
 
 def _number(entries: Entries, last_notice: int) -> None:
     """Give what is owed its places in the outbox."""
-    for number, one in enumerate(entries.owed, last_notice + 1):
+    for number, one in enumerate(entries.pending, last_notice + 1):
         one.seq = number
 
 
@@ -312,7 +314,7 @@ def _write_tables(writer: Writer, entries: Entries) -> None:
     write_archive(writer, entries.history, entries.cleared, entries.departed)
 
 
-def _file(writer: Writer, entries: Entries) -> None:
+def _checkpoint(writer: Writer, entries: Entries) -> None:
     """Write tables of SQLite, and keep their totals up."""
     places = list(entries.entities)
     keys = [(kind.value, tenant, name) for kind, tenant, name in entries.documents]
@@ -412,10 +414,10 @@ def _write_documents(writer: Writer, entries: Entries) -> None:
 
 
 def _write_outbox(writer: Writer, entries: Entries) -> None:
-    if entries.owed:
+    if entries.pending:
         rows = [
             (one.seq, one.tenant, one.subscription, one.entity, one.at, one.body, one.headers)
-            for one in entries.owed
+            for one in entries.pending
         ]
         writer.run_many(
             "INSERT INTO outbox (seq, tenant, subscription, entity, at, body, headers, checksum) "

@@ -12,7 +12,7 @@ from services.context_broker.model.entity import Entity
 _BY_SEQ = attrgetter("seq")
 
 
-class Ranks:
+class OrderedEntities:
     """Some of a tenant's entities. `by_id` is there to look up and to count, not to change."""
 
     __slots__ = ("_highest", "_is_in_order", "by_id")
@@ -38,11 +38,11 @@ class Ranks:
     def all(self) -> list[Entity]:
         """Return all of them in the order of creation."""
         if not self._is_in_order:
-            self.by_id = {one.id: one for one in in_order(self.by_id.values())}
+            self.by_id = {one.id: one for one in by_sequence(self.by_id.values())}
             self._is_in_order = True
         return list(self.by_id.values())
 
 
-def in_order(entities: Iterable[Entity]) -> list[Entity]:
+def by_sequence(entities: Iterable[Entity]) -> list[Entity]:
     """Return entities in the order of their creation."""
     return sorted(entities, key=_BY_SEQ)

@@ -301,8 +301,8 @@ class PostgresDatabase:
         try:
             connection = self.connected()
             is_locked = _one(connection, TRY_LOCK)
-            row = connection.execute("SELECT process, commits FROM writer").fetchone()
-            if row is None or row[0] != self._process or (is_locked and row[1] not in expected):
+            process, commits = connection.execute("SELECT process, commits FROM writer").fetchall()[0]
+            if process != self._process or (is_locked and commits not in expected):
                 self.lost = f"another broker has written {self.name}; this one has to load it again"
             self._require_ownership(is_locked=is_locked)
             self._require_version(connection)
@@ -313,7 +313,7 @@ class PostgresDatabase:
             self.unreachable = _in_one_line(error)
             raise NotStored(f"{self.name}: {self.unreachable}") from error
         self.unreachable = None
-        return connection, row[1]
+        return connection, commits
 
     def _require_ownership(self, *, is_locked: bool) -> None:
         if self.lost is not None:

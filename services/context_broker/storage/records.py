@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind, Notice
+from services.context_broker.storage.entries import DocumentKey, EntityRow, Entries, Kind, PendingNotification
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 
 _NOTHING: Final[tuple[()]] = ()
@@ -33,10 +33,10 @@ def encoded(entries: Entries) -> bytes:
         said["documents"] = [
             (kind.value, tenant, name, size(body)) for (kind, tenant, name), body in entries.documents.items()
         ]
-    if entries.owed:
+    if entries.pending:
         said["owed"] = [
             (one.tenant, one.subscription, one.entity, one.at, one.seq, size(one.body), size(one.headers))
-            for one in entries.owed
+            for one in entries.pending
         ]
     if entries.settled:
         said["settled"] = entries.settled
@@ -74,12 +74,12 @@ def decoded(record: bytes) -> Entries:
     documents: dict[DocumentKey, bytes | None] = {
         (Kind(kind), tenant, name): body(size) for kind, tenant, name, size in rows("documents")
     }
-    owed = [
-        Notice(tenant, subscription, entity, at_s, body(size), seq, body(headers))
+    pending = [
+        PendingNotification(tenant, subscription, entity, at_s, body(size), seq, body(headers))
         for tenant, subscription, entity, at_s, seq, size, headers in rows("owed")
     ]
     cleared = [(place, bound) for place, bound in rows("cleared")]
     departed = {
         place: DepartedRow(tenant, name, body(size)) for place, tenant, name, size in rows("departed")
     }
-    return Entries(entities, documents, owed, list(rows("settled")), history, cleared, departed)
+    return Entries(entities, documents, pending, list(rows("settled")), history, cleared, departed)

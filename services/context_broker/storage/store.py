@@ -21,15 +21,15 @@ from services.context_broker.query.place_index import PlaceIndex
 from services.context_broker.query.q_index import Condition
 from services.context_broker.query.type_selection import TypeSelection, of_types
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.entries import EntityRow, Entries, Notice
-from services.context_broker.storage.expiry_queue import Ends
+from services.context_broker.storage.entries import EntityRow, Entries, PendingNotification
+from services.context_broker.storage.expiry_queue import ExpiryQueue
 from services.context_broker.storage.journal import NotStored
-from services.context_broker.storage.ordered_entities import Ranks, in_order
-from services.context_broker.storage.type_statistics import Census
+from services.context_broker.storage.ordered_entities import OrderedEntities, by_sequence
+from services.context_broker.storage.type_statistics import TypeStatistics
 
 log = get_logger(__name__)
 
-MOST_INDEXES: Final = 64
+MAX_INDEXES: Final = 64
 """Attributes, and attributes with places, for which there is an index."""
 
 
@@ -42,8 +42,8 @@ class Staged:
 
     store: "Store"
     event: Event
-    notices: list[Notice]
-    fate: asyncio.Future[None]
+    notices: list[PendingNotification]
+    outcome: asyncio.Future[None]
 
     @property
     def after(self) -> Entity | None:
@@ -53,17 +53,17 @@ class Staged:
     def done(self) -> None:
         """Show the change to readers: it is safe."""
         self.store.show(self)
-        if not self.fate.done():
-            self.fate.set_result(None)
+        if not self.outcome.done():
+            self.outcome.set_result(None)
 
     def failed(self, error: Exception) -> None:
         """Report that the change was not stored, or that what followed failed."""
-        if self.fate.done():
+        if self.outcome.done():
             return
         if isinstance(error, NotStored):
-            self.fate.set_exception(not_stored(str(error)))
+            self.outcome.set_exception(not_stored(str(error)))
         else:
-            self.fate.set_exception(went_wrong(error, "completing a change that is stored"))
+            self.outcome.set_exception(went_wrong(error, "completing a change that is stored"))
 
 
 class Recorder(Protocol):
@@ -73,7 +73,7 @@ class Recorder(Protocol):
         """Record a change."""
 
 
-Announce = Callable[[Event], list[Notice]]
+Announce = Callable[[Event], list[PendingNotification]]
 """Tells which notifications a change owes."""
 
 
@@ -90,10 +90,10 @@ class Store:
         commits: Commits,
         places: Iterator[int],
         announce: Announce,
-        deliver: Callable[[list[Notice]], None],
+        deliver: Callable[[list[PendingNotification]], None],
         *,
         recorder: Recorder | None = None,
-        ends: Ends | None = None,
+        ends: ExpiryQueue | None = None,
     ) -> None:
         self.tenant = tenant
         self._commits = commits
@@ -101,10 +101,10 @@ class Store:
         self._announce = announce
         self._deliver = deliver
         self._recorder = recorder
-        self.census = Census()
+        self.census = TypeStatistics()
         self._ends = ends
-        self._every = Ranks()
-        self._by_type: dict[str, Ranks] = {}
+        self._every = OrderedEntities()
+        self._by_type: dict[str, OrderedEntities] = {}
         self._indexes: dict[str, AttributeIndex] = {}
         self._place_indexes: dict[str, PlaceIndex] = {}
         self._staged: dict[str, Staged] = {}
@@ -135,15 +135,15 @@ class Store:
         """
         if ids is not None:
             found = [entity for one in dict.fromkeys(ids) if (entity := self._every.by_id.get(one))]
-            return in_order(found)
+            return by_sequence(found)
         count = len(self._every.by_id)
         chosen: Iterable[str] | None = None
         for condition in conditions:
             index = self._index(condition.attribute)
             if index is not None:
-                filed = index.found(condition)
-                if (size := sum(map(len, filed))) < count:
-                    count, chosen = size, ids_of(filed)
+                checkpointed = index.found(condition)
+                if (size := sum(map(len, checkpointed))) < count:
+                    count, chosen = size, ids_of(checkpointed)
         if places is not None and places.box is not None and count:
             place_index = self._place_index(places.attribute)
             if place_index is not None and len(touched := place_index.found(places.box)) < count:
@@ -151,7 +151,7 @@ class Store:
         if types is not None and not types.is_every and self._count_of(types) <= count:
             return self._of_types(types)
         if chosen is not None:
-            return in_order(self._every.by_id[one] for one in chosen)
+            return by_sequence(self._every.by_id[one] for one in chosen)
         return self._every.all()
 
     def _count_of(self, types: TypeSelection) -> int:
@@ -170,7 +170,7 @@ class Store:
         hits: dict[str, Entity] = {}
         for kinds in types.alternatives:
             hits.update(self._rarest(kinds))
-        return in_order(hits.values())
+        return by_sequence(hits.values())
 
     def overlay(
         self, ids: Iterable[str] | None, types: Iterable[str] | None, others: Mapping[str, Entity | None]
@@ -184,7 +184,7 @@ class Store:
         for one in self.candidates(ids, None if types is None else of_types(tuple(types))):
             if one.id not in others:
                 overlay.take(one)
-        for entity in in_order(one for one in others.values() if one is not None):
+        for entity in by_sequence(one for one in others.values() if one is not None):
             overlay.take(entity)
         return overlay
 
@@ -213,11 +213,11 @@ class Store:
                 self._recorder.record(self.tenant, event, entries)
         except orjson.JSONEncodeError:
             raise too_deep() from None
-        entries.owed = self._announce(event)
-        fate = asyncio.get_running_loop().create_future()
-        staged = self._staged[one.id] = Staged(self, event, entries.owed, fate)
+        entries.pending = self._announce(event)
+        outcome = asyncio.get_running_loop().create_future()
+        staged = self._staged[one.id] = Staged(self, event, entries.pending, outcome)
         self._commits.submit(entries, staged.done, staged.failed)
-        return fate
+        return outcome
 
     def show(self, staged: Staged) -> None:
         """Make a change visible that is safe, and have those told to whom it is owed."""
@@ -269,7 +269,7 @@ class Store:
         """
         self._indexes.clear()
         self._place_indexes.clear()
-        self.census, self._by_type = Census(), {}
+        self.census, self._by_type = TypeStatistics(), {}
         for entity in self._every.all():
             self.census.note(None, entity)
             self._file_by_type(None, entity)
@@ -283,7 +283,7 @@ class Store:
         for kind in after.types:
             ranks = self._by_type.get(kind)
             if ranks is None:
-                ranks = self._by_type[kind] = Ranks()
+                ranks = self._by_type[kind] = OrderedEntities()
             ranks.put(after)
 
     def _index(self, attribute: str) -> AttributeIndex | None:
@@ -319,7 +319,7 @@ class OverlayStore(Store):
 
 def _has_room(indexes: dict[str, Any]) -> bool:
     """Say whether there is room for one more; that of an attribute that nobody has makes room."""
-    if len(indexes) >= MOST_INDEXES:
+    if len(indexes) >= MAX_INDEXES:
         unused = next((attribute for attribute, index in indexes.items() if not len(index)), None)
         if unused is None:
             return False

@@ -21,7 +21,7 @@ class _Group:
     attributes: dict[str, Kinds] = field(default_factory=dict)
 
 
-class Census:
+class TypeStatistics:
     """Counts of one tenant's entities; types and attributes are IRIs."""
 
     def __init__(self) -> None:

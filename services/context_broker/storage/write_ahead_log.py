@@ -61,14 +61,14 @@ class Stamp(NamedTuple):
     is_closed: bool
 
 
-class Log:
+class WriteAheadLog:
     """Frames in two files beside `path`, numbered from 1 on. Written by one thread at a time."""
 
     def __init__(self, path: Path) -> None:
         self._files = (_File(path.with_suffix(".log-1")), _File(path.with_suffix(".log-2")))
         self._active = 0
         self._stamp = Stamp(bytes(8), bytes(8), is_closed=True)
-        self._filed = 0
+        self._checkpointed = 0
         self._attempt = 0
         self.number = 0
         """Of the last frame."""
@@ -82,7 +82,7 @@ class Log:
         """Say whether any of the files is there and has content."""
         return any(path.exists() and path.stat().st_size for path in self.paths)
 
-    def read(self, database: bytes, opening: bytes, filed: int) -> list[bytes]:
+    def read(self, database: bytes, opening: bytes, checkpointed: int) -> list[bytes]:
         """Return the records after number `filed` that an opening of a database wrote.
 
         A last one that was cut short is passed over, since it was never acknowledged. Raises `Damaged` where
@@ -92,7 +92,7 @@ class Log:
         found: dict[int, bytes] = {}
         for content in contents:
             found.update(content.records)
-        following = filed + 1
+        following = checkpointed + 1
         while following in found:
             following += 1
         last = max(found, default=0)
@@ -103,11 +103,14 @@ class Log:
                 if content.numbers.get(at, following) >= following and at in {PAGE, content.ends.get(last)}:
                     # The change after the last one may stand there: at the beginning, or right behind that.
                     raise Damaged(f"{file.path}: change {following}, from byte {at} on, is damaged")
-        if max((number for content in contents for number in content.numbers.values()), default=0) < filed:
+        if (
+            max((number for content in contents for number in content.numbers.values()), default=0)
+            < checkpointed
+        ):
             raise Damaged(
-                f"{self._names()}: an older copy, which ends before change {filed} that is in the tables"
+                f"{self._names()}: an older copy; it ends before change {checkpointed} of the tables"
             )
-        return [found[number] for number in range(filed + 1, following)]
+        return [found[number] for number in range(checkpointed + 1, following)]
 
     def foreign(self, database: bytes, opening: bytes) -> str | None:
         """Return what another opening has left in the log that may be in no table; None if nothing."""
@@ -123,7 +126,7 @@ class Log:
     def begin(self, database: bytes, opening: bytes) -> None:
         """Begin for an opening (8 bytes that no other has); what is there is overwritten."""
         self._stamp = Stamp(database, opening, is_closed=False)
-        self._active = self._filed = self.number = self._attempt = 0
+        self._active = self._checkpointed = self.number = self._attempt = 0
         for file in self._files:
             file.prepare(self._stamp)
 
@@ -134,7 +137,7 @@ class Log:
     @property
     def is_tight(self) -> bool:
         """Say whether the file that is not in use holds what is not filed yet."""
-        return self._files[1 - self._active].last > self._filed
+        return self._files[1 - self._active].last > self._checkpointed
 
     def has_room(self, record: bytes) -> bool:
         """Say whether a record fits; if not, it does when everything is filed (unless it `never_fits`)."""
@@ -151,7 +154,7 @@ class Log:
         assert room is not None  # noqa: S101 - whoever writes has asked for room
         file = self._files[room]
         number = self.number + 1
-        start = PAGE if file.last <= self._filed else file.end
+        start = PAGE if file.last <= self._checkpointed else file.end
         frame = self._frame(_COUNTS, number, record)
         try:
             file.write(start, frame)
@@ -168,16 +171,18 @@ class Log:
         room = self._roomy(PAGE)
         if room is not None:
             file = self._files[room]
-            file.write(PAGE if file.last <= self._filed else file.end, self._frame(_VOID, self.number, b""))
+            file.write(
+                PAGE if file.last <= self._checkpointed else file.end, self._frame(_VOID, self.number, b"")
+            )
 
-    def filed(self, number: int) -> None:
+    def checkpointed(self, number: int) -> None:
         """Note that the tables hold everything up to frame `number`."""
-        self._filed = number
+        self._checkpointed = number
 
-    def close(self, *, in_order: bool = False) -> None:
+    def close(self, *, by_sequence: bool = False) -> None:
         """Let go of the files; after an orderly end they say that the tables hold everything."""
         for file in self._files:
-            if in_order:
+            if by_sequence:
                 with suppress(OSError):
                     file.write(0, _stamp_page(self._stamp._replace(is_closed=True)))
             file.close()
@@ -199,7 +204,7 @@ class Log:
     def _roomy(self, length: int) -> int | None:
         """Return which file has room, the one in use before the other."""
         file = self._files[self._active]
-        taken = PAGE if file.last <= self._filed else file.end
+        taken = PAGE if file.last <= self._checkpointed else file.end
         if taken + length <= SIZE:
             return self._active
         return None if self.is_tight or length > SIZE - PAGE else 1 - self._active
@@ -231,7 +236,7 @@ class _File:
         """Where the next frame begins."""
         self.last = 0
         """Number of the last frame."""
-        self._file: BinaryIO | None = None
+        self._checkpoint: BinaryIO | None = None
 
     def stamp(self) -> Stamp | None:
         """Return what the first page says; None where it says nothing that can be read."""
@@ -304,22 +309,22 @@ class _File:
     def prepare(self, stamp: Stamp) -> None:
         """Open the file, make it empty and as long as it is to be, and stamp it."""
         self.end, self.last = PAGE, 0
-        if self._file is None:
-            self._file = open(  # noqa: SIM115 - it stays open
+        if self._checkpoint is None:
+            self._checkpoint = open(  # noqa: SIM115 - it stays open
                 self.path, "r+b" if self.path.exists() else "w+b", buffering=0, opener=_open_synced
             )
         try:
-            content = self._file.read() if self._file.seek(0) == 0 else b""
+            content = self._checkpoint.read() if self._checkpoint.seek(0) == 0 else b""
             used = SIZE if len(content) < SIZE else len(content.rstrip(b"\0"))
             if used > PAGE:
-                self._file.seek(PAGE)
-                _write(self._file, bytes(used - PAGE))
+                self._checkpoint.seek(PAGE)
+                _write(self._checkpoint, bytes(used - PAGE))
             if len(content) > SIZE:
-                self._file.truncate(SIZE)
-            self._file.seek(0)
-            _write(self._file, _stamp_page(stamp))
+                self._checkpoint.truncate(SIZE)
+            self._checkpoint.seek(0)
+            _write(self._checkpoint, _stamp_page(stamp))
             if not _SYNCED or len(content) != SIZE:
-                os.fsync(self._file.fileno())
+                os.fsync(self._checkpoint.fileno())
                 flush_folder(self.path.parent)
         except OSError:
             self.close()
@@ -333,7 +338,7 @@ class _File:
 
     def write(self, at: int, frame: bytes) -> None:
         """Write a frame and return when it is safe."""
-        file = self._file
+        file = self._checkpoint
         assert file is not None  # noqa: S101 - it has been prepared
         file.seek(at)
         _write(file, frame)
@@ -342,9 +347,9 @@ class _File:
 
     def close(self) -> None:
         """Let go."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        if self._checkpoint is not None:
+            self._checkpoint.close()
+            self._checkpoint = None
 
 
 def _written_by(sector: bytes, seed: int) -> tuple[int, int] | None:

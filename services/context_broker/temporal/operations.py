@@ -27,7 +27,15 @@ from services.context_broker.request.query_parameters import (
     page_links,
     selection_of,
 )
-from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
+from services.context_broker.request.request_context import (
+    JSON_LD,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.history_archive import Archive

@@ -19,7 +19,15 @@ from services.context_broker.model.entity_parser import DEFAULT_INSTANCE, expand
 from services.context_broker.model.problems import bad_request_data, not_found, not_stored
 from services.context_broker.model.validation import moment, require_name, require_uri, shown, timestamp_now
 from services.context_broker.operations.entity_operations import DONE, absent
-from services.context_broker.request.request_context import PREFIX, Answer, Exchange
+from services.context_broker.request.request_context import (
+    PREFIX,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries

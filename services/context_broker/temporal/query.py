@@ -17,7 +17,7 @@ from services.context_broker.model.rendering import Form, View
 from services.context_broker.model.validation import moment, require_time, shown
 from services.context_broker.query.pages import Window
 from services.context_broker.request.query_parameters import datasets_of, names_of, options_of, window_of
-from services.context_broker.request.request_context import Exchange
+from services.context_broker.request.request_context import RequestContext as Exchange
 from services.context_broker.temporal.aggregation import METHODS, Aggregation
 from services.context_broker.temporal.durations import MICROS, read_duration
 from services.context_broker.temporal.history import DRIFT_S, micros_of

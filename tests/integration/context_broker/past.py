@@ -39,8 +39,8 @@ def told(http: httpx.Client, entity_id: str, **parameters: Any) -> dict[str, Any
     return found
 
 
-def values(told_of: dict[str, Any], name: str = "speed") -> list[Any]:
-    return [one["value"] for one in told_of.get(name, [])]
+def values(change_data: dict[str, Any], name: str = "speed") -> list[Any]:
+    return [one["value"] for one in change_data.get(name, [])]
 
 
 def fault(answer: httpx.Response) -> tuple[int, str]:

@@ -11,7 +11,7 @@ import pytest
 from tests.integration.context_broker.conftest import BrokerProcess
 
 
-class Line:
+class EndpointQueue:
     """One connection."""
 
     def __init__(self, port: int) -> None:
@@ -46,9 +46,9 @@ class Line:
 
 
 @pytest.fixture
-def line(shared_broker: BrokerProcess) -> Iterator[Line]:
+def line(shared_broker: BrokerProcess) -> Iterator[EndpointQueue]:
     """A connection to the shared broker."""
-    line = Line(shared_broker.port)
+    line = EndpointQueue(shared_broker.port)
     yield line
     line.socket.close()
 
@@ -63,7 +63,7 @@ def post(entity_id: str, *headers: str, value: Any = 1) -> bytes:
     return "\r\n".join([*head, f"Content-Length: {len(body)}", *headers, "", ""]).encode() + body
 
 
-def test_requests_in_one_piece_are_answered_one_after_the_other(line: Line) -> None:
+def test_requests_in_one_piece_are_answered_one_after_the_other(line: EndpointQueue) -> None:
     names = [f"urn:ngsi-ld:Wire:row:{number}" for number in range(40)]
     asked = b"".join(
         post(name) + get(f"/ngsi-ld/v1/entities/{name}") + get("/healthz") + get("/ngsi-ld/v1/nothing")
@@ -78,19 +78,19 @@ def test_requests_in_one_piece_are_answered_one_after_the_other(line: Line) -> N
         assert line.answer()[0] == 404
 
 
-def test_thousands_of_requests_in_a_row_are_no_matter(line: Line) -> None:
+def test_thousands_of_requests_in_a_row_are_no_matter(line: EndpointQueue) -> None:
     count = 4000
     line.send(get("/ngsi-ld/v1/entities/urn:ngsi-ld:Wire:nobody") * count)
     assert {line.answer()[0] for _ in range(count)} == {404}
 
 
-def test_a_request_may_come_byte_by_byte(line: Line) -> None:
+def test_a_request_may_come_byte_by_byte(line: EndpointQueue) -> None:
     line.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     line.send(*(bytes([one]) for one in post("urn:ngsi-ld:Wire:bytes")))
     assert line.answer()[0] == 201
 
 
-def test_a_body_of_a_megabyte_is_read_whole(line: Line, http: httpx.Client) -> None:
+def test_a_body_of_a_megabyte_is_read_whole(line: EndpointQueue, http: httpx.Client) -> None:
     value = "x" * 1_000_000
     line.send(post("urn:ngsi-ld:Wire:large", value=value))
     assert line.answer()[0] == 201
@@ -98,7 +98,7 @@ def test_a_body_of_a_megabyte_is_read_whole(line: Line, http: httpx.Client) -> N
     assert json.loads(line.answer()[2])["a"]["value"] == value
 
 
-def test_who_waits_for_a_go_ahead_gets_one(line: Line) -> None:
+def test_who_waits_for_a_go_ahead_gets_one(line: EndpointQueue) -> None:
     head, _, body = post("urn:ngsi-ld:Wire:expects", "Expect: 100-continue").partition(b"\r\n\r\n")
     line.send(head + b"\r\n\r\n")
     assert line.answer(has_body=False)[0] == 100
@@ -106,13 +106,13 @@ def test_who_waits_for_a_go_ahead_gets_one(line: Line) -> None:
     assert line.answer()[0] == 201
 
 
-def test_what_is_refused_by_its_head_needs_no_body(line: Line) -> None:
+def test_what_is_refused_by_its_head_needs_no_body(line: EndpointQueue) -> None:
     head = b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
     line.send(head + b"Content-Length: 99999999999\r\nExpect: 100-continue\r\n\r\n")
     assert line.answer()[0] == 413, "and no go-ahead before"
 
 
-def test_after_a_refused_body_the_connection_goes_on(line: Line) -> None:
+def test_after_a_refused_body_the_connection_goes_on(line: EndpointQueue) -> None:
     line.send(
         b"POST /ngsi-ld/v1/entities HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n"
         b"5\r\nhello\r\n"
@@ -122,42 +122,42 @@ def test_after_a_refused_body_the_connection_goes_on(line: Line) -> None:
     assert line.answer()[0] == 200
 
 
-def test_headers_that_come_twice_are_one(line: Line) -> None:
+def test_headers_that_come_twice_are_one(line: EndpointQueue) -> None:
     line.send(get("/ngsi-ld/v1/types", "Accept: text/plain", "Accept: application/json"))
     assert line.answer()[0] == 200
 
 
-def test_who_asks_to_hang_up_is_answered_first(shared_broker: BrokerProcess, line: Line) -> None:
+def test_who_asks_to_hang_up_is_answered_first(shared_broker: BrokerProcess, line: EndpointQueue) -> None:
     line.send(post("urn:ngsi-ld:Wire:close", "Connection: close"))
     status, headers, _ = line.answer()
     assert (status, headers["connection"]) == (201, "close")
     assert line.is_closed()
-    old = Line(shared_broker.port)
+    old = EndpointQueue(shared_broker.port)
     old.send(b"GET /ngsi-ld/v1/types HTTP/1.0\r\n\r\n")
     assert old.answer()[0] == 200
     assert old.is_closed()
     old.socket.close()
 
 
-def test_head_has_no_body_and_the_next_answer_follows(line: Line) -> None:
+def test_head_has_no_body_and_the_next_answer_follows(line: EndpointQueue) -> None:
     line.send(get("/ngsi-ld/v1/types").replace(b"GET", b"HEAD", 1), get("/ngsi-ld/v1/types"))
     status, headers, _ = line.answer(has_body=False)
     assert status == 200
     assert int(headers["content-length"]) == len(line.answer()[2])
 
 
-def test_what_is_no_http_is_refused(line: Line) -> None:
+def test_what_is_no_http_is_refused(line: EndpointQueue) -> None:
     line.send(b"\x00 rubbish\r\n\r\n")
     assert line.answer()[0] == 400
     assert line.is_closed()
 
 
-def test_no_other_protocol_is_spoken(line: Line) -> None:
+def test_no_other_protocol_is_spoken(line: EndpointQueue) -> None:
     line.send(get("/ngsi-ld/v1/types", "Connection: Upgrade", "Upgrade: h2c"))
     assert line.answer()[0] == 200, "as if it had not been asked for"
 
 
-def test_a_slow_reader_gets_everything_and_holds_up_nobody(line: Line, http: httpx.Client) -> None:
+def test_a_slow_reader_gets_everything_and_holds_up_nobody(line: EndpointQueue, http: httpx.Client) -> None:
     value = "y" * 900_000
     line.send(post("urn:ngsi-ld:Wire:slow", value=value))
     assert line.answer()[0] == 201
@@ -171,7 +171,7 @@ def test_who_leaves_before_the_answer_has_written_all_the_same(
     shared_broker: BrokerProcess, http: httpx.Client
 ) -> None:
     names = [f"urn:ngsi-ld:Wire:gone:{number}" for number in range(30)]
-    hasty = Line(shared_broker.port)
+    hasty = EndpointQueue(shared_broker.port)
     hasty.send(b"".join(map(post, names)))
     assert hasty.answer()[0] == 201
     hasty.socket.close()

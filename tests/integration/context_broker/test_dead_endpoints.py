@@ -57,7 +57,7 @@ def create(http: httpx.Client, kind: str, **attributes: Any) -> str:
 
 
 def waiting(broker: Any, state: str) -> float:
-    found: float = broker.metric(rf'handover_broker_notifications_waiting\{{state="{state}"\}}')
+    found: float = broker.metric(rf'handover_broker_notifications_pending\{{state="{state}"\}}')
     return found
 
 
@@ -69,7 +69,7 @@ def test_a_hundred_subscriptions_to_one_dead_endpoint_cost_one_attempt_at_a_time
     eventually(lambda: closing.connections >= 100)  # all try once, before anybody knows
     first = closing.connections
     eventually(lambda: closing.connections >= first + 3)
-    retries = shared_broker.metric("handover_broker_notifications_retries_total")
+    retries = shared_broker.metric("handover_broker_notification_retries_total")
     assert 3 <= retries < 30
     for path in paths:
         assert http.delete(path).status_code == 204
@@ -113,7 +113,7 @@ def test_what_is_owed_to_a_subscription_that_ends_is_given_up(
         assert http.post("/entities", json=body).status_code == 201
     soon = (datetime.now(UTC) + timedelta(seconds=1)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     assert http.patch(path, json={"expiresAt": soon}).status_code == 204
-    given_up = r'handover_broker_notifications_given_up_total\{reason="expired"\}'
+    given_up = r'handover_broker_notifications_dropped_total\{reason="expired"\}'
     eventually(lambda: shared_broker.metric(given_up) == 3)
     told = http.get(path).json()
     assert told["status"] == "expired"
@@ -187,7 +187,7 @@ def test_what_a_dead_endpoint_is_owed_fills_neither_memory_nor_disk(
             answer = http.post("/entityOperations/upsert", params={"options": "update"}, json=batch)
             assert answer.status_code in {201, 204}, answer.text
         eventually(lambda: http.get(path).json()["notification"].get("timesFailed", 0) > 11_500)
-        given_up = own_broker.metric(r'handover_broker_notifications_given_up_total\{reason="too many"\}')
+        given_up = own_broker.metric(r'handover_broker_notifications_dropped_total\{reason="too many"\}')
         assert given_up > 11_500
         eventually(lambda: waiting(own_broker, "disk") + waiting(own_broker, "memory") < 400)
         assert waiting(own_broker, "memory") <= 256

@@ -68,9 +68,9 @@ def test_the_past_ends_when_all_of_it_has(
         assert client.post(at, json={"expiresAt": expires_at}).status_code == 204
         assert "expiresAt" not in near.get(path, params=asked).text
         document = near.get(path, params={**asked, "options": "sysAttrs"}).json()
-        (told_of,) = document if isinstance(document, list) else [document]
-        assert told(told_of, "a") == [1, 2]
-        return told_of.get("expiresAt")
+        (change_data,) = document if isinstance(document, list) else [document]
+        assert told(change_data, "a") == [1, 2]
+        return change_data.get("expiresAt")
 
     sooner, later = "2095-01-01T00:00:00Z", "2096-01-01T00:00:00Z"
     assert end(near, later) is None

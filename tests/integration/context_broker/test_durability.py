@@ -126,7 +126,7 @@ def test_a_million_would_not_fill_the_memory_because_a_window_of_them_is_held(
         for start in range(0, 1500, 500):
             answer = http.post("/entityOperations/create", json=entities[start : start + 500])
             assert answer.status_code == 201
-        assert own_broker.metric(r'handover_broker_notifications_waiting\{state="memory"\}') <= 256
+        assert own_broker.metric(r'handover_broker_notifications_pending\{state="memory"\}') <= 256
         subscriber.go_on.set()
         eventually(lambda: len(set(numbers(subscriber))) == 1500, within_s=40)
     assert list(dict.fromkeys(numbers(subscriber))) == list(range(1500))

@@ -225,6 +225,6 @@ def test_a_power_cut_takes_nothing_acknowledged_out_of_the_past(own_broker: Any,
     own_broker.start()
     with own_broker.client() as http:
         for writer in writers:
-            told_of = values(told(http, writer.entity_id, timeproperty="modifiedAt"), "n")
-            assert told_of == list(range(len(told_of)))
-            assert len(told_of) - 1 in {writer.acknowledged, writer.acknowledged + 1}
+            change_data = values(told(http, writer.entity_id, timeproperty="modifiedAt"), "n")
+            assert change_data == list(range(len(change_data)))
+            assert len(change_data) - 1 in {writer.acknowledged, writer.acknowledged + 1}

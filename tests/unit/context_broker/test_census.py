@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.context_broker.model.entity import Entity
-from services.context_broker.storage.type_statistics import Census
+from services.context_broker.storage.type_statistics import TypeStatistics
 
 KINDS = ("Property", "Relationship", "GeoProperty")
 instances = st.lists(st.fixed_dictionaries({"type": st.sampled_from(KINDS)}), min_size=1, max_size=3)
@@ -25,7 +25,7 @@ def entity(one: str, kinds: list[str], said: dict[str, Any]) -> Entity:
 
 @given(changes)
 def test_what_is_counted_is_what_there_is(made: list[tuple[str, Any, bool]]) -> None:
-    census, there = Census(), dict[str, Entity]()
+    census, there = TypeStatistics(), dict[str, Entity]()
     for one, body, keeps in made:
         before = there.pop(one, None)
         after = None if body is None else entity(one, *body)
@@ -64,7 +64,7 @@ def test_what_is_counted_is_what_there_is(made: list[tuple[str, Any, bool]]) -> 
 
 
 def test_what_nobody_has_is_counted_as_nothing() -> None:
-    census = Census()
+    census = TypeStatistics()
     assert census.types() == census.attributes() == census.types_with("u:a") == []
     assert census.entities_of("u:A") == 0
     assert not census.attributes_of("u:A")

@@ -70,7 +70,7 @@ def test_the_event_loop_writes_to_a_quick_disk_and_a_thread_to_a_slow_one(
     async def steps(journal: OnDisks, queue: CommitQueue) -> None:
         journal.took_s = QUICK if is_quick else SLOW
         await asyncio.gather(*(queue.store(entity(place)) for place in range(1, 9)))
-        assert journal.last_place() == 8
+        assert journal.last_sequence() == 8
 
     assert run(tmp_path, steps).committed_by == [who]  # and all of one turn are one commit
 
@@ -121,7 +121,7 @@ def test_however_quick_the_disk_is_makers_are_told_once_and_in_order(
 
     journal = run(tmp_path_factory.mktemp("turns"), steps)
     assert told == list(range(1, made + 1))
-    assert journal.last_place() == made
+    assert journal.last_sequence() == made
     journal.close()
 
 
@@ -142,7 +142,7 @@ def test_what_the_disk_refuses_is_refused_and_then_it_goes_on(tmp_path: Path, is
                     failures.append(str(error))
             other.execute("ALTER TABLE out_of_reach RENAME TO entities")
         await queue.store(entity(1000))
-        assert journal.last_place() == 1000
+        assert journal.last_sequence() == 1000
         assert len(list(journal.entities())) == place
 
     run(tmp_path, steps).close()
@@ -167,7 +167,7 @@ def test_a_completion_that_raises_fails_alone(tmp_path: Path, is_quick: bool) ->
         await queue.store(entity(6))
         assert completed == [1, 3, 4, 5]
         await queue.store(entity(7))
-        assert journal.last_place() == 7
+        assert journal.last_sequence() == 7
 
     run(tmp_path, steps)
     (failure,) = failures

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from handover.errors import Problem
-from services.context_broker.contexts.context_resolver import CORE, ContextBook
+from services.context_broker.contexts.context_resolver import CORE, ContextResolver
 from services.context_broker.contexts.fetching import (
-    LONGEST_KEPT_S,
-    SHORTEST_KEPT_S,
+    MAX_KEPT_S,
+    MIN_KEPT_S,
     USUALLY_KEPT_S,
     Fetched,
     Fetcher,
@@ -47,7 +47,7 @@ class Shelf:
         self.kept: dict[DocumentKey, bytes] = {}
         self.book = self.opened()
 
-    def opened(self) -> ContextBook:
+    def opened(self) -> ContextResolver:
         async def keep(documents: Mapping[DocumentKey, bytes | None]) -> None:
             note(documents)
 
@@ -58,7 +58,7 @@ class Shelf:
                 else:
                     self.kept[key] = body
 
-        book = ContextBook(keep, note, self.published, OwnAddress(None, "http://127.0.0.1:1026"))
+        book = ContextResolver(keep, note, self.published, OwnAddress(None, "http://127.0.0.1:1026"))
         for (kind, tenant, key), body in list(self.kept.items()):
             if kind is Kind.CONTEXT:
                 book.remember(tenant, key, body)
@@ -85,13 +85,13 @@ async def settled() -> None:
         ({"cache-control": "public, max-age=3600"}, 3600),
         ({"cache-control": 'MAX-AGE="7200"'}, 7200),
         ({"cache-control": "s-maxage=9000"}, USUALLY_KEPT_S),
-        ({"cache-control": "max-age=1"}, SHORTEST_KEPT_S),
-        ({"cache-control": "max-age=9999999999"}, LONGEST_KEPT_S),
-        ({"cache-control": "no-cache"}, SHORTEST_KEPT_S),
-        ({"cache-control": "no-store", "expires": formatdate(4_000_000_000, usegmt=True)}, SHORTEST_KEPT_S),
-        ({"expires": formatdate(4_000_000_000, usegmt=True)}, LONGEST_KEPT_S),
-        ({"expires": formatdate(0, usegmt=True)}, SHORTEST_KEPT_S),
-        ({"expires": "0"}, SHORTEST_KEPT_S),
+        ({"cache-control": "max-age=1"}, MIN_KEPT_S),
+        ({"cache-control": "max-age=9999999999"}, MAX_KEPT_S),
+        ({"cache-control": "no-cache"}, MIN_KEPT_S),
+        ({"cache-control": "no-store", "expires": formatdate(4_000_000_000, usegmt=True)}, MIN_KEPT_S),
+        ({"expires": formatdate(4_000_000_000, usegmt=True)}, MAX_KEPT_S),
+        ({"expires": formatdate(0, usegmt=True)}, MIN_KEPT_S),
+        ({"expires": "0"}, MIN_KEPT_S),
     ],
 )
 def test_a_server_says_how_long_its_context_is_kept(headers: dict[str, str], kept_s: float) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from handover.errors import UsageError
 from services.context_broker.storage.database import NotStored, SqliteDatabase
-from services.context_broker.storage.entries import EntityRow, Entries, Kind, Notice
+from services.context_broker.storage.entries import EntityRow, Entries, Kind, PendingNotification
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 from services.context_broker.storage.journal import SCHEMA_VERSION, SCRIPT, Journal
 
@@ -31,7 +31,7 @@ class Model:
     documents: dict[str, bytes] = field(default_factory=dict)
     history: dict[tuple[int, int], bytes] = field(default_factory=dict)
     departed: dict[int, bytes] = field(default_factory=dict)
-    owed: list[bytes] = field(default_factory=list)
+    pending: list[bytes] = field(default_factory=list)
 
     def everything(self) -> Any:
         return (
@@ -39,7 +39,7 @@ class Model:
             dict(sorted(self.documents.items())),
             dict(sorted(self.history.items())),
             dict(sorted(self.departed.items())),
-            self.owed,
+            self.pending,
         )
 
 
@@ -63,8 +63,8 @@ def commit(journal: Journal, model: Model, chance: random.Random) -> None:
         name = f"urn:document:{chance.randint(1, 5)}"
         entries.documents[Kind.CONTEXT, "", name] = model.documents[name] = body
     if chance.random() < 0.3:
-        entries.owed.append(Notice("", SUBSCRIPTION, f"urn:{place}", 2.5, body))
-        model.owed.append(body)
+        entries.pending.append(PendingNotification("", SUBSCRIPTION, f"urn:{place}", 2.5, body))
+        model.pending.append(body)
     journal.commit(entries)
 
 
@@ -79,7 +79,7 @@ def served(folder: Path) -> Any:
             {name: body for _, name, body in journal.documents(Kind.CONTEXT)},
             dict(sorted(history.items())),
             {place: body for place, _, body in journal.archive.departed("")},
-            [one.body for one in journal.owed("", SUBSCRIPTION, 0, 10_000)],
+            [one.body for one in journal.pending("", SUBSCRIPTION, 0, 10_000)],
         )
     finally:
         journal.close()

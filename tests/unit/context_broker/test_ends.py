@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 from services.context_broker.model.entity import Entity, Event
 from services.context_broker.model.validation import timestamp
-from services.context_broker.storage.expiry_queue import LEFT_BEHIND, Ends
+from services.context_broker.storage.expiry_queue import LEFT_BEHIND, ExpiryQueue
 
 AT = "2026-01-01T00:00:00.000000Z"
 
@@ -36,12 +36,12 @@ class Shelf:
         return fate
 
 
-def put(ends: Ends, shelf: Shelf, entity: Entity) -> None:
+def put(ends: ExpiryQueue, shelf: Shelf, entity: Entity) -> None:
     shelf.entities[entity.id] = entity
     ends.watch(shelf, entity)
 
 
-def started(ends: Ends) -> None:
+def started(ends: ExpiryQueue) -> None:
     async def start() -> None:
         ends.start()
         await asyncio.sleep(0)
@@ -51,7 +51,7 @@ def started(ends: Ends) -> None:
 
 
 def test_what_is_due_ends_and_what_is_put_off_stays() -> None:
-    ends, shelf = Ends(), Shelf()
+    ends, shelf = ExpiryQueue(), Shelf()
     now = time.time()
     put(ends, shelf, transient("due", at(now - 1)))
     put(ends, shelf, transient("later", at(now + 1000)))
@@ -65,7 +65,7 @@ def test_what_is_due_ends_and_what_is_put_off_stays() -> None:
 
 
 def test_entities_that_are_gone_or_change_often_do_not_fill_the_queue() -> None:
-    ends, shelf = Ends(), Shelf()
+    ends, shelf = ExpiryQueue(), Shelf()
     far = time.time() + 10**6
     for number in range(3 * LEFT_BEHIND):
         put(ends, shelf, transient("beating", at(far + number)))

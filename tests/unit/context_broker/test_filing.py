@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from handover.errors import UsageError
 from services.context_broker.storage.checkpoint import lots
 from services.context_broker.storage.database import NotStored, SqliteDatabase
-from services.context_broker.storage.entries import EntityRow, Entries, Kind, Notice
+from services.context_broker.storage.entries import EntityRow, Entries, Kind, PendingNotification
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 from services.context_broker.storage.journal import SCRIPT, Journal, total_of
 from services.context_broker.storage.records import decoded, encoded
@@ -39,7 +39,7 @@ history_rows = st.builds(
 )
 departed_rows = st.builds(DepartedRow, tenants, names, bodies_or_none)
 notices = st.builds(
-    Notice, tenants, names, names, st.floats(0, 2e9), bodies_or_none, st.just(0), bodies_or_none
+    PendingNotification, tenants, names, names, st.floats(0, 2e9), bodies_or_none, st.just(0), bodies_or_none
 )
 document_keys = st.tuples(
     st.sampled_from([Kind.SUBSCRIPTION, Kind.SOURCE_SUBSCRIPTION, Kind.COUNTS, Kind.CONTEXT]), tenants, names
@@ -48,7 +48,7 @@ commits = st.builds(
     Entries,
     entities=st.dictionaries(places, entity_rows, max_size=3),
     documents=st.dictionaries(document_keys, bodies_or_none, max_size=3),
-    owed=st.lists(notices, max_size=3),
+    pending=st.lists(notices, max_size=3),
     settled=st.lists(st.integers(1, 9), max_size=3, unique=True),
     # One commit names a row of history once, and clears nothing that it writes: so does the broker.
     history=st.lists(history_rows, max_size=3, unique_by=lambda row: row[:2]),
@@ -73,20 +73,20 @@ def tenant_of(place: int) -> str:
 
 def in_turn(made: list[Entries]) -> list[Entries]:
     """Return commits of which none settles what is not owed yet; a place is that of one tenant for ever."""
-    owed = 0
+    pending = 0
     for entries in made:
         for place, row in entries.entities.items():
             entries.entities[place] = EntityRow(tenant_of(place), f"urn:{place}", row.body)
         for place, gone in entries.departed.items():
             entries.departed[place] = DepartedRow(tenant_of(place), f"urn:{place}", gone.body)
-        entries.settled = [seq for seq in entries.settled if seq <= owed]
-        owed += len(entries.owed)
+        entries.settled = [seq for seq in entries.settled if seq <= pending]
+        pending += len(entries.pending)
     return made
 
 
 @given(commits)
 def test_a_record_says_what_was_to_be_written(entries: Entries) -> None:
-    for number, notice in enumerate(entries.owed, 7):
+    for number, notice in enumerate(entries.pending, 7):
         notice.seq = number
     again = decoded(encoded(entries))
     assert (again.entities, again.documents, again.settled) == (
@@ -99,10 +99,10 @@ def test_a_record_says_what_was_to_be_written(entries: Entries) -> None:
         entries.cleared,
         entries.departed,
     )
-    assert [told(notice) for notice in again.owed] == [told(notice) for notice in entries.owed]
+    assert [told(notice) for notice in again.pending] == [told(notice) for notice in entries.pending]
 
 
-def told(one: Notice) -> tuple[Any, ...]:
+def told(one: PendingNotification) -> tuple[Any, ...]:
     return one.tenant, one.subscription, one.entity, one.at, one.body, one.seq, one.headers
 
 
@@ -147,10 +147,10 @@ def test_what_a_killed_broker_has_left_in_the_log_is_filed_at_the_next_start(
 
 def test_what_was_owed_and_told_is_written_nowhere() -> None:
     first, second = Entries(), Entries()
-    first.owed = [Notice("", "urn:s", "urn:e", 1.0, b"{}", seq) for seq in (1, 2)]
+    first.pending = [PendingNotification("", "urn:s", "urn:e", 1.0, b"{}", seq) for seq in (1, 2)]
     second.settled = [1, 8]
     (lot,) = lots([first, second])
-    assert [notice.seq for notice in lot.owed] == [2]
+    assert [notice.seq for notice in lot.pending] == [2]
     assert lot.settled == [8]
 
 
@@ -167,7 +167,7 @@ def test_a_reader_sees_what_was_committed(tmp_path: Path) -> None:
     for place in range(1, 3000):
         journal.commit(Entries(entities={place: EntityRow("", f"urn:{place}", b"x" * 1500)}))
         if place % 700 == 0:
-            assert journal.last_place() == place
+            assert journal.last_sequence() == place
     assert len(list(journal.entities())) == 2999
     journal.close()
 
@@ -191,11 +191,11 @@ def test_while_the_tables_cannot_be_written_commits_go_on_until_the_log_is_full(
             commit_on_and_on()
         assert committed * 100_000 > SIZE
         with pytest.raises(NotStored):
-            journal.last_place()
+            journal.last_sequence()
         other.execute("ALTER TABLE out_of_reach RENAME TO entities")
-    assert journal.last_place() == committed
+    assert journal.last_sequence() == committed
     commit()
-    assert journal.last_place() == committed
+    assert journal.last_sequence() == committed
     journal.close()
 
 

@@ -11,7 +11,7 @@ from services.context_broker.query.geo_query import geo_query_document
 from services.context_broker.query.place_index import PlaceIndex
 from services.context_broker.query.q_index import Equality, Range
 from services.context_broker.query.type_selection import of_types, type_selection
-from services.context_broker.storage.store import MOST_INDEXES, Store
+from services.context_broker.storage.store import MAX_INDEXES, Store
 
 PLACE = "https://a.example/place"
 VALUE = "https://a.example/value"
@@ -130,13 +130,13 @@ def test_what_comes_out_of_order_is_given_in_order() -> None:
 
 def test_an_attribute_that_nobody_has_makes_room_for_others() -> None:
     store = store_of([entity(1, value=5)])
-    for number in range(3 * MOST_INDEXES):
+    for number in range(3 * MAX_INDEXES):
         assert not store.candidates(conditions=(Equality(f"urn:a:{number}", frozenset({1})),))
-    assert len(store._indexes) == MOST_INDEXES
+    assert len(store._indexes) == MAX_INDEXES
     assert [one.id for one in store.candidates(conditions=(Equality(VALUE, frozenset({5})),))] == ["urn:x:1"]
     many = Entity("urn:x:2", ("urn:t:a",), {f"urn:a:{number}": [{"type": "Property", "value": 1}]
-                                           for number in range(2 * MOST_INDEXES)}, "", "", 2)  # fmt: skip
+                                           for number in range(2 * MAX_INDEXES)}, "", "", 2)  # fmt: skip
     store.take(many)
-    for number in range(2 * MOST_INDEXES):
+    for number in range(2 * MAX_INDEXES):
         found = store.candidates(conditions=(Equality(f"urn:a:{number}", frozenset({1})),))
         assert many in found

@@ -10,19 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from services.context_broker.storage.write_ahead_log import PAGE, SIZE, Damaged, Log
+from services.context_broker.storage.write_ahead_log import PAGE, SIZE, Damaged, WriteAheadLog
 
 DATABASE, OPENING = b"database", b"opening1"
 
 
-def begun(folder: Path) -> Log:
-    log = Log(folder / "broker.db")
+def begun(folder: Path) -> WriteAheadLog:
+    log = WriteAheadLog(folder / "broker.db")
     log.begin(DATABASE, OPENING)
     return log
 
 
 def read(folder: Path, filed: int = 0, opening: bytes = OPENING) -> list[bytes]:
-    return Log(folder / "broker.db").read(DATABASE, opening, filed)
+    return WriteAheadLog(folder / "broker.db").read(DATABASE, opening, filed)
 
 
 class Writing(RuleBasedStateMachine):
@@ -189,7 +189,7 @@ def test_the_log_of_another_opening_or_database_is_noticed(tmp_path: Path) -> No
     log.close()
     with pytest.raises(Damaged, match="one of them is older"):
         read(tmp_path, opening=b"opening2")
-    again = Log(tmp_path / "broker.db")
+    again = WriteAheadLog(tmp_path / "broker.db")
     with pytest.raises(Damaged, match="another database"):
         again.read(b"stranger", OPENING, 0)
     assert "another database" in str(again.foreign(b"stranger", b"opening2"))
@@ -198,7 +198,7 @@ def test_the_log_of_another_opening_or_database_is_noticed(tmp_path: Path) -> No
     again.begin(DATABASE, b"opening2")
     again.append(b"of this time")
     assert read(tmp_path, opening=b"opening2") == [b"of this time"]
-    again.close(in_order=True)
+    again.close(by_sequence=True)
     assert again.foreign(DATABASE, b"opening3") is None, "what was closed in order is all in the tables"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from services.context_broker.app import Broker
-from services.context_broker.request.request_context import Answer, Exchange, Request
+from services.context_broker.request.request_context import Request, RequestContext, Response
 from services.context_broker.request.routing import Operation
 from services.context_broker.settings import BrokerSettings
 from services.context_broker.snapshots.snapshot import Snapshot, Status, new_snapshot
@@ -38,7 +38,7 @@ async def settled(
     tenant = broker.tenants.of(b"", makes=False)
     made = new_snapshot("urn:x:1", {"snapshotQueries": list(queries)})
     await store.keep(tenant, made)
-    exchange = Exchange(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
+    exchange = RequestContext(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
     creator.start(exchange, made, context)
     async with asyncio.timeout(120):
         while store.of(tenant)["urn:x:1"].status is Status.PREPARING:
@@ -54,7 +54,7 @@ def kept_status(broker: Broker) -> list[bytes]:
 async def test_a_failing_query_is_reported_and_the_others_are_carried_out(broker: Broker) -> None:
     asked = 0
 
-    async def carry_out(operation: Operation, exchange: Exchange) -> Answer:
+    async def carry_out(operation: Operation, exchange: RequestContext) -> Response:
         nonlocal asked
         asked += 1
         if asked == 1:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 
 from handover.errors import Problem
-from services.context_broker.delivery.notification import told_of
+from services.context_broker.delivery.notification import change_data
 from services.context_broker.delivery.subscription import subscription
 from services.context_broker.federation.distribution.source_notifications import change_of_notification
 from services.context_broker.model.entity import Entity
@@ -64,7 +64,7 @@ def test_what_is_gone_is_told_as_gone(said: Any) -> None:
     change = told(a=said, b=2)
     assert change.lost == {EXPAND("a")}
     assert NULL not in str(change.after.attributes)
-    assert NULL.encode() in told_of(LISTENER, change)
+    assert NULL.encode() in change_data(LISTENER, change)
 
 
 def test_what_the_broker_has_itself_is_not_gone() -> None:
@@ -77,7 +77,7 @@ def test_what_the_broker_has_itself_is_not_gone() -> None:
 def test_the_end_of_an_entity_is_told_with_what_it_has_lost() -> None:
     change = told(deletedAt="2026-01-01T00:00:00Z", a={"value": NULL, "previousValue": 3})
     assert change.after is None
-    assert b'"previousValue":3' in told_of(LISTENER, change)
+    assert b'"previousValue":3' in change_data(LISTENER, change)
     assert told(deletedAt="2026-01-01T00:00:00Z").lost == set()
 
 
@@ -87,4 +87,4 @@ def test_whatever_a_source_tells_can_be_told_on_or_is_a_problem(said: Any, other
         change = told(a=said, b=other)
     except Problem:
         return
-    assert told_of(LISTENER, change).startswith(b'{"id":"urn:x:1"')
+    assert change_data(LISTENER, change).startswith(b'{"id":"urn:x:1"')

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.delivery.endpoint_queue import Hold, Line, rest_s
-from services.context_broker.delivery.notification import told_of
+from services.context_broker.delivery.endpoint_queue import EndpointQueue, MemoryBudget, rest_s
+from services.context_broker.delivery.notification import change_data
 from services.context_broker.delivery.subscription import Subscription, subscription
 from services.context_broker.delivery.subscription_documents import kept_document
-from services.context_broker.delivery.triggers import ALL, DEFAULT, Triggers, happened, read_kinds
+from services.context_broker.delivery.triggers import ALL, DEFAULT, Triggers, entity_change, read_kinds
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import NULL, Entity, Event
 
@@ -75,7 +75,7 @@ INSTANCE_ADDED = changed(entity(a=[_KEPT]), entity(a=[_KEPT, instance(2, "urn:x:
     ],
 )
 def test_each_kind_of_change_has_its_triggers(event: Event, kinds: set[str]) -> None:
-    heeded = {kind for kind in ALL if Triggers(read_kinds([kind])).heed(happened(event))}
+    heeded = {kind for kind in ALL if Triggers(read_kinds([kind])).match(entity_change(event))}
     assert heeded == kinds
 
 
@@ -83,7 +83,8 @@ def test_without_triggers_attributes_that_are_made_or_changed_count() -> None:
     assert read_kinds(None) is DEFAULT
     assert read_kinds(["attributeUpdated", "attributeCreated"]) is DEFAULT
     heeded = [
-        Triggers().heed(happened(event)) for event in (CREATED, UPDATED, APPENDED, ATTRIBUTE_GONE, DELETED)
+        Triggers().match(entity_change(event))
+        for event in (CREATED, UPDATED, APPENDED, ATTRIBUTE_GONE, DELETED)
     ]
     assert heeded == [True, True, True, False, False]
 
@@ -91,18 +92,18 @@ def test_without_triggers_attributes_that_are_made_or_changed_count() -> None:
 @pytest.mark.parametrize("kinds", [None, ["entityUpdated"], list(ALL)])
 def test_only_watched_attributes_count(kinds: list[str] | None) -> None:
     watching = {name: Triggers(read_kinds(kinds), frozenset({iri(name)})) for name in ("a", "b", "c")}
-    assert watching["a"].heed(happened(UPDATED))
-    assert not watching["b"].heed(happened(UPDATED))
-    assert watching["b"].heed(happened(CREATED))
-    assert not watching["c"].heed(happened(CREATED))
-    assert not watching["c"].heed(happened(DELETED))
+    assert watching["a"].match(entity_change(UPDATED))
+    assert not watching["b"].match(entity_change(UPDATED))
+    assert watching["b"].match(entity_change(CREATED))
+    assert not watching["c"].match(entity_change(CREATED))
+    assert not watching["c"].match(entity_change(DELETED))
 
 
 def test_scopes_are_watched_by_their_name() -> None:
     watching = subscribed(watchedAttributes=["scope"]).triggers
-    assert watching.heed(happened(SCOPED))
-    assert not watching.heed(happened(UPDATED))
-    assert not subscribed(watchedAttributes=["a"]).triggers.heed(happened(RESCOPED))
+    assert watching.match(entity_change(SCOPED))
+    assert not watching.match(entity_change(UPDATED))
+    assert not subscribed(watchedAttributes=["a"]).triggers.match(entity_change(RESCOPED))
 
 
 @pytest.mark.parametrize("form", ["normalized", "concise"])
@@ -128,7 +129,7 @@ def subscribed(**members: Any) -> Subscription:
 
 
 def told(event: Event, **members: Any) -> Any:
-    return orjson.loads(told_of(subscribed(**members), happened(event)))
+    return orjson.loads(change_data(subscribed(**members), entity_change(event)))
 
 
 def test_the_end_of_an_entity_is_told_by_its_time_alone() -> None:
@@ -243,8 +244,8 @@ def events(draw: st.DrawFn) -> Event:
 
 @given(events(), st.sets(st.sampled_from(ALL), min_size=1), st.sets(st.sampled_from(ALL), min_size=1))
 def test_triggers_together_heed_what_one_of_them_heeds(event: Event, some: set[str], more: set[str]) -> None:
-    change = happened(event)
-    heeded = [Triggers(read_kinds(list(kinds))).heed(change) for kinds in (some | more, some, more)]
+    change = entity_change(event)
+    heeded = [Triggers(read_kinds(list(kinds))).match(change) for kinds in (some | more, some, more)]
     assert heeded[0] is (heeded[1] or heeded[2])
 
 
@@ -280,7 +281,7 @@ def test_any_change_can_be_told_in_any_way(
 class Somebody:
     """Somebody who waits for a turn."""
 
-    owed_bytes = held = on_disk = throttled = 0
+    pending_bytes = held = on_disk = throttled = 0
 
     def __init__(self) -> None:
         self.was_woken = asyncio.Event()
@@ -290,7 +291,7 @@ class Somebody:
 
 
 async def test_while_a_line_fails_one_at_a_time_has_its_turn() -> None:
-    line, crowd = Line(Hold(), 1000), [Somebody() for _ in range(3)]
+    line, crowd = EndpointQueue(MemoryBudget(), 1000), [Somebody() for _ in range(3)]
     assert [line.wait_s(one) for one in crowd] == [0.0, 0.0, 0.0]
     line.failed(crowd[0], 0.0, 0.0)
     assert line.failures == 1
@@ -309,7 +310,7 @@ async def test_while_a_line_fails_one_at_a_time_has_its_turn() -> None:
 
 
 def test_attempts_that_failed_together_count_once_and_rests_grow_to_a_bound() -> None:
-    line, crowd = Line(Hold(), 1000), [Somebody() for _ in range(50)]
+    line, crowd = EndpointQueue(MemoryBudget(), 1000), [Somebody() for _ in range(50)]
     for one in crowd:
         line.failed(one, 0.0, 0.0)
     assert line.failures == 1

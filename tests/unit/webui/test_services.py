@@ -7,12 +7,13 @@ METRICS = """# HELP handover_broker_requests_total Requests answered
 handover_broker_requests_total{operation="GET entities",status="200"} 40.0
 handover_broker_requests_total{operation="POST entities",status="201"} 2.0
 handover_broker_requests_created{operation="GET entities",status="200"} 1.7e+09
-handover_broker_notifications_sent_total 7.0
+handover_broker_notifications_total{outcome="delivered"} 7.0
+handover_broker_notifications_total{outcome="failed"} 3.0
 nonsense
 """
 COUNTERS = {
     "requests": "handover_broker_requests_total",
-    "notifications": "handover_broker_notifications_sent_total",
+    "notifications": 'handover_broker_notifications_total{outcome="delivered"}',
     "absent": "handover_absent_total",
 }
 

@@ -46,7 +46,15 @@ from services.context_broker.federation.registrations.registration import Entity
 from services.context_broker.model.context import Context
 from services.context_broker.model.validation import require_uri
 from services.context_broker.request.derived_exchange import derived
-from services.context_broker.request.request_context import JSON, Answer, Exchange
+from services.context_broker.request.request_context import (
+    JSON,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 
 MAX_BATCH_SIZE: Final = 1000
 """Entities in one batch that is passed on."""

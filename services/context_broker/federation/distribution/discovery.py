@@ -27,7 +27,15 @@ from services.context_broker.federation.distribution.source_responses import que
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.request.query_parameters import json_headers
-from services.context_broker.request.request_context import JSON_LD, Answer, Exchange
+from services.context_broker.request.request_context import (
+    JSON_LD,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 
 SourceDocument = tuple[Registration, SourceDialect, Any]
 """A source, how it was spoken to, and the document that it answered."""

@@ -18,7 +18,18 @@ from services.context_broker.federation.entity_maps.mapped_exchange import entit
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.model.problems import ERRORS
-from services.context_broker.request.request_context import PREFIX, Answer, Exchange, problem_answer
+from services.context_broker.request.request_context import (
+    PREFIX,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
+from services.context_broker.request.request_context import (
+    problem_response as problem_answer,
+)
 from services.context_broker.request.routing import Operation
 
 Perform = Callable[[Exchange], Awaitable[Answer]]

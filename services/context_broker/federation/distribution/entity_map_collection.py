@@ -41,7 +41,8 @@ from services.context_broker.federation.entity_maps.mapped_exchange import with_
 from services.context_broker.federation.registrations.registration import Match, Registration
 from services.context_broker.model.context import Context
 from services.context_broker.model.validation import require_uri
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext as Exchange
+from services.context_broker.request.request_context import Response as Answer
 from services.context_broker.temporal.operations import temporal_parameters
 
 CREATE_ENTITY_MAP: Final = "createEntityMapQueryEntity"

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import orjson
 
-from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.delivery.subscription_documents import NAMES_IN, shown_document
 from services.context_broker.federation.distribution.forwarding import SourceDialect
@@ -72,7 +72,9 @@ class ForwardedSubscription:
         )
 
 
-async def restored(token: str, tenant: str, stored: bytes, contexts: ContextBook) -> ForwardedSubscription:
+async def restored(
+    token: str, tenant: str, stored: bytes, contexts: ContextResolver
+) -> ForwardedSubscription:
     """Return the relay that `stored` had been; raises a problem if its source makes no sense any more."""
     subscription, document, context, said, base, is_there = orjson.loads(stored)
     source = registration(document, await contexts.as_before(context))

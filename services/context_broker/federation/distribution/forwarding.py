@@ -13,7 +13,7 @@ from urllib.parse import quote
 import orjson
 
 from handover.telemetry import get_logger
-from services.context_broker.contexts.context_resolver import CORE, ContextBook
+from services.context_broker.contexts.context_resolver import CORE, ContextResolver
 from services.context_broker.federation.distribution.translation import older, translated
 from services.context_broker.federation.distribution.via import append_to_via, chain
 from services.context_broker.federation.registrations.registration import Registration
@@ -114,7 +114,7 @@ class _CachedResponse:
 class Forwarder:
     """Asks the context sources of all tenants."""
 
-    contexts: ContextBook
+    contexts: ContextResolver
     timeout_s: float
     http_client: BodyReadingHttpClient = field(default_factory=BodyReadingHttpClient)
     small_pages: set[str] = field(default_factory=set)

@@ -11,7 +11,8 @@ from services.context_broker.federation.distribution.forwarding import SourceErr
 from services.context_broker.federation.registrations.registration import Registration
 from services.context_broker.model.problems import ERRORS
 from services.context_broker.network.http_client import HttpResponse
-from services.context_broker.request.request_context import JSON, Answer
+from services.context_broker.request.request_context import JSON
+from services.context_broker.request.request_context import Response as Answer
 
 _PASSED_ON: Final = frozenset({404, 409})
 """Failures of a single source that are the asker's to know as they are."""

@@ -32,7 +32,8 @@ from services.context_broker.operations.purge import selection_to_purge
 from services.context_broker.query.selection import hits_of
 from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import selection_of
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext as Exchange
+from services.context_broker.request.request_context import Response as Answer
 
 _NAMING: Final = frozenset({"q", "geoproperty"})
 _AS_THEY_ARE: Final = ("q", "scopeQ", "georel", "geometry", "coordinates", "geoproperty", "idPattern")

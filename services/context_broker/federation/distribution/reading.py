@@ -46,7 +46,15 @@ from services.context_broker.model.validation import require_uri
 from services.context_broker.query.type_selection import of_types
 from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import datasets_of
-from services.context_broker.request.request_context import Answer, Exchange, problem_answer
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
+from services.context_broker.request.request_context import (
+    problem_response as problem_answer,
+)
 
 MAX_LINKING_ENTITIES: Final = 1000
 """Of so many of the broker's own entities the links are followed to other sources."""

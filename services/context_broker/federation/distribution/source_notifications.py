@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from services.context_broker.delivery.triggers import Happened
+from services.context_broker.delivery.triggers import EntityChange
 from services.context_broker.federation.distribution.fragment_collector import about
 from services.context_broker.federation.distribution.fragments import (
     Fragment,
@@ -33,7 +33,7 @@ _NO_ATTRIBUTES: Final = frozenset(
 
 def change_of_notification(
     document: Mapping[str, Any], registration: Registration, own: Entity | None, terms: Terms
-) -> Happened | None:
+) -> EntityChange | None:
     """Return the change that a source tells of, as far as it is registered for it; None if it is not at all.
 
     The entity is told together with what is the broker's `own` of it. Raises a problem (400) for what is no
@@ -49,7 +49,7 @@ def change_of_notification(
     assert lost is not None  # noqa: S101 - as the same entity, with other attributes
     assert old is not None  # noqa: S101 - likewise
     if "deletedAt" in document:
-        return Happened(
+        return EntityChange(
             replace(registered, attributes=lost.attributes), None, lost=frozenset(lost.attributes)
         )
     after = registered
@@ -67,7 +67,9 @@ def change_of_notification(
         if left := [one for one in instances if dataset_of(one) not in still]:
             was[name] = [*was.get(name, []), *left]
             losses.add(name)
-    return Happened(replace(after, attributes=was), after, updated=frozenset(updated), lost=frozenset(losses))
+    return EntityChange(
+        replace(after, attributes=was), after, updated=frozenset(updated), lost=frozenset(losses)
+    )
 
 
 def _with_those_of_before(

@@ -31,8 +31,8 @@ from services.context_broker.model.entity_parser import expand, read_attribute
 from services.context_broker.query.query_document import selectors_of
 from services.context_broker.query.selection import Selection
 from services.context_broker.request.derived_exchange import derived
-from services.context_broker.request.query_parameters import LARGEST_LIMIT, selection_of
-from services.context_broker.request.request_context import Exchange
+from services.context_broker.request.query_parameters import MAX_LIMIT, selection_of
+from services.context_broker.request.request_context import RequestContext as Exchange
 from services.context_broker.temporal.query import TIME_PARAMETERS
 
 MAX_PAGES: Final = 20
@@ -121,12 +121,12 @@ def _all_pages(ask: FetchPart, request: TemporalRequest) -> FetchPart:
         documents: dict[str, Evolution] = {}
         edges: list[int | None] = []
         for number in range(MAX_PAGES):
-            window = {"offset": str(number * LARGEST_LIMIT), "limit": str(LARGEST_LIMIT)}
+            window = {"offset": str(number * MAX_LIMIT), "limit": str(MAX_LIMIT)}
             part = await ask({**parameters, **window})
             before = len(documents)
             documents |= {one["id"]: one for one in part.documents}
             edges.append(part.edge)
-            if len(part.documents) < LARGEST_LIMIT or len(documents) == before:
+            if len(part.documents) < MAX_LIMIT or len(documents) == before:
                 break
         return TemporalPart(list(documents.values()), temporal_merge.common_edge(edges, request.query))
 

@@ -13,8 +13,8 @@ from uuid import uuid4
 
 from handover.errors import Problem
 from handover.telemetry import get_logger
-from services.context_broker.contexts.context_resolver import ContextBook
-from services.context_broker.delivery.notification import notification, told_of
+from services.context_broker.contexts.context_resolver import ContextResolver
+from services.context_broker.delivery.notification import change_data, notification
 from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.delivery.subscription_documents import CAME_BY
 from services.context_broker.federation.distribution.distributed_operations import (
@@ -50,10 +50,18 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.problems import bad_request_data, not_found, not_stored
 from services.context_broker.model.validation import shown
 from services.context_broker.network.http_client import HttpResponse
-from services.context_broker.request.request_context import JSON, Answer, Exchange
+from services.context_broker.request.request_context import (
+    JSON,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
-from services.context_broker.storage.entries import Entries, Kind, Notice
+from services.context_broker.storage.entries import Entries, Kind, PendingNotification
 from services.context_broker.storage.journal import Journal
 from services.context_broker.tenants import Tenant, Tenants
 
@@ -73,7 +81,7 @@ class SubscriptionForwarder:
     """
 
     def __init__(
-        self, tenants: Tenants, contexts: ContextBook, forwarder: Forwarder, public_url: str | None
+        self, tenants: Tenants, contexts: ContextResolver, forwarder: Forwarder, public_url: str | None
     ) -> None:
         self._public_url = public_url
         self._tenants = tenants
@@ -316,7 +324,7 @@ class SubscriptionForwarder:
         notices = list(_notices(tenant.name, one, entities))
         if notices:
             try:
-                await tenant.commits.store(Entries(owed=notices))
+                await tenant.commits.store(Entries(pending=notices))
             except NotStored as error:
                 raise not_stored(str(error)) from error
             tenant.notifier.deliver(notices)
@@ -334,18 +342,20 @@ class SubscriptionForwarder:
         change = change_of_notification(given, forwarded.registration, own, context.terms)
         if change is None or (change.after is not None and not one.selects(change.after)):
             return None
-        return told_of(one, change)
+        return change_data(one, change)
 
 
 def _refusal(source: Registration, response: HttpResponse) -> str:
     return f"{source.endpoint} does not take the subscription ({response.status})"
 
 
-def _notices(tenant: str, one: Subscription, entities: list[tuple[str, bytes]]) -> Iterable[Notice]:
+def _notices(
+    tenant: str, one: Subscription, entities: list[tuple[str, bytes]]
+) -> Iterable[PendingNotification]:
     now_s = time.time()
     if one.throttling_s:
         for entity_id, said in entities:
-            yield Notice(tenant, one.id, entity_id, now_s, b"[" + said + b"]")
+            yield PendingNotification(tenant, one.id, entity_id, now_s, b"[" + said + b"]")
     elif entities:
         body = notification(one, [said for _, said in entities])
-        yield Notice(tenant, one.id, entities[0][0], now_s, body)
+        yield PendingNotification(tenant, one.id, entities[0][0], now_s, body)

@@ -34,7 +34,8 @@ from services.context_broker.model.context import Context
 from services.context_broker.model.problems import too_many_results
 from services.context_broker.network.http_client import HttpResponse
 from services.context_broker.request.derived_exchange import derived
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.request_context import RequestContext as Exchange
+from services.context_broker.request.request_context import Response as Answer
 from services.context_broker.temporal.durations import written_time
 from services.context_broker.temporal.query import (
     AGGREGATION_PARAMETERS,

@@ -52,11 +52,22 @@ from services.context_broker.query.pages import Window
 from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import (
     DEFAULT_LIMIT,
-    LARGEST_LIMIT,
+    MAX_LIMIT,
     json_headers,
     page_links,
 )
-from services.context_broker.request.request_context import JSON_LD, Answer, Exchange, problem_answer
+from services.context_broker.request.request_context import (
+    JSON_LD,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
+from services.context_broker.request.request_context import (
+    problem_response as problem_answer,
+)
 from services.context_broker.temporal.operations import temporal_parameters
 from services.context_broker.temporal.query import Representation, temporal_query, temporal_view
 
@@ -173,7 +184,7 @@ async def _query(sources: Sources, exchange: Exchange, perform: Perform, given: 
         )
         return await _page_of(hits, sources, exchange, perform, given)
     window = _window(exchange)
-    most = min(window.offset + window.limit, LARGEST_LIMIT) if not window.count else LARGEST_LIMIT
+    most = min(window.offset + window.limit, MAX_LIMIT) if not window.count else MAX_LIMIT
     paged = {"offset": "0", "limit": str(most)}
     own = await perform(_for_all_members(exchange, paged))
     request = _temporal_request(exchange, context, given.parameters)

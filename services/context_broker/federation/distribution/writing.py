@@ -49,7 +49,15 @@ from services.context_broker.model.validation import require_name, require_uri, 
 from services.context_broker.query.type_selection import type_selection
 from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.query_parameters import datasets_of
-from services.context_broker.request.request_context import PREFIX, Answer, Exchange
+from services.context_broker.request.request_context import (
+    PREFIX,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 
 _PASSED_ON: Final = ("options", "format", "observedAt", "lang", "datasetId", "deleteAll")
 _DONE: Final = Answer(204)

@@ -3,7 +3,7 @@
 from typing import Any
 
 from services.context_broker.federation.entity_maps.entity_map import EntityMap, Listed
-from services.context_broker.request.request_context import Exchange
+from services.context_broker.request.request_context import RequestContext as Exchange
 
 
 class MappedExchange(Exchange):

@@ -24,7 +24,15 @@ from services.context_broker.query.selection import Selection, hits_of
 from services.context_broker.request.derived_exchange import derived
 from services.context_broker.request.document_answers import document_answer, in_media_type
 from services.context_broker.request.query_parameters import MAP_PARAMETERS, QUERY_PARAMETERS, selection_of
-from services.context_broker.request.request_context import PREFIX, Answer, Exchange
+from services.context_broker.request.request_context import (
+    PREFIX,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.store import OverlayStore, Store

@@ -32,15 +32,16 @@ from services.context_broker.federation.tenant_state import federated
 from services.context_broker.query import linked, ordering
 from services.context_broker.query.pages import PLACE, Window
 from services.context_broker.request.derived_exchange import derived
-from services.context_broker.request.query_parameters import LARGEST_LIMIT, MAP_PARAMETERS, window_of
-from services.context_broker.request.request_context import Answer, Exchange
+from services.context_broker.request.query_parameters import MAP_PARAMETERS, MAX_LIMIT, window_of
+from services.context_broker.request.request_context import RequestContext as Exchange
+from services.context_broker.request.request_context import Response as Answer
 from services.context_broker.storage.database import NotStored
 from services.context_broker.temporal.query import temporal_window
 
 Perform = Callable[[Exchange], Awaitable[Answer]]
 """Carries a query out, sources included."""
 
-CHECK_BATCH_SIZE: Final = LARGEST_LIMIT
+CHECK_BATCH_SIZE: Final = MAX_LIMIT
 """Candidates that are checked in one go."""
 SHAPING: Final = frozenset({"options", "format", "count", "pick", "omit", "lang", "datasetId"})
 """Parameters that say how hits look, not which they are."""

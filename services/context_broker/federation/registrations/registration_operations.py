@@ -14,7 +14,7 @@ from uuid import uuid4
 import orjson
 
 from handover.errors import Problem
-from services.context_broker.contexts.context_resolver import ContextBook
+from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.federation.registrations.registration import Mode, Registration, shown_document
 from services.context_broker.federation.registrations.registration_intake import (
     kept_document,
@@ -36,7 +36,15 @@ from services.context_broker.request.query_parameters import (
     page_links,
     window_of,
 )
-from services.context_broker.request.request_context import PREFIX, Answer, Exchange
+from services.context_broker.request.request_context import (
+    PREFIX,
+)
+from services.context_broker.request.request_context import (
+    RequestContext as Exchange,
+)
+from services.context_broker.request.request_context import (
+    Response as Answer,
+)
 from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries, Kind
@@ -52,7 +60,7 @@ _SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
 class RegistrationOperations:
     """What can be done to registrations."""
 
-    def __init__(self, contexts: ContextBook) -> None:
+    def __init__(self, contexts: ContextResolver) -> None:
         self._contexts = contexts
         self._lock = asyncio.Lock()
 
@@ -140,7 +148,7 @@ class RegistrationOperations:
             gone = _deletion_of(tenant, before)
             await _write(tenant, gone)
             federated(tenant).registry.remove(before.id)
-            federated(tenant).source_notifier.deliver(gone.owed)
+            federated(tenant).source_notifier.deliver(gone.pending)
         return DONE
 
     async def retrieve(self, exchange: Exchange) -> Answer:
@@ -173,10 +181,10 @@ class RegistrationOperations:
 
     async def _keep(self, tenant: Tenant, before: Registration | None, made: Registration) -> None:
         key = (Kind.REGISTRATION, tenant.name, made.id)
-        owed = notices_of_change(federated(tenant).source_notifier, before, made)
-        await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}, owed=owed))
+        pending = notices_of_change(federated(tenant).source_notifier, before, made)
+        await _write(tenant, Entries(documents={key: orjson.dumps(made.document)}, pending=pending))
         federated(tenant).registry.put(made)
-        federated(tenant).source_notifier.deliver(owed)
+        federated(tenant).source_notifier.deliver(pending)
         self._schedule_expiry(tenant, made)
 
     def _schedule_expiry(self, tenant: Tenant, made: Registration) -> None:
@@ -192,7 +200,7 @@ class RegistrationOperations:
 
             def taken_away() -> None:
                 federated(tenant).registry.remove_if_held(made)
-                federated(tenant).source_notifier.deliver(gone.owed)
+                federated(tenant).source_notifier.deliver(gone.pending)
 
             tenant.commits.submit(gone, taken_away, lambda _: None)
 
@@ -239,8 +247,8 @@ def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
 def _deletion_of(tenant: Tenant, one: Registration) -> Entries:
     registered = (Kind.REGISTRATION, tenant.name, one.id)
     attempts = (Kind.ATTEMPTS, tenant.name, one.id)
-    owed = notices_of_change(federated(tenant).source_notifier, one, None)
-    return Entries(documents={registered: None, attempts: None}, owed=owed)
+    pending = notices_of_change(federated(tenant).source_notifier, one, None)
+    return Entries(documents={registered: None, attempts: None}, pending=pending)
 
 
 async def _write(tenant: Tenant, entries: Entries) -> None:

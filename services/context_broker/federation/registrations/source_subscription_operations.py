@@ -3,7 +3,7 @@
 from typing import Final
 
 from services.context_broker.delivery.subscription import Subscription
-from services.context_broker.delivery.subscription_dispatcher import CourierOffice
+from services.context_broker.delivery.subscription_dispatcher import SubscriptionDispatcher
 from services.context_broker.federation.registrations.source_subscriptions import notices_of_all
 from services.context_broker.federation.tenant_state import federated
 from services.context_broker.operations.subscription_operations import SubscriptionOperations
@@ -34,7 +34,7 @@ class SourceSubscriptionOperations(SubscriptionOperations):
             Operation("DELETE", one, "deleteCSRSubscription", "6.13.3.3", self.delete),
         )
 
-    def book(self, tenant: Tenant) -> CourierOffice:
+    def book(self, tenant: Tenant) -> SubscriptionDispatcher:
         """Return who knows a tenant's subscriptions to registrations."""
         return federated(tenant).source_notifier
 
@@ -42,7 +42,7 @@ class SourceSubscriptionOperations(SubscriptionOperations):
         """Write a subscription together with the notification that tells of all that match."""
         book = self.book(tenant)
         entries = self.entries_of(tenant, made)
-        entries.owed = notices_of_all(book, federated(tenant).registry, made)
+        entries.pending = notices_of_all(book, federated(tenant).registry, made)
         await self.write(tenant, entries)
         book.put(made)
-        book.deliver(entries.owed)
+        book.deliver(entries.pending)

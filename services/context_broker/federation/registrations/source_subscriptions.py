@@ -14,9 +14,12 @@ from uuid import uuid4
 import orjson
 
 from services.context_broker.delivery.outbound import Outbound
-from services.context_broker.delivery.periodic import Rounds
+from services.context_broker.delivery.periodic import PeriodicNotifications
 from services.context_broker.delivery.subscription import Subscription
-from services.context_broker.delivery.subscription_dispatcher import MOST_TOLD_AT_ONCE, CourierOffice
+from services.context_broker.delivery.subscription_dispatcher import (
+    MAX_ITEMS_PER_NOTIFICATION,
+    SubscriptionDispatcher,
+)
 from services.context_broker.federation.registrations.coverage import period_of
 from services.context_broker.federation.registrations.registration import (
     EntityTarget,
@@ -32,7 +35,7 @@ from services.context_broker.query.geo_query import geo_query_document
 from services.context_broker.query.scope_query import scope_query
 from services.context_broker.query.selection import Selection, compiled
 from services.context_broker.storage.commits import Commits
-from services.context_broker.storage.entries import Notice
+from services.context_broker.storage.entries import PendingNotification
 
 
 class Reason(StrEnum):
@@ -43,38 +46,40 @@ class Reason(StrEnum):
     NO_LONGER_MATCHING = "noLongerMatching"
 
 
-class SourceNotifier(CourierOffice):
+class SourceNotifier(SubscriptionDispatcher):
     """Keeps a tenant's subscriptions to registrations; those with a timeInterval are told in rounds."""
 
     def __init__(self, tenant: str, commits: Commits, outbound: Outbound, registry: Registry) -> None:
         super().__init__(tenant, commits, outbound)
         self._registry = registry
-        self._rounds = Rounds(self._notify_all)
+        self._periodic = PeriodicNotifications(self._notify_all)
 
     def stop(self) -> None:
         """End; what is owed stays in the outbox."""
-        self._rounds.stop()
+        self._periodic.stop()
         super().stop()
 
     def rearrange(self, changed: str | None = None) -> None:
         """Go the rounds of the subscriptions as they are now."""
         one = None if changed is None else self.get(changed)
-        if self._rounds.concern(changed, one):
-            self._rounds.heed(self.all())
+        if self._periodic.is_affected(changed, one):
+            self._periodic.schedule(self.all())
 
-    def together(self, notices: Mapping[str, Notice]) -> dict[str, Notice]:
+    def together(self, notices: Mapping[str, PendingNotification]) -> dict[str, PendingNotification]:
         """Return the first notices that have one reason: a notification gives one for all that it tells."""
         reason = _reason_in(next(iter(notices)))
         alike = takewhile(lambda one: _reason_in(one[0]) == reason, notices.items())
-        return dict(islice(alike, MOST_TOLD_AT_ONCE))
+        return dict(islice(alike, MAX_ITEMS_PER_NOTIFICATION))
 
-    def notification_of(self, subscription: Subscription, notices: Mapping[str, Notice]) -> bytes | None:
+    def notification_of(
+        self, subscription: Subscription, notices: Mapping[str, PendingNotification]
+    ) -> bytes | None:
         """Return what to tell of registrations that changed while throttled, as each was last."""
         documents = [orjson.Fragment(one.body[1:-1]) for one in notices.values() if one.body is not None]
         return _notification(subscription, documents, _reason_in(next(iter(notices))))
 
     async def _notify_all(self, subscription: Subscription) -> None:
-        worker = self._couriers.get(subscription.id)
+        worker = self._workers.get(subscription.id)
         notices = notices_of_all(self, self._registry, subscription)
         if worker is not None and notices:
             worker.offer([one.body for one in notices if one.body is not None])
@@ -111,11 +116,11 @@ def search_of(subscription: Subscription) -> Search:
 
 
 def notices_of_change(
-    book: CourierOffice, before: Registration | None, after: Registration | None
-) -> list[Notice]:
+    book: SubscriptionDispatcher, before: Registration | None, after: Registration | None
+) -> list[PendingNotification]:
     """Return what a change of a registration owes to those who want to be told of it (clause 5.11.7)."""
     now_s = time.time()
-    owed: list[Notice] = []
+    pending: list[PendingNotification] = []
     for subscription in book.all():
         if subscription.interval_s is not None or not subscription.is_active(now_s):
             continue
@@ -125,11 +130,13 @@ def notices_of_change(
         reason = _reason(matched=matched, matches=matches)
         documents = after if matches else before
         if reason is not None and documents is not None:
-            owed += _notices(book, subscription, search, [documents], reason)
-    return owed
+            pending += _notices(book, subscription, search, [documents], reason)
+    return pending
 
 
-def notices_of_all(book: CourierOffice, registry: Registry, subscription: Subscription) -> list[Notice]:
+def notices_of_all(
+    book: SubscriptionDispatcher, registry: Registry, subscription: Subscription
+) -> list[PendingNotification]:
     """Return what is owed to a new subscription: all that match, or nothing if none does."""
     search = search_of(subscription)  # what cannot be asked is refused, also of one that is paused
     if not subscription.is_active(time.time()):
@@ -145,8 +152,12 @@ def _reason(*, matched: bool, matches: bool) -> Reason | None:
 
 
 def _notices(
-    book: CourierOffice, subscription: Subscription, search: Search, found: list[Registration], reason: Reason
-) -> list[Notice]:
+    book: SubscriptionDispatcher,
+    subscription: Subscription,
+    search: Search,
+    found: list[Registration],
+    reason: Reason,
+) -> list[PendingNotification]:
     now_s = time.time()
     documents = [
         shown_document(
@@ -159,18 +170,20 @@ def _notices(
     ]
     if subscription.throttling_s:
         return [
-            Notice(book.tenant, subscription.id, f"{reason.value} {one.id}", now_s, orjson.dumps([document]))
+            PendingNotification(
+                book.tenant, subscription.id, f"{reason.value} {one.id}", now_s, orjson.dumps([document])
+            )
             for one, document in zip(found, documents, strict=True)
         ]
     return [
-        Notice(
+        PendingNotification(
             book.tenant,
             subscription.id,
             subscription.id,
             now_s,
-            _notification(subscription, documents[start : start + MOST_TOLD_AT_ONCE], reason.value),
+            _notification(subscription, documents[start : start + MAX_ITEMS_PER_NOTIFICATION], reason.value),
         )
-        for start in range(0, len(documents), MOST_TOLD_AT_ONCE)
+        for start in range(0, len(documents), MAX_ITEMS_PER_NOTIFICATION)
     ]
 
 
