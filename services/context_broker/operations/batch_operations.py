@@ -112,43 +112,43 @@ class BatchOperations:
             Operation("POST", f"{at}/merge", "mergeBatch", "6.31.3.1", self.merge, _WRITE),
         )
 
-    async def create(self, exchange: RequestContext) -> Response:
+    async def create(self, request: RequestContext) -> Response:
         """POST entityOperations/create."""
-        result = await self._each(exchange, self._create)
+        result = await self._each(request, self._create)
         return result.answer(_created(result.created))
 
-    async def upsert(self, exchange: RequestContext) -> Response:
+    async def upsert(self, request: RequestContext) -> Response:
         """POST entityOperations/upsert; options=update keeps attributes that are not named."""
-        options = _UPSERTING.intersection(options_of(exchange, FORMS | _UPSERTING))
+        options = _UPSERTING.intersection(options_of(request, FORMS | _UPSERTING))
         if len(options) > 1:
             raise bad_request_data("options is update or replace, not both")
         keeps = options == {"update"}
         result = await self._each(
-            exchange,
+            request,
             lambda store, given, context: self._upsert(store, given, context, keeps=keeps),
             _UPSERTING,
         )
         return result.answer(_created(result.created) if result.created else DONE)
 
-    async def update(self, exchange: RequestContext) -> Response:
+    async def update(self, request: RequestContext) -> Response:
         """POST entityOperations/update; options=noOverwrite leaves attributes that are there alone."""
-        overwrite = "noOverwrite" not in options_of(exchange, FORMS | _KEEPING)
+        overwrite = "noOverwrite" not in options_of(request, FORMS | _KEEPING)
         result = await self._each(
-            exchange,
+            request,
             lambda store, given, context: self._append(store, given, context, overwrite=overwrite),
             _KEEPING,
         )
         return result.answer(DONE)
 
-    async def merge(self, exchange: RequestContext) -> Response:
+    async def merge(self, request: RequestContext) -> Response:
         """POST entityOperations/merge."""
-        return (await self._each(exchange, self._merge)).answer(DONE)
+        return (await self._each(request, self._merge)).answer(DONE)
 
-    async def delete(self, exchange: RequestContext) -> Response:
+    async def delete(self, request: RequestContext) -> Response:
         """POST entityOperations/delete with a list of ids."""
-        exchange.content_type()
-        result, store = _BatchResult(), exchange.tenant.store
-        for given in _as_list(exchange.document(), "entity ids"):
+        request.content_type()
+        result, store = _BatchResult(), request.tenant.store
+        for given in _as_list(request.document(), "entity ids"):
             try:
                 entity_id = require_uri(given, "an entity id")
                 result.on_their_way.append(self._delete(store, entity_id))
@@ -157,35 +157,33 @@ class BatchOperations:
         await result.settle()
         return result.answer(DONE)
 
-    async def query(self, exchange: RequestContext) -> Response:
+    async def query(self, request: RequestContext) -> Response:
         """POST entityOperations/query with a Query document (clause 5.2.23)."""
-        exchange.accept(WITH_GEO_JSON)
-        document, context = await exchange.body()
-        given = {**exchange.parameters, **query_parameters(document)}
-        asked, exchange.parameters = exchange.parameters, given
-        asking = entity_query_of(exchange, given, context, selectors_of(document, context))
-        exchange.parameters = (
-            asked  # the links to other pages repeat what the URL had; the body is sent again
-        )
-        return await answered(exchange, exchange.tenant.store, asking)
+        request.accept(WITH_GEO_JSON)
+        document, context = await request.body()
+        given = {**request.parameters, **query_parameters(document)}
+        asked, request.parameters = request.parameters, given
+        asking = entity_query_of(request, given, context, selectors_of(document, context))
+        request.parameters = asked  # the links to other pages repeat what the URL had; the body is sent again
+        return await answered(request, request.tenant.store, asking)
 
     async def _each(
         self,
-        exchange: RequestContext,
+        request: RequestContext,
         act: Callable[[Store, Any, Context], _Change],
         others: frozenset[str] = frozenset(),
     ) -> _BatchResult:
         """Have `act` done with each document; `others` are options that the operation has besides forms."""
-        if is_simplified(exchange, others):
+        if is_simplified(request, others):
             act = partial(_from_simplified, act)
-        media_type = exchange.content_type()
-        exchange.require_no_link(media_type)
-        documents = _as_list(exchange.document(), "entities")
+        media_type = request.content_type()
+        request.require_no_link(media_type)
+        documents = _as_list(request.document(), "entities")
         result = _BatchResult()
         for given in documents:
             try:
-                context = await exchange.context_of(given, media_type)
-                result.on_their_way.append(act(exchange.tenant.store, given, context))
+                context = await request.context_of(given, media_type)
+                result.on_their_way.append(act(request.tenant.store, given, context))
             except Problem as problem:
                 result.refuse(given.get("id") if isinstance(given, dict) else None, problem)
         await result.settle()

@@ -32,46 +32,46 @@ class ContextOperations:
             Operation("DELETE", one, "deleteContext", "6.30.3.2", self.delete, frozenset({"reload"})),
         )
 
-    async def add(self, exchange: RequestContext) -> Response:
+    async def add(self, request: RequestContext) -> Response:
         """POST jsonldContexts: the @context stands in the body, whichever media type it has."""
-        exchange.content_type()
-        document = exchange.document()
+        request.content_type()
+        document = request.document()
         if not isinstance(document, Mapping) or "@context" not in document:
             raise invalid_request('the body is an object with an "@context"; put the context there')
-        one = await self._contexts.add(exchange.tenant.name, document["@context"])
+        one = await self._contexts.add(request.tenant.name, document["@context"])
         # Absolute: what a client does with it is to name it as the @context of its requests.
-        location = one.address(self._contexts.base(exchange.headers))
+        location = one.address(self._contexts.base(request.headers))
         return Response(201, b"", [(b"location", location.encode())])
 
-    async def list(self, exchange: RequestContext) -> Response:
+    async def list(self, request: RequestContext) -> Response:
         """GET jsonldContexts: their URLs; with details=true how they are used too."""
-        media_type, base = exchange.accept(), self._contexts.base(exchange.headers)
-        kind = exchange.parameter("kind")
+        media_type, base = request.accept(), self._contexts.base(request.headers)
+        kind = request.parameter("kind")
         if kind is not None and kind not in set(ContextKind):
             raise bad_request_data(f"kind is one of {', '.join(ContextKind)}, not {shown(kind)}")
-        found = [one for one in self._contexts.all(exchange.tenant.name) if kind in {None, one.kind}]
-        if exchange.flag("details"):
+        found = [one for one in self._contexts.all(request.tenant.name) if kind in {None, one.kind}]
+        if request.flag("details"):
             return _answer([one.details(base) for one in found], media_type)
         return _answer([one.address(base) for one in found], media_type)
 
-    async def serve(self, exchange: RequestContext) -> Response:
+    async def serve(self, request: RequestContext) -> Response:
         """GET jsonldContexts/{contextId}: its content, with details=true how it is used.
 
         The content is also given to who names no tenant, whichever it belongs to: what reads an @context
         from a Link header cannot name one, and nobody guesses the identifier. Another tenant finds nothing.
         """
-        media_type = exchange.accept()
-        if exchange.flag("details"):
-            found = self._existing(exchange)
-            told = found.details(self._contexts.base(exchange.headers))
+        media_type = request.accept()
+        if request.flag("details"):
+            found = self._existing(request)
+            told = found.details(self._contexts.base(request.headers))
             if found.kind is ContextKind.CACHED and not self._contexts.is_shipped(found):
                 self._contexts.usage.seen(found)
             return _answer(told, media_type)
-        one = self._contexts.named(exchange.names[0], exchange.tenant.name)
-        if one is None and not exchange.tenant.name:
-            one = self._contexts.served(exchange.names[0])
+        one = self._contexts.named(request.names[0], request.tenant.name)
+        if one is None and not request.tenant.name:
+            one = self._contexts.served(request.names[0])
         if one is None:
-            raise _absent(exchange)
+            raise _absent(request)
         if one.kind is ContextKind.CACHED:
             raise not_supported(
                 f"the broker serves its own contexts only; get {one.url} where it is published, "
@@ -79,10 +79,10 @@ class ContextOperations:
             )
         return _answer(one.document, media_type)
 
-    async def delete(self, exchange: RequestContext) -> Response:
+    async def delete(self, request: RequestContext) -> Response:
         """DELETE jsonldContexts/{contextId}; with reload=true a cached one is fetched anew."""
-        one = self._existing(exchange)
-        again = exchange.flag("reload")
+        one = self._existing(request)
+        again = request.flag("reload")
         if self._contexts.is_core(one):
             if again:  # it is the same in all versions of the broker's core context: nothing to fetch
                 return DONE
@@ -102,16 +102,16 @@ class ContextOperations:
         await self._contexts.delete(one)
         return DONE
 
-    def _existing(self, exchange: RequestContext) -> StoredContext:
-        one = self._contexts.named(exchange.names[0], exchange.tenant.name)
+    def _existing(self, request: RequestContext) -> StoredContext:
+        one = self._contexts.named(request.names[0], request.tenant.name)
         if one is None:
-            raise _absent(exchange)
+            raise _absent(request)
         return one
 
 
-def _absent(exchange: RequestContext) -> Exception:
+def _absent(request: RequestContext) -> Exception:
     return not_found(
-        f"there is no @context {shown(exchange.names[0])}; GET {PATH.rstrip('/')} lists those there are"
+        f"there is no @context {shown(request.names[0])}; GET {PATH.rstrip('/')} lists those there are"
     )
 
 

@@ -91,194 +91,192 @@ class EntityOperations:
             Operation("PUT", attribute, "replaceAttrs", "6.7.3.3", self.replace_attribute, _ONE),
         )
 
-    async def create(self, exchange: RequestContext) -> Response:
+    async def create(self, request: RequestContext) -> Response:
         """POST entities."""
-        simplified = is_simplified(exchange)
-        document, context = await exchange.body()
-        nulls = nulls_in(exchange.raw, Nulls.NOWHERE)
+        simplified = is_simplified(request)
+        document, context = await request.body()
+        nulls = nulls_in(request.raw, Nulls.NOWHERE)
         change = read_entity(bare(document, context) if simplified else document, context.terms, nulls)
-        store = exchange.tenant.store
+        store = request.tenant.store
         await store.stage(creation(store, change))
         return Response(201, b"", [(b"location", _location(change.id or ""))])
 
-    async def query(self, exchange: RequestContext) -> Response:
+    async def query(self, request: RequestContext) -> Response:
         """GET entities."""
-        exchange.accept(WITH_GEO_JSON)
-        context = await exchange.reader_context()
-        asking = entity_query_of(exchange, exchange.parameters, context)
-        return await answered(exchange, exchange.tenant.store, asking)
+        request.accept(WITH_GEO_JSON)
+        context = await request.reader_context()
+        asking = entity_query_of(request, request.parameters, context)
+        return await answered(request, request.tenant.store, asking)
 
-    async def purge(self, exchange: RequestContext) -> Response:
+    async def purge(self, request: RequestContext) -> Response:
         """DELETE entities."""
-        return await purge(exchange)
+        return await purge(request)
 
-    async def retrieve(self, exchange: RequestContext) -> Response:
+    async def retrieve(self, request: RequestContext) -> Response:
         """GET entities/{id}."""
-        exchange.accept(WITH_GEO_JSON)
-        context = await exchange.reader_context()
-        view = view_of(exchange, context)
-        join = join_of(exchange.parameters, view)
-        entity_id = exchange.names[0]
-        entity = exchange.tenant.store.get(entity_id)
+        request.accept(WITH_GEO_JSON)
+        context = await request.reader_context()
+        view = view_of(request, context)
+        join = join_of(request.parameters, view)
+        entity_id = request.names[0]
+        entity = request.tenant.store.get(entity_id)
         if entity is None:
             raise absent(require_uri(entity_id, "the entity id in the path"))
-        _require_type(exchange, entity, context)
+        _require_type(request, entity, context)
         if view.attributes is not None and view.attributes.isdisjoint(entity.attributes):
-            raise not_found(f"entity {entity_id} has none of the attributes {exchange.parameter('attrs')}")
+            raise not_found(f"entity {entity_id} has none of the attributes {request.parameter('attrs')}")
         if view.projection is not None and not render(entity, context.terms, view):
             raise nothing_left(entity_id)
-        store = exchange.tenant.store
-        return entity_answer(exchange, entity, Showing(context, view, join, store.get))
+        store = request.tenant.store
+        return entity_answer(request, entity, Showing(context, view, join, store.get))
 
-    async def delete(self, exchange: RequestContext) -> Response:
+    async def delete(self, request: RequestContext) -> Response:
         """DELETE entities/{id}."""
-        context = await exchange.reader_context() if exchange.parameters else None
-        await exchange.tenant.store.stage(Event.end_of(self.existing(exchange, context)))
+        context = await request.reader_context() if request.parameters else None
+        await request.tenant.store.stage(Event.end_of(self.existing(request, context)))
         return DONE
 
-    async def replace(self, exchange: RequestContext) -> Response:
+    async def replace(self, request: RequestContext) -> Response:
         """PUT entities/{id}."""
-        simplified = is_simplified(exchange)
-        document, context = await exchange.body()
-        before = self.existing(exchange, context)
+        simplified = is_simplified(request)
+        document, context = await request.body()
+        before = self.existing(request, context)
         if simplified:
             document = bare(document, context, before)
-        change = _about(exchange, read_change(document, context.terms, nulls_in(exchange.raw, Nulls.NOWHERE)))
-        await self._carry_out(exchange, changes.replaced(before, change, timestamp_now()))
+        change = _about(request, read_change(document, context.terms, nulls_in(request.raw, Nulls.NOWHERE)))
+        await self._carry_out(request, changes.replaced(before, change, timestamp_now()))
         return DONE
 
-    async def merge(self, exchange: RequestContext) -> Response:
+    async def merge(self, request: RequestContext) -> Response:
         """PATCH entities/{id}: what is left unsaid stays, NULL deletes, objects as values are merged."""
-        simplified = is_simplified(exchange)
-        observed_at, language = exchange.parameter("observedAt"), exchange.parameter("lang")
+        simplified = is_simplified(request)
+        observed_at, language = request.parameter("observedAt"), request.parameter("lang")
         if observed_at is not None:
             observed_at = require_time(observed_at, "observedAt in the query")
-        document, context = await exchange.body()
-        before = self.existing(exchange, context)
-        change = _about(exchange, read_merge(document, before, context, language, simplified=simplified))
-        await self._carry_out(exchange, changes.merged(before, change, timestamp_now(), observed_at))
+        document, context = await request.body()
+        before = self.existing(request, context)
+        change = _about(request, read_merge(document, before, context, language, simplified=simplified))
+        await self._carry_out(request, changes.merged(before, change, timestamp_now(), observed_at))
         return DONE
 
-    async def append(self, exchange: RequestContext) -> Response:
+    async def append(self, request: RequestContext) -> Response:
         """POST entities/{id}/attrs."""
-        overwrite = "noOverwrite" not in options_of(exchange, FORMS | {"noOverwrite"})
-        simplified = is_simplified(exchange, frozenset({"noOverwrite"}))
-        document, context = await exchange.body()
-        before = self.existing(exchange, context)
+        overwrite = "noOverwrite" not in options_of(request, FORMS | {"noOverwrite"})
+        simplified = is_simplified(request, frozenset({"noOverwrite"}))
+        document, context = await request.body()
+        before = self.existing(request, context)
         if simplified:
             document = bare(document, context, before)
-        change = _about(exchange, read_change(document, context.terms, nulls_in(exchange.raw, Nulls.NOWHERE)))
+        change = _about(request, read_change(document, context.terms, nulls_in(request.raw, Nulls.NOWHERE)))
         outcome = changes.appended(before, change, timestamp_now(), overwrite=overwrite)
-        await self._carry_out(exchange, outcome)
+        await self._carry_out(request, outcome)
         return _update_result(change, outcome)
 
-    async def update(self, exchange: RequestContext) -> Response:
+    async def update(self, request: RequestContext) -> Response:
         """PATCH entities/{id}/attrs."""
-        simplified = is_simplified(exchange)
-        document, context = await exchange.body()
-        before = self.existing(exchange, context)
+        simplified = is_simplified(request)
+        document, context = await request.body()
+        before = self.existing(request, context)
         if simplified:
             document = bare(document, context, before)
         change = _about(
-            exchange, read_change(document, context.terms, nulls_in(exchange.raw, Nulls.ATTRIBUTES))
+            request, read_change(document, context.terms, nulls_in(request.raw, Nulls.ATTRIBUTES))
         )
         outcome = changes.updated(before, change, timestamp_now())
-        await self._carry_out(exchange, outcome)
+        await self._carry_out(request, outcome)
         return DONE
 
-    async def update_attribute(self, exchange: RequestContext) -> Response:
+    async def update_attribute(self, request: RequestContext) -> Response:
         """PATCH entities/{id}/attrs/{name}: overwrites members of the attribute."""
-        document, context = await exchange.body()
-        if exchange.names[1] == "scope":
+        document, context = await request.body()
+        if request.names[1] == "scope":
             raise bad_request_data("a scope has no parts to update; PATCH …/attrs with the whole scope")
-        name = self._attribute_name(exchange, context)
-        before = self.existing(exchange, context)
+        name = self._attribute_name(request, context)
+        before = self.existing(request, context)
         given = _without_context(document)
-        instance = instance_for(given, self._instances(exchange, before, name))
+        instance = instance_for(given, self._instances(request, before, name))
         whole = given if instance is None else completed_part(given, instance)
-        part = read_attribute(exchange.names[1], whole, context.terms)[0]
+        part = read_attribute(request.names[1], whole, context.terms)[0]
         if instance is not None and part["type"] != instance["type"]:
             raise bad_request_data(
-                f"attribute {shown(exchange.names[1])} is a {instance['type']} and cannot become a "
+                f"attribute {shown(request.names[1])} is a {instance['type']} and cannot become a "
                 f"{part['type']} by an update of its parts; replace it with PUT"
             )
         refuse_nulls({name: [part]}, context.terms, Nulls.ATTRIBUTES)
         try:
             outcome = changes.partially_updated(before, name, part, timestamp_now())
         except KeyError:
-            raise _absent_instance(exchange, part.get("datasetId")) from None
-        await self._carry_out(exchange, outcome)
+            raise _absent_instance(request, part.get("datasetId")) from None
+        await self._carry_out(request, outcome)
         return DONE
 
-    async def replace_attribute(self, exchange: RequestContext) -> Response:
+    async def replace_attribute(self, request: RequestContext) -> Response:
         """PUT entities/{id}/attrs/{name}: replaces one instance, by datasetId; others stay."""
-        document, context = await exchange.body()
-        if exchange.names[1] == "scope":
+        document, context = await request.body()
+        if request.names[1] == "scope":
             raise bad_request_data("a scope is replaced with PATCH …/attrs, or with the whole entity")
-        name = self._attribute_name(exchange, context)
-        before = self.existing(exchange, context)
-        kept = self._instances(exchange, before, name)
-        instances = read_attribute(exchange.names[1], _without_context(document), context.terms)
+        name = self._attribute_name(request, context)
+        before = self.existing(request, context)
+        kept = self._instances(request, before, name)
+        instances = read_attribute(request.names[1], _without_context(document), context.terms)
         for one in instances:
             if instance_for(one, kept) is None:
-                raise _absent_instance(exchange, one.get("datasetId"))
+                raise _absent_instance(request, one.get("datasetId"))
         refuse_nulls({name: instances}, context.terms, Nulls.NOWHERE)
         change = Change(None, (), {name: instances})
-        await self._carry_out(exchange, changes.updated(before, change, timestamp_now()))
+        await self._carry_out(request, changes.updated(before, change, timestamp_now()))
         return DONE
 
-    async def delete_attribute(self, exchange: RequestContext) -> Response:
+    async def delete_attribute(self, request: RequestContext) -> Response:
         """DELETE entities/{id}/attrs/{name}; one instance by datasetId, or every one with deleteAll."""
-        context = await exchange.reader_context()
-        name = self._attribute_name(exchange, context)
-        before = self.existing(exchange, context)
-        if exchange.names[1] == "scope":
+        context = await request.reader_context()
+        name = self._attribute_name(request, context)
+        before = self.existing(request, context)
+        if request.names[1] == "scope":
             if not before.scopes:
                 raise not_found(f"entity {before.id} has no scope")
             outcome = changes.updated(before, Change(None, (), {}, scopes=()), timestamp_now())
-            await self._carry_out(exchange, outcome)
+            await self._carry_out(request, outcome)
             return DONE
-        self._instances(exchange, before, name)
-        dataset = exchange.parameter("datasetId")
+        self._instances(request, before, name)
+        dataset = request.parameter("datasetId")
         if dataset == DEFAULT_INSTANCE:
             dataset = None
         try:
-            outcome = changes.without(
-                before, name, dataset, timestamp_now(), every=exchange.flag("deleteAll")
-            )
+            outcome = changes.without(before, name, dataset, timestamp_now(), every=request.flag("deleteAll"))
         except KeyError:
-            raise _absent_instance(exchange, dataset) from None
-        await self._carry_out(exchange, outcome)
+            raise _absent_instance(request, dataset) from None
+        await self._carry_out(request, outcome)
         return DONE
 
-    def existing(self, exchange: RequestContext, context: Context | None) -> Entity:
+    def existing(self, request: RequestContext, context: Context | None) -> Entity:
         """Return the entity that the path names, as the last write left it.
 
         Raises a problem (404) if there is none, or none of the types that the parameter `type` selects.
         """
-        entity = exchange.tenant.store.latest(exchange.names[0])
+        entity = request.tenant.store.latest(request.names[0])
         if entity is None:
-            raise absent(require_uri(exchange.names[0], "the entity id in the path"))
+            raise absent(require_uri(request.names[0], "the entity id in the path"))
         if context is not None:
-            _require_type(exchange, entity, context)
+            _require_type(request, entity, context)
         return entity
 
-    async def _carry_out(self, exchange: RequestContext, outcome: Outcome) -> None:
+    async def _carry_out(self, request: RequestContext, outcome: Outcome) -> None:
         """Make an outcome durable. No await may stand between reading the entity and this."""
-        before = exchange.tenant.store.latest(exchange.names[0])
+        before = request.tenant.store.latest(request.names[0])
         if before is not None and outcome.entity is not before:
-            await exchange.tenant.store.stage(Event(before, outcome.entity, outcome.touched))
+            await request.tenant.store.stage(Event(before, outcome.entity, outcome.touched))
 
     @staticmethod
-    def _attribute_name(exchange: RequestContext, context: Context) -> str:
-        return expand(require_name(exchange.names[1], "the attribute name in the path"), context.terms)
+    def _attribute_name(request: RequestContext, context: Context) -> str:
+        return expand(require_name(request.names[1], "the attribute name in the path"), context.terms)
 
     @staticmethod
-    def _instances(exchange: RequestContext, entity: Entity, name: str) -> list[Instance]:
+    def _instances(request: RequestContext, entity: Entity, name: str) -> list[Instance]:
         instances = entity.attributes.get(name)
         if instances is None:
             raise not_found(
-                f"entity {entity.id} has no attribute {shown(exchange.names[1])}; "
+                f"entity {entity.id} has no attribute {shown(request.names[1])}; "
                 "append it, or read the entity to see what it has"
             )
         return instances
@@ -308,9 +306,9 @@ def nothing_left(entity_id: str) -> Problem:
     return not_found(f"pick and omit leave nothing of entity {entity_id}; ask for something that it has")
 
 
-def _absent_instance(exchange: RequestContext, dataset: str | None) -> Problem:
+def _absent_instance(request: RequestContext, dataset: str | None) -> Problem:
     which = "default instance" if dataset is None else f"instance with the datasetId {shown(dataset)}"
-    return not_found(f"attribute {shown(exchange.names[1])} has no {which}")
+    return not_found(f"attribute {shown(request.names[1])} has no {which}")
 
 
 def read_merge(
@@ -336,15 +334,15 @@ def bare(document: object, context: Context, before: Entity | None = None) -> ob
     return normalized(document, before, context.terms) if isinstance(document, dict) else document
 
 
-def is_simplified(exchange: RequestContext, others: frozenset[str] = frozenset()) -> bool:
+def is_simplified(request: RequestContext, others: frozenset[str] = frozenset()) -> bool:
     """Say whether the body is in simplified form; any other form tells by itself which it is.
 
     `others` are the options that the operation has besides.
     """
-    if not exchange.parameters:
+    if not request.parameters:
         return False
-    forms = options_of(exchange, FORMS | others)
-    wanted = exchange.parameter("format")
+    forms = options_of(request, FORMS | others)
+    wanted = request.parameter("format")
     if wanted is not None:
         if wanted not in FORMS:
             raise invalid_request(f"format is one of {', '.join(sorted(FORMS))}, not {shown(wanted)}")
@@ -352,17 +350,17 @@ def is_simplified(exchange: RequestContext, others: frozenset[str] = frozenset()
     return not forms.isdisjoint(_SIMPLIFIED)
 
 
-def _about(exchange: RequestContext, change: Change) -> Change:
+def _about(request: RequestContext, change: Change) -> Change:
     """Return a change if it is about the entity that the path names; raise a problem if not."""
-    if change.id is not None and change.id != exchange.names[0]:
+    if change.id is not None and change.id != request.names[0]:
         raise bad_request_data(
-            f"the body is about {change.id}, the path about {exchange.names[0]}; agree on one"
+            f"the body is about {change.id}, the path about {request.names[0]}; agree on one"
         )
     return change
 
 
-def _require_type(exchange: RequestContext, entity: Entity, context: Context) -> None:
-    wanted = exchange.parameter("type")
+def _require_type(request: RequestContext, entity: Entity, context: Context) -> None:
+    wanted = request.parameter("type")
     if wanted is not None and not type_selection(wanted, context.terms.expand).wants(entity.types):
         raise not_found(f"there is no entity {entity.id} of type {shown(wanted)}; it has other types")
 

@@ -25,12 +25,12 @@ AT_ONCE: Final = 500
 _SYSTEM: Final = frozenset({"createdAt", "modifiedAt", "deletedAt", "expiresAt", "observedAt"})
 
 
-async def purge(exchange: RequestContext) -> Response:
+async def purge(request: RequestContext) -> Response:
     """DELETE entities: 204 when all are purged, 207 with what was not."""
-    context = await exchange.reader_context()
-    selection = selection_to_purge(exchange, context)
-    names, keep = _named(exchange, context)
-    store = exchange.tenant.store
+    context = await request.reader_context()
+    selection = selection_to_purge(request, context)
+    names, keep = _named(request, context)
+    store = request.tenant.store
     ids = [entity.id for entity in await hits_of(store, selection)]
     succeeded: list[str] = []
     errors: list[dict[str, Any]] = []
@@ -65,20 +65,20 @@ def _event(entity: Entity, names: frozenset[str] | None, keep: bool) -> Event | 
     return None if outcome.entity is entity else Event(entity, outcome.entity, outcome.touched)
 
 
-def _named(exchange: RequestContext, context: Context) -> tuple[frozenset[str] | None, bool]:
+def _named(request: RequestContext, context: Context) -> tuple[frozenset[str] | None, bool]:
     """Return the attributes that are to go or, if so said, to stay; None if the entities go."""
-    keep, drop = exchange.parameter("keep"), exchange.parameter("drop")
+    keep, drop = request.parameter("keep"), request.parameter("drop")
     if keep is not None and drop is not None:
         raise bad_request_data("keep and drop exclude each other: what is not kept is dropped; leave out one")
     return names_of(drop if keep is None else keep, context), keep is not None
 
 
-def selection_to_purge(exchange: RequestContext, context: Context) -> Selection:
+def selection_to_purge(request: RequestContext, context: Context) -> Selection:
     """Return what is to be purged; raise a problem (400) if that is whatever is there.
 
     Ids and system attributes alone choose nothing, unless only attributes are to go (clause 5.6.21.4).
     """
-    given = exchange.parameters
+    given = request.parameters
     attributes = given.get("attrs", "").split(",")
     selection = selection_of({**given, "local": "true"}, context)
     if selection.query is not None and selection.query.hops:
@@ -91,7 +91,7 @@ def selection_to_purge(exchange: RequestContext, context: Context) -> Selection:
         or "keep" in given
         or "drop" in given
     )
-    if not narrows and not exchange.flag("local"):
+    if not narrows and not request.flag("local"):
         raise bad_request_data(
             "the purge is too wide: say which entities by type, by an attribute in attrs or q, or by place; "
             "local=true purges whatever is in this broker"

@@ -114,79 +114,79 @@ class SubscriptionOperations:
                     except Problem as problem:  # it goes on with the context that it was made with
                         log.warning("a subscription keeps its context", one=one.id, why=problem.detail)
 
-    async def create(self, exchange: RequestContext) -> Response:
+    async def create(self, request: RequestContext) -> Response:
         """POST subscriptions."""
-        given, context = await exchange.body()
+        given, context = await request.body()
         document = kept_document(given, context, self.BESIDES)
         document["id"] = require_uri(
             document.get("id", f"urn:ngsi-ld:Subscription:{uuid4()}"), "the subscription id"
         )
-        if exchange.flag("local"):
+        if request.flag("local"):
             document["localOnly"] = True
-        if via := exchange.headers.get(b"via"):
+        if via := request.headers.get(b"via"):
             document[CAME_BY] = via.decode("latin-1")
         at = timestamp_now()
         made = await self._made({**document, "createdAt": at, "modifiedAt": at}, context)
-        await self._require_open(exchange.tenant, made)
-        made = await self._with_link(exchange, made)
+        await self._require_open(request.tenant, made)
+        made = await self._with_link(request, made)
         async with self._one_at_a_time:
-            tenant = exchange.tenant
+            tenant = request.tenant
             if tenant.notifier.get(made.id) is not None or tenant.federation.has_subscription(made.id):
                 raise already_exists(
                     f"there is a subscription {made.id} already; update it, or choose another id"
                 )
-            await self.keep(exchange.tenant, made)
-        location = f"{exchange.path.rstrip('/')}/{quote(made.id, safe=':')}".encode()
+            await self.keep(request.tenant, made)
+        location = f"{request.path.rstrip('/')}/{quote(made.id, safe=':')}".encode()
         return Response(201, b"", [(b"location", location)])
 
-    async def update(self, exchange: RequestContext) -> Response:
+    async def update(self, request: RequestContext) -> Response:
         """PATCH subscriptions/{id}."""
-        given, context = await exchange.body()
+        given, context = await request.body()
         change = kept_document(given, context, self.BESIDES)
         async with self._one_at_a_time:
-            before = self._existing(exchange)
+            before = self._existing(request)
             names = context if names_things(change) else before.names
             document = {**updated_document(before.document, change), "modifiedAt": timestamp_now()}
             made = await self._made(document, names)
             if "notification" in change:
-                await self._require_open(exchange.tenant, made)
-            made = await self._with_link(exchange, made)
-            await self.keep(exchange.tenant, made)
+                await self._require_open(request.tenant, made)
+            made = await self._with_link(request, made)
+            await self.keep(request.tenant, made)
         return DONE
 
-    async def delete(self, exchange: RequestContext) -> Response:
+    async def delete(self, request: RequestContext) -> Response:
         """DELETE subscriptions/{id}."""
         async with self._one_at_a_time:
-            before = self._existing(exchange)
-            gone = (self.KIND, exchange.tenant.name, before.id)
-            counts = (Kind.COUNTS, exchange.tenant.name, before.id)
-            await self.write(exchange.tenant, Entries(documents={gone: None, counts: None}))
-            self.book(exchange.tenant).remove(before.id)
+            before = self._existing(request)
+            gone = (self.KIND, request.tenant.name, before.id)
+            counts = (Kind.COUNTS, request.tenant.name, before.id)
+            await self.write(request.tenant, Entries(documents={gone: None, counts: None}))
+            self.book(request.tenant).remove(before.id)
         return DONE
 
-    async def retrieve(self, exchange: RequestContext) -> Response:
+    async def retrieve(self, request: RequestContext) -> Response:
         """GET subscriptions/{id}."""
-        media_type, context = exchange.accept(), await exchange.reader_context()
-        document = self._shown(self._existing(exchange), exchange, context)
+        media_type, context = request.accept(), await request.reader_context()
+        document = self._shown(self._existing(request), request, context)
         return _answer(_with_context(document, media_type, context), media_type, context)
 
-    async def list(self, exchange: RequestContext) -> Response:
+    async def list(self, request: RequestContext) -> Response:
         """GET subscriptions."""
-        media_type, context = exchange.accept(), await exchange.reader_context()
-        window = window_of(exchange)
-        found = self.book(exchange.tenant).all()
+        media_type, context = request.accept(), await request.reader_context()
+        window = window_of(request)
+        found = self.book(request.tenant).all()
         page = found[window.offset : window.offset + window.limit]
-        documents = [_with_context(self._shown(one, exchange, context), media_type, context) for one in page]
+        documents = [_with_context(self._shown(one, request, context), media_type, context) for one in page]
         answer = _answer(documents, media_type, context)
         if window.count:
             answer.headers.append((b"ngsild-results-count", str(len(found)).encode()))
         more = window.offset + window.limit < len(found)
-        answer.headers += page_links(exchange, window, media_type, more=more)
+        answer.headers += page_links(request, window, media_type, more=more)
         return answer
 
-    def _existing(self, exchange: RequestContext) -> Subscription:
-        subscription_id = require_uri(exchange.names[0], "the subscription id in the path")
-        found = self.book(exchange.tenant).get(subscription_id)
+    def _existing(self, request: RequestContext) -> Subscription:
+        subscription_id = require_uri(request.names[0], "the subscription id in the path")
+        found = self.book(request.tenant).get(subscription_id)
         if found is None:
             raise _absent(subscription_id)
         return found
@@ -204,10 +204,10 @@ class SubscriptionOperations:
             kept[NAMES_IN] = names.document
         return subscription(kept, used, names)
 
-    async def _with_link(self, exchange: RequestContext, made: Subscription) -> Subscription:
+    async def _with_link(self, request: RequestContext, made: Subscription) -> Subscription:
         """Return the subscription with a context that its notifications can name in a Link header."""
-        base = self._contexts.base(exchange.headers)
-        linked = await self._contexts.linked(made.context, exchange.tenant.name, base)
+        base = self._contexts.base(request.headers)
+        linked = await self._contexts.linked(made.context, request.tenant.name, base)
         if linked is made.context:
             return made
         return replace(made, context=linked, document={**made.document, "context": linked.document})
@@ -235,8 +235,8 @@ class SubscriptionOperations:
             raise not_stored(str(error)) from error
 
     @staticmethod
-    def _shown(one: Subscription, exchange: RequestContext, context: Context) -> dict[str, Any]:
-        sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
+    def _shown(one: Subscription, request: RequestContext, context: Context) -> dict[str, Any]:
+        sys_attrs = "sysAttrs" in options_of(request, _SYS_ATTRS)
         return shown_document(one, context, time.time(), sys_attrs=sys_attrs)
 
 

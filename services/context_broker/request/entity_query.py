@@ -33,7 +33,7 @@ class EntityQuery:
 
 
 def entity_query_of(
-    exchange: RequestContext,
+    request: RequestContext,
     given: Mapping[str, str],
     context: Context,
     any_of: tuple[Selection, ...] = (),
@@ -42,12 +42,12 @@ def entity_query_of(
 
     Raises a problem (400) that names what cannot be read, or may not be asked for.
     """
-    view = view_of(exchange, context)
+    view = view_of(request, context)
     selection = selection_of(given, context, any_of)
     order = ordering.ordering(given, context.terms.expand)
     join = join_of(given, view, selection)
     mark = mark_of(context.text, "" if order is None else order.text)
-    return EntityQuery(context, view, selection, window_of(exchange, mark=mark), order, join, mark)
+    return EntityQuery(context, view, selection, window_of(request, mark=mark), order, join, mark)
 
 
 def join_of(given: Mapping[str, str], view: View, selection: Selection | None = None) -> Join | None:
@@ -59,8 +59,8 @@ def join_of(given: Mapping[str, str], view: View, selection: Selection | None = 
     return join
 
 
-async def answered(exchange: RequestContext, store: Store, asking: EntityQuery) -> Response:
+async def answered(request: RequestContext, store: Store, asking: EntityQuery) -> Response:
     """Return the answer to a query out of the entities in `store`."""
     page = await search(store, asking.selection, asking.window, asking.order)
     showing = Showing(asking.context, asking.view, asking.join, store.get)
-    return entities_answer(exchange, page, asking.window, showing, asking.mark)
+    return entities_answer(request, page, asking.window, showing, asking.mark)

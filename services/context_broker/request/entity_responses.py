@@ -31,14 +31,14 @@ class Showing(NamedTuple):
     lookup: Lookup = nobody
 
 
-def entity_answer(exchange: RequestContext, entity: Entity, showing: Showing) -> Response:
+def entity_answer(request: RequestContext, entity: Entity, showing: Showing) -> Response:
     """Return one entity as an answer; with flat linked ones it is a list, be there any or not (4.5.23.3)."""
     if showing.join is not None and showing.join.is_flat:
-        return Response(200, *_list_body(exchange, [entity], showing))
-    accept, context = exchange.accept(WITH_GEO_JSON), showing.context
+        return Response(200, *_list_body(request, [entity], showing))
+    accept, context = request.accept(WITH_GEO_JSON), showing.context
     if accept == GEO_JSON:
-        (one,) = _features(exchange, [entity], showing)
-        in_body = has_context_in_body(exchange)
+        (one,) = _features(request, [entity], showing)
+        in_body = has_context_in_body(request)
         return Response(200, feature_body(one, context, with_context=in_body), _geo_headers(context, in_body))
     (text,) = _texts([entity], showing)
     if accept == JSON_LD:
@@ -47,34 +47,34 @@ def entity_answer(exchange: RequestContext, entity: Entity, showing: Showing) ->
 
 
 def entities_answer(
-    exchange: RequestContext, page: Page, window: Window, showing: Showing, mark: int = 0
+    request: RequestContext, page: Page, window: Window, showing: Showing, mark: int = 0
 ) -> Response:
     """Return a page of entities as an answer, with links to its neighbours.
 
     The links hold places in the order that `mark` tells from others. To a POST the same body goes with them.
     """
-    body, headers = _list_body(exchange, page.entities, showing)
+    body, headers = _list_body(request, page.entities, showing)
     if page.total is not None:
         headers.append((b"ngsild-results-count", str(page.total).encode()))
     if window.limit == 0:
         return Response(200, body, headers)
-    accept = exchange.accept(WITH_GEO_JSON)
+    accept = request.accept(WITH_GEO_JSON)
     if page.before:
         place = None if page.first is None else page.first.written(mark)
-        headers.append(page_link(exchange, max(0, window.offset - window.limit), "prev", accept, place))
+        headers.append(page_link(request, max(0, window.offset - window.limit), "prev", accept, place))
     if page.more:
         place = None if page.last is None else page.last.written(mark)
-        headers.append(page_link(exchange, window.offset + window.limit, "next", accept, place))
+        headers.append(page_link(request, window.offset + window.limit, "next", accept, place))
     return Response(200, body, headers)
 
 
 def _list_body(
-    exchange: RequestContext, entities: list[Entity], showing: Showing
+    request: RequestContext, entities: list[Entity], showing: Showing
 ) -> tuple[bytes, list[tuple[bytes, bytes]]]:
-    accept, context = exchange.accept(WITH_GEO_JSON), showing.context
+    accept, context = request.accept(WITH_GEO_JSON), showing.context
     if accept == GEO_JSON:
-        in_body = has_context_in_body(exchange)
-        features = _features(exchange, entities, showing)
+        in_body = has_context_in_body(request)
+        features = _features(request, entities, showing)
         return collection_body(features, context, with_context=in_body), _geo_headers(context, in_body)
     texts = _texts(entities, showing)
     headers = json_headers(context)
@@ -91,8 +91,8 @@ def _texts(entities: list[Entity], showing: Showing) -> Iterable[bytes]:
     return (orjson.dumps(one) for _, one in joined(entities, context.terms, view, join, showing.lookup))
 
 
-def _features(exchange: RequestContext, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:
-    place, terms, view = place_of(exchange, showing.context), showing.context.terms, showing.view
+def _features(request: RequestContext, entities: list[Entity], showing: Showing) -> list[dict[str, Any]]:
+    place, terms, view = place_of(request, showing.context), showing.context.terms, showing.view
     if showing.join is None:
         told = [(one, render(one, terms, view)) for one in entities]
     else:

@@ -14,19 +14,19 @@ from services.context_broker.request.request_context import RequestContext
 _PLAIN_BODY: Final = re.compile(rb'(?:^|[,;\s])body\s*=\s*"?json"?(?:$|[,;\s])', re.IGNORECASE)
 
 
-def place_of(exchange: RequestContext, context: Context) -> str:
+def place_of(request: RequestContext, context: Context) -> str:
     """Return the GeoProperty (IRI) that is asked to be the geometry.
 
     Raises a problem (400) if one is asked for and the answer is not to be GeoJSON.
     """
-    given = exchange.parameter("geometryProperty")
+    given = request.parameter("geometryProperty")
     if given is None:
         return context.terms.expand(LOCATION)
-    if exchange.accept(WITH_GEO_JSON) != GEO_JSON:
+    if request.accept(WITH_GEO_JSON) != GEO_JSON:
         raise bad_request_data(f"geometryProperty needs Accept: {GEO_JSON}; leave it out, or accept that")
     return expand(require_name(given, "geometryProperty"), context.terms)
 
 
-def has_context_in_body(exchange: RequestContext) -> bool:
+def has_context_in_body(request: RequestContext) -> bool:
     """Say whether the @context goes into the GeoJSON: yes, unless the asker prefers plain JSON as body."""
-    return _PLAIN_BODY.search(exchange.headers.get(b"prefer", b"")) is None
+    return _PLAIN_BODY.search(request.headers.get(b"prefer", b"")) is None

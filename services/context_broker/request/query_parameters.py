@@ -54,9 +54,9 @@ WHOLE: Final = View()
 """How entities are wanted by who says nothing of it: most do, and most often."""
 
 
-def options_of(exchange: RequestContext, known: frozenset[str] = _OPTIONS) -> set[str]:
+def options_of(request: RequestContext, known: frozenset[str] = _OPTIONS) -> set[str]:
     """Return the parameter `options` as a set; raise a problem for one that is not known."""
-    given = exchange.parameter("options")
+    given = request.parameter("options")
     if not given:
         return set()
     options = set(given.split(","))
@@ -73,13 +73,13 @@ def names_of(given: str | None, context: Context) -> frozenset[str] | None:
     return frozenset(names)
 
 
-def view_of(exchange: RequestContext, context: Context) -> View:
+def view_of(request: RequestContext, context: Context) -> View:
     """Return how the asker wants entities."""
-    if not exchange.parameters:
+    if not request.parameters:
         return WHOLE
-    options = options_of(exchange)
+    options = options_of(request)
     forms = {_FORMS[one] for one in options if one in _FORMS}
-    wanted = exchange.parameter("format")
+    wanted = request.parameter("format")
     if wanted is not None:
         if wanted not in _FORMS:
             raise invalid_request(f"format is one of {', '.join(_FORMS)}, not {shown(wanted)}")
@@ -87,21 +87,21 @@ def view_of(exchange: RequestContext, context: Context) -> View:
     if len(forms) > 1:
         raise invalid_request(f"more than one form is asked for ({', '.join(sorted(forms))}); choose one")
     form = forms.pop() if forms else Form.NORMALIZED
-    attrs, pick, omit = (exchange.parameter(name) for name in ("attrs", "pick", "omit"))
+    attrs, pick, omit = (request.parameter(name) for name in ("attrs", "pick", "omit"))
     if attrs is not None and (pick is not None or omit is not None):
         raise bad_request_data(
             "attrs goes together with neither pick nor omit; name attributes in one of them"
         )
-    if exchange.parameter("geometryProperty") is not None:
-        place_of(exchange, context)  # a fault in it is told before anything is looked for
-    languages = exchange.parameter("lang")
+    if request.parameter("geometryProperty") is not None:
+        place_of(request, context)  # a fault in it is told before anything is looked for
+    languages = request.parameter("lang")
     return View(
         form,
         "sysAttrs" in options,
         names_of(attrs, context),
         read_projection(pick, omit, context.terms),
         None if languages is None else preferences(languages),
-        datasets_of(exchange.parameter("datasetId")),
+        datasets_of(request.parameter("datasetId")),
     )
 
 
@@ -115,16 +115,16 @@ def datasets_of(given: str | None) -> frozenset[str | None] | None:
     )
 
 
-def window_of(exchange: RequestContext, options: frozenset[str] = _OPTIONS, mark: int = 0) -> Window:
+def window_of(request: RequestContext, options: frozenset[str] = _OPTIONS, mark: int = 0) -> Window:
     """Return which page the asker wants; `mark` tells the order in which its place is one."""
-    offset = _whole_number(exchange, "offset", 0)
-    limit = _whole_number(exchange, "limit", DEFAULT_LIMIT)
+    offset = _whole_number(request, "offset", 0)
+    limit = _whole_number(request, "limit", DEFAULT_LIMIT)
     if limit > MAX_LIMIT:
         raise too_many_results(f"limit is at most {MAX_LIMIT}, not {limit}; ask page by page with offset")
-    count = exchange.flag("count") or "count" in options_of(exchange, options)
+    count = request.flag("count") or "count" in options_of(request, options)
     if limit == 0 and not count:
         raise bad_request_data("limit=0 asks for nothing; add count=true to learn how many there are")
-    place = exchange.parameter(PLACE)
+    place = request.parameter(PLACE)
     return Window(offset, limit, count, None if place is None else pages.place_of(place, mark))
 
 
@@ -192,36 +192,36 @@ def json_headers(context: Context) -> list[tuple[bytes, bytes]]:
 
 
 def page_links(
-    exchange: RequestContext, window: Window, media_type: str, *, more: bool
+    request: RequestContext, window: Window, media_type: str, *, more: bool
 ) -> list[tuple[bytes, bytes]]:
     """Return the Link headers to the page before and after."""
     links: list[tuple[bytes, bytes]] = []
     if window.limit == 0:
         return links
     if window.offset > 0:
-        links.append(page_link(exchange, max(0, window.offset - window.limit), "prev", media_type))
+        links.append(page_link(request, max(0, window.offset - window.limit), "prev", media_type))
     if more:
-        links.append(page_link(exchange, window.offset + window.limit, "next", media_type))
+        links.append(page_link(request, window.offset + window.limit, "next", media_type))
     return links
 
 
 def page_link(
-    exchange: RequestContext, offset: int, relation: str, media_type: str, place: str | None = None
+    request: RequestContext, offset: int, relation: str, media_type: str, place: str | None = None
 ) -> tuple[bytes, bytes]:
     """Return the Link header to another page of what was asked for; `place` is where it starts or ends."""
-    parameters = {name: value for name, value in exchange.parameters.items() if name != PLACE}
+    parameters = {name: value for name, value in request.parameters.items() if name != PLACE}
     parameters["offset"] = str(offset)
     if place is not None:
         parameters[PLACE] = place
     query = "&".join(
         f"{quote(name, safe='')}={quote(value, safe=':,')}" for name, value in parameters.items()
     )
-    return b"link", f'<{exchange.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
+    return b"link", f'<{request.path}?{query}>; rel="{relation}"; type="{media_type}"'.encode()
 
 
-def _whole_number(exchange: RequestContext, name: str, default: int) -> int:
+def _whole_number(request: RequestContext, name: str, default: int) -> int:
     """Return a query parameter that is a whole number from 0 on."""
-    given = exchange.parameter(name)
+    given = request.parameter(name)
     if given is None:
         return default
     if not (given.isascii() and given.isdigit() and len(given) <= 12):

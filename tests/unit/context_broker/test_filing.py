@@ -132,7 +132,7 @@ def test_what_a_killed_broker_has_left_in_the_log_is_filed_at_the_next_start(
     folder = tmp_path_factory.mktemp("killed")
     (folder / "copy").mkdir()
     journal = opened(folder / "broker.db")
-    with journal.transaction() as writer:  # so that nothing is filed meanwhile
+    with journal._database.transaction() as writer:  # so that nothing is filed meanwhile
         for entries in in_turn(made):
             journal.commit(entries)
         for file in folder.glob("broker.*"):  # what is on the disk if it is killed now

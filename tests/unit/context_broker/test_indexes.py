@@ -124,7 +124,7 @@ def test_what_comes_out_of_order_is_given_in_order() -> None:
     first = store.candidates()[0]
     also_b = Entity(first.id, ("urn:t:a", "urn:t:b"), {}, "", "", first.seq)
     store.take(entity(7, kind="urn:t:b", seq=20))
-    store.follow(first.seq, first.id, also_b)
+    store._put(first, also_b)
     assert [one.seq for one in store.candidates(types=of_types(["urn:t:b"]))] == [1, 20]
 
 

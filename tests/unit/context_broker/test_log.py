@@ -21,8 +21,8 @@ def begun(folder: Path) -> WriteAheadLog:
     return log
 
 
-def read(folder: Path, filed: int = 0, opening: bytes = OPENING) -> list[bytes]:
-    return WriteAheadLog(folder / "broker.db").read(DATABASE, opening, filed)
+def read(folder: Path, checkpointed: int = 0, opening: bytes = OPENING) -> list[bytes]:
+    return WriteAheadLog(folder / "broker.db").read(DATABASE, opening, checkpointed)
 
 
 class Writing(RuleBasedStateMachine):
@@ -36,7 +36,7 @@ class Writing(RuleBasedStateMachine):
         self.folder.mkdir()
         self.log = begun(self.folder)
         self.records: list[bytes] = []
-        self.filed = 0
+        self.checkpointed = 0
 
     @rule(
         length=st.one_of(
@@ -56,15 +56,15 @@ class Writing(RuleBasedStateMachine):
         self.records.append(record)
         assert self.log.number == len(self.records)
 
-    @precondition(lambda self: self.filed < len(self.records))
+    @precondition(lambda self: self.checkpointed < len(self.records))
     @rule(share=st.floats(0, 1))
     def file(self, share: float) -> None:
-        self.filed += round((len(self.records) - self.filed) * share)
-        self.log.filed(self.filed)
+        self.checkpointed += round((len(self.records) - self.checkpointed) * share)
+        self.log.checkpointed(self.checkpointed)
 
     @invariant()
     def what_is_not_filed_is_read_again(self) -> None:
-        assert read(self.folder, self.filed) == self.records[self.filed :]
+        assert read(self.folder, self.checkpointed) == self.records[self.checkpointed :]
 
     @invariant()
     def it_stays_small(self) -> None:
@@ -176,7 +176,7 @@ def test_an_older_copy_of_the_log_is_noticed(tmp_path: Path) -> None:
     old = (tmp_path / "broker.log-1").read_bytes()
     for number in (2, 3):
         log.append(b"change %d" % number)
-    log.filed(3)
+    log.checkpointed(3)
     log.close()
     (tmp_path / "broker.log-1").write_bytes(old)
     with pytest.raises(Damaged, match="an older copy"):

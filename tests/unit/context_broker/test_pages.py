@@ -77,7 +77,7 @@ def test_a_walk_neither_repeats_nor_misses_what_was_there_all_the_time(
                 store.take(passing[number])
             elif what == "delete" and number in passing:
                 gone = passing.pop(number)
-                store.follow(gone.seq, gone.id, None)
+                store._put(gone, None)
 
     for number, value in enumerate(staying):
         happen(changes[number] if number < len(changes) else [])

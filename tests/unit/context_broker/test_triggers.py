@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
-from services.context_broker.delivery.endpoint_queue import EndpointQueue, MemoryBudget, rest_s
+from services.context_broker.delivery.endpoint_queue import EndpointQueue, MemoryBudget, backoff_s
 from services.context_broker.delivery.notification import change_data
 from services.context_broker.delivery.subscription import Subscription, subscription
 from services.context_broker.delivery.subscription_documents import kept_document
@@ -314,5 +314,5 @@ def test_attempts_that_failed_together_count_once_and_rests_grow_to_a_bound() ->
     for one in crowd:
         line.failed(one, 0.0, 0.0)
     assert line.failures == 1
-    assert rest_s(1) < 0.2 < rest_s(4) < 1.2
-    assert rest_s(1000) <= 18
+    assert backoff_s(1) < 0.2 < backoff_s(4) < 1.2
+    assert backoff_s(1000) <= 18
