@@ -1,4 +1,4 @@
-"""An attempt: one notification sent once, and what came of it. It is counted whatever comes of it."""
+"""One attempt to send a notification, and its result. Every attempt is counted."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from services.context_broker.storage.journal import Journal
 log = get_logger(__name__)
 
 _TRY_AGAIN: Final = frozenset({408, 425, 429})
-"""Refusals that are about the moment, not about the notification."""
+"""Status codes after which the same notification is sent again."""
 
 NOTIFICATIONS: Final = Counter(
     "handover_broker_notifications_total", "Attempts to send a notification, by their outcome", ["outcome"]
@@ -27,44 +27,45 @@ _FAILED: Final = NOTIFICATIONS.labels("failed")
 
 
 class DeliveryContext(Protocol):
-    """Where couriers get from what they need: the notifier of a tenant."""
+    """What a delivery worker needs of the notifier of its tenant."""
 
     tenant: str
 
     @property
     def journal(self) -> Journal:
-        """Where what is owed waits."""
+        """The journal with the outbox."""
 
     @property
     def keep_s(self) -> float:
-        """How long a notification is tried again."""
+        """How long a notification is retried, in seconds."""
 
     def endpoint_queue(self, subscription: Subscription) -> EndpointQueue:
-        """Return the way to the endpoint of a subscription."""
+        """Return the queue of the endpoint of a subscription."""
 
     async def post(self, subscription: Subscription, body: bytes, taken: bytes | None) -> int:
-        """Send a notification and return the status of the answer; raise `SendError` if there is none.
+        """Send a notification and return the status of the response; raise `SendError` if there is none.
 
         `taken` are headers of the request that made the change, as JSON.
         """
 
     def together(self, notices: Mapping[str, PendingNotification]) -> dict[str, PendingNotification]:
-        """Return those of the notices (by entity, one at least) that one notification can tell of."""
+        """Return the first of the notifications (by entity, at least one) that fit into one message."""
 
     def notification_of(
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]
     ) -> bytes | None:
-        """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
+        """Return one message for entities (by id) that changed while throttled; None if there is nothing
+        to send."""
 
     def settle(self, subscription: Subscription, seqs: Iterable[int]) -> None:
-        """Strike out what is no longer owed, and write the counts."""
+        """Delete notifications from the outbox by number, and write the counts of the subscription."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeliveryResult:
-    """What came of an attempt: why it failed (None if it did not), and whether to try again.
+    """The result of an attempt: why it failed (None if it did not), and whether to retry.
 
-    `is_there` says that somebody has answered.
+    `is_there` is true if the endpoint answered.
     """
 
     why: str | None
@@ -77,7 +78,7 @@ async def attempt(
 ) -> DeliveryResult:
     """Send a notification once; `taken` are headers of the request that made the change, as JSON.
 
-    The first attempt counts as sent, whatever comes of it (clause 5.8.6); each that fails counts as failed.
+    The first attempt counts as sent (clause 5.8.6); each attempt that fails counts as failed.
     """
     counts, is_there = subscription.counts, True
     try:

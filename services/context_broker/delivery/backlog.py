@@ -1,4 +1,5 @@
-"""The backlog: what a subscription is owed and is not held in memory, read from the outbox page by page."""
+"""The backlog of a subscription: pending notifications that are not in memory, read from the outbox by
+pages."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -9,16 +10,16 @@ from services.context_broker.storage.entries import PendingNotification
 from services.context_broker.storage.journal import Journal
 
 PAGE_BYTES: Final = 1024 * 1024
-"""About what is read in one go: large notifications come one by one."""
+"""Approximate size of one page: large notifications are read one by one."""
 SIZES_PAGE: Final = 10_000
-"""Notifications whose sizes are looked at in one go."""
+"""Notifications whose sizes are read at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """The next notices, and whether there may be more behind them.
+    """The next notifications, and whether there may be more after them.
 
-    `owed` is how many are owed in all, and their bytes, if that was asked for.
+    `pending` is the number and the size in bytes of all pending ones, if that was asked for.
     """
 
     notices: list[PendingNotification]
@@ -28,18 +29,19 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Backlog:
-    """What waits on disk for one subscription. Reading raises `NotStored` when the disk cannot be read."""
+    """The notifications on disk of one subscription. Reading raises `NotStored` when the disk cannot be
+    read."""
 
     journal: Journal
     tenant: str
     subscription: str
 
     async def page(self, after: int, limit: int, *, count: bool) -> Page:
-        """Return what is owed next after number `after`, at most `limit`."""
+        """Return at most `limit` pending notifications after number `after`."""
         return await asyncio.to_thread(self._page, after, limit, count)
 
     async def sizes(self) -> AsyncIterator[list[tuple[int, int]]]:
-        """Yield number and size in bytes of all that is owed, oldest first, some at a time."""
+        """Yield number and size in bytes of all pending notifications, oldest first, in pages."""
         after = 0
         while page := await asyncio.to_thread(
             self.journal.pending_sizes, self.tenant, self.subscription, after, SIZES_PAGE

@@ -1,8 +1,8 @@
-"""A courier delivers the notifications of one subscription, one after the other, in order.
+"""A delivery worker sends the notifications of one subscription, one after the other, in order.
 
-What is owed stands in the outbox, written in the same commit as the change, and is struck out once delivered:
-a restart sends what was not. So a subscriber may be told twice, never not at all. Memory holds a window of
-what is owed; the rest waits on disk.
+A pending notification is in the outbox, written in the same commit as its change, and is deleted once
+delivered. After a restart the rest is sent: a notification may arrive twice, and is never lost. Memory holds
+a window of the pending notifications; the others wait on disk.
 """
 
 import asyncio
@@ -37,8 +37,7 @@ DROPPED: Final = Counter(
 
 
 class DeliveryWorker:
-    """Delivers the notifications of one subscription."""
-
+    """Sends the notifications of one subscription."""
     def __init__(self, subscription: Subscription, context: DeliveryContext) -> None:
         self.subscription = subscription
         self.pending = 0
@@ -64,31 +63,33 @@ class DeliveryWorker:
 
     @property
     def on_disk(self) -> int:
-        """How many notifications wait on disk only."""
+        """How many notifications are on disk only."""
         return max(0, self.pending - len(self._queue) - len(self._throttled))
 
     @property
     def held(self) -> int:
-        """How many notifications are held in memory to be sent next."""
+        """How many notifications are in memory, ready to be sent."""
         return len(self._queue)
 
     @property
     def throttled(self) -> int:
-        """How many entities wait for their throttling to end."""
+        """How many entities wait for the end of their throttling."""
         return len(self._throttled)
 
     def start(self) -> None:
-        """Look into the outbox for what is owed already."""
+        """Load the notifications that are in the outbox already."""
         self._more_on_disk = self._is_uncounted = True
         if not self.pending:
-            self._count_pending(1, 1)  # something, as it seems; it is counted when it is read
+            self._count_pending(
+                1, 1
+            )  # at least one, as a placeholder; the number is known after the first page
         self._go_on()
 
     def add(self, notice: PendingNotification) -> None:
-        """Take what is owed; it is in the outbox already."""
+        """Accept a notification that is in the outbox already."""
         self._count_pending(1, notice.size)
         if notice.seq <= self._last_seq:
-            return  # it was loaded from there before we were told
+            return  # it was loaded from the outbox meanwhile
         if self._loading or self._more_on_disk or self._endpoint_queue.room <= 0:
             self._more_on_disk = True
             if not self._endpoint_queue.is_shedding and self._endpoint_queue.has_too_much:
@@ -98,14 +99,14 @@ class DeliveryWorker:
         self._go_on()
 
     def offer(self, bodies: Iterable[bytes]) -> None:
-        """Take the notifications of a period; those of the one before that could not be sent are given up."""
+        """Accept the notifications of a period; those left of the period before are dropped."""
         if self._round:
             self._give_up("outdated", "the next period has begun", len(self._round))
         self._round = deque(bodies)
         self._go_on()
 
     def stop(self) -> None:
-        """End at once; what is owed stays in the outbox, for the next start."""
+        """Stop at once; pending notifications stay in the outbox until the next start."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
@@ -120,12 +121,12 @@ class DeliveryWorker:
         self._endpoint_queue.leave(self)
 
     def end(self) -> None:
-        """End for good: the subscription is no more."""
+        """Stop because the subscription was deleted."""
         self.stop()
         self._endpoint_queue.part(self)
 
     def change(self, subscription: Subscription) -> None:
-        """Go on with a changed subscription, at once even if a retry was due later."""
+        """Continue with a changed subscription, at once even if a retry was due later."""
         self.subscription = subscription
         endpoint_queue = self._context.endpoint_queue(subscription)
         if endpoint_queue is not self._endpoint_queue:
@@ -142,15 +143,17 @@ class DeliveryWorker:
             self._go_on()
 
     def wake(self) -> None:
-        """Look again whether there is something to do now."""
+        """Check again whether there is something to do."""
         self._something_new.set()
 
     def _take(self, notice: PendingNotification) -> None:
         self._last_seq = notice.seq
         if notice.waits_for_throttling:
-            earlier = self._throttled.pop(notice.entity, None)  # what is told comes in the order of the last
+            earlier = self._throttled.pop(
+                notice.entity, None
+            )  # throttled entities are sent in the order of their last change
             self._throttled[notice.entity] = notice
-            if earlier is not None:  # the newer one tells of it too
+            if earlier is not None:  # the newer one contains this change
                 self._strike([earlier])
         else:
             self._queue.append(notice)
@@ -162,7 +165,7 @@ class DeliveryWorker:
         self._endpoint_queue.pending_bytes += size
 
     def _strike(self, notices: Iterable[PendingNotification]) -> None:
-        """Note that notices are owed no longer."""
+        """Record that notifications are not pending any more."""
         seqs = []
         for notice in notices:
             seqs.append(notice.seq)
@@ -175,12 +178,13 @@ class DeliveryWorker:
             self._task.add_done_callback(self._on_end)
 
     def _on_end(self, task: asyncio.Task[None]) -> None:
-        """Tell of an end that nobody wanted; what is owed is in the outbox and is sent after a restart."""
+        """Log an unexpected end; pending notifications are in the outbox and are sent after a restart."""
         if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("courier failed", subscription=self.subscription.id, exc_info=error)
+            log.error("delivery worker failed", subscription=self.subscription.id, exc_info=error)
 
     async def _work(self) -> None:
-        """Deliver until nothing is owed, or nothing may be told; a new notice or a change starts it again."""
+        """Deliver until nothing is pending or nothing may be sent; a notification or a change starts it
+        again."""
         try:
             while self._queue or self._throttled or self._more_on_disk or self._round:
                 status = self.subscription.status(time.time())
@@ -195,7 +199,7 @@ class DeliveryWorker:
             self._endpoint_queue.leave(self)
 
     async def _work_on(self) -> None:
-        """Do the next thing."""
+        """Do the next step."""
         if self._queue:
             await self._deliver(self._queue[0])
         elif self._more_on_disk:
@@ -208,7 +212,8 @@ class DeliveryWorker:
             await self._send_throttled()
 
     async def _deliver(self, notice: PendingNotification) -> None:
-        """Try to send the notice at the head of the queue; it leaves the queue once it is done with."""
+        """Try to send the first notification of the queue; it stays there until it is delivered or
+        dropped."""
         assert notice.body is not None  # noqa: S101 - those without one wait apart
         self._sending = notice
         try:
@@ -221,25 +226,25 @@ class DeliveryWorker:
             self._strike([notice])
 
     async def _go_round(self, body: bytes) -> None:
-        """Try to send what a period has brought."""
+        """Try to send a notification of a period."""
         if await self._send(body, None, time.time()):
             if self._round and self._round[0] is body:
                 self._round.popleft()
             self._context.settle(self.subscription, ())
 
     async def _send_throttled(self) -> None:
-        """Tell in one notification how all that changed while throttled is now."""
+        """Send one notification with the present state of everything that changed while throttled."""
         some = self._context.together(self._throttled)
         body = self._context.notification_of(self.subscription, some)
         taken = next(reversed(some.values())).headers
         if body is None or await self._send(body, taken, time.time()):
-            told = [notice for one, notice in some.items() if self._throttled.get(one) is notice]
-            for notice in told:
+            sent = [notice for one, notice in some.items() if self._throttled.get(one) is notice]
+            for notice in sent:
                 del self._throttled[notice.entity]
-            self._strike(told)
+            self._strike(sent)
 
     async def _send(self, body: bytes, taken: bytes | None, at: float) -> bool:
-        """Send when it is time, once; return whether it is done with: delivered, refused or too old."""
+        """Send when it is due, once; return whether it is finished: delivered, refused or too old."""
         before, endpoint_queue = self.subscription, self._endpoint_queue
         is_too_old = time.time() - at > self._context.keep_s
         if endpoint_queue.failures or self._failures:
@@ -264,13 +269,13 @@ class DeliveryWorker:
             endpoint_queue.succeeded()
             return True
         if not result.again:
-            endpoint_queue.succeeded()  # it was answered, if badly
+            endpoint_queue.succeeded()  # the endpoint answered, so others may be sent
             self._give_up("refused", result.why)
             return True
         cooldown_s = before.endpoint.cooldown_s
         if self.subscription is before:
             self._failures += 1
-            # Where somebody answers, it may be this notification alone that is not taken: others go first.
+            # The endpoint answers, so it may refuse this notification only: others are sent first.
             own_s = backoff_s(self._failures) if result.is_there and self._failures > 1 else 0.0
             self._rests_until_s = time.monotonic() + max(own_s, cooldown_s)
         endpoint_queue.failed(self, started_s, cooldown_s)
@@ -278,10 +283,10 @@ class DeliveryWorker:
 
     def _give_up(self, reason: str, why: str, many: int = 1) -> None:
         DROPPED.labels(reason).inc(many)
-        log.warning("notifications given up", subscription=self.subscription.id, why=why, many=many)
+        log.warning("notifications dropped", subscription=self.subscription.id, why=why, many=many)
 
     async def _pause(self, seconds: float | None) -> None:
-        """Wait, or less if there is something new; None waits for that alone."""
+        """Wait until there is something new, at most so many seconds (None: without limit)."""
         self._something_new.clear()
         try:
             async with asyncio.timeout(seconds):
@@ -289,7 +294,7 @@ class DeliveryWorker:
         except TimeoutError:
             return
 
-    # What waits on disk
+    # Notifications on disk
 
     async def _load(self) -> None:
         self._loading, self._more_on_disk = True, False
@@ -311,33 +316,38 @@ class DeliveryWorker:
         self._more_on_disk = self._more_on_disk or page.has_more
 
     async def _cannot_read(self, error: NotStored) -> None:
-        log.warning("what is owed cannot be read", subscription=self.subscription.id, error=str(error))
+        log.warning(
+            "pending notifications cannot be read", subscription=self.subscription.id, error=str(error)
+        )
         await self._pause(INITIAL_BACKOFF_S)
 
     def _shed_later(self) -> None:
-        """See that some of what waits for the endpoint is given up."""
+        """Start to drop notifications of the endpoint in the background."""
         self._endpoint_queue.is_shedding = True
         task = asyncio.get_running_loop().create_task(self._shed(self._endpoint_queue))
         task.add_done_callback(self._on_end)
 
     async def _shed(self, endpoint_queue: EndpointQueue) -> None:
-        """Give up the oldest of whoever owes most, for as long as more waits for the endpoint than may."""
+        """Drop the oldest notifications of the largest subscription until the endpoint is within its
+        limit."""
         try:
             while endpoint_queue.has_too_much:
                 most = max(endpoint_queue.workers, key=lambda one: one.pending_bytes)
-                assert isinstance(most, DeliveryWorker)  # noqa: S101 - only couriers are put there
+                assert isinstance(most, DeliveryWorker)  # noqa: S101 - only workers are put there
                 wanted_bytes = endpoint_queue.pending_bytes - int(
                     endpoint_queue.max_pending_bytes * (1 - SHED)
                 )
                 if not await most._give_up_oldest(
-                    wanted_bytes, "too many", "more waits for the endpoint than is kept"
+                    wanted_bytes,
+                    "too many",
+                    "more notifications are pending for the endpoint than is allowed",
                 ):
                     return
         finally:
             endpoint_queue.is_shedding = False
 
     async def _forget(self) -> None:
-        """Give up everything: the subscription has expired."""
+        """Drop everything: the subscription has expired."""
         self._endpoint_queue.leave(self)
         self._round.clear()
         self._more_on_disk = False
@@ -345,7 +355,7 @@ class DeliveryWorker:
             self._more_on_disk = True
 
     async def _give_up_oldest(self, wanted_bytes: int | None, reason: str, why: str) -> int | None:
-        """Give up the oldest, so many bytes of them or all; return how many, None if none could be read."""
+        """Drop the oldest, so many bytes of them or all; return how many, None if none could be read."""
         given_up, left_bytes = 0, float("inf") if wanted_bytes is None else wanted_bytes
         try:
             async for page in self._backlog.sizes():
@@ -370,7 +380,7 @@ class DeliveryWorker:
         return given_up
 
     def _drop(self, gone: Mapping[int, int]) -> None:
-        """Forget notices by number, with their sizes in bytes."""
+        """Remove notifications (number and size in bytes) from memory and from the outbox."""
         dropped = [notice for notice in self._queue if notice.seq in gone]
         if dropped and dropped[0] is self._queue[0]:
             self._was_tried = False

@@ -1,4 +1,4 @@
-"""Endpoints: where a subscriber wants to be told, and in which envelope (clauses 5.2.15 and 5.2.22)."""
+"""Endpoints: where notifications of a subscription are sent, and how (clauses 5.2.15 and 5.2.22)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ JSON: Final = "application/json"
 JSON_LD: Final = "application/ld+json"
 GEO_JSON: Final = "application/geo+json"
 FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
-"""The value of a header that is to be taken from the request that made the change."""
+"""The value of a header that is copied from the request that made the change."""
 MAX_PAIRS: Final = 50
-"""Headers a subscriber may ask for."""
+"""Headers that a subscriber may request."""
 
 _OURS: Final = frozenset({"host", "content-length", "content-type", "transfer-encoding", "connection"})
-"""Headers that say how a notification is sent; another value would make it unreadable."""
+"""Headers that describe the message; another value would make it unreadable."""
 _KNOWN: Final = frozenset(
     {"uri", "accept", "timeout", "cooldown", "receiverInfo", "notifierInfo", "@context", "type"}
 )
@@ -29,11 +29,11 @@ Pairs = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """Where notifications go.
+    """Where notifications are sent.
 
-    `headers` are sent with each, `taken` are names of headers to take from the request that made the change;
-    `timeout_s` is the subscriber's own wish, `cooldown_s` the least rest after a failure. `mqtt` is there if
-    that is the way.
+    `headers` are sent with each; `taken` are names of headers that are copied from the request that made the
+    change. `timeout_s` is the subscriber's timeout, `cooldown_s` the minimum pause after a failure. `mqtt` is
+    set for MQTT.
     """
 
     uri: str
@@ -46,22 +46,22 @@ class Endpoint:
 
     @property
     def host(self) -> str:
-        """The machine that is notified."""
+        """The host that receives notifications."""
         return urlsplit(self.uri).hostname or ""
 
     @property
     def shown(self) -> str:
-        """The address as it may stand in a log."""
+        """The address without secrets, for logs."""
         return PASSWORD_IN_URL.sub(rf"\1{STARS}@", self.uri)
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What makes it another endpoint than others."""
+        """What identifies the endpoint."""
         return (self.uri, self.headers, self.taken, self.mqtt)
 
 
 def endpoint(given: Any) -> Endpoint:
-    """Return the endpoint that a subscription names; raise a problem (400) for what cannot be used."""
+    """Return the endpoint of a subscription; raise a problem (400) for one that cannot be used."""
     if not isinstance(given, Mapping) or "uri" not in given:
         raise bad_request_data('notification.endpoint is an object with a "uri"; add it')
     if unknown := sorted(set(given) - _KNOWN):
@@ -127,13 +127,13 @@ def _check_header(key: str, value: str) -> None:
         raise bad_request_data(f"receiverInfo {shown(key)} cannot be an HTTP header; use plain characters")
     if key.lower() in _OURS:
         raise bad_request_data(
-            f"receiverInfo {shown(key)} says how notifications are sent, which the broker sees to; leave it "
+            f"receiverInfo {shown(key)} describes the message, which the broker does itself; leave it "
             'out ("accept" chooses the Content-Type)'
         )
 
 
 def _milliseconds(given: Any, what: str) -> float:
-    """Return `given` ms in seconds."""
+    """Return `given` milliseconds in seconds."""
     if given is None:
         return 0.0
     if not isinstance(given, int | float) or isinstance(given, bool) or not 0 <= given < 1e12:

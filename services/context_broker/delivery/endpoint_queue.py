@@ -1,8 +1,8 @@
-"""A line: the way to one endpoint, shared by all subscriptions that notify it.
+"""The queue of one endpoint, shared by all subscriptions that notify it.
 
-While notifications arrive, every subscription sends at its own pace. When one does not, the line rests,
-longer each time, and then a single one is sent to see whether anybody is there again: a hundred subscriptions
-to a dead endpoint cost one attempt at a time. What waits is bounded here, in memory and on disk.
+While the endpoint answers, every subscription sends at its own pace. After a failure all wait, with
+exponential backoff; then one subscription sends a single notification as a probe. So a hundred subscriptions
+to a dead endpoint cost one attempt at a time. The pending notifications are bounded, in memory and on disk.
 """
 
 import time
@@ -15,60 +15,60 @@ from prometheus_client import Gauge
 from handover.retry import backoff_delay_s
 
 WINDOW: Final = 256
-"""Notifications to one endpoint that are held in memory; the others wait on disk."""
+"""Maximum notifications of one endpoint in memory; the others wait on disk."""
 MAX_HELD_BYTES: Final = 64 * 1024 * 1024
-"""Bytes of all notifications together that are held in memory."""
+"""Maximum bytes of all notifications in memory."""
 INITIAL_BACKOFF_S: Final = 0.1
 MAX_BACKOFF_S: Final = 15.0
 SHED: Final = 0.05
-"""Part of what may wait for an endpoint that is given up at once when there is too much."""
+"""Part of the limit of an endpoint that is dropped at once when it is exceeded."""
 
 WAITING: Final = Gauge(
     "handover_broker_notifications_pending",
-    "Notifications that wait: in memory to be sent next, on disk, or for their throttling to end",
+    "Pending notifications: in memory to be sent next, on disk, or throttled",
     ["state"],
 )
 
 
 class EndpointUser(Protocol):
-    """Somebody with notifications for a line: the courier of a subscription."""
+    """A delivery worker, as its endpoint queue uses it."""
 
     pending_bytes: int
-    """How much is owed, on disk and in memory."""
+    """Bytes of pending notifications, on disk and in memory."""
 
     @property
     def held(self) -> int:
-        """How many notifications are held in memory."""
+        """How many notifications are in memory."""
 
     @property
     def on_disk(self) -> int:
-        """How many notifications wait on disk only."""
+        """How many notifications are on disk only."""
 
     @property
     def throttled(self) -> int:
-        """How many entities wait for their throttling to end."""
+        """How many entities wait for the end of their throttling."""
 
     def wake(self) -> None:
-        """Look again whether it is your turn."""
+        """Check again whether a notification may be sent."""
 
 
 @dataclass(slots=True)
 class MemoryBudget:
-    """How many bytes of notifications are in memory, on all lines together."""
+    """Bytes of notifications in memory, of all endpoints together."""
 
     held_bytes: int = 0
 
 
 @dataclass(eq=False)
 class EndpointQueue:
-    """The way to one endpoint. Times are those of the monotonic clock."""
+    """The queue of one endpoint. Times are of the monotonic clock."""
 
     memory_budget: MemoryBudget
     max_pending_bytes: int
-    """How much may wait, on disk and in memory."""
+    """Maximum bytes of pending notifications, on disk and in memory."""
     workers: set[EndpointUser] = field(default_factory=set)
     failures: int = 0
-    """Attempts that failed since the last that did not."""
+    """Failures in a row."""
     held: int = 0
     pending_bytes: int = 0
     is_shedding: bool = False
@@ -78,40 +78,40 @@ class EndpointQueue:
     _queue: deque[EndpointUser] = field(default_factory=deque)
 
     def take(self, size: int) -> None:
-        """Note a notification of `size` bytes that is in memory now."""
+        """Count a notification of `size` bytes that is now in memory."""
         self.held += 1
         self.memory_budget.held_bytes += size
 
     def release(self, size: int) -> None:
-        """Note that it no longer is."""
+        """Count a notification of `size` bytes that has left memory."""
         self.held -= 1
         self.memory_budget.held_bytes -= size
 
     @property
     def room(self) -> int:
-        """How many more notifications may be held in memory."""
+        """How many more notifications may be loaded into memory."""
         return WINDOW - self.held if self.memory_budget.held_bytes < MAX_HELD_BYTES else 0
 
     @property
     def has_too_much(self) -> bool:
-        """Say whether more waits than may."""
+        """Return whether the limit of pending bytes is exceeded."""
         return self.pending_bytes > self.max_pending_bytes
 
     def join(self, worker: EndpointUser) -> None:
-        """Note a courier that goes this way from now on, with all that it has to deliver."""
+        """Add a delivery worker with its pending notifications."""
         self.workers.add(worker)
         self.pending_bytes += worker.pending_bytes
 
     def part(self, worker: EndpointUser) -> None:
-        """Note that a courier no longer goes this way."""
+        """Remove a delivery worker."""
         self.workers.discard(worker)
         self.pending_bytes -= worker.pending_bytes
         self.leave(worker)
 
-    # Turns
+    # Probing after a failure
 
     def wait_s(self, worker: EndpointUser) -> float | None:
-        """Return how long a courier has to wait before it sends; None until it is woken."""
+        """Return how long a worker has to wait before it sends; None until it is woken."""
         if not self.failures:
             return 0.0
         if self._prober is None:
@@ -123,7 +123,7 @@ class EndpointQueue:
         return max(0.0, self._rests_until_s - time.monotonic())
 
     def succeeded(self) -> None:
-        """Note that somebody is there: all may send."""
+        """Record a delivery: all workers may send."""
         if self.failures:
             self.failures = 0
             self._prober = None
@@ -132,9 +132,9 @@ class EndpointQueue:
                 one.wake()
 
     def failed(self, worker: EndpointUser, started_s: float, at_least_s: float) -> None:
-        """Note an attempt of `courier`, begun at `started_s`, that failed; the next comes after a rest.
+        """Record a failed attempt of a worker that began at `started_s`; the next one comes after a backoff.
 
-        Attempts that were under way together count once.
+        Attempts that overlap count once.
         """
         now_s = time.monotonic()
         if started_s >= self._last_failure_s:
@@ -144,7 +144,7 @@ class EndpointQueue:
         self.leave(worker)
 
     def leave(self, worker: EndpointUser) -> None:
-        """Let the next have its turn: this one is gone, or goes to the end of the queue."""
+        """Let the next worker probe: this one has stopped, or goes to the end of the queue."""
         if worker in self._queue:
             self._queue.remove(worker)
         if self._prober is worker:
@@ -154,5 +154,5 @@ class EndpointQueue:
 
 
 def backoff_s(failures: int) -> float:
-    """Return how long to wait after so many failures, some more or less so that not all come together."""
+    """Return the backoff after so many failures, with jitter."""
     return backoff_delay_s(failures, INITIAL_BACKOFF_S, MAX_BACKOFF_S)

@@ -9,14 +9,14 @@ from services.context_broker.model.validation import shown
 
 MQTT_SCHEMES: Final = ("mqtt://", "mqtts://")
 MAX_TOPIC_LENGTH: Final = 65_535
-"""Bytes that MQTT leaves room for."""
+"""The maximum of MQTT."""
 _VERSIONS: Final = {"mqtt3.1.1": "3.1.1", "mqtt5.0": "5.0"}
 _QUALITIES: Final = {"0": 0, "1": 1, "2": 2}
 
 
 @dataclass(frozen=True, slots=True)
 class MqttAddress:
-    """An MQTT server, who we are there, and where a notification is published."""
+    """An MQTT server, the client's identity, and the topic of the notifications."""
 
     host: str
     port: int
@@ -29,12 +29,13 @@ class MqttAddress:
 
     @property
     def connection(self) -> tuple[Any, ...]:
-        """What makes it another connection than others."""
+        """What identifies the connection."""
         return (self.host, self.port, self.tls, self.username, self.password, self.version)
 
 
 def mqtt_address(uri: str, notifier_info: tuple[tuple[str, str], ...]) -> MqttAddress:
-    """Return where `uri` and the settings of `notifierInfo` lead; raise a problem (400) if nowhere."""
+    """Return the address in `uri` and the settings of `notifierInfo`; raise a problem (400) if it has
+    none."""
     try:
         parts = urlsplit(uri)
         host, port = parts.hostname, parts.port

@@ -12,13 +12,14 @@ from services.context_broker.network.http_client import ResponseTimeout, SendErr
 from services.context_broker.network.outbound_policy import AddressRefused, OutboundPolicy
 
 GOODBYE_WITHIN_S: Final = 1.0
-"""How long a server may take to hear that we leave."""
+"""How long a disconnect may take."""
 
 
 class _NamedTls(ssl.SSLContext):
-    """TLS to a server whose certificate is checked by `name`, though the connection is made to an address.
+    """TLS to a server whose certificate is checked by `name`, while the connection is made to an address.
 
-    The MQTT library knows one host alone: given the name it would look it up by itself, past the policy.
+    The MQTT library knows one host only. Given the name it would resolve it itself, without the outbound
+    policy.
     """
 
     name: str
@@ -37,7 +38,7 @@ class _NamedTls(ssl.SSLContext):
 
 
 class _Connection:
-    """A connection to one server; made when there is something to publish, and again when it broke."""
+    """A connection to one server; opened when there is something to publish, and again after a failure."""
 
     def __init__(self, where: MqttAddress, sender: "MqttSender") -> None:
         self._where = where
@@ -46,7 +47,7 @@ class _Connection:
         self._farewells: set[asyncio.Task[None]] = set()
 
     async def publish(self, topic: str, qos: int, payload: bytes, timeout_s: float) -> None:
-        """Publish; with a `qos` above 0 return once the server has it. Raises `SendError`."""
+        """Publish; with a `qos` above 0 return once the server has acknowledged. Raises `SendError`."""
         was_there = self._connecting is not None and self._connecting.done()
         try:
             async with asyncio.timeout(timeout_s):
@@ -55,7 +56,7 @@ class _Connection:
                 except SendError:
                     if not was_there:
                         raise
-                    # The server may have closed it while nothing was sent: once more on a new one.
+                    # The server may have closed it while it was idle: try once more on a new one.
                     await self._publish(topic, qos, payload, timeout_s)
         except TimeoutError:
             self._drop(self._connecting if was_there else None)
@@ -68,7 +69,7 @@ class _Connection:
             self._connecting = asyncio.get_running_loop().create_task(self._connect())
         connecting = self._connecting
         try:
-            # A connection that takes longer than we wait is there for the next attempt.
+            # A connection that takes longer than this attempt is ready for the next one.
             client = await asyncio.shield(connecting)
             await client.publish(topic, payload, qos=qos, timeout=timeout_s)
         except AddressRefused as refused:
@@ -79,7 +80,7 @@ class _Connection:
             raise SendError(str(error) or type(error).__name__) from None
 
     async def close(self) -> None:
-        """Say goodbye."""
+        """Disconnect."""
         self._drop(self._connecting)
         if self._farewells:
             await asyncio.wait(self._farewells, timeout=GOODBYE_WITHIN_S)
@@ -108,7 +109,7 @@ class _Connection:
         raise failure or MqttError(f"{where.host} has no address")
 
     def _drop(self, connecting: "asyncio.Task[Any] | None") -> None:
-        """Forget a connection that failed, unless there is a new one already."""
+        """Remove a connection that failed, unless there is a new one already."""
         if connecting is None or connecting is not self._connecting:
             return
         self._connecting = None
@@ -118,13 +119,13 @@ class _Connection:
 
 
 async def _say_goodbye(connecting: "asyncio.Task[Any]") -> None:
-    with suppress(Exception):  # it is of no use any more, however it ends
+    with suppress(Exception):  # the result does not matter: the connection is closed
         client = await connecting
         await client.__aexit__(None, None, None)
 
 
 class MqttSender:
-    """Publishes to many servers. `ca_file` (PEM) names authorities trusted besides the system's."""
+    """Publishes to many servers. `ca_file` (PEM) names certificate authorities besides the system's."""
 
     def __init__(self, policy: OutboundPolicy, ca_file: Path | None = None) -> None:
         self.policy = policy
@@ -132,7 +133,7 @@ class MqttSender:
         self._connections: dict[tuple[Any, ...], _Connection] = {}
 
     async def publish(self, where: MqttAddress, payload: bytes, timeout_s: float) -> None:
-        """Publish; raise `SendError` when the server does not take it within `timeout_s`."""
+        """Publish; raise `SendError` when the server does not acknowledge within `timeout_s`."""
         connection = self._connections.get(where.connection)
         if connection is None:
             connection = self._connections[where.connection] = _Connection(where, self)

@@ -1,6 +1,6 @@
-"""What a subscriber is told: the notification around entities as they are, were, or no longer are.
+"""The content of notifications: entities after, before or without a change.
 
-Clauses 5.3.1 and 5.8.6. What is gone is told as `urn:ngsi-ld:null`, in the form that the subscriber reads.
+Clauses 5.3.1 and 5.8.6. Deleted attributes are `urn:ngsi-ld:null`, in the format of the subscription.
 """
 
 from collections.abc import Iterable
@@ -35,7 +35,7 @@ _PREVIOUS: Final = {kind: f"previous{says[0].upper()}{says[1:]}" for kind, says 
 
 
 def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes:
-    """Return the notification that tells of `entities`, each a JSON object."""
+    """Return a notification with `entities`, each a JSON object."""
     head: dict[str, str] = {
         "id": f"urn:ngsi-ld:Notification:{uuid4()}",
         "type": "Notification",
@@ -55,7 +55,7 @@ def notification(subscription: Subscription, entities: Iterable[bytes]) -> bytes
 
 
 def _conformed(data: bytes, version: Version, view: View) -> bytes:
-    """Return what is told as an earlier version has it (clause 4.3.6.8)."""
+    """Return data in the form of an earlier version of NGSI-LD (clause 4.3.6.8)."""
     from services.context_broker.model import conformance  # noqa: PLC0415 - few ask for another version
 
     simplified = view.form is Form.KEY_VALUES
@@ -63,9 +63,9 @@ def _conformed(data: bytes, version: Version, view: View) -> bytes:
 
 
 def entity_data(subscription: Subscription, entity: Entity, lookup: Lookup = nobody) -> bytes:
-    """Return what a subscriber is told of an entity as it is: JSON objects with commas between them.
+    """Return the present state of an entity for a subscriber: JSON objects separated by commas.
 
-    One, or more with the entities it links to, which `lookup` finds.
+    There is one object, or more with linked entities, which `lookup` finds.
     """
     if subscription.join is None and subscription.endpoint.accept != GEO_JSON:
         return rendered(entity, subscription.context, subscription.view)
@@ -73,7 +73,7 @@ def entity_data(subscription: Subscription, entity: Entity, lookup: Lookup = nob
 
 
 def change_data(subscription: Subscription, change: EntityChange, lookup: Lookup = nobody) -> bytes:
-    """Return what a subscriber is told of a change of one entity, as `as_it_is`."""
+    """Return the change of one entity for a subscriber, in the form of `entity_data`."""
     after = change.after
     if after is not None and not subscription.shows_changes:
         gone = change.lost if subscription.triggers.reports_deletions else frozenset()
@@ -90,7 +90,8 @@ def change_data(subscription: Subscription, change: EntityChange, lookup: Lookup
 
 
 def headers(subscription: Subscription, tenant: str, taken: bytes | None = None) -> list[tuple[str, str]]:
-    """Return the headers of a notification; `taken` (JSON) are those of the request that made the change."""
+    """Return the headers of a notification; `taken` (JSON) are copied from the request that made the
+    change."""
     endpoint = subscription.endpoint
     own = [*endpoint.headers, *(orjson.loads(taken) if taken else ())]
     asked = {name.lower() for name, _ in own}
@@ -103,19 +104,19 @@ def headers(subscription: Subscription, tenant: str, taken: bytes | None = None)
 
 
 def mqtt_message(subscription: Subscription, tenant: str, body: bytes, taken: bytes | None) -> bytes:
-    """Return a notification as MQTT carries it: what are headers in HTTP stands in `metadata`."""
+    """Return a notification as an MQTT message: the HTTP headers are in `metadata`."""
     metadata = dict(headers(subscription, tenant, taken))
     return b'{"metadata":' + orjson.dumps(metadata) + b',"body":' + body + b"}"
 
 
 def _documents(subscription: Subscription, entity: Entity, lookup: Lookup) -> list[Shown]:
-    """Return an entity as the subscriber reads it, with those it links to if these are wanted."""
+    """Return an entity in the form of the subscription, with its linked entities if they are asked for."""
     terms, view, join = subscription.context.terms, subscription.view, subscription.join
     if join is not None:
         try:
             return joined([entity], terms, view, join, lookup)
-        except Problem as problem:  # a web of too many links; the entity itself is told all the same
-            log.warning("links cannot be told", subscription=subscription.id, why=problem.detail)
+        except Problem as problem:  # too many links: the entity itself is sent without them
+            log.warning("linked entities are left out", subscription=subscription.id, why=problem.detail)
     return [(entity, render(entity, terms, view))]
 
 
@@ -132,7 +133,7 @@ def _written(subscription: Subscription, documents: list[Shown]) -> bytes:
 
 
 def _prefers_plain_json(subscription: Subscription) -> bool:
-    """Say whether a subscriber to GeoJSON wants it without @context (clause 5.3.1)."""
+    """Return whether the subscriber of GeoJSON asks for a body without @context (clause 5.3.1)."""
     return any(
         name.lower() == "prefer" and value.replace(" ", "") == "body=json"
         for name, value in subscription.endpoint.headers
@@ -140,13 +141,14 @@ def _prefers_plain_json(subscription: Subscription) -> bool:
 
 
 def _with_changes(subscription: Subscription, change: EntityChange, deleted_at: str) -> Entity:
-    """Return the entity with what it has lost, and with what was before if the subscriber wants that."""
+    """Return the entity with its deleted attributes, and with previous values if the subscription shows
+    them."""
     entity, shows, view = change.entity, subscription.shows_changes, subscription.view
     attributes = dict(change.after.attributes) if change.after is not None else {}
     if change.before is not None:
         old = change.before.attributes
         if shows:
-            for name in change.updated.intersection(old):  # scopes have no place for what they were
+            for name in change.updated.intersection(old):  # scopes have no member for a previous value
                 attributes[name] = _with_previous(attributes[name], old[name])
         if _reports_deletions(subscription, change):
             watched = subscription.triggers.watched if change.after is None else None
@@ -170,7 +172,7 @@ def _without_scope(document: dict[str, Any], view: View) -> dict[str, Any]:
 
 
 def _reports_deletions(subscription: Subscription, change: EntityChange) -> bool:
-    """Say whether attributes that are gone are told one by one: with the entity, only if it was asked for."""
+    """Return whether deleted attributes are listed; those of a deleted entity only if that was asked for."""
     if change.after is None and subscription.shows_changes:
         return True
     return ATTRIBUTE_DELETED in subscription.triggers.kinds

@@ -1,7 +1,7 @@
-"""The notifier: tells subscribers of changes, each at its own pace.
+"""The notifier matches changes with subscriptions.
 
-A change is matched when it is made, and what it owes to whom is written in the same commit. Couriers deliver
-it (see `couriers.py`), so that a dead or slow subscriber delays nobody else.
+A change is matched when it is made, and its notifications are written in the same commit. Delivery workers
+send them (`delivery_worker.py`), so a dead or slow endpoint delays nobody else.
 """
 
 import asyncio
@@ -32,13 +32,13 @@ from services.context_broker.storage.store import Store
 log = get_logger(__name__)
 
 REQUEST_HEADERS: Final[ContextVar[Mapping[bytes, bytes]]] = ContextVar("REQUEST_HEADERS")
-"""The headers of the request that is being carried out; set where `Notifier.passes_headers_on`."""
+"""The headers of the current request; set while `Notifier.passes_headers_on`."""
 CHUNK: Final = 500
-"""Entities of a periodic notification that are looked at before others get their turn."""
+"""Entities of a periodic notification that are examined before other tasks run."""
 
 
 class Notifier(SubscriptionDispatcher):
-    """Knows all subscriptions of a tenant, tells what a change owes them, and has it delivered."""
+    """All subscriptions of a tenant, with indexes that find those of a change."""
 
     store: Store
 
@@ -51,12 +51,13 @@ class Notifier(SubscriptionDispatcher):
         self._periodic = PeriodicNotifications(self._notify_all)
 
     def stop(self) -> None:
-        """End; what is owed stays in the outbox."""
+        """Stop; pending notifications stay in the outbox."""
         self._periodic.stop()
         super().stop()
 
     def rearrange(self, changed: str | None = None) -> None:
-        """Take note that a subscription came, changed or went, or that all are others now."""
+        """Update the indexes after a subscription was added, changed or deleted; without an id, after all
+        changed."""
         self._is_sorted = False
         one = None if changed is None else self.get(changed)
         if one is not None and one.endpoint.taken:
@@ -65,7 +66,7 @@ class Notifier(SubscriptionDispatcher):
             self._periodic.schedule(self.all())
 
     def _sort(self) -> None:
-        """Sort the subscriptions by the ids or types they want, so that a change looks at few."""
+        """Index the subscriptions by their ids and types, so that a change is compared with few."""
         by_type: dict[str | None, list[Subscription]] = {}
         by_id: dict[str, list[Subscription]] = {}
         subscriptions = self.all()
@@ -90,7 +91,7 @@ class Notifier(SubscriptionDispatcher):
         self._is_sorted = True
 
     def announce(self, event: Event) -> list[PendingNotification]:
-        """Return the notifications that a change owes."""
+        """Return the notifications of a change."""
         entity = event.after or event.before
         if not self._is_sorted:
             self._sort()
@@ -117,16 +118,17 @@ class Notifier(SubscriptionDispatcher):
     def notification_of(
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]
     ) -> bytes | None:
-        """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
-        told: list[bytes] = []
+        """Return one message for entities (by id) that changed while throttled; None if there is nothing
+        to send."""
+        data: list[bytes] = []
         for entity_id, notice in notices.items():
             if notice.body is not None:
-                told.append(notice.body[1:-1])
+                data.append(notice.body[1:-1])
                 continue
             entity = self.store.get(entity_id)
             if entity is not None and subscription.admits(entity, self.store.get):
-                told.append(entity_data(subscription, entity, self.store.get))
-        return notification(subscription, told) if told else None
+                data.append(entity_data(subscription, entity, self.store.get))
+        return notification(subscription, data) if data else None
 
     def _notice(
         self, subscription: Subscription, change: EntityChange, now_s: float
@@ -141,36 +143,36 @@ class Notifier(SubscriptionDispatcher):
             else:
                 body = None
             taken = _taken(subscription.endpoint.taken) if subscription.endpoint.taken else None
-        except Exception:  # whoever writes must not suffer from what somebody else has subscribed to
-            log.exception("a change cannot be told", subscription=subscription.id, entity=entity_id)
+        except Exception:  # a faulty subscription must not fail a write of another client
+            log.exception("notification failed", subscription=subscription.id, entity=entity_id)
             return None
         return PendingNotification(self.tenant, subscription.id, entity_id, now_s, body, headers=taken)
 
-    # What is told periodically
+    # Periodic notifications
 
     async def _notify_all(self, subscription: Subscription) -> None:
-        """Have a subscriber told how all its entities are now, some at a time; nothing if there are none."""
+        """Send the present state of all entities of a subscription, in chunks; nothing if there are none."""
         worker = self._workers.get(subscription.id)
-        told: list[bytes] = []
+        data: list[bytes] = []
         bodies: list[bytes] = []
         candidates = iter(self._candidates(subscription))
         while some := list(islice(candidates, CHUNK)):
-            told += [
+            data += [
                 entity_data(subscription, one, self.store.get)
                 for one in some
                 if subscription.selects(one, self.store.get)
             ]
-            if len(told) >= MAX_ITEMS_PER_NOTIFICATION:
-                bodies.append(notification(subscription, told))
-                told = []
+            if len(data) >= MAX_ITEMS_PER_NOTIFICATION:
+                bodies.append(notification(subscription, data))
+                data = []
             await asyncio.sleep(0)
-        if told:
-            bodies.append(notification(subscription, told))
+        if data:
+            bodies.append(notification(subscription, data))
         if worker is not None and bodies:
             worker.offer(bodies)
 
     def _candidates(self, subscription: Subscription) -> Iterable[Entity]:
-        """Return the entities among which all are that a subscription is about."""
+        """Return entities among which all entities of a subscription are."""
         if not subscription.selectors:
             return self.store.candidates()
         kinds: dict[str, None] = {}
@@ -188,7 +190,7 @@ class Notifier(SubscriptionDispatcher):
 
 
 def _taken(names: Iterable[str]) -> bytes | None:
-    """Return those headers of the request that is being carried out, as JSON; None if it has none of them."""
+    """Return the named headers of the current request as JSON; None if it has none of them."""
     sent = REQUEST_HEADERS.get({})
     found = [
         (name, value.decode("latin-1"))

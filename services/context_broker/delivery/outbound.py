@@ -1,4 +1,4 @@
-"""The way out: what the notifiers of all tenants share to deliver notifications, over HTTP or MQTT."""
+"""What the notifiers of all tenants share to deliver notifications over HTTP or MQTT."""
 
 from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, field
@@ -16,10 +16,10 @@ from services.context_broker.storage.journal import Journal
 
 @dataclass(frozen=True, slots=True)
 class Outbound:
-    """The outbox, the senders, and the lines to all endpoints.
+    """The outbox, the senders, and the queues of all endpoints.
 
-    `timeout_s` is how long an answer may take, `keep_s` how long a notification is tried again, `keep_bytes`
-    how much may wait for one endpoint.
+    `timeout_s` is the default timeout of a notification, `keep_s` how long it is retried, `keep_bytes` the
+    limit of pending bytes of one endpoint.
     """
 
     journal: Journal
@@ -45,7 +45,7 @@ class Outbound:
             yield from list(endpoint_queue.workers)
 
     def endpoint_queue(self, endpoint: Endpoint) -> EndpointQueue:
-        """Return the way to an endpoint; it is there for as long as a courier goes it."""
+        """Return the queue of an endpoint; it exists while a delivery worker uses it."""
         endpoint_queue = self.endpoint_queues.get(endpoint.key)
         if endpoint_queue is None:
             endpoint_queue = self.endpoint_queues[endpoint.key] = EndpointQueue(
@@ -54,10 +54,10 @@ class Outbound:
         return endpoint_queue
 
     async def post(self, subscription: Subscription, tenant: str, body: bytes, taken: bytes | None) -> int:
-        """Send a notification; return the status of the answer, or raise `SendError` if there is none.
+        """Send a notification; return the status of the response, or raise `SendError` if there is none.
 
-        `taken` are headers of the request that made the change, as JSON. Over MQTT, which has no status, what
-        the server took has 204.
+        `taken` are headers of the request that made the change, as JSON. MQTT has no status: an acknowledged
+        message counts as 204.
         """
         endpoint = subscription.endpoint
         timeout_s = endpoint.timeout_s or self.timeout_s

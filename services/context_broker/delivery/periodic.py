@@ -1,4 +1,4 @@
-"""Periodic subscriptions: told of all their entities every so often, whatever changed (`timeInterval`)."""
+"""Periodic subscriptions (`timeInterval`): all their entities are sent in intervals, changed or not."""
 
 import asyncio
 import time
@@ -11,18 +11,18 @@ from services.context_broker.model.validation import moment
 log = get_logger(__name__)
 
 Notify = Callable[[Subscription], Awaitable[None]]
-"""Has a subscriber told how all its entities are now."""
+"""Sends the present state of all entities of a subscription."""
 
 
 class PeriodicNotifications:
-    """The rounds of one tenant: when which subscription is to be told."""
+    """The timers of the periodic subscriptions of one tenant."""
 
-    def __init__(self, tell: Notify) -> None:
-        self._notify = tell
+    def __init__(self, notify: Notify) -> None:
+        self._notify = notify
         self._tasks: dict[str, tuple[Subscription, asyncio.Task[None]]] = {}
 
     def schedule(self, subscriptions: list[Subscription]) -> None:
-        """Go the rounds of these subscriptions, and of no others, from now on."""
+        """Run timers for exactly these subscriptions from now on."""
         wanted = {one.id: one for one in subscriptions if one.interval_s is not None}
         for one in [one for one, (known, _) in self._tasks.items() if wanted.get(one) is not known]:
             _, task = self._tasks.pop(one)
@@ -33,11 +33,12 @@ class PeriodicNotifications:
                 self._tasks[one] = (subscription, loop.create_task(self._go(subscription)))
 
     def is_affected(self, changed: str | None, now: Subscription | None) -> bool:
-        """Say whether the rounds are others once a subscription is as it is `now`; or all are, without id."""
+        """Return whether the timers have to change with a subscription, which is `now` so; always without
+        an id."""
         return changed is None or changed in self._tasks or (now is not None and now.interval_s is not None)
 
     def stop(self) -> None:
-        """Go no more rounds."""
+        """Cancel all timers."""
         self.schedule([])
 
     async def _go(self, subscription: Subscription) -> None:
@@ -51,14 +52,14 @@ class PeriodicNotifications:
                 continue
             try:
                 await self._notify(subscription)
-            except Exception:  # one that cannot be told now is told the next time
+            except Exception:  # the next interval tries again
                 log.exception("periodic notification failed", subscription=subscription.id)
 
 
 def first_s(subscription: Subscription, now_s: float) -> float:
-    """Return when (seconds since 1970) a subscription is due first: a period after it was told last, or made.
+    """Return when (seconds since 1970) a subscription is due first: one interval after its last notification.
 
-    What was missed while the broker was away is made up for once, at once.
+    Intervals that were missed while the broker was down are made up for by one notification, at once.
     """
     assert subscription.interval_s is not None  # noqa: S101 - only those come here
     began = subscription.counts.last_notification or subscription.document.get("createdAt", "")

@@ -1,6 +1,6 @@
-"""Subscriptions: who wants to be told of which changes, and how (clauses 5.2.12 to 5.2.15).
+"""Subscriptions: which changes are notified, where and how (clauses 5.2.12 to 5.2.15).
 
-`Subscription` is a kept document (see `subscription_documents.py`) made ready for matching.
+A `Subscription` is a stored document (see `subscription_documents.py`), compiled for matching.
 """
 
 import math
@@ -29,7 +29,7 @@ from services.context_broker.query.selection import Query, compiled
 __all__ = ["GEO_JSON", "JSON", "JSON_LD", "Counts", "Endpoint", "Subscription", "subscription"]
 
 MAX_SELECTORS: Final = 1000
-"""Entity selectors of one subscription: each is tried on each change of its types."""
+"""Maximum entity selectors of one subscription: each is tried on each change of its types."""
 _FORMS: Final = {
     "normalized": Form.NORMALIZED,
     "concise": Form.CONCISE,
@@ -40,9 +40,9 @@ _FORMS: Final = {
 
 @dataclass(slots=True)
 class Counts:
-    """What became of the notifications of one subscription; times as text.
+    """Statistics of the notifications of one subscription; times as text.
 
-    `sent` are notifications that were sent, once or more often; `failed` are attempts, and what was given up
+    `sent` counts notifications with at least one attempt; `failed` counts attempts, and what was dropped
     before any.
     """
 
@@ -56,17 +56,17 @@ class Counts:
         """Return the counts as members of `notification`; none before the first attempt."""
         if not (self.sent or self.failed):
             return {}
-        told = {
+        members = {
             "timesSent": self.sent,
             "timesFailed": self.failed,
             "lastNotification": self.last_notification,
             "lastSuccess": self.last_success,
             "lastFailure": self.last_failure,
         }
-        return {name: value for name, value in told.items() if value is not None}
+        return {name: value for name, value in members.items() if value is not None}
 
     def status(self) -> str | None:
-        """Return how the last attempt went: ok, failed, or None before the first."""
+        """Return the result of the last attempt: ok, failed, or None before the first."""
         if self.last_notification is None:
             return None
         return "failed" if (self.last_failure or "") > (self.last_success or "") else "ok"
@@ -74,12 +74,11 @@ class Counts:
 
 @dataclass(slots=True, eq=False)
 class Subscription:
-    """A subscription ready for matching. `document` is what is kept, with expanded names.
+    """A compiled subscription. `document` is what is stored, with expanded names.
 
-    Notifications are written in `context`; what the subscriber wrote itself is in the names of `names`.
-    `interval_s` is there for one that is told periodically, `expires_s` (seconds since 1970) for one that
-    ends; `join` says that linked entities are told too, `version` that notifications are to conform to an
-    earlier version of the standard.
+    Notifications use `context`; the names that the subscriber wrote are those of `names`. `interval_s` is set
+    for a periodic subscription, `expires_s` (seconds since 1970) for one that expires. `join` adds linked
+    entities, `version` makes notifications conform to an earlier version of the standard.
     """
 
     id: str
@@ -103,7 +102,7 @@ class Subscription:
     counts: Counts = field(default_factory=Counts)
 
     def is_active(self, now_s: float) -> bool:
-        """Say whether it is to be told of changes now."""
+        """Return whether it is active now."""
         return self.is_on and now_s < self.expires_s
 
     def status(self, now_s: float) -> str:
@@ -113,14 +112,14 @@ class Subscription:
         return "active" if self.is_on else "paused"
 
     def selects(self, entity: Entity, lookup: Lookup = nobody) -> bool:
-        """Say whether an entity is among those it is about; `lookup` finds those that it links to."""
+        """Return whether it selects an entity; `lookup` finds linked entities."""
         selectors = self.selectors
         if len(selectors) == 1:  # as in nearly all subscriptions
             return selectors[0].wants(entity) and self.admits(entity, lookup)
         return (not selectors or any(one.wants(entity) for one in selectors)) and self.admits(entity, lookup)
 
     def admits(self, entity: Entity, lookup: Lookup = nobody) -> bool:
-        """Say whether an entity is as it is to be: by its attributes, its places and its scopes."""
+        """Return whether an entity matches by its attributes, geometry and scopes."""
         return (
             (self.query is None or self.query.holds(entity, lookup))
             and (self.scopes is None or self.scopes.wants(entity.scopes))
@@ -128,14 +127,14 @@ class Subscription:
         )
 
     def wants(self, change: EntityChange, now_s: float, lookup: Lookup = nobody) -> bool:
-        """Say whether a change is to be told; `lookup` finds entities that the changed one links to."""
+        """Return whether a change is to be notified; `lookup` finds linked entities."""
         return self.triggers.match(change) and self.is_active(now_s) and self.selects(change.entity, lookup)
 
 
 def subscription(document: dict[str, Any], context: Context, names: Context | None = None) -> Subscription:
-    """Return a kept document made ready; raises a problem that names what cannot be used.
+    """Return the compiled subscription of a stored document; raises a problem that names what cannot be used.
 
-    `names` is the context of the names in the document, if another than that of notifications.
+    `names` is the context of the names in the document, if it differs from that of notifications.
     """
     names = names or context
     entities, watched = document.get("entities"), document.get("watchedAttributes")
@@ -156,7 +155,7 @@ def subscription(document: dict[str, Any], context: Context, names: Context | No
     shows_changes = _flag(notification, "showChanges", default=False, what="notification.showChanges")
     if shows_changes and view.form is Form.KEY_VALUES:
         raise bad_request_data(
-            "notification.showChanges has no place in the format keyValues; choose normalized or concise"
+            "notification.showChanges does not go with the format keyValues; choose normalized or concise"
         )
     expanded, _ = _short_names(document, "expandValues"), _short_names(document, "jsonKeys")
     query = None if "q" not in document else _compiled(document["q"], names, expanded)
@@ -274,7 +273,7 @@ def _interval(document: Mapping[str, Any]) -> float | None:
     for other in ("watchedAttributes", "throttling", "notificationTrigger"):
         if other in document:
             raise bad_request_data(
-                f'a subscription with "timeInterval" is told periodically and has no "{other}"; leave one out'
+                f'a subscription with "timeInterval" notifies periodically and has no "{other}"; leave one out'
             )
     interval_s = _seconds(document["timeInterval"], '"timeInterval"')
     if interval_s < 1:

@@ -1,4 +1,4 @@
-"""The office of the couriers of one tenant: a courier for each subscription, and what is handed to them."""
+"""The subscriptions of one tenant, with a delivery worker for each."""
 
 from collections.abc import Iterable, Mapping
 from itertools import islice
@@ -15,14 +15,14 @@ from services.context_broker.storage.entries import DocumentKey, Entries, Kind, 
 from services.context_broker.storage.journal import Journal
 
 MAX_ITEMS_PER_NOTIFICATION: Final = 1000
-"""Entities, or registrations, in one notification; more come in several."""
+"""Maximum entities, or registrations, in one notification; more are sent in several."""
 
 
 class SubscriptionDispatcher:
-    """Keeps the subscriptions of a tenant, and has what they are owed delivered."""
+    """Manages the subscriptions of a tenant and passes their notifications to delivery workers."""
 
     counts_kind = Kind.COUNTS
-    """Under which kind of document the counts of the subscriptions are kept."""
+    """The kind of document that stores the counts of the subscriptions."""
 
     def __init__(self, tenant: str, commits: Commits, outbound: Outbound) -> None:
         self.tenant = tenant
@@ -30,10 +30,10 @@ class SubscriptionDispatcher:
         self._commits = commits
         self._workers: dict[str, DeliveryWorker] = {}
 
-    # What happens to subscriptions
+    # Subscriptions
 
     def start(self, subscriptions: Iterable[Subscription]) -> None:
-        """Begin with the subscriptions of before; what is owed to them is sent now."""
+        """Start with the stored subscriptions; their pending notifications are sent now."""
         for subscription in subscriptions:
             self._add_worker(subscription)
         if self._workers:
@@ -43,12 +43,12 @@ class SubscriptionDispatcher:
         self.rearrange()
 
     def stop(self) -> None:
-        """End; what is owed stays in the outbox."""
+        """Stop; pending notifications stay in the outbox."""
         for worker in self._workers.values():
             worker.stop()
 
     def put(self, subscription: Subscription) -> None:
-        """Heed a new or a changed subscription from now on."""
+        """Add or replace a subscription."""
         worker = self._workers.get(subscription.id)
         if worker is None:
             self._add_worker(subscription)
@@ -58,7 +58,7 @@ class SubscriptionDispatcher:
         self.rearrange(subscription.id)
 
     def remove(self, subscription_id: str) -> None:
-        """Forget a subscription and what is owed to it."""
+        """Remove a subscription and its pending notifications."""
         self._workers.pop(subscription_id).end()
         self.rearrange(subscription_id)
 
@@ -72,31 +72,31 @@ class SubscriptionDispatcher:
         return [worker.subscription for worker in self._workers.values()]
 
     def rearrange(self, changed: str | None = None) -> None:
-        """Take note that a subscription came, changed or went, or that all are others now."""
+        """Update after a subscription was added, changed or deleted; without an id, after all changed."""
 
-    # What is to be delivered
+    # Notifications
 
     def deliver(self, notices: list[PendingNotification]) -> None:
-        """Hand notifications that are committed to their couriers."""
+        """Pass committed notifications to their delivery workers."""
         for notice in notices:
             worker = self._workers.get(notice.subscription)
             if worker is not None:
                 worker.add(notice)
 
-    # What couriers need
+    # For delivery workers
 
     @property
     def journal(self) -> Journal:
-        """Where what is owed waits."""
+        """The journal with the outbox."""
         return self.outbound.journal
 
     @property
     def keep_s(self) -> float:
-        """How long a notification is tried again."""
+        """How long a notification is retried, in seconds."""
         return self.outbound.keep_s
 
     def endpoint_queue(self, subscription: Subscription) -> EndpointQueue:
-        """Return the way to the endpoint of a subscription."""
+        """Return the queue of the endpoint of a subscription."""
         return self.outbound.endpoint_queue(subscription.endpoint)
 
     async def post(self, subscription: Subscription, body: bytes, taken: bytes | None) -> int:
@@ -104,19 +104,20 @@ class SubscriptionDispatcher:
         return await self.outbound.post(subscription, self.tenant, body, taken)
 
     def together(self, notices: Mapping[str, PendingNotification]) -> dict[str, PendingNotification]:
-        """Return those of the notices (by entity) that one notification can tell of: the first ones."""
+        """Return the first of the notifications (by entity) that fit into one message."""
         return dict(islice(notices.items(), MAX_ITEMS_PER_NOTIFICATION))
 
     def notification_of(
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]
     ) -> bytes | None:
-        """Return what to tell of entities (by id) that changed while throttled; None if there is nothing."""
+        """Return one message for entities (by id) that changed while throttled; None if there is nothing
+        to send."""
         raise NotImplementedError
 
     def settle(self, subscription: Subscription, seqs: Iterable[int]) -> None:
-        """Strike out what is no longer owed and write the counts, in passing: with the next commit."""
+        """Delete notifications from the outbox and write the counts, with the next commit."""
         counts = subscription.counts
-        told = [
+        stored = [
             counts.sent,
             counts.failed,
             counts.last_notification,
@@ -125,7 +126,7 @@ class SubscriptionDispatcher:
         ]
         if subscription.id in self._workers:
             documents: dict[DocumentKey, bytes | None] = {
-                (self.counts_kind, self.tenant, subscription.id): orjson.dumps(told)
+                (self.counts_kind, self.tenant, subscription.id): orjson.dumps(stored)
             }
             self._commits.store_later(Entries(settled=list(seqs), documents=documents))
 

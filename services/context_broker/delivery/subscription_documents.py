@@ -1,4 +1,4 @@
-"""Subscriptions as documents: as they are sent, kept, changed and shown (clauses 5.2.12, 5.8.1 and 5.8.2)."""
+"""Subscriptions as documents: received, stored, changed and shown (clauses 5.2.12, 5.8.1 and 5.8.2)."""
 
 import time
 from collections.abc import Mapping
@@ -12,11 +12,11 @@ from services.context_broker.model.validation import moment, require_name, shown
 from services.context_broker.query.type_selection import type_selection
 
 NAMES_IN: Final = "namesIn"
-"""In a kept document: the @context of the names in `q`, `geoQ`, `pick` and `omit`, where notifications have
-another."""
+"""In a stored document: the @context of the names in `q`, `geoQ`, `pick` and `omit`, if notifications use
+another one."""
 
 CAME_BY: Final = "cameBy"
-"""In a kept document: the Via header that it came with, so that it is not passed on in circles."""
+"""In a stored document: the Via header of its request, which prevents forwarding in circles."""
 
 _KNOWN: Final = frozenset(
     {"id", "type", "subscriptionName", "description", "entities", "watchedAttributes", "notificationTrigger",
@@ -31,13 +31,13 @@ _COUNTED: Final = frozenset(
     {"status", "timesSent", "timesFailed", "lastNotification", "lastSuccess", "lastFailure"}
 )
 _FROM_THE_BROKER: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"}) | _COUNTED
-"""Members that only the broker writes; a subscriber that sends back what it read is not refused."""
+"""Members that only the broker writes; a subscriber may send them back."""
 
 
 def kept_document(given: Any, context: Context, besides: frozenset[str] = frozenset()) -> dict[str, Any]:
-    """Return the document to keep for a subscription, or a part of one, that was sent: its names expanded.
+    """Return the document to store for a subscription, or a part of one: its names are expanded.
 
-    `besides` are members that it may have and others have not.
+    `besides` are additional members that are allowed.
     """
     if not isinstance(given, dict):
         raise bad_request_data(f"a subscription is a JSON object, not {shown(given)}")
@@ -69,8 +69,8 @@ def kept_document(given: Any, context: Context, besides: frozenset[str] = frozen
 def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document after a change: members are replaced, null deletes (clause 5.5.8).
 
-    Raises a problem (400) for a notification without an endpoint: what is sent has to meet the data type by
-    itself (clause 5.8.2.4), so that a part of a notification never stands for the whole.
+    Raises a problem (400) for a notification without an endpoint: a change has to conform to the data type by
+    itself (clause 5.8.2.4), so a part of a notification never replaces the whole.
     """
     notification = change.get("notification")
     after = {**before, **change, "id": before["id"]}
@@ -84,7 +84,7 @@ def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> di
 
 
 def names_things(change: Mapping[str, Any]) -> bool:
-    """Say whether a change holds names, so that the subscription's are in the context it came with."""
+    """Return whether a change contains names, which then are in the context of the change."""
     notification = change.get("notification")
     if isinstance(notification, dict) and not {"pick", "omit", "attributes"}.isdisjoint(notification):
         return True
@@ -92,7 +92,7 @@ def names_things(change: Mapping[str, Any]) -> bool:
 
 
 def shown_document(one: Subscription, context: Context, now_s: float, *, sys_attrs: bool) -> dict[str, Any]:
-    """Return a subscription as a reader gets it, in the reader's names and with its counts."""
+    """Return a subscription for a client, in its names and with the counts."""
     document = {"id": one.id, "type": "Subscription", **one.document}
     context_document = document.pop("context")
     document.pop(NAMES_IN, None)

@@ -1,10 +1,10 @@
 """Triggers: what a change of an entity is, and which subscriptions it concerns (clauses 5.2.12 and 5.8.6).
 
-A change creates, updates or deletes attributes, and it may create or delete the entity as a whole. With the
-creation of an entity its attributes are created, with its deletion they are deleted. Scopes are an attribute
-here, for clause 4.18 calls them a Property; types are none, so a type that is added is told with the next
-change. An attribute that is written with the value it has counts too: the standard asks for a different one,
-but users of other brokers count on hearing of every write.
+A change creates, updates or deletes attributes, and may create or delete the whole entity. Creating an entity
+creates its attributes, deleting it deletes them. Scopes count as an attribute, since clause 4.18 calls them a
+Property. Types do not: an added type is notified with the next change. Writing an attribute with its present
+value is an update too; the standard asks for a different value, but clients of other brokers rely on a
+notification for every write.
 """
 
 from collections.abc import Iterable
@@ -42,9 +42,9 @@ _NONE: Final[Names] = frozenset()
 
 @dataclass(frozen=True, slots=True)
 class EntityChange:
-    """What a change did to the attributes (IRIs) of an entity, and how the entity was and is.
+    """The effect of a change on the attributes (IRIs) of an entity, with the entity before and after.
 
-    `lost` are attributes that have fewer instances than before; those of `deleted` have none at all.
+    `lost` are attributes with fewer instances than before; those of `deleted` have none left.
     """
 
     before: Entity | None
@@ -55,14 +55,14 @@ class EntityChange:
 
     @property
     def entity(self) -> Entity:
-        """The entity as it is, or as it was if it is gone."""
+        """The entity after the change, or before it if it was deleted."""
         one = self.after or self.before
         assert one is not None  # noqa: S101 - a change has at least one end
         return one
 
 
 def entity_change(event: Event) -> EntityChange:
-    """Return what a change did."""
+    """Return the effect of a change."""
     before, after = event.before, event.after
     if before is None:
         return EntityChange(before, after, created=_all_of(after) if after else _NONE)
@@ -95,24 +95,24 @@ def _all_of(entity: Entity) -> Names:
 
 
 def lost_instances(old: Iterable[Instance], new: Iterable[Instance]) -> list[Instance]:
-    """Return the instances that an attribute no longer has."""
+    """Return the instances that an attribute does not have any more."""
     kept = {dataset_of(one) for one in new}
     return [one for one in old if dataset_of(one) not in kept]
 
 
 @dataclass(frozen=True, slots=True)
 class Triggers:
-    """Which changes a subscriber wants to be told of.
+    """The kinds of changes that a subscription notifies.
 
-    `watched` limits them to attributes (IRIs), None watches all. A change of the entity as a whole concerns
-    who watches attributes if the entity has one of them.
+    `watched` limits them to attributes (IRIs), None watches all. A change of the whole entity matches watched
+    attributes if the entity has one of them.
     """
 
     kinds: frozenset[str] = DEFAULT
     watched: Names | None = None
 
     def match(self, change: EntityChange) -> bool:
-        """Say whether a change is one of those."""
+        """Return whether a change is one of them."""
         kinds, watched = self.kinds, self.watched
         if kinds is DEFAULT:  # as nearly all are
             if watched is None:
@@ -134,19 +134,19 @@ class Triggers:
 
     @property
     def reports_deletions(self) -> bool:
-        """Say whether attributes that are gone are told of."""
+        """Return whether deleted attributes are notified."""
         return ATTRIBUTE_DELETED in self.kinds
 
     @property
     def reports_expiry(self) -> bool:
-        """Say whether the end of an entity can concern them."""
+        """Return whether the end of an entity can match."""
         return ENTITY_DELETED in self.kinds or ATTRIBUTE_DELETED in self.kinds
 
 
 def read_kinds(given: Any) -> frozenset[str]:
-    """Return the kinds of change that `notificationTrigger` names; those of `entityUpdated` one by one.
+    """Return the kinds of changes in `notificationTrigger`; `entityUpdated` becomes its parts.
 
-    Raises a problem (400) for what names none.
+    Raises a problem (400) for an unknown one.
     """
     if given is None:
         return DEFAULT

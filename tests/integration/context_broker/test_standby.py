@@ -86,7 +86,7 @@ def subscription(url: str, kind: str = "Part") -> dict[str, Any]:
         "id": "urn:ngsi-ld:Subscription:demo:s",
         "type": "Subscription",
         "entities": [{"type": kind}],
-        "notification": {"endpoint": {"uri": url, "accept": "application/json", "format": "keyValues"}},
+        "notification": {"format": "keyValues", "endpoint": {"uri": url, "accept": "application/json"}},
     }
 
 
