@@ -38,6 +38,7 @@ DROPPED: Final = Counter(
 
 class DeliveryWorker:
     """Sends the notifications of one subscription."""
+
     def __init__(self, subscription: Subscription, context: DeliveryContext) -> None:
         self.subscription = subscription
         self.pending = 0

@@ -273,7 +273,7 @@ def _interval(document: Mapping[str, Any]) -> float | None:
     for other in ("watchedAttributes", "throttling", "notificationTrigger"):
         if other in document:
             raise bad_request_data(
-                f'a subscription with "timeInterval" notifies periodically and has no "{other}"; leave one out'
+                f'a subscription with "timeInterval" has no "{other}", which is for changes; leave one out'
             )
     interval_s = _seconds(document["timeInterval"], '"timeInterval"')
     if interval_s < 1:

@@ -193,4 +193,4 @@ def test_what_a_dead_endpoint_is_owed_fills_neither_memory_nor_disk(
         assert waiting(own_broker, "memory") <= 256
         assert memory().rss - before < 70 * 1024 * 1024
         assert http.get(f"/entities/{entity}").json()["n"]["value"] == 11_999
-        assert re.search(r"given up", own_broker.log())
+        assert re.search(r"dropped", own_broker.log())
