@@ -2,14 +2,14 @@
 
     python -m benchmarks.ros_bridge [--seconds 10] [--rate 100] [--memory MINUTES]
 
-Prints one way from a message of the robot until a subscriber of the broker is told (ROS to NGSI-LD), from a
-write in the broker until the robot hears it (NGSI-LD to ROS), both as p50 and p99 with how many were lost;
-and what the bridge costs of a core when 1,000 messages a second come to a rule with a dead band, with how
-much its resident memory grows. With `--memory` both ways are busy for so many minutes instead, and the
-resident memory of bridge and broker is told minute by minute.
+Prints the latency from a message of the robot to the notification of a subscriber (ROS to NGSI-LD), and from
+a write in the broker to the message on the graph (NGSI-LD to ROS), as p50 and p99 with the number of lost
+messages. Prints also the share of a core and the growth of memory of the bridge at 1,000 messages a second to
+a rule with a dead band. With `--memory` both directions run for so many minutes instead, and the resident
+memory of bridge and broker is printed every minute.
 
-What the robot says is encoded once and only its number changed, and the subscriber does no more than note
-when it was told: load and listener shall not take the cores of what is measured.
+The messages of the robot are encoded once and only their number changes; the subscriber only records times.
+So neither uses the cores of the measured processes.
 """
 
 import argparse
@@ -38,8 +38,8 @@ from ros_fiware_bridge.graph.joining import JoinSettings, join
 from ros_fiware_bridge.graph.qos import Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 
-FLOOR_P50_MS, FLOOR_P99_MS = 5.0, 25.0
-FLOOR_CORE = 0.5
+LIMIT_P50_MS, LIMIT_P99_MS = 5.0, 25.0
+LIMIT_CORE_SHARE = 0.5
 JOINTS = 100
 ROBOT = "urn:ngsi-ld:Device:demo:arm-1"
 GOAL = "urn:ngsi-ld:Device:demo:goal-1"
@@ -73,7 +73,7 @@ def joint_state(number: int) -> dict[str, Any]:
 
 
 class Bench:
-    """The processes, and what is noted of their messages."""
+    """The processes and the recorded times."""
 
     def __init__(self, folder: Path) -> None:
         self.domain = random.randint(1, 100)
@@ -107,11 +107,11 @@ class Bench:
                 except httpx.TransportError:
                     pass
                 await asyncio.sleep(0.1)
-        raise SystemExit(f"what should listen on port {port} is not ready")
+        raise SystemExit(f"the service on port {port} is not ready")
 
 
 class JointStates:
-    """What the robot says: encoded once, so that saying it a thousand times a second takes no core."""
+    """The messages of the robot: encoded once, so that publishing a thousand a second takes little time."""
 
     def __init__(self, store: TypeStore) -> None:
         mark = 987_654_321
@@ -124,8 +124,8 @@ class JointStates:
         return bytes(self._data)
 
 
-class _Told(asyncio.Protocol):
-    """The subscriber: notes when it is told which number, answers, and does nothing else."""
+class _Subscriber(asyncio.Protocol):
+    """The subscriber: records the time of each number and responds."""
 
     def __init__(self, seen_s: dict[int, float]) -> None:
         self._seen_s = seen_s
@@ -168,7 +168,7 @@ async def _all(
     bench: Bench, measured: list[psutil.Process], seconds: float, rate_hz: float, memory_minutes: int
 ) -> None:
     loop = asyncio.get_running_loop()
-    server = await loop.create_server(lambda: _Told(bench.seen_s), "127.0.0.1", bench.own_port)
+    server = await loop.create_server(lambda: _Subscriber(bench.seen_s), "127.0.0.1", bench.own_port)
     store = TypeStore()
     robot = await join(store, JoinSettings(node="robot", domain_id=bench.domain, interfaces=("127.0.0.1",)))
     url = f"http://127.0.0.1:{bench.broker_port}"
@@ -207,34 +207,34 @@ async def _ros_to_ngsild(bench: Bench, robot: Any, store: TypeStore, count: int,
     assert await publisher.matched(20)
     sent_s: dict[int, float] = {}
 
-    async def say(number: int) -> None:
+    async def publish(number: int) -> None:
         message = joint_states.encoded(number)
         sent_s[number] = time.perf_counter()
         publisher.publish_encoded(message)
 
-    await _at_rate(say, count, rate_hz)
+    await _at_rate(publish, count, rate_hz)
     await _until(lambda: len(bench.seen_s) >= count)
     _print("ROS to NGSI-LD", sent_s, bench.seen_s, rate_hz)
 
 
 async def _ngsild_to_ros(robot: Any, broker: BrokerClient, count: int, rate_hz: float) -> None:
-    heard_s: dict[int, float] = {}
+    received_s: dict[int, float] = {}
     sent_s: dict[int, float] = {}
 
-    def hear(received: Any) -> None:
-        heard_s.setdefault(int(received.value("data")), time.perf_counter())
+    def on_message(received: Any) -> None:
+        received_s.setdefault(int(received.value("data")), time.perf_counter())
 
-    subscription = await robot.subscribe("/goal", "std_msgs/msg/Float64", hear, Qos(depth=100))
+    subscription = await robot.subscribe("/goal", "std_msgs/msg/Float64", on_message, Qos(depth=100))
     assert await subscription.matched(20)
 
-    async def say(number: int) -> None:
+    async def publish(number: int) -> None:
         sent_s[number] = time.perf_counter()
         attribute = {"type": "Property", "value": number}
         await broker.upsert([{"id": GOAL, "type": "Device", "goal": attribute}])
 
-    await _at_rate(say, count, rate_hz)
-    await _until(lambda: len(heard_s) >= count)
-    _print("NGSI-LD to ROS", sent_s, heard_s, rate_hz)
+    await _at_rate(publish, count, rate_hz)
+    await _until(lambda: len(received_s) >= count)
+    _print("NGSI-LD to ROS", sent_s, received_s, rate_hz)
 
 
 async def _banded(robot: Any, bridge: psutil.Process, seconds: float) -> None:
@@ -242,19 +242,19 @@ async def _banded(robot: Any, bridge: psutil.Process, seconds: float) -> None:
     assert await publisher.matched(20)
     message = joint_state(0)
 
-    async def say(number: int) -> None:
+    async def publish(number: int) -> None:
         message["header"] = {"stamp": {"sec": number + 1, "nanosec": 0}}
         publisher.publish(message)
 
-    await _at_rate(say, 1000, 1000.0)
+    await _at_rate(publish, 1000, 1000.0)
     before, memory, began_s = bridge.cpu_times(), bridge.memory_info().rss, time.perf_counter()
-    await _at_rate(say, int(1000 * seconds), 1000.0)
+    await _at_rate(publish, int(1000 * seconds), 1000.0)
     took_s, after = time.perf_counter() - began_s, bridge.cpu_times()
     share = (after.user + after.system - before.user - before.system) / took_s
     grown_mb = (bridge.memory_info().rss - memory) / 2**20
     print(
         f"dead band, {1000 * seconds / took_s:.0f} messages a second: {share:.0%} of a core "
-        f"({FLOOR_CORE / share:.1f} times better than the floor), memory {grown_mb:+.1f} MB"
+        f"({LIMIT_CORE_SHARE / share:.1f} times better than the limit), memory {grown_mb:+.1f} MB"
     )
 
 
@@ -269,39 +269,39 @@ async def _memory(
 ) -> None:
     joint_states = JointStates(store)
     publisher = await robot.publisher("/joint_states", "sensor_msgs/msg/JointState", Qos(depth=1000))
-    heard = 0
+    received = 0
 
-    def hear(_: Any) -> None:
-        nonlocal heard
-        heard += 1
+    def on_message(_: Any) -> None:
+        nonlocal received
+        received += 1
 
-    subscription = await robot.subscribe("/goal", "std_msgs/msg/Float64", hear, Qos(depth=100))
+    subscription = await robot.subscribe("/goal", "std_msgs/msg/Float64", on_message, Qos(depth=100))
     assert await publisher.matched(20)
     assert await subscription.matched(20)
 
-    async def say(number: int) -> None:
+    async def publish(number: int) -> None:
         publisher.publish_encoded(joint_states.encoded(number))
         await broker.upsert([{"id": GOAL, "type": "Device", "goal": {"type": "Property", "value": number}}])
 
-    told_mb: list[list[float]] = []
+    memory_mb: list[list[float]] = []
     for minute in range(minutes):
-        await _at_rate(say, int(60 * rate_hz), rate_hz)
-        told_mb.append([process.memory_info().rss / 2**20 for process in measured])
-        of_broker, of_bridge = told_mb[-1]
+        await _at_rate(publish, int(60 * rate_hz), rate_hz)
+        memory_mb.append([process.memory_info().rss / 2**20 for process in measured])
+        of_broker, of_bridge = memory_mb[-1]
         words = f"bridge {of_bridge:.1f} MB, broker {of_broker:.1f} MB"
-        print(f"minute {minute + 1}: {words}, {heard} heard by the robot", flush=True)
-    half = told_mb[minutes // 2 :]
+        print(f"minute {minute + 1}: {words}, {received} received by the robot", flush=True)
+    half = memory_mb[minutes // 2 :]
     if len(half) > 1:
         grown = [(last - first) / (len(half) - 1) for first, last in zip(half[0], half[-1], strict=True)]
         print(f"a minute of the second half: bridge {grown[1]:+.2f} MB, broker {grown[0]:+.2f} MB")
 
 
-async def _at_rate(say: Callable[[int], Awaitable[None]], count: int, rate_hz: float) -> None:
+async def _at_rate(publish: Callable[[int], Awaitable[None]], count: int, rate_hz: float) -> None:
     start_s = time.perf_counter()
     for number in range(count):
         early_s = start_s + number / rate_hz - time.perf_counter()
         await asyncio.sleep(max(early_s, 0))
-        await say(number)
+        await publish(number)
 
 
 async def _until(done: Callable[[], bool], within_s: float = 10.0) -> None:
@@ -313,12 +313,12 @@ async def _until(done: Callable[[], bool], within_s: float = 10.0) -> None:
 def _print(what: str, sent_s: dict[int, float], seen_s: dict[int, float], rate_hz: float) -> None:
     late_ms = sorted((seen_s[number] - at_s) * 1000 for number, at_s in sent_s.items() if number in seen_s)
     if not late_ms:
-        print(f"{what}: nothing came")
+        print(f"{what}: nothing received")
         return
     p50, p99 = (late_ms[int(len(late_ms) * share)] for share in (0.5, 0.99))
     print(
-        f"{what}, {rate_hz:.0f} Hz: p50 {p50:.2f} ms ({FLOOR_P50_MS / p50:.1f} times better than the floor), "
-        f"p99 {p99:.2f} ms ({FLOOR_P99_MS / p99:.1f} times), "
+        f"{what}, {rate_hz:.0f} Hz: p50 {p50:.2f} ms ({LIMIT_P50_MS / p50:.1f} times better than the limit), "
+        f"p99 {p99:.2f} ms ({LIMIT_P99_MS / p99:.1f} times), "
         f"{len(sent_s) - len(late_ms)} of {len(sent_s)} lost"
     )
 

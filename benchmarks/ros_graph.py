@@ -2,10 +2,10 @@
 
     python -m benchmarks.ros_graph [--rate 100 1000] [--seconds 10] [--depth 100]
 
-Prints for each rate how many came, the time from publish to callback (p50 and p99 of one way), what the
-listener costs of a core (when it lets messages go unread, as a rule that is paced or switched off does, and
-when it reads one field of each, as a rule with a dead band does), what the publisher costs, and by how much
-the listener's resident memory grew.
+Prints for each rate the number of received messages, the time from publish to callback (p50 and p99), the
+share of a core of the listener and of the publisher, and the growth of the listener's resident memory. The
+listener either ignores messages, like a rule with a rate limit, or reads one field of each, like a rule with
+a dead band.
 """
 
 import argparse
@@ -89,8 +89,8 @@ async def listen(rate_hz: float, seconds: float, depth: int, look: Callable[[Any
     after = process.cpu_times()
     share = (after.user + after.system - before.user - before.system) / took_s
     grown_mb = (process.memory_info().rss - memory) / 2**20
-    told, _ = await asyncio.to_thread(sender.communicate)
-    sender_share, sent_hz = told.split()
+    output, _ = await asyncio.to_thread(sender.communicate)
+    sender_share, sent_hz = output.split()
     await graph.close()
     late_ms.sort()
     p50, p99 = (late_ms[int(len(late_ms) * share)] for share in (0.5, 0.99))

@@ -1,1 +1,1 @@
-"""The ROS bridge: what happens on a ROS 2 graph becomes entities and attributes, and the other way."""
+"""The ROS bridge: maps a ROS 2 graph to NGSI-LD entities and back, by rules in YAML."""

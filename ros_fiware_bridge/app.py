@@ -1,4 +1,4 @@
-"""The face of the ROS bridge: its rules with their rates, last values and errors, and the live graph."""
+"""The REST interface of the ROS bridge: its rules with rates, last values and errors, and the live graph."""
 
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
@@ -22,12 +22,12 @@ from ros_fiware_bridge.settings import BridgeSettings
 RuleView = Mapping[str, Any]
 
 
-class _At:
-    """Where the bridge is found while it works."""
+class _BridgeHolder:
+    """Holds the bridge while it runs."""
 
     bridge: Bridge | None = None
 
-    def the_bridge(self) -> Bridge:
+    def get(self) -> Bridge:
         if self.bridge is None:
             raise Problem(
                 503,
@@ -38,12 +38,12 @@ class _At:
 
 
 def make_app(settings: BridgeSettings) -> FastAPI:
-    """Return the application; raises `UsageError` when it could not work as it is set."""
+    """Return the application. Raises `UsageError` if the settings or the mapping cannot work."""
     document = read_mapping(settings)
     store = planning.type_store(document)
-    planning.make(document, store, settings.factory)  # what is wrong with it is told before anything starts
+    planning.make(document, store, settings.factory)  # report errors of the mapping before anything starts
     broker = BrokerClient(settings, transport=AiohttpTransport(trust_env=False))
-    at = _At()
+    holder = _BridgeHolder()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -61,14 +61,14 @@ def make_app(settings: BridgeSettings) -> FastAPI:
             )
             bridge.tasks.mount(app)
             async with broker, bridge:
-                at.bridge = bridge
+                holder.bridge = bridge
                 yield
-                at.bridge = None
+                holder.bridge = None
         finally:
             await graph.close()
 
     async def subscribed() -> None:
-        await at.the_bridge().probe()
+        await holder.get().probe()
 
     app = create_app(
         "ROS bridge",
@@ -80,63 +80,63 @@ def make_app(settings: BridgeSettings) -> FastAPI:
             "storage": storage_check(settings.data_dir),
         },
     )
-    _add_rules(app, at, settings)
+    _add_routes(app, holder, settings)
     return app
 
 
 def read_mapping(settings: BridgeSettings) -> Document:
-    """Return the mapping that is set; one without rules if none is. Raises `UsageError`."""
+    """Return the configured mapping; without one, a mapping without rules. Raises `UsageError`."""
     if settings.ros_mapping is None:
         return mapping.parse("", "no mapping (HANDOVER_ROS_MAPPING)")
     return mapping.load(settings.ros_mapping)
 
 
-def _add_rules(app: FastAPI, at: _At, settings: BridgeSettings) -> None:
+def _add_routes(app: FastAPI, holder: _BridgeHolder, settings: BridgeSettings) -> None:
     @app.get("/rules", tags=["rules"])
     async def rules() -> Sequence[RuleView]:
         """Return every rule with its rates, last value and last error."""
-        return at.the_bridge().views()
+        return holder.get().views()
 
     @app.get("/rules/{rule}", tags=["rules"])
     async def one_rule(rule: str) -> RuleView:
         """Return a rule with its rates, last value and last error."""
-        return at.the_bridge().view(rule)
+        return holder.get().view(rule)
 
     @app.post("/rules/{rule}/enable", tags=["rules"])
     async def enable(rule: str) -> RuleView:
-        """Switch a rule on; it stays on when the bridge starts again."""
-        await at.the_bridge().switch(rule, on=True)
-        return at.the_bridge().view(rule)
+        """Switch a rule on; it stays on after a restart."""
+        await holder.get().switch(rule, on=True)
+        return holder.get().view(rule)
 
     @app.post("/rules/{rule}/disable", tags=["rules"])
     async def disable(rule: str) -> RuleView:
-        """Switch a rule off; it stays off when the bridge starts again."""
-        await at.the_bridge().switch(rule, on=False)
-        return at.the_bridge().view(rule)
+        """Switch a rule off; it stays off after a restart."""
+        await holder.get().switch(rule, on=False)
+        return holder.get().view(rule)
 
     @app.get("/graph", tags=["graph"])
     async def graph() -> dict[str, Any]:
-        """Return what is on the ROS graph now."""
+        """Return the nodes, topics, services and actions of the ROS graph."""
         by_dds = settings.ros_adapter != "rosbridge"
         return {
             "domain": settings.ros_domain_id if by_dds else None,
-            **graph_view.of(at.the_bridge().graph),
+            **graph_view.of(holder.get().graph),
         }
 
     @app.get("/broker", tags=["graph"])
     async def broker_link() -> dict[str, Any]:
-        """Return how the link to the broker is: what waits for it, and whether it is away."""
-        bridge = at.the_bridge()
+        """Return the state of the connection to the broker: availability, pending updates, subscriptions."""
+        bridge = holder.get()
         return {
             "url": bridge.broker.url,
-            "away": bridge.mailroom.away_since_s is not None,
-            "waiting": len(bridge.mailroom.outbox),
+            "available": bridge.broker_writer.away_since_s is None,
+            "pending": len(bridge.broker_writer.outbox),
             "subscribed": bridge.listeners.subscribed,
         }
 
     @app.post("/notifications/{rule}", status_code=204, tags=["notifications"])
     async def notify(rule: str, request: Request) -> Response:
-        """Read the entities that have changed from the broker, and have a rule act on what that says."""
-        listeners = at.the_bridge().listeners
+        """Have a rule process the current state of the entities in a notification."""
+        listeners = holder.get().listeners
         await listeners.take_notification(rule, request)
         return Response(status_code=204)

@@ -1,50 +1,50 @@
-"""What can go wrong on a ROS graph, each said so that an integrator knows what to change."""
+"""The errors of the ROS graph; each text names the thing, the rule and the way out."""
 
 from handover.errors import HandoverError, UsageError
 
 
 class GraphError(HandoverError):
-    """The root of what goes wrong on a ROS graph; the text names the thing, the rule and the way out."""
+    """The base class of all errors of the ROS graph."""
 
 
 class UnknownType(GraphError, UsageError):
-    """No definition of that message, service or action type is at hand."""
+    """The definition of a message, service or action type is unknown."""
 
 
 class UnsupportedType(GraphError, UsageError):
-    """The definition holds what cannot be carried (`wstring`, a type that contains itself)."""
+    """The definition contains an unsupported type (`wstring`, or a recursive type)."""
 
 
 class BadDefinition(GraphError, UsageError):
-    """A `.msg`, `.srv` or `.action` file cannot be read, or says another thing than one read before."""
+    """A `.msg`, `.srv` or `.action` file is invalid, or contradicts another one."""
 
 
 class UnknownField(GraphError, UsageError):
-    """A field path names nothing in the definition."""
+    """The definition has no such field."""
 
 
 class UnknownQos(GraphError, UsageError):
-    """A quality of service that does not exist."""
+    """There is no such quality of service."""
 
 
 class BadName(GraphError, UsageError):
-    """A topic, service, action or node name that ROS does not allow."""
+    """ROS does not allow this name of a topic, service, action or node."""
 
 
 class AdapterUnavailable(GraphError, UsageError):
-    """The library that an adapter stands on is not installed, or cannot reach the network."""
+    """The library of an adapter is not installed, or cannot use the network."""
 
 
 class BadMessage(GraphError):
-    """A message does not fit its definition; the text names the field path, the rule and what was found."""
+    """A message does not match its definition; the text names the field path, the rule and the value."""
 
 
 class MessageTooBig(GraphError):
-    """A message is bigger than the graph's limit, coming or going."""
+    """A message is larger than the limit of the graph."""
 
 
 class PublishBlocked(GraphError):
-    """Readers take so slowly that the message could not be handed over in time."""
+    """Readers are too slow, so that the message could not be sent in time."""
 
 
 class TypeHashDiffers(GraphError):
@@ -52,19 +52,19 @@ class TypeHashDiffers(GraphError):
 
 
 class IncompatibleQos(GraphError):
-    """A peer's quality of service does not meet ours; both are named."""
+    """The quality of service of a peer is incompatible with ours; the text names both."""
 
 
 class VendorNotShared(GraphError):
-    """The peer's middleware carries services in another way than this adapter."""
+    """The services of the peer's middleware are incompatible with this adapter."""
 
 
 class ServiceUnavailable(GraphError):
-    """Nobody serves that service or action, or not in time."""
+    """No server of a service or action was found in time."""
 
 
 class CallTimeout(GraphError):
-    """A service was called and did not answer in time."""
+    """A server did not answer in time."""
 
 
 class GoalRefused(GraphError):
@@ -72,4 +72,4 @@ class GoalRefused(GraphError):
 
 
 class GraphClosed(GraphError):
-    """The graph was closed while something was waiting on it."""
+    """The graph was closed."""

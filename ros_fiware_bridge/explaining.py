@@ -1,4 +1,4 @@
-"""Explaining: what a mapping would do, in sentences; and how it meets the graph that is there."""
+"""Describes what a mapping does, and which rules the present graph keeps from working."""
 
 import re
 from collections.abc import Iterator
@@ -6,65 +6,65 @@ from collections.abc import Iterator
 from ros_fiware_bridge.graph.port import ActionInfo, Endpoint, RosGraph, ServiceInfo
 from ros_fiware_bridge.mapping.model import RosToNgsild, ServiceCall
 from ros_fiware_bridge.mapping.values import MADE_OF, Source
-from ros_fiware_bridge.rules.plan import Plan, PlannedAsk, PlannedOutward
+from ros_fiware_bridge.rules.plan import Plan, PlannedRequest, PlannedRosToNgsild
 
 
 def lines(plan: Plan) -> Iterator[str]:
-    """Yield what each rule would do."""
-    for outward in plan.outward:
-        yield from _outward(plan, outward)
-    for inward in plan.inward:
-        chosen = inward.selector
+    """Yield a description of each rule."""
+    for planned in plan.ros_to_ngsild:
+        yield from _topic_rule(plan, planned)
+    for to_ros in plan.ngsild_to_ros:
+        chosen = to_ros.selector
         whom = chosen.id or f"entities of type {chosen.type}"
         also = f" that match {chosen.id_pattern or chosen.q}" if chosen.id_pattern or chosen.q else ""
-        yield f"{inward.name}: {whom}{also} -> {inward.rule.topic} ({inward.rule.type}; {inward.qos})"
-        for path, source in inward.rule.fields.items():
+        yield f"{to_ros.name}: {whom}{also} -> {to_ros.rule.topic} ({to_ros.rule.type}; {to_ros.qos})"
+        for path, source in to_ros.rule.fields.items():
             yield f"    {path} = {_source(source)}"
-        if inward.at_start:
-            yield "    what the broker holds is said at the start"
-    for asked in plan.asks:
-        yield _asked(asked)
-    for offer in plan.offers:
+        if to_ros.at_start:
+            yield "    the state in the broker is published at the start"
+    for asked in plan.requests:
+        yield _request(asked)
+    for served in plan.served_services:
         yield (
-            f"{offer.name}: whoever calls {offer.rule.service} ({offer.rule.type}) asks "
-            f"{' and '.join(offer.resources)} for a Task; answered once it is {offer.rule.answer}"
+            f"{served.name}: a call of {served.rule.service} ({served.rule.type}) requests a Task of "
+            f"{' and '.join(served.resources)}; the response is sent once the Task is {served.rule.answer}"
         )
     watched = plan.watched()
-    both = {name for one in plan.outward for name in one.rule.attributes} & watched
+    both = {name for one in plan.ros_to_ngsild for name in one.rule.attributes} & watched
     if both:
-        yield f"both ways: {', '.join(sorted(both))}; what comes from one side is not sent back to it"
+        yield f"both ways: {', '.join(sorted(both))}; a value is not sent back to the side it came from"
     if not list(plan.names()):
         yield "no rules"
 
 
 def against(plan: Plan, graph: RosGraph) -> Iterator[str]:
-    """Yield what about the graph that is there would keep rules from working."""
+    """Yield the reasons why rules do not work with the present graph."""
     topics = {topic.name: topic for topic in graph.topics()}
-    for outward in plan.outward:
-        pattern = outward.pattern or re.compile(re.escape(outward.rule.topic))
+    for planned in plan.ros_to_ngsild:
+        pattern = planned.pattern or re.compile(re.escape(planned.rule.topic))
         fitting = [topic for name, topic in topics.items() if pattern.fullmatch(name)]
         speakers = [one for topic in fitting for one in topic.publishers if not one.ours]
         if not speakers:
-            yield f"{outward.name}: nobody publishes {outward.rule.topic} now"
-        type_name = outward.outward.type_name if outward.outward else None
+            yield f"{planned.name}: nobody publishes {planned.rule.topic} now"
+        type_name = planned.extractor.type_name if planned.extractor else None
         for one in speakers:
             if type_name is not None and (why := _other_type(plan, type_name, one, "publishes")) is not None:
-                yield f"{outward.name}: {why}"
-            qos = outward.reader_qos(other.qos for other in speakers)
+                yield f"{planned.name}: {why}"
+            qos = planned.reader_qos(other.qos for other in speakers)
             if (unmet := qos.unmet(one.qos)) is not None:
-                yield f"{outward.name}: {one.node} will not be heard: {unmet}; change qos of the rule"
-    for inward in plan.inward:
-        topic = topics.get(inward.rule.topic.with_settings(plan.settings).constant or "")
+                yield f"{planned.name}: {one.node} will not be received: {unmet}; change qos of the rule"
+    for to_ros in plan.ngsild_to_ros:
+        topic = topics.get(to_ros.rule.topic.with_settings(plan.settings).constant or "")
         for one in topic.subscribers if topic else ():
             if (
                 not one.ours
-                and (why := _other_type(plan, inward.rule.type, one, "subscribes to")) is not None
+                and (why := _other_type(plan, to_ros.rule.type, one, "subscribes to")) is not None
             ):
-                yield f"{inward.name}: {why}"
-            if not one.ours and (unmet := one.qos.unmet(inward.qos)) is not None:
-                yield f"{inward.name}: {one.node} will not hear it: {unmet}; change qos of the rule"
-    for asked in plan.asks:
-        yield from _unasked(asked, graph)
+                yield f"{to_ros.name}: {why}"
+            if not one.ours and (unmet := one.qos.unmet(to_ros.qos)) is not None:
+                yield f"{to_ros.name}: {one.node} will not receive messages: {unmet}; change qos of the rule"
+    for asked in plan.requests:
+        yield from _request_problems(asked, graph)
 
 
 def _other_type(plan: Plan, type_name: str, peer: Endpoint, does: str) -> str | None:
@@ -79,8 +79,8 @@ def _other_type(plan: Plan, type_name: str, peer: Endpoint, does: str) -> str | 
     )
 
 
-def _unasked(asked: PlannedAsk, graph: RosGraph) -> Iterator[str]:
-    """Yield what keeps a service or action from being called."""
+def _request_problems(asked: PlannedRequest, graph: RosGraph) -> Iterator[str]:
+    """Yield the reasons why a service or action cannot be called."""
     rule = asked.rule
     if isinstance(rule, ServiceCall):
         name, carrier, type_name = rule.service, rule.service, rule.type
@@ -100,13 +100,13 @@ def _unasked(asked: PlannedAsk, graph: RosGraph) -> Iterator[str]:
         yield f"{asked.name}: {problem}"
 
 
-def _outward(plan: Plan, planned: PlannedOutward) -> Iterator[str]:
+def _topic_rule(plan: Plan, planned: PlannedRosToNgsild) -> Iterator[str]:
     rule = planned.rule
     to = str(rule.entity.id.with_settings(plan.settings)) if rule.entity else "an Alert"
-    kind = planned.outward.type_name if planned.outward else "type still unknown: nobody publishes it"
+    kind = planned.extractor.type_name if planned.extractor else "type unknown: nobody publishes it"
     qos = f"as published, keep_last {planned.qos.depth}" if planned.match else str(planned.qos)
-    yield f"{planned.name}: {rule.topic} ({kind}; {qos}) -> {to}{_pace(rule)}"
-    made = planned.outward.attributes if planned.outward else ()
+    yield f"{planned.name}: {rule.topic} ({kind}; {qos}) -> {to}{_rate(rule)}"
+    made = planned.extractor.attributes if planned.extractor else ()
     for attribute in made:
         asked = rule.attributes[attribute.name]
         of = next(getattr(asked, one) for one in MADE_OF if one in asked.model_fields_set)
@@ -128,20 +128,20 @@ def _source(source: Source) -> str:
     )
 
 
-def _pace(rule: RosToNgsild) -> str:
+def _rate(rule: RosToNgsild) -> str:
     banded = rule.dead_band or any(one.dead_band for one in rule.attributes.values())
     said = [
         f"every {rule.every_ms} ms at most" if rule.every_ms else "",
         "on change" if rule.on_change or banded else "",
         f"every {rule.at_least_every_s:g} s at least" if rule.at_least_every_s else "",
-        f"the last {rule.buffer.keep} kept while the broker is away" if rule.buffer.keep > 1 else "",
-        "" if rule.create else "only entities that are there",
+        f"the last {rule.buffer.keep} kept while the broker is unavailable" if rule.buffer.keep > 1 else "",
+        "" if rule.create else "only existing entities",
     ]
     words = ", ".join(one for one in said if one)
     return f", {words}" if words else ""
 
 
-def _asked(asked: PlannedAsk) -> str:
+def _request(asked: PlannedRequest) -> str:
     rule = asked.rule
     does = f"calls {rule.service}" if isinstance(rule, ServiceCall) else f"sends a goal to {rule.action}"
     if rule.task is not None:

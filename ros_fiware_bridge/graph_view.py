@@ -1,4 +1,4 @@
-"""The graph as it is shown: topics with their types, who speaks and who listens, services, actions, nodes."""
+"""Renders the graph: nodes, topics with types and endpoints, services and actions."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -7,7 +7,7 @@ from ros_fiware_bridge.graph.port import Endpoint, RosGraph
 
 
 def of(graph: RosGraph) -> dict[str, Any]:
-    """Return what is on the graph now, as JSON has it."""
+    """Return the present graph as JSON."""
     return {
         "node": graph.node_name,
         "nodes": [
@@ -40,7 +40,7 @@ def _endpoints(endpoints: Iterable[Endpoint]) -> Iterable[dict[str, Any]]:
 
 
 def lines(view: dict[str, Any]) -> Iterable[str]:
-    """Yield `view` as lines to read."""
+    """Yield the lines of a text rendering of `view`."""
     for node in view["nodes"]:
         yield f"node      {node['name']} ({node['middleware']}){' - the bridge' if node['ours'] else ''}"
     for topic in view["topics"]:

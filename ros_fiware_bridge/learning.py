@@ -1,6 +1,6 @@
-"""Learning definitions: a node of ROS 2 Jazzy or later gives those of its topics (`~/get_type_description`).
+"""Retrieves message definitions from nodes: ROS 2 Jazzy and later serve `~/get_type_description`.
 
-What a node gives is believed only if it has the hash that the endpoint publishes.
+A definition is accepted only if it has the hash that the endpoint publishes.
 """
 
 import re
@@ -18,28 +18,28 @@ MAX_BYTES = 1_000_000
 _TYPE = re.compile(r"(?P<package>[a-z](?:_?[a-z0-9]+)*)/(?P<kind>msg|srv|action)/(?P<name>[A-Z][A-Za-z0-9]*)")
 
 Definitions = Mapping[str, str]
-"""The texts of definition files by their paths, `cell_msgs/msg/Part.msg`."""
+"""The texts of definition files by path, such as `cell_msgs/msg/Part.msg`."""
 
 
 async def learn(graph: RosGraph, topic: str, timeout_s: float = 10.0) -> Definitions:
-    """Return the definitions of a topic's type and of all types in it.
+    """Return the definitions of a topic's type and of all types that it contains.
 
     Raises:
-        GraphError: no node on the topic gives them; the text says what each answered.
+        GraphError: no node on the topic provides them; the text gives the reason for each node.
     """
     found = next((one for one in graph.topics() if one.name == topic), None)
     ends = [one for one in (*found.publishers, *found.subscribers) if not one.ours] if found else []
     refused = []
     for end in ends:
         try:
-            return await _asked_of(graph, end, timeout_s)
+            return await _requested_from(graph, end, timeout_s)
         except GraphError as error:
             refused.append(str(error))
-    why = "; ".join(refused) or "nobody is on it"
-    raise GraphError(f"the definition of {topic} cannot be learned: {why}; name its files in type_paths")
+    why = "; ".join(refused) or "no node uses it"
+    raise GraphError(f"the definition of {topic} cannot be retrieved: {why}; name its files in type_paths")
 
 
-async def _asked_of(graph: RosGraph, end: Endpoint, timeout_s: float) -> Definitions:
+async def _requested_from(graph: RosGraph, end: Endpoint, timeout_s: float) -> Definitions:
     if end.node is None or end.type_hash is None:
         raise GraphError(
             f"{end.node or 'a node without a name'} publishes no type hash (ROS 2 Iron and later do)"
@@ -53,7 +53,7 @@ async def _asked_of(graph: RosGraph, end: Endpoint, timeout_s: float) -> Definit
         write(files, Path(folder))
         given = TypeStore([Path(folder)]).hash(end.type_name)
     if given != end.type_hash:
-        raise GraphError(f"{end.node} gave another definition of {end.type_name} than it uses ({given})")
+        raise GraphError(f"{end.node} provided another definition of {end.type_name} than it uses ({given})")
     return files
 
 
@@ -63,20 +63,20 @@ def _files(node: str, sources: Iterable[Mapping[str, Any]]) -> Iterable[tuple[st
         named, text = _TYPE.fullmatch(source["type_name"]), source["raw_file_contents"]
         size += len(text)
         if size > MAX_BYTES:
-            raise GraphError(f"{node} gives more than {MAX_BYTES} bytes of definitions")
+            raise GraphError(f"{node} provides more than {MAX_BYTES} bytes of definitions")
         if named is None or source["encoding"] != named["kind"]:
             continue  # a request, a response, or another form of the same definition
         yield f"{named['package']}/{named['kind']}/{named['name']}.{named['kind']}", text
 
 
 def write(definitions: Definitions, folder: Path) -> None:
-    """Write definition files below `folder`, as `type_paths` finds them.
+    """Write definition files below `folder`, in the layout that `type_paths` expects.
 
     Raises:
-        UnknownType: there is nothing to write.
+        UnknownType: `definitions` is empty.
     """
     if not definitions:
-        raise UnknownType("no definition was given")
+        raise UnknownType("no definition was provided")
     for name, text in definitions.items():
         file = folder / name
         file.parent.mkdir(parents=True, exist_ok=True)

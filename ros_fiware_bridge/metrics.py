@@ -1,16 +1,22 @@
-"""Metrics: what the bridge counts for Prometheus."""
+"""The Prometheus metrics of the bridge."""
 
 from prometheus_client import Counter, Gauge
 
-HEARD = Counter("handover_ros_bridge_heard_total", "Messages, notifications and requests by rule", ["rule"])
-TOLD = Counter("handover_ros_bridge_told_total", "Messages that the other side has taken, by rule", ["rule"])
-FAULTS = Counter("handover_ros_bridge_faults_total", "What could not be passed on, by rule", ["rule"])
-DROPPED = Counter("handover_ros_bridge_dropped_total", "Messages lost, by rule and cause", ["rule", "cause"])
+RECEIVED = Counter(
+    "handover_bridge_messages_received_total", "Messages, changes and requests that a rule received", ["rule"]
+)
+FORWARDED = Counter(
+    "handover_bridge_messages_forwarded_total", "Messages that the other side accepted from a rule", ["rule"]
+)
+ERRORS = Counter("handover_bridge_errors_total", "Messages that a rule could not forward", ["rule"])
+DROPPED = Counter(
+    "handover_bridge_messages_dropped_total", "Messages lost against the mapping, by cause", ["rule", "cause"]
+)
 CONFLATED = Counter(
-    "handover_ros_bridge_conflated_total",
-    "Messages that gave way to newer ones, as their rule wants it",
+    "handover_bridge_messages_conflated_total",
+    "Messages that newer ones replaced, as the mapping asks",
     ["rule"],
 )
-WAITING = Gauge("handover_ros_bridge_waiting", "Updates of entities that wait for the broker")
-BROKER_AWAY = Gauge("handover_ros_bridge_broker_away", "1 while the broker does not answer")
-SILENT = Gauge("handover_ros_bridge_silent", "1 while nobody speaks on the topic of a rule", ["rule"])
+PENDING_UPDATES = Gauge("handover_bridge_pending_updates", "Updates of entities that wait for the broker")
+BROKER_UNAVAILABLE = Gauge("handover_bridge_broker_unavailable", "1 while the broker does not answer")
+TOPIC_SILENT = Gauge("handover_bridge_topic_silent", "1 while the topic of a rule has no publisher", ["rule"])

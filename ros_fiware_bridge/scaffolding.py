@@ -1,26 +1,26 @@
-"""Scaffolding: a first mapping for a topic, with every field a context broker can use, to be cut down."""
+"""Scaffolding: generates a mapping for a topic with every suitable field, for the user to reduce."""
 
 from collections.abc import Iterator
 
 from ros_fiware_bridge.graph.qos import PROFILES, Qos
-from ros_fiware_bridge.rules.definitions import HEADER
+from ros_fiware_bridge.rules.message_schema import HEADER
 from ros_fiware_bridge.types.definition import FieldType, Many
 from ros_fiware_bridge.types.type_store import TypeStore
 
-DEEPEST = 4
-MOST_ATTRIBUTES = 40
-SMALL = 4
-"""Messages of at most so many fields, all of them plain, become one attribute."""
+MAX_DEPTH = 4
+MAX_ATTRIBUTES = 40
+MAX_INLINE_FIELDS = 4
+"""A message with at most so many fields, all primitive, becomes one attribute."""
 
 
 def mapping_for(topic: str, type_name: str, qos: Qos | None, store: TypeStore) -> str:
-    """Return the text of a mapping for `topic`. Raises `GraphError` when the type is not known."""
+    """Return the text of a mapping for `topic`. Raises `GraphError` if the type is unknown."""
     store.sound(type_name)
     name = topic.strip("/").replace("/", "-").lower()
     device = topic.strip("/").split("/")[0] if "/" in topic.strip("/") else "robot-1"
     lines = [
-        f"# What is said on {topic} becomes attributes of a Device. Take away what nobody needs, and",
-        "# say how often it is worth telling; `handover bridge check FILE` says what the mapping would do.",
+        f"# Writes the messages of {topic} to attributes of a Device. Remove the attributes that you do not",
+        "# need, and adjust the rate; `handover bridge check FILE` describes what the mapping does.",
         "ros_to_ngsild:",
         f"  {name}:",
         f"    topic: {topic}",
@@ -33,17 +33,17 @@ def mapping_for(topic: str, type_name: str, qos: Qos | None, store: TypeStore) -
     ]
     attributes = list(_attributes(FieldType(type_name), "", store, 0))
     used: set[str] = set()
-    for path, remark in attributes[:MOST_ATTRIBUTES]:
-        lines.append(f"      {_named(path, used)}: {path}  # {remark}")
-    if len(attributes) > MOST_ATTRIBUTES:
-        lines.append(f"      # and {len(attributes) - MOST_ATTRIBUTES} more")
+    for path, remark in attributes[:MAX_ATTRIBUTES]:
+        lines.append(f"      {_attribute_name(path, used)}: {path}  # {remark}")
+    if len(attributes) > MAX_ATTRIBUTES:
+        lines.append(f"      # and {len(attributes) - MAX_ATTRIBUTES} more")
     if not attributes:
-        lines.append("      heard: {constant: true}")
+        lines.append("      received: {constant: true}")
     return "\n".join(lines) + "\n"
 
 
 def _qos(qos: Qos | None) -> Iterator[str]:
-    """Yield the line for `qos`; how many messages are kept is not told on the graph, so it does not count."""
+    """Yield the line for `qos`, if it is not the default; the graph does not report the depth."""
     if qos is None:
         return
     alike = [
@@ -69,8 +69,10 @@ def _attributes(found: FieldType, path: str, store: TypeStore, depth: int) -> It
         yield path, str(found)
         return
     fields = store.definition(found.base).fields
-    small = len(fields) <= SMALL and not any(one.type.is_message or one.type.is_octets for one in fields)
-    if path and (small or depth >= DEEPEST):
+    small = len(fields) <= MAX_INLINE_FIELDS and not any(
+        one.type.is_message or one.type.is_octets for one in fields
+    )
+    if path and (small or depth >= MAX_DEPTH):
         yield path, found.base
         return
     for one in fields:
@@ -79,10 +81,10 @@ def _attributes(found: FieldType, path: str, store: TypeStore, depth: int) -> It
         yield from _attributes(one.type, f"{path}.{one.name}" if path else one.name, store, depth + 1)
 
 
-def _named(path: str, used: set[str]) -> str:
-    """Return a name for the attribute made of `path`: its last words, as many as tell it from the others.
+def _attribute_name(path: str, used: set[str]) -> str:
+    """Return an attribute name for `path`: its last words, as many as make it unique.
 
-    A field called like what every entity has (id, type) gets `ros` in front.
+    A field with a reserved name (id, type, scope) gets the prefix `ros`.
     """
     words = path.split(".")
     for many in range(1, len(words) + 1):

@@ -1,4 +1,4 @@
-"""The settings of the ROS bridge, beside those that every component shares."""
+"""The settings of the ROS bridge, in addition to those that every component shares."""
 
 import os
 from typing import Any, Literal
@@ -9,29 +9,30 @@ from handover.settings import MaybePath, Settings
 
 
 def _ros_domain_id() -> Any:
-    """Return what ROS 2 itself goes by, so that the bridge is where the robots are."""
+    """Return the domain that ROS 2 itself would use."""
     return os.environ.get("ROS_DOMAIN_ID") or 0
 
 
 class BridgeSettings(Settings):
-    """Which graph is joined, how, and which mapping is at work."""
+    """The graph to join, the adapter, and the mapping."""
 
     bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
     bridge_url: str | None = Field(
-        None, description="where the broker reaches the ROS bridge; http://host:port of it if absent"
+        None,
+        description="address at which the broker reaches the ROS bridge; http://host:port of it if absent",
     )
     bridge_name: str = Field(
         "ros-bridge",
         pattern=r"^[A-Za-z0-9_.-]+$",
-        description="tells several ROS bridges of one factory apart",
+        description="distinguishes several ROS bridges of one factory",
     )
     ros_mapping: MaybePath = Field(
         None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
     )
     ros_adapter: Literal["auto", "cyclone", "rclpy", "rosbridge"] = Field(
         "auto",
-        description="what carries the ROS graph: cyclone (DDS from a wheel), rclpy, a rosbridge server, or "
-        "auto: cyclone, and, where it is installed, rclpy for services of nodes on Fast DDS",
+        description="the graph adapter: cyclone (DDS from a wheel), rclpy, a rosbridge server, or "
+        "auto: cyclone, and rclpy for services of nodes on Fast DDS, where it is installed",
     )
     ros_domain_id: int = Field(
         default_factory=_ros_domain_id,
@@ -51,13 +52,13 @@ class BridgeSettings(Settings):
     rosbridge_url: str = Field(
         "ws://127.0.0.1:9090",
         pattern=r"^wss?://",
-        description="where the rosbridge server is, if the adapter is rosbridge",
+        description="address of the rosbridge server, for the adapter rosbridge",
     )
-    ros_most_bytes: int = Field(
-        16 * 2**20, ge=1024, description="messages larger than this are refused, coming or going"
+    ros_max_message_bytes: int = Field(
+        16 * 2**20, ge=1024, description="size limit of a message in bytes, sent or received"
     )
 
     @property
     def url(self) -> str:
-        """Return where the broker reaches the bridge."""
+        """Return the address at which the broker reaches the bridge."""
         return self.url_of(self.bridge_port, self.bridge_url)

@@ -17,11 +17,11 @@ app = typer.Typer(
     help="The ROS bridge: check a mapping, see the graph, write a mapping.", no_args_is_help=True
 )
 
-LOOK_S = 3.0
+DISCOVERY_WAIT_S = 3.0
 """Nodes of other middleware need this long to make themselves known."""
 Answer = TypeVar("Answer")
 
-LookS = Annotated[float, typer.Option("--wait", min=0.1, help="Seconds to look round on the graph.")]
+WaitS = Annotated[float, typer.Option("--wait", min=0.1, help="Seconds to look round on the graph.")]
 
 
 @app.command()
@@ -30,7 +30,7 @@ def check(
     live: Annotated[
         bool, typer.Option("--live", help="Also look at the graph: types, who is there, QoS.")
     ] = False,
-    wait_s: LookS = LOOK_S,
+    wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
     """Say what a mapping would do, or what is wrong with it and where."""
     from ros_fiware_bridge import explaining, mapping  # noqa: PLC0415 - only this command needs it
@@ -54,7 +54,7 @@ def check(
 
 
 @app.command()
-def graph(wait_s: LookS = LOOK_S) -> None:
+def graph(wait_s: WaitS = DISCOVERY_WAIT_S) -> None:
     """Print what is on the ROS graph, and the entities in the broker."""
     from ros_fiware_bridge import graph_view  # noqa: PLC0415
     from ros_fiware_bridge.types.type_store import TypeStore  # noqa: PLC0415
@@ -86,7 +86,7 @@ def scaffold(
     type_name: Annotated[
         str | None, typer.Option("--type", help="Its type; then nobody need publish it now.")
     ] = None,
-    wait_s: LookS = LOOK_S,
+    wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
     """Write a mapping for a topic to the standard output."""
     from ros_fiware_bridge import scaffolding  # noqa: PLC0415
@@ -122,7 +122,7 @@ def definitions(
     to: Annotated[Path, typer.Option("--to", help="The folder to write to; name it in type_paths.")] = Path(
         "msgs"
     ),
-    wait_s: LookS = LOOK_S,
+    wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
     """Learn the definition of a topic's type from the node that publishes it (ROS 2 Jazzy and later)."""
     from ros_fiware_bridge import learning  # noqa: PLC0415

@@ -1,1 +1,1 @@
-"""The ROS graph: topics, services and actions of robots, reached in one way whatever carries them."""
+"""The ROS graph: topics, services and actions of robots, with one interface for all middlewares."""

@@ -1,4 +1,4 @@
-"""The inbox of a topic: what the threads of an adapter bring waits here for the loop."""
+"""The inbox of a subscription: passes messages from the threads of an adapter to the event loop."""
 
 import asyncio
 import time
@@ -15,11 +15,11 @@ from ros_fiware_bridge.types.type_store import TypeStore
 
 log = structlog.get_logger(__name__)
 
-_MOST_WAITING = 1000
+_MAX_QUEUED = 1000
 
 
 class RawReceived:
-    """A message as it came, decoded when it is first looked at; see `port.Received`."""
+    """A received message, decoded on first access; see `port.Received`."""
 
     __slots__ = ("_data", "_message", "_store", "ours", "received_at_s", "sent_at_s", "topic", "type_name")
 
@@ -37,7 +37,7 @@ class RawReceived:
 
     @property
     def size_bytes(self) -> int:
-        """How long it is on the wire, with its 4 bytes of header."""
+        """The size on the wire, with 4 bytes of header."""
         return len(self._data)
 
     @property
@@ -48,7 +48,7 @@ class RawReceived:
         return self._message
 
     def excerpt(self, fields: frozenset[FieldNames]) -> Message:
-        """Return the message with those fields alone."""
+        """Return those fields of the message."""
         if self._message is not None or () in fields:
             return self.message
         return self._store.excerpt(self.type_name, self._data, fields)
@@ -59,7 +59,7 @@ class RawReceived:
 
 
 class Inbox:
-    """What every adapter's subscription does once a message is here; see `port.Subscription`."""
+    """The base class of all subscriptions: a bounded queue to the loop; see `port.Subscription`."""
 
     def __init__(
         self,
@@ -69,7 +69,7 @@ class Inbox:
         qos: Qos,
         *,
         on_message: OnMessage,
-        most_bytes: int,
+        max_message_bytes: int,
     ) -> None:
         self.topic = topic
         self.type_name = type_name
@@ -80,26 +80,26 @@ class Inbox:
         self.last_error: str | None = None
         self._store = store
         self._on_message = on_message
-        self._most_bytes = most_bytes
+        self._max_message_bytes = max_message_bytes
         self._loop = asyncio.get_running_loop()
         self._waiting: deque[RawReceived] = deque()
-        self._most_waiting = _MOST_WAITING if qos.history is History.KEEP_ALL else qos.depth
+        self._max_queued = _MAX_QUEUED if qos.history is History.KEEP_ALL else qos.depth
         self._called = False
         self._open = True
 
     def put(self, data: bytes, *, sent_ns: int, ours: bool | None, why_not: str | None = None) -> None:
-        """Take a message from one thread of the adapter, or refuse it because of `why_not`."""
+        """Queue a message from a thread of the adapter, or refuse it for the reason `why_not`."""
         self.received += 1
-        if why_not is None and len(data) > self._most_bytes:
+        if why_not is None and len(data) > self._max_message_bytes:
             why_not = (
-                f"{self.topic}: a message of {len(data)} bytes came, {self._most_bytes} are allowed; "
-                "raise the limit if such messages are meant"
+                f"{self.topic}: a message has {len(data)} bytes, {self._max_message_bytes} are allowed; "
+                "raise the limit if such messages are expected"
             )
         if why_not is not None:
             self.refused += 1
             self.last_error = why_not
             return
-        if len(self._waiting) >= self._most_waiting:
+        if len(self._waiting) >= self._max_queued:
             self._waiting.popleft()
             self.dropped += 1
         self._waiting.append(
@@ -109,7 +109,7 @@ class Inbox:
             self._called = True
             try:
                 self._loop.call_soon_threadsafe(self._deliver)
-            except RuntimeError:  # the loop is closed: nobody is there to be told
+            except RuntimeError:  # the loop is closed
                 self._open = False
 
     def _deliver(self) -> None:
@@ -119,26 +119,26 @@ class Inbox:
                 return
             try:
                 received = self._waiting.popleft()
-            except IndexError:  # overtaken and dropped meanwhile
+            except IndexError:  # dropped meanwhile
                 return
             try:
                 self._on_message(received)
             except BadMessage as error:
                 self.refused += 1
                 self.last_error = str(error)
-            except Exception as error:  # the subscription goes on, whatever its user does
+            except Exception as error:  # an error of the callback must not end the subscription
                 self.last_error = f"{type(error).__name__}: {error}"
-                log.exception("a message of the ROS graph was not dealt with", topic=self.topic)
+                log.exception("processing a message failed", topic=self.topic)
 
     def shut(self) -> bool:
-        """Deliver nothing more; whether it was open until now."""
+        """Stop delivering; return whether the inbox was open."""
         was_open, self._open = self._open, False
         self._waiting.clear()
         return was_open
 
 
 def hash_differs(topic: str, type_name: str, ours: str, theirs: str | None, who: str) -> str | None:
-    """Say that a peer means another type by the same name; None if it means the same, or does not tell."""
+    """Return the error text for a peer with another definition; None if its hash is the same or unknown."""
     if theirs is None or theirs == ours:
         return None
     return (

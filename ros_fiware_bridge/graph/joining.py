@@ -1,4 +1,4 @@
-"""Joining the graph: under which name, on which network, and over which of the installed adapters."""
+"""Joins the graph with one of the installed adapters."""
 
 import importlib.util
 from dataclasses import dataclass, replace
@@ -8,14 +8,14 @@ from ros_fiware_bridge.errors import AdapterUnavailable
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.types.type_store import TypeStore
 
-MOST_BYTES = 16 * 2**20
+DEFAULT_MAX_MESSAGE_BYTES = 16 * 2**20
 
 
 class Adapter(StrEnum):
-    """What carries the graph: a DDS of our own, rclpy, a rosbridge server, or (auto) the first two together.
+    """The adapters: our own DDS, rclpy, a rosbridge server, or (auto) the first two together.
 
-    With `auto` topics go over our own DDS, and each service or action over the middleware its peer uses, as
-    far as rclpy is installed.
+    `auto` uses our own DDS for topics, and the middleware of the peer for each service or action, if rclpy is
+    installed.
     """
 
     AUTO = "auto"
@@ -26,12 +26,12 @@ class Adapter(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class JoinSettings:
-    """How the bridge joins the graph.
+    """The node and the network of the bridge.
 
-    `interfaces` (names or addresses; none: the network that the machine prefers, and loopback), `peers`
-    (addresses to which we make ourselves known where multicast does not reach) and `multicast` count for
-    Cyclone; an installed ROS has settings of its own for these. `rosbridge_url` is where a
-    rosbridge server is. `most_bytes` is the size of the biggest message that is let through, either way.
+    `interfaces` (names or addresses; default: the network that the machine prefers, and loopback), `peers`
+    (addresses for unicast discovery, where multicast does not reach) and `multicast` apply to Cyclone DDS; an
+    installed ROS has its own settings for these. `rosbridge_url` is the address of a rosbridge server.
+    `max_message_bytes` is the size limit of messages in both directions.
     """
 
     node: str = "handover_bridge"
@@ -41,12 +41,12 @@ class JoinSettings:
     interfaces: tuple[str, ...] = ()
     peers: tuple[str, ...] = ()
     multicast: bool = True
-    most_bytes: int = MOST_BYTES
+    max_message_bytes: int = DEFAULT_MAX_MESSAGE_BYTES
     rosbridge_url: str = "ws://127.0.0.1:9090"
 
 
 def installed() -> list[Adapter]:
-    """Return the adapters whose libraries are here."""
+    """Return the adapters whose libraries are installed."""
     needs = {
         Adapter.AUTO: ("cyclonedds", "rosbags"),
         Adapter.CYCLONE: ("cyclonedds", "rosbags"),
@@ -60,7 +60,7 @@ async def join(store: TypeStore, settings: JoinSettings, adapter: Adapter = Adap
     """Join the graph; the caller closes it.
 
     Raises:
-        BadName: the node or its namespace cannot be called so.
+        BadName: the node or its namespace has an invalid name.
         AdapterUnavailable: the adapter's library is not installed, or the domain cannot be opened.
     """
     if adapter not in installed():

@@ -1,11 +1,11 @@
-"""The ROS graph over two middlewares: topics over our own DDS, each service over the one its peer uses.
+"""A ROS graph over two middlewares: topics over Cyclone DDS, each service over the middleware of its peer.
 
-Fast DDS and Cyclone DDS carry topics alike, and services in different ways. So topics and discovery are our
-own DDS (`CycloneGraph`), and a service or action is called through rclpy when its server is on another
-middleware than Cyclone DDS. The rclpy node is started when it is needed for the first time.
+Fast DDS and Cyclone DDS have compatible topics and incompatible services. So topics and discovery use our own
+Cyclone DDS node (`CycloneGraph`). A service or action is called through rclpy if its server uses another
+middleware than Cyclone DDS. The rclpy node starts when it is first needed.
 
-Invariant: a service of ours is served by one side at a time. A server on Fast DDS would read the requests of
-Cyclone clients as well, and do twice what was asked once.
+Invariant: a service of ours is served by one side at a time. A server on Fast DDS would also read the
+requests of Cyclone clients, and execute each request twice.
 """
 
 import asyncio
@@ -38,7 +38,7 @@ from ros_fiware_bridge.graph.waiting import until
 
 log = structlog.get_logger(__name__)
 
-_LOOK_EVERY_S = 0.5
+_POLL_INTERVAL_S = 0.5
 _SEND_GOAL = "/_action/send_goal"
 _MIDDLEWARE = {
     "rmw_fastrtps_cpp": "fastdds",
@@ -51,7 +51,7 @@ JoinRclpy = Callable[[], Awaitable[tuple[RosGraph, str]]]
 
 
 class MixedGraph:
-    """See `port.RosGraph`. Made by `joining.join`; `join_rclpy` is called at most once."""
+    """See `port.RosGraph`. Created by `joining.join`; `join_rclpy` is called at most once."""
 
     def __init__(self, own: CycloneGraph, join_rclpy: JoinRclpy) -> None:
         self.own = own
@@ -148,7 +148,7 @@ class MixedGraph:
         return self.own.nodes()
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:
-        """Return why calls of a service would fail with the servers that are there."""
+        """Return why calls of a service would fail with its present servers."""
         if self.own.server_vendors(self.own.full(service)) - {VENDOR}:
             from ros_fiware_bridge.graph.ros_installed.graph import missing_type  # noqa: PLC0415 - if needed
 
@@ -156,7 +156,7 @@ class MixedGraph:
         return self.own.obstacles(service, type_name)
 
     def problems(self) -> Sequence[GraphError]:
-        """Return what stands between us and peers now."""
+        """Return the present incompatibilities with peers."""
         return self.own.problems()
 
     async def close(self) -> None:
@@ -170,7 +170,7 @@ class MixedGraph:
 
 
 class _MixedActionClient:
-    """An action client that opens the right side when the server is known; see `port.ActionClient`."""
+    """An action client that opens the right side once the server is known; see `port.ActionClient`."""
 
     def __init__(self, graph: MixedGraph, action: str, type_name: str) -> None:
         self.name = graph.own.full(action)
@@ -185,7 +185,7 @@ class _MixedActionClient:
         return self._opened[id(carrier)]
 
     async def available(self, timeout_s: float) -> bool:
-        """Wait until a server is there."""
+        """Wait until a server is available."""
         clock = asyncio.get_running_loop().time
         end_s = clock() + timeout_s
         client = await self._client(timeout_s)
@@ -209,7 +209,7 @@ class _MixedActionClient:
 
 
 class _MixedServer:
-    """A service of ours that moves to the middleware of its clients; see `port.Served`."""
+    """A service that follows its clients to their middleware; see `port.Served`."""
 
     def __init__(self, graph: MixedGraph, service: str, type_name: str, handler: ServiceHandler) -> None:
         self.name = graph.own.full(service)
@@ -220,34 +220,34 @@ class _MixedServer:
         self._ended: list[Served] = []
         self._side: RosGraph = graph.own
         self._fault: str | None = None
-        self._following: asyncio.Task[None] | None = None
+        self._follow_task: asyncio.Task[None] | None = None
 
     @property
     def calls(self) -> int:
-        """Return how many requests came."""
+        """Return the number of requests."""
         return sum(one.calls for one in self._all())
 
     @property
     def failed(self) -> int:
-        """Return how many requests were not answered."""
+        """Return the number of failed requests."""
         return sum(one.failed for one in self._all())
 
     @property
     def last_error(self) -> str | None:
-        """Return the last fault."""
+        """Return the last error."""
         return self._fault or next((one.last_error for one in reversed(self._all()) if one.last_error), None)
 
     def _all(self) -> list[Served]:
         return [*self._ended, *([self._served] if self._served is not None else [])]
 
     async def open(self) -> None:
-        """Serve on Cyclone DDS, and follow the clients."""
+        """Serve on Cyclone DDS, and follow the clients from then on."""
         self._served = await self._graph.own.serve(self.name, self.type_name, self._handler)
-        self._following = asyncio.create_task(self._follow())
+        self._follow_task = asyncio.create_task(self._follow())
 
     async def _follow(self) -> None:
         while True:
-            await asyncio.sleep(_LOOK_EVERY_S)
+            await asyncio.sleep(_POLL_INTERVAL_S)
             vendors = self._graph.own.client_vendors(self.name)
             try:
                 if vendors and VENDOR not in vendors:
@@ -256,7 +256,7 @@ class _MixedServer:
                     await self._move(self._graph.own)
             except (GraphError, OSError) as error:
                 if self._fault != str(error):
-                    log.warning("a service cannot be moved to the middleware of its client", error=str(error))
+                    log.warning("moving a service to the middleware of its client failed", error=str(error))
                 self._fault = str(error)
 
     async def _move(self, side: RosGraph) -> None:
@@ -273,10 +273,10 @@ class _MixedServer:
 
     async def close(self) -> None:
         """Stop serving."""
-        if self._following is not None:
-            self._following.cancel()
-            await asyncio.gather(self._following, return_exceptions=True)
-            self._following = None
+        if self._follow_task is not None:
+            self._follow_task.cancel()
+            await asyncio.gather(self._follow_task, return_exceptions=True)
+            self._follow_task = None
         if self._served is not None:
             await self._served.close()
             self._ended.append(self._served)

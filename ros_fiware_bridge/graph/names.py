@@ -1,4 +1,4 @@
-"""ROS names: what a topic, a service or a node may be called, and how a relative name becomes a full one."""
+"""ROS names: which names ROS allows for topics, services and nodes, and how relative names are resolved."""
 
 import re
 
@@ -8,14 +8,14 @@ _PART = r"[A-Za-z_][A-Za-z0-9_]*"
 _NODE = re.compile(_PART)
 _NAME = re.compile(rf"(?:/|~/)?{_PART}(?:/{_PART})*")
 _NAMESPACE = re.compile(rf"/|(?:/{_PART})+")
-_MOST_CHARACTERS = 240
+_MAX_NAME_LENGTH = 240
 
 
 def node_name(name: str) -> str:
-    """Return `name` if a node may be called so.
+    """Return `name` if it is a valid node name.
 
     Raises:
-        BadName: it has other characters than letters, digits and underscores, or begins with a digit.
+        BadName: it has characters other than letters, digits and underscores, or begins with a digit.
     """
     if not _NODE.fullmatch(name):
         raise BadName(
@@ -25,10 +25,10 @@ def node_name(name: str) -> str:
 
 
 def namespace(name: str) -> str:
-    """Return `name` if it may be a namespace, `/` or `/cell_1`.
+    """Return `name` if it is a valid namespace, `/` or `/cell_1`.
 
     Raises:
-        BadName: it does not begin with a slash, ends with one, or has an empty or odd part.
+        BadName: it does not begin with a slash, ends with one, or has an invalid part.
     """
     if not _NAMESPACE.fullmatch(name):
         raise BadName(f'"{name}" cannot be a namespace; write / or /cell_1')
@@ -46,15 +46,15 @@ def full_name(name: str, inside: str, node: str) -> str:
     if not _NAME.fullmatch(name) or "__" in name:
         raise BadName(
             f'"{name}" cannot be a ROS name; use letters, digits and single underscores, / between the '
-            "parts, no part that begins with a digit"
+            "parts, and no digit at the start of a part"
         )
     base = inside.rstrip("/")
     if name.startswith("~/"):
         full = f"{base}/{node}/{name[2:]}"
     else:
         full = name if name.startswith("/") else f"{base}/{name}"
-    if len(full) > _MOST_CHARACTERS:
+    if len(full) > _MAX_NAME_LENGTH:
         raise BadName(
-            f'"{name}" is too long: {full} has {len(full)} characters, {_MOST_CHARACTERS} are allowed'
+            f'"{name}" is too long: {full} has {len(full)} characters, {_MAX_NAME_LENGTH} are allowed'
         )
     return full

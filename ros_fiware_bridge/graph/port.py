@@ -23,14 +23,14 @@ ServiceHandler = Callable[[Message], Awaitable[Message]]
 
 
 class Received(Protocol):
-    """A message that came in. It is decoded when it is first looked at, so a message let go costs little."""
+    """A received message. It is decoded on first access, so that an ignored message costs little."""
 
     topic: str
     type_name: str
     received_at_s: float
     """When it was taken from the network, in seconds since 1970 (UTC)."""
     sent_at_s: float | None
-    """When its sender handed it to the network, by the sender's clock; None where that is not told."""
+    """When its sender passed it to the network, by the sender's clock; None if that is not reported."""
     ours: bool | None
     """Whether a publisher of this graph object sent it; None where the adapter cannot know."""
 
@@ -68,7 +68,7 @@ OnMessage = Callable[[Received], None]
 
 
 class Subscription(Protocol):
-    """A topic that is listened to, until `close`."""
+    """A subscription to a topic, until `close`."""
 
     topic: str
     type_name: str
@@ -76,7 +76,7 @@ class Subscription(Protocol):
     received: int
     """How many messages have come."""
     dropped: int
-    """How many were overtaken by newer ones before the loop had time for them (`depth` is kept)."""
+    """How many were replaced by newer ones before the loop processed them (`depth` are kept)."""
     refused: int
     """How many could not be read, or came from a peer with another definition."""
     last_error: str | None
@@ -88,11 +88,11 @@ class Subscription(Protocol):
         """Wait until a publisher is matched; False if none came in time."""
 
     async def close(self) -> None:
-        """Stop listening. Closing twice is harmless."""
+        """Unsubscribe. Closing twice is harmless."""
 
 
 class Publisher(Protocol):
-    """A topic that is spoken on, until `close`."""
+    """A publisher on a topic, until `close`."""
 
     topic: str
     type_name: str
@@ -115,7 +115,7 @@ class Publisher(Protocol):
         """Wait until a subscriber is matched; False if none came in time."""
 
     async def close(self) -> None:
-        """Stop speaking. Closing twice is harmless."""
+        """Stop publishing. Closing twice is harmless."""
 
 
 class Served(Protocol):
@@ -137,7 +137,7 @@ class Served(Protocol):
         """Why the last one failed."""
 
     async def close(self) -> None:
-        """Stop serving; calls that are being answered are let go. Closing twice is harmless."""
+        """Stop serving; pending calls are not answered. Closing twice is harmless."""
 
 
 class GoalStatus(IntEnum):
@@ -173,13 +173,13 @@ class Goal(Protocol):
 
     @property
     def status(self) -> GoalStatus:
-        """How the goal stands, as last told."""
+        """The state of the goal, as last reported."""
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:
         """Wait for the end of the goal; None waits as long as it takes.
 
         Raises:
-            CallTimeout: it did not end in time; the goal goes on and may be asked again.
+            CallTimeout: it did not end in time; the goal continues and the result may be requested again.
             ServiceUnavailable: the server went away.
         """
 
@@ -207,12 +207,12 @@ class ActionClient(Protocol):
 
         Raises:
             BadMessage: the goal does not fit the definition.
-            GoalRefused: the server does not want it.
-            ServiceUnavailable, CallTimeout: nobody answers.
+            GoalRefused: the server rejects it.
+            ServiceUnavailable, CallTimeout: no server answers.
         """
 
     async def close(self) -> None:
-        """Let go of the action; goals on their way are not cancelled. Closing twice is harmless."""
+        """Release the action; pending goals are not cancelled. Closing twice is harmless."""
 
 
 class ServedGoal(Protocol):
@@ -222,7 +222,7 @@ class ServedGoal(Protocol):
     request: Message
 
     def feedback(self, feedback: Message) -> None:
-        """Tell whoever sent the goal how far it is."""
+        """Send feedback to the client of the goal."""
 
     @property
     def cancel_requested(self) -> bool:
@@ -249,15 +249,15 @@ ActionHandler = Callable[[ServedGoal], Awaitable[Message]]
 class Endpoint:
     """One publisher or subscriber of a topic, as it made itself known.
 
-    Its history and depth are not told over DDS; `qos` has the default's.
+    DDS does not transmit history and depth; `qos` has their defaults.
     """
 
     node: str | None
-    """The full name of its node, `/robot/driver`; None until its participant has told."""
+    """The full name of its node, `/robot/driver`; None until its participant has announced it."""
     type_name: str
     qos: Qos
     type_hash: str | None
-    """`RIHS01_…`; None where the peer does not tell it."""
+    """`RIHS01_…`; None if the peer does not publish it."""
     vendor: str
     """The middleware, `cyclonedds`, `fastdds` or another."""
     ours: bool
@@ -319,16 +319,16 @@ class RosGraph(Protocol):
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
     ) -> Subscription:
-        """Listen to a topic; `type_name` such as `sensor_msgs/msg/JointState`.
+        """Subscribe to a topic; `type_name` such as `sensor_msgs/msg/JointState`.
 
-        An exception of `on_message` is counted and logged; the subscription goes on.
+        An exception of `on_message` is counted and logged; the subscription continues.
 
         Raises:
             UnknownType, UnsupportedType, BadName.
         """
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
-        """Speak on a topic.
+        """Publish on a topic.
 
         Raises:
             UnknownType, UnsupportedType, BadName.
@@ -339,7 +339,7 @@ class RosGraph(Protocol):
 
         Raises:
             UnknownType, UnsupportedType, BadName, BadMessage, VendorNotShared, TypeHashDiffers.
-            ServiceUnavailable: nobody serves it within the time.
+            ServiceUnavailable: no server was found within the time.
             CallTimeout: it is served but did not answer within the time.
         """
 
@@ -365,7 +365,7 @@ class RosGraph(Protocol):
         *,
         accept: Callable[[Message], bool] | None = None,
     ) -> Served:
-        """Serve an action; `accept` decides on each goal (all are taken without it).
+        """Serve an action; `accept` decides on each goal (without it all are accepted).
 
         Raises:
             UnknownType, UnsupportedType, BadName.
@@ -384,13 +384,13 @@ class RosGraph(Protocol):
         """Return the nodes of the graph by full name."""
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:
-        """Return why calls of a service would fail with the servers that are there, as far as is known.
+        """Return why calls of a service would fail with its present servers, as far as known.
 
-        Of an action `service` is `NAME/_action/send_goal` and `type_name` `TYPE_SendGoal`.
+        For an action, `service` is `NAME/_action/send_goal` and `type_name` is `TYPE_SendGoal`.
         """
 
     def problems(self) -> Sequence[GraphError]:
-        """Return what stands between us and peers now: hashes that differ, QoS that does not meet."""
+        """Return the present incompatibilities with peers: different hashes, incompatible QoS."""
 
     async def close(self) -> None:
-        """Leave the graph and let go of everything opened on it. Closing twice is harmless."""
+        """Leave the graph and close everything opened on it. Closing twice is harmless."""

@@ -1,4 +1,4 @@
-"""Quality of service: how surely and for how long a message is kept for its readers, named as in ROS."""
+"""Quality of service of topics, with the names of ROS 2."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -9,14 +9,14 @@ from ros_fiware_bridge.errors import UnknownQos
 
 
 class Reliability(StrEnum):
-    """Whether a lost message is sent again."""
+    """Whether lost messages are sent again."""
 
     RELIABLE = "reliable"
     BEST_EFFORT = "best_effort"
 
 
 class Durability(StrEnum):
-    """Whether a reader that comes late is given what was said before."""
+    """Whether a late reader receives earlier messages."""
 
     VOLATILE = "volatile"
     TRANSIENT_LOCAL = "transient_local"
@@ -40,7 +40,7 @@ class Qos:
 
     def __post_init__(self) -> None:
         if self.depth < 1:
-            raise UnknownQos(f"a depth of {self.depth} keeps nothing; give a depth of 1 or more")
+            raise UnknownQos(f"a depth of {self.depth} keeps nothing; set a depth of 1 or more")
 
     @classmethod
     def named(cls, name: str) -> "Qos":
@@ -56,9 +56,9 @@ class Qos:
             raise UnknownQos(f'there is no quality of service "{name}"; it is one of {known}') from None
 
     def matching(self, offered: "Iterable[Qos]") -> "Qos":
-        """Return this with the reliability and durability that readers of all those writers may ask for.
+        """Return this QoS with the reliability and durability that all `offered` writers can provide.
 
-        Without a writer it stays as it is.
+        Without a writer it is unchanged.
         """
         found = list(offered)
         if not found:
@@ -72,7 +72,7 @@ class Qos:
         )
 
     def unmet(self, offered: "Qos") -> str | None:
-        """Return why a reader that wants this is not served by a writer that offers `offered`, or None.
+        """Return why a writer that offers `offered` does not serve a reader with this QoS; None if it does.
 
         The request-versus-offered rules of the DDS specification (1.4, 2.2.3).
         """
@@ -91,9 +91,9 @@ class Qos:
 DEFAULT = Qos()
 SENSOR_DATA = Qos(reliability=Reliability.BEST_EFFORT, depth=5)
 SERVICES = Qos(depth=10)
-MAX_REQUESTS_UNDER_WAY = 8
-"""Requests to one service that are sent and not answered. A ROS server keeps the last ten that it has not
-taken, and drops the oldest silently.
+MAX_REQUESTS_IN_FLIGHT = 8
+"""The maximum number of unanswered requests to one service. A ROS server keeps the last ten requests that it
+has not processed, and drops the oldest silently.
 """
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 

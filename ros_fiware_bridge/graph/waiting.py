@@ -1,4 +1,4 @@
-"""Waiting until the graph is so: matches are made by other threads and programs, and nobody calls us back."""
+"""Waits for a condition by polling: other threads and processes change it without a callback."""
 
 import asyncio
 from collections.abc import Callable
@@ -7,7 +7,7 @@ _STEP_S = 0.01
 
 
 async def until(holds: Callable[[], bool], timeout_s: float) -> bool:
-    """Wait until `holds()`, at most `timeout_s`; return whether it does."""
+    """Wait until `holds()` is true, at most `timeout_s`; return whether it is."""
     loop = asyncio.get_running_loop()
     end_s = loop.time() + timeout_s
     while not holds():

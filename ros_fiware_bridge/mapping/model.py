@@ -1,4 +1,4 @@
-"""The mapping: which topics, services and actions of a ROS graph meet which entities and attributes.
+"""The model of a mapping file: how topics, services and actions correspond to entities and attributes.
 
 ros_to_ngsild:
   battery:
@@ -38,7 +38,7 @@ _RULE_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 def _rule_name(name: Any) -> str:
     if not _RULE_NAME.fullmatch(str(name)):
-        raise ValueError(f'"{name}" is no name of a rule; it is small letters, digits, - and _')
+        raise ValueError(f'"{name}" is not a rule name; use lower-case letters, digits, - and _')
     return str(name)
 
 
@@ -46,9 +46,10 @@ RuleName = Annotated[str, BeforeValidator(_rule_name)]
 
 
 class Qos(Part):
-    """A quality of service: a named one (`preset`), or one changed in what else is said.
+    """A quality of service: a named one (`preset`), with changes by the other keys.
 
-    `match` takes reliability and durability from the publishers of the topic, unless one of them is given.
+    `match` takes reliability and durability from the publishers of the topic, unless the rule sets one of
+    them.
     """
 
     preset: QosWord = "match"
@@ -62,14 +63,14 @@ QosGiven = Annotated[Qos, short_form("preset")]
 
 
 class EntityTemplate(Part):
-    """Which entity a message is about."""
+    """The entity that a message concerns."""
 
     type: str = Field(min_length=1)
     id: TemplateText
 
 
 class EntitySelector(Part):
-    """Which entities of the broker a rule listens to."""
+    """The entities of the broker that a rule reads."""
 
     type: str = Field(min_length=1)
     id: str | None = None
@@ -79,29 +80,31 @@ class EntitySelector(Part):
     @model_validator(mode="after")
     def _selects_in_one_way(self) -> Self:
         if self.id is not None and self.id_pattern is not None:
-            raise ValueError("entities are chosen by `id` or by `id_pattern`, not by both")
+            raise ValueError("select entities by `id` or by `id_pattern`, not by both")
         if self.id_pattern is not None:
             try:
                 re.compile(self.id_pattern)
             except re.error as error:
-                raise ValueError(f"id_pattern is no regular expression: {error}") from None
+                raise ValueError(f"id_pattern is not a regular expression: {error}") from None
         return self
 
 
 def _entity(given: Any) -> Any:
-    """Take `Device:ur10-1` for its type and id."""
+    """Expand `Device:ur10-1` to its type and id."""
     if not isinstance(given, str):
         return given
     kind, colon, rest = given.partition(":")
     if kind == "urn":
         parts = given.split(":")
         if len(parts) < 4 or "{" in parts[2]:
-            raise ValueError(f'"{given}" does not tell the type; write it as {{type: Device, id: "{given}"}}')
+            raise ValueError(
+                f'"{given}" does not contain the type; write it as {{type: Device, id: "{given}"}}'
+            )
         return {"type": parts[2], "id": given}
     if not colon or not kind or not rest or "{" in kind:
         raise ValueError(
-            f'"{given}" is no entity; write Type:id, such as Device:ur10-1 or Device:{{header.frame_id}}, '
-            "or {type: …, id: …}"
+            f'"{given}" is not an entity; write Type:id, such as Device:ur10-1 or '
+            "Device:{header.frame_id}, or {type: …, id: …}"
         )
     return {"type": kind, "id": f"urn:ngsi-ld:{kind}:{{factory}}:{rest}"}
 
@@ -109,7 +112,7 @@ def _entity(given: Any) -> Any:
 def _selector(given: Any) -> Any:
     given = _entity(given)
     if isinstance(given, dict) and "{" in str(given.get("id", "")).replace("{factory}", ""):
-        raise ValueError("entities to listen to are named, not made from a message; id_pattern takes several")
+        raise ValueError("the id of an entity to read must be constant; id_pattern selects several entities")
     return given
 
 
@@ -124,7 +127,7 @@ Resource = Annotated[Template, BeforeValidator(_resource)]
 
 
 class Buffer(Part):
-    """What is kept while the broker is away or slow: the newest of each entity, or the last so many."""
+    """What is kept of each entity while the broker is unavailable or slow: the newest, or the last `keep`."""
 
     keep: int = Field(1, ge=1, le=100_000)
 
@@ -141,11 +144,11 @@ def _buffer(given: Any) -> Any:
 
 
 class AlertFromRos(Part):
-    """An Alert that stands while a condition holds."""
+    """An Alert that is active while a condition holds."""
 
     key: TemplateText
     about: EntityGiven
-    standing: Condition
+    active: Condition
     category: TemplateText
     sub_category: TemplateText | None = None
     severity: AttributeGiven | None = None
@@ -153,126 +156,127 @@ class AlertFromRos(Part):
 
 
 class RosToNgsild(Part):
-    """What is said on a topic becomes attributes of an entity (or an Alert).
+    """Writes the messages of a topic to attributes of an entity, or raises an Alert.
 
-    With places, `/{robot}/odom`, the rule is for every topic that fits, and `{robot}` may stand in `entity`.
+    With placeholders, `/{robot}/odom`, the rule applies to every matching topic; `entity` may contain
+    `{robot}`.
     """
 
     topic: TopicPattern
     type: MessageType | None = None
-    """The type; may be left out where somebody publishes the topic already."""
+    """May be left out if a node publishes the topic already."""
     qos: QosGiven = Qos()
     each: PathText | None = None
-    """An array of the message: the rule is applied to each of its elements, `status[]`."""
+    """An array of the message: the rule applies to each of its elements, `status[]`."""
     json_text: tuple[PathText, ...] = ()
-    """Fields of text that hold JSON, and are looked into."""
+    """Text fields that contain JSON; paths may lead into them."""
     when: Condition | None = None
     entity: EntityGiven | None = None
     attributes: dict[AttributeName, AttributeGiven] = Field(default_factory=dict)
     alert: AlertFromRos | None = None
     observed_at: MomentGiven | None = None
-    """A time field; `received`; or `none`. Without it the header's stamp, else when it was received."""
+    """A time field; `received`; or `none`. Default: the header's stamp, else the time of receipt."""
     create: bool = True
-    """Whether an entity that the broker does not have is made; if not, such a message is refused."""
+    """Whether a missing entity is created; otherwise such a message is refused."""
     every_ms: int = Field(0, ge=0, le=86_400_000)
-    """An entity is written at most once in so many milliseconds; 0: as often as it is heard of."""
+    """Minimum time in milliseconds between two writes of an entity; 0: no limit."""
     on_change: bool = False
     dead_band: Annotated[DeadBand, short_form("absolute")] | None = None
     at_least_every_s: float | None = Field(None, gt=0)
-    """With `on_change` or a dead band: written this often even so, as a sign of life."""
+    """With `on_change` or a dead band: the maximum time between two writes, as a sign of life."""
     buffer: Annotated[Buffer, BeforeValidator(_buffer)] = Buffer()
     large_arrays: bool = False
-    most_elements: int = Field(256, ge=1, le=1_000_000)
-    most_entities: int = Field(1000, ge=1, le=100_000)
+    max_elements: int = Field(256, ge=1, le=1_000_000)
+    max_entities: int = Field(1000, ge=1, le=100_000)
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
         if bool(self.attributes) is (self.alert is not None):
             raise ValueError("a rule either writes `attributes` of an `entity` or raises an `alert`")
         if self.attributes and self.entity is None:
-            raise ValueError("say which `entity` the attributes belong to, such as Device:ur10-1")
+            raise ValueError("`attributes` need an `entity`, such as Device:ur10-1")
         if self.alert is not None and self.entity is not None:
-            raise ValueError("an alert says itself what it is about (`about`); drop `entity`")
+            raise ValueError("an alert names its entity itself (`about`); remove `entity`")
         return self
 
 
 class NgsildToRos(Part):
-    """What is written of entities is said on a topic."""
+    """Publishes changes of entities on a topic."""
 
     entity: SelectorGiven
     topic: TemplateText
-    """A name; `{id}` in it is the last part of the entity's id, for a topic of each entity's own."""
+    """A name; `{id}` is the last part of the entity's id, for one topic per entity."""
     type: MessageType
     qos: QosGiven = Qos()
     fields: dict[PathText, SourceGiven] = Field(min_length=1)
     at_start: bool | None = None
-    """Whether what the broker holds is said when the bridge starts; without it only where it is latched."""
+    """Whether the state in the broker is published at the start; by default only on latched topics."""
     every_ms: int = Field(0, ge=0, le=86_400_000)
 
     @property
     def attributes(self) -> tuple[str, ...]:
-        """Return the attributes that it looks at, sorted."""
+        """Return the attributes that the rule reads, sorted."""
         return tuple(sorted(set().union(*(source.attributes() for source in self.fields.values()))))
 
 
 class Change(Part):
-    """An attribute of an entity changes (and becomes what `is` says)."""
+    """A change of an attribute, optionally to the value `is`."""
 
     entity: SelectorGiven
     attribute: AttributeName
     equals: Any = Field(None, alias="is")
 
 
-class Asked(Part):
-    """By what something is set going: a Task for `resource`, or a change of an attribute (`when`)."""
+class RosRequestRule(Part):
+    """A request to the graph, triggered by a Task for `resource` or by a change of an attribute (`when`)."""
 
     task: str | None = Field(None, min_length=1)
-    """The operation that the Task asks for, or the last part of its TaskDefinition's id."""
+    """The operation of the Task, or the last part of its TaskDefinition's id."""
     resource: Resource | None = None
     when: Change | None = None
     outputs: dict[AttributeName, AttributeGiven] = Field(default_factory=dict)
-    """What of the answer is told: outputParameters of the Task, or attributes of the entity."""
+    """The parts of the response to write: outputParameters of the Task, or attributes of the entity."""
     timeout_s: float = Field(10.0, gt=0, le=86_400)
 
     @model_validator(mode="after")
     def _asked_in_one_way(self) -> Self:
         if (self.task is not None) is (self.when is not None):
-            raise ValueError("say one of `task` (with `resource`) and `when`: what sets this going")
+            raise ValueError("set one of `task` (with `resource`) and `when`: the trigger of the request")
         if (self.resource is None) is (self.task is not None):
-            raise ValueError("a `task` is for a `resource`, such as Device:gripper-1; and `when` has none")
+            raise ValueError("`task` needs a `resource`, such as Device:gripper-1; `when` has none")
         return self
 
 
-class ServiceCall(Asked):
-    """A service of the graph is called."""
+class ServiceCall(RosRequestRule):
+    """Calls a service of the graph."""
 
     service: TopicName
     type: ServiceType
     request: dict[PathText, SourceGiven] = Field(default_factory=dict)
     success: PathText | None = None
-    """A field of the answer that must be true, else the Task fails."""
+    """A field of the response that must be true; otherwise the Task fails."""
     message: PathText | None = None
-    """A field of the answer that says why not."""
+    """A field of the response with the reason of a failure."""
 
 
-class ActionGoal(Asked):
-    """A goal is sent to an action of the graph."""
+class ActionGoal(RosRequestRule):
+    """Sends a goal to an action of the graph."""
 
     action: TopicName
     type: ActionType
     goal: dict[PathText, SourceGiven] = Field(default_factory=dict)
     feedback: dict[AttributeName, AttributeGiven] = Field(default_factory=dict)
-    """What of the feedback is told; `progress` from 0 to 1 says how far it is."""
+    """The parts of the feedback to write; `progress` ranges from 0 to 1."""
     result_timeout_s: float | None = Field(None, gt=0)
-    """How long a goal may take; without it as long as it takes."""
+    """Maximum duration of a goal; no limit by default."""
     again: bool = True
-    """Whether the goal of a Task is sent again by a bridge that was ended meanwhile; else the Task fails."""
+    """Whether a goal is sent again after a restart of the bridge; otherwise its Task fails."""
     success: PathText | None = None
     message: PathText | None = None
 
 
-class TaskAsked(Part):
-    """The Task that is made when a node asks for one."""
+class RequestedTask(Part):
+    """The Task that is created when a node requests it."""
 
     definition: TemplateText
     resources: tuple[Resource, ...] = Field(min_length=1)
@@ -281,14 +285,14 @@ class TaskAsked(Part):
 
 
 class TaskFromRos(Part):
-    """A service that the bridge serves: a node of the graph asks for a Task with it."""
+    """A service of the bridge that a node calls to request a Task."""
 
     service: TopicName
     type: ServiceType
-    task: TaskAsked
+    task: RequestedTask
     answer: Literal["accepted", "finished"] = "accepted"
     response: dict[PathText, SourceGiven] = Field(default_factory=dict)
-    """What is answered, from `id`, `accepted`, `completed`, `status`, `reason` and `outputs`."""
+    """The response, from `id`, `accepted`, `completed`, `status`, `reason` and `outputs`."""
     timeout_s: float = Field(30.0, gt=0, le=86_400)
 
 
@@ -296,9 +300,9 @@ class Mapping(Part):
     """A whole mapping file."""
 
     type_paths: tuple[str, ...] = ()
-    """Files and folders with .msg, .srv and .action definitions, seen from the mapping file."""
+    """Files and folders with .msg, .srv and .action definitions, relative to the mapping file."""
     batch_ms: int = Field(2, ge=0, le=60_000)
-    """Batches go to the broker at most so often, in milliseconds."""
+    """Minimum time in milliseconds between two requests to the broker."""
     ros_to_ngsild: dict[RuleName, RosToNgsild] = Field(default_factory=dict)
     ngsild_to_ros: dict[RuleName, NgsildToRos] = Field(default_factory=dict)
     services: dict[RuleName, ServiceCall] = Field(default_factory=dict)
@@ -306,7 +310,7 @@ class Mapping(Part):
     tasks_from_ros: dict[RuleName, TaskFromRos] = Field(default_factory=dict)
 
     def rules(self) -> Iterator[tuple[str, str, Part]]:
-        """Yield section, name and rule of each."""
+        """Yield section, name and rule of every rule."""
         for section in SECTIONS:
             for name, rule in getattr(self, section).items():
                 yield section, name, rule
@@ -316,9 +320,7 @@ class Mapping(Part):
         seen: dict[str, str] = {}
         for section, name, _ in self.rules():
             if name in seen:
-                raise ValueError(
-                    f'the rule "{name}" stands in {seen[name]} and in {section}; give one another name'
-                )
+                raise ValueError(f'the rule "{name}" is in {seen[name]} and in {section}; rename one of them')
             seen[name] = section
         return self
 

@@ -1,4 +1,4 @@
-"""What every part of a mapping file has in common: it knows its keys, and never changes."""
+"""The base class of all parts of a mapping file, and the types of their values."""
 
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -13,18 +13,18 @@ from ros_fiware_bridge.mapping.templates import Template
 
 
 class Part(BaseModel):
-    """A part of a mapping file; a key that it does not know is refused."""
+    """A part of a mapping file; unknown keys are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False)
 
 
 def keys_of(part: type[Part]) -> list[str]:
-    """Return the keys that may stand in `part`, as they are written."""
+    """Return the keys of `part`, as they are written in a file."""
     return [field.alias or name for name, field in part.model_fields.items()]
 
 
 def part_at(top: type[Part], where: Sequence[str | int]) -> type[Part] | None:
-    """Return the part of a file, whose whole is `top`, that stands at `where`; None if none stands there."""
+    """Return the class of the part at `where` in a file whose class is `top`; None if it has none."""
     here: Any = top
     for step in where:
         if isinstance(here, type) and issubclass(here, Part):
@@ -48,10 +48,10 @@ def _without_wrapping(annotation: Any) -> Any:
 
 
 def unknown(word: str, known: Sequence[str]) -> str:
-    """Return what to say of a word that is none of `known`."""
+    """Return the error text for a word that is not in `known`."""
     close = get_close_matches(word, known, n=1)
-    meant = f'did you mean "{close[0]}"?' if close else f"here may stand {', '.join(known)}"
-    return f'"{word}" is not known here; {meant}'
+    meant = f'did you mean "{close[0]}"?' if close else f"use one of {', '.join(known)}"
+    return f'"{word}" is unknown here; {meant}'
 
 
 def _path(given: Any) -> Path:
@@ -62,12 +62,12 @@ def _template(given: Any) -> Template:
     if isinstance(given, Template):
         return given
     if not isinstance(given, str | int) or isinstance(given, bool):
-        raise ValueError("here stands text, such as Device:ur10-1 or Device:{header.frame_id}")  # noqa: TRY004
+        raise ValueError("text is expected, such as Device:ur10-1 or Device:{header.frame_id}")  # noqa: TRY004
     return templates.parse(str(given))
 
 
-def _type_in(room: names.Room) -> AfterValidator:
-    return AfterValidator(lambda text: names.type_name(text, room))
+def _type_in(kind: names.Kind) -> AfterValidator:
+    return AfterValidator(lambda text: names.type_name(text, kind))
 
 
 PathText = Annotated[Path, BeforeValidator(_path)]
@@ -83,9 +83,9 @@ QosWord = Literal["match", "default", "sensor_data", "services", "latched"]
 
 
 def short_form(key: str) -> BeforeValidator:
-    """Return a validator that takes a bare word for `{key: word}`."""
+    """Return a validator that accepts a bare word for `{key: word}`."""
 
-    def lengthened(given: Any) -> Any:
+    def expanded(given: Any) -> Any:
         return {key: given} if isinstance(given, str | int | float) and not isinstance(given, bool) else given
 
-    return BeforeValidator(lengthened)
+    return BeforeValidator(expanded)

@@ -1,11 +1,10 @@
-"""A path: the way to a value inside a message, as an integrator writes it.
+"""Paths to values inside a message, as a mapping writes them.
 
 header.stamp                    a field of a field
 position[0]                     an element of an array
-position[name=elbow_joint]      the element for which `name` says so: of the array of structures itself,
-                                or, in an array of plain values, at the place that the array `name`
-                                beside it gives
-status[].level                  of the element that the rule's `each: status` is at
+position[name=elbow_joint]      the element whose field `name` has this value; in an array of plain values
+                                the element at the index of that name in the array `name` beside it
+status[].level                  a field of the current element of the rule's `each: status`
 .                               the whole message
 """
 
@@ -19,7 +18,7 @@ from handover.errors import HandoverError
 
 Getter: TypeAlias = Callable[[Any], Any]
 
-LONGEST = 200
+MAX_PATH_LENGTH = 200
 _TOKEN = re.compile(
     r"(?P<name>[A-Za-z][A-Za-z0-9_]*)"
     r"|\[(?P<index>\d{1,9})\]"
@@ -28,17 +27,17 @@ _TOKEN = re.compile(
 )
 
 
-class WrongPath(ValueError):
-    """What was written is not a path; the message says why."""
+class InvalidPath(ValueError):
+    """The text is not a path; the message gives the reason."""
 
 
-class NotThere(HandoverError):
-    """A message does not have the value that a path leads to; `path` is how far it leads."""
+class MissingValue(HandoverError):
+    """A message does not have the value at a path."""
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """Into the field `name`."""
+    """Selects the field `name`."""
 
     name: str
 
@@ -48,7 +47,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """Into the element at `place`, from 0."""
+    """Selects the element at `place`, from 0."""
 
     place: int
 
@@ -58,7 +57,7 @@ class Index:
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """Into the element for which `key` is `wanted`."""
+    """Selects the element whose `key` is `wanted`."""
 
     key: str
     wanted: str
@@ -69,7 +68,7 @@ class Where:
 
 @dataclass(frozen=True, slots=True)
 class Each:
-    """Into the element that the rule is at."""
+    """Selects the current element of the rule."""
 
     def __str__(self) -> str:
         return "[]"
@@ -80,7 +79,7 @@ Step: TypeAlias = Field | Index | Where | Each
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The steps from a message to a value; none for the whole message."""
+    """The steps from a message to a value; no steps for the whole message."""
 
     steps: tuple[Step, ...] = ()
 
@@ -94,7 +93,7 @@ class Path:
         return first.name if isinstance(first, Field) else None
 
     def split(self) -> tuple["Path", "Path"] | None:
-        """Return the way to the array and the way on from its element, if it goes over `[]`."""
+        """Return the path to the array and the path inside its element; None without `[]`."""
         if Each() not in self.steps:
             return None
         at = self.steps.index(Each())
@@ -105,14 +104,16 @@ WHOLE = Path()
 
 
 def parse(text: str) -> Path:
-    """Return the path that `text` writes. Raises `WrongPath`."""
+    """Return the path in `text`. Raises `InvalidPath`."""
     if text == ".":
         return WHOLE
-    if not text or len(text) > LONGEST:
-        raise WrongPath(f"a path has 1 to {LONGEST} characters, such as pose.pose.position or position[0]")
+    if not text or len(text) > MAX_PATH_LENGTH:
+        raise InvalidPath(
+            f"a path has 1 to {MAX_PATH_LENGTH} characters, such as pose.pose.position or position[0]"
+        )
     path = Path(tuple(_steps(text)))
     if sum(isinstance(step, Each) for step in path.steps) > 1:
-        raise WrongPath(f'the path "{text}" goes over [] twice; a rule has one `each`')
+        raise InvalidPath(f'the path "{text}" contains [] twice; a rule has one `each`')
     return path
 
 
@@ -121,8 +122,8 @@ def _steps(text: str) -> Iterator[Step]:
     while at < len(text):
         found = _TOKEN.match(text, at)
         if found is None or (found["name"] is not None) is not after_dot:
-            raise WrongPath(
-                f'the path "{text}" cannot be read from "{text[at:]}"; '
+            raise InvalidPath(
+                f'the path "{text}" cannot be parsed from "{text[at:]}"; '
                 "a path looks like header.stamp, position[0] or position[name=elbow_joint]"
             )
         at = found.end()
@@ -138,13 +139,15 @@ def _steps(text: str) -> Iterator[Step]:
         if after_dot:
             at += 1
             if at == len(text):
-                raise WrongPath(f'the path "{text}" ends with a dot; name the field behind it, or drop it')
+                raise InvalidPath(
+                    f'the path "{text}" ends with a dot; add the name of a field, or remove the dot'
+                )
 
 
 def getter(path: Path) -> Getter:
-    """Return a function from a message (or element) to the value at `path`; it raises `NotThere`.
+    """Return the function that reads the value at `path` from a message or element; it raises `MissingValue`.
 
-    Paths that go over `[]` must be split first.
+    Paths with `[]` must be split first.
     """
     if not path.steps:
         return lambda message: message
@@ -163,7 +166,7 @@ def _through_fields(names: list[str], written: str) -> Getter:
             try:
                 return message[only]
             except (KeyError, TypeError, IndexError):
-                raise NotThere(f"the message has no {written}") from None
+                raise MissingValue(f"the message has no {written}") from None
 
         return one
 
@@ -172,14 +175,14 @@ def _through_fields(names: list[str], written: str) -> Getter:
             for name in names:
                 message = message[name]
         except (KeyError, TypeError, IndexError):
-            raise NotThere(f"the message has no {written}") from None
+            raise MissingValue(f"the message has no {written}") from None
         return message
 
     return several
 
 
 _Place: TypeAlias = tuple[Any, Any]
-"""A value, and the message in which it is a field."""
+"""A value, and the message whose field it is."""
 
 
 def _take(place: _Place, step: Callable[[_Place], _Place]) -> _Place:
@@ -193,7 +196,7 @@ def _stepper(path: Path, place: int) -> Callable[[_Place], _Place]:
         def field(at: _Place) -> _Place:
             message = at[0]
             if not isinstance(message, Mapping) or step.name not in message:
-                raise NotThere(f"the message has no {written}")
+                raise MissingValue(f"the message has no {written}")
             return message[step.name], message
 
         return field
@@ -204,12 +207,12 @@ def _stepper(path: Path, place: int) -> Callable[[_Place], _Place]:
             try:
                 return array[step.place], None
             except (IndexError, TypeError, KeyError):
-                raise NotThere(f"the message has no {written}: {_length(array)}") from None
+                raise MissingValue(f"the message has no {written}: {_length(array)}") from None
 
         return index
     if isinstance(step, Where):
         return lambda at: (_where(step, at, written), None)
-    raise TypeError("a path over [] is split before it is followed")
+    raise TypeError("a path with [] must be split")
 
 
 def _where(step: Where, at: _Place, written: str) -> Any:
@@ -222,11 +225,11 @@ def _where(step: Where, at: _Place, written: str) -> Any:
         for place, name in enumerate(beside[step.key]):
             if str(name) == step.wanted and place < len(array):
                 return array[place]
-    raise NotThere(f"the message has no {written}: nothing there has {step.key} {step.wanted}")
+    raise MissingValue(f"the message has no {written}: no element has {step.key} {step.wanted}")
 
 
 def _length(array: Any) -> str:
     try:
-        return f"it holds {len(array)}"
+        return f"its length is {len(array)}"
     except TypeError:
-        return "it is no array"
+        return "it is not an array"

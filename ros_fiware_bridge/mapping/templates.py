@@ -1,4 +1,4 @@
-"""A template: text with places that are filled from a message, such as `Device:{header.frame_id}`."""
+"""Templates: text with placeholders that are filled from a message, such as `Device:{header.frame_id}`."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -7,19 +7,19 @@ from typing import Any
 
 from handover.errors import HandoverError
 from ros_fiware_bridge.mapping import paths
-from ros_fiware_bridge.mapping.paths import Path, WrongPath
+from ros_fiware_bridge.mapping.paths import InvalidPath, Path
 
-LONGEST_FILLING = 200
+MAX_ID_PART_LENGTH = 200
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9_.:-]+")
 
 
-class NoId(HandoverError):
-    """A message does not say which entity it belongs to."""
+class UnknownEntity(HandoverError):
+    """A message does not determine its entity."""
 
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """Text and paths in turn; `parts` are str or Path."""
+    """Text and paths in order; `parts` are str or Path."""
 
     parts: tuple[str | Path, ...]
 
@@ -28,21 +28,21 @@ class Template:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Return the paths that it is filled from."""
+        """Return the paths of its placeholders."""
         return tuple(part for part in self.parts if isinstance(part, Path))
 
     @property
     def constant(self) -> str | None:
-        """Return the text if nothing of it depends on a message."""
+        """Return the text if it does not depend on a message."""
         return None if self.paths else "".join(part for part in self.parts if isinstance(part, str))
 
     def with_settings(self, given: Mapping[str, str]) -> "Template":
-        """Return it with places such as `{factory}` filled."""
+        """Return the template with placeholders such as `{factory}` filled."""
         filled = (given.get(str(part), part) if isinstance(part, Path) else part for part in self.parts)
         return Template(tuple(filled))
 
     def filler(self, getter: Callable[[Path], Callable[[Any], Any]]) -> Callable[[Any], str]:
-        """Return the function that fills it; `getter` makes the functions that find the values."""
+        """Return the function that fills the template; `getter` makes the functions that read the values."""
         if self.constant is not None:
             text = self.constant
             return lambda _: text
@@ -53,7 +53,7 @@ class Template:
 
 
 def parse(text: str) -> Template:
-    """Return the template that `text` writes. Raises `WrongPath`."""
+    """Return the template in `text`. Raises `InvalidPath`."""
     return Template(tuple(_parts(text)))
 
 
@@ -62,21 +62,23 @@ def _parts(text: str) -> Iterator[str | Path]:
     while rest:
         before, opened, rest = rest.partition("{")
         if "}" in before:
-            raise WrongPath(f'"{text}" has a }} without a {{; write {{header.frame_id}}')
+            raise InvalidPath(f'"{text}" has a }} without a {{; write {{header.frame_id}}')
         if before:
             yield before
         if opened:
             inside, closed, rest = rest.partition("}")
             if not closed:
-                raise WrongPath(f'"{text}" has a {{ without a }}; write {{header.frame_id}}')
+                raise InvalidPath(f'"{text}" has a {{ without a }}; write {{header.frame_id}}')
             yield paths.parse(inside)
 
 
 def in_id(value: Any, path: Path) -> str:
-    """Return `value` as it may stand in an entity id: what an id cannot hold becomes a hyphen."""
+    """Return `value` as a part of an entity id; characters that ids do not allow become hyphens."""
     text = _NOT_IN_IDS.sub("-", str(value)).strip("-")
     if not text:
-        raise NoId(f"{path} is empty, so there is no telling which entity the message is about")
-    if len(text) > LONGEST_FILLING:
-        raise NoId(f"{path} has {len(text)} characters, and an id takes at most {LONGEST_FILLING} of a field")
+        raise UnknownEntity(f"{path} is empty, so the entity of the message is unknown")
+    if len(text) > MAX_ID_PART_LENGTH:
+        raise UnknownEntity(
+            f"{path} has {len(text)} characters; an id accepts at most {MAX_ID_PART_LENGTH} of a field"
+        )
     return text

@@ -1,4 +1,4 @@
-"""YAML with line numbers, without its surprises: `on` is a word, 010 is not 8, no key stands twice."""
+"""YAML with line numbers: `on` is a string, 010 is not 8, and a duplicate key is an error."""
 
 import re
 from collections.abc import Mapping
@@ -10,9 +10,9 @@ import yaml
 from handover.errors import UsageError
 
 Where: TypeAlias = tuple[str | int, ...]
-"""The keys and indexes from the top of the file to a value."""
+"""The keys and indexes from the root of the file to a value."""
 
-MOST_NODES = 50_000
+MAX_NODES = 50_000
 _NUMBER = re.compile(r"[-+]?(0|[1-9]\d*)")
 _DECIMAL = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _WORDS: Mapping[str, Any] = {
@@ -25,7 +25,7 @@ _WORDS: Mapping[str, Any] = {
 
 
 class NotYaml(UsageError):
-    """The text cannot be read; `line` counts from 1."""
+    """The text cannot be parsed; `line` counts from 1."""
 
     def __init__(self, line: int, why: str) -> None:
         super().__init__(why)
@@ -34,20 +34,20 @@ class NotYaml(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What a file says, and in which line (from 1) each value stands."""
+    """The content of a file, and the line (from 1) of each value."""
 
     content: Any
     lines: Mapping[Where, int]
 
     def line_of(self, where: Where) -> int:
-        """Return the line of the value at `where`, or of the nearest that holds it."""
+        """Return the line of the value at `where`, or of the nearest value that contains it."""
         while where and where not in self.lines:
             where = where[:-1]
         return self.lines.get(where, 1)
 
 
 def read(text: str) -> Written:
-    """Return what `text` says. Raises `NotYaml`."""
+    """Return the content of `text`. Raises `NotYaml`."""
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.YAMLError as error:
@@ -70,12 +70,12 @@ class _Reader:
         line = int(node.start_mark.line) + 1
         self.lines.setdefault(where, line)
         self._count += 1
-        if self._count > MOST_NODES:
-            raise NotYaml(line, f"the file holds more than {MOST_NODES} values")
+        if self._count > MAX_NODES:
+            raise NotYaml(line, f"the file contains more than {MAX_NODES} values")
         if isinstance(node, yaml.ScalarNode):
             return _scalar(node)
         if node in self._inside:
-            raise NotYaml(line, "what an alias (*) stands for holds the alias itself")
+            raise NotYaml(line, "an alias (*) refers to a value that contains it")
         self._inside.append(node)
         try:
             if isinstance(node, yaml.SequenceNode):
@@ -89,13 +89,13 @@ class _Reader:
         for key_node, value_node in node.value:
             line = int(key_node.start_mark.line) + 1
             if not isinstance(key_node, yaml.ScalarNode):
-                raise NotYaml(line, "a key is a word or a number")
+                raise NotYaml(line, "a key must be a word or a number")
             key = _scalar(key_node)
             place = (*where, key if isinstance(key, str | int) else str(key))
             if key in made:
                 raise NotYaml(
                     line,
-                    f'"{key}" stands twice, first in line {self.lines[place]}; remove or rename one of them',
+                    f'"{key}" is a duplicate key, first in line {self.lines[place]}; remove or rename one',
                 )
             self.lines[place] = line
             made[key] = self.value(value_node, place)

@@ -1,1 +1,1 @@
-"""Rules: what a mapping says, checked against the message definitions and made ready to run."""
+"""Rules of a mapping, checked against message definitions and compiled; pure functions."""

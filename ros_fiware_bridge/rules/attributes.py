@@ -10,8 +10,8 @@ from ros_fiware_bridge.mapping.paths import Getter, Path
 from ros_fiware_bridge.mapping.templates import Template, in_id
 from ros_fiware_bridge.mapping.values import Attribute, DeadBand, Origin
 from ros_fiware_bridge.rules import conversion
-from ros_fiware_bridge.rules.definitions import Anatomy, WrongRule
 from ros_fiware_bridge.rules.json_values import JsonValues, absent
+from ros_fiware_bridge.rules.message_schema import InvalidRule, MessageSchema
 from ros_fiware_bridge.types.definition import Many
 
 Make = Callable[[Any], Any]
@@ -27,7 +27,7 @@ _VALUE_MEMBER = {
 }
 
 
-class NoPlace(HandoverError):
+class InvalidPosition(HandoverError):
     """A message tells no place on earth."""
 
 
@@ -52,89 +52,91 @@ class MadeAttribute:
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class CompileContext:
     """What the attributes of one rule are made of: the message, and places such as `factory`."""
 
-    anatomy: Anatomy
+    schema: MessageSchema
     values: JsonValues
     settings: Mapping[str, str]
 
 
 def compiled(
-    name: str, attribute: Attribute, ground: Ground, dead_band: DeadBand | None = None
+    name: str, attribute: Attribute, context: CompileContext, dead_band: DeadBand | None = None
 ) -> MadeAttribute:
-    """Return `attribute` ready to be made of messages. Raises `WrongRule`."""
-    anatomy, values, settings = ground.anatomy, ground.values, ground.settings
+    """Return `attribute` ready to be made of messages. Raises `InvalidRule`."""
+    schema, values, settings = context.schema, context.values, context.settings
     kind = attribute.known_kind
     if kind == "GeoProperty":
-        make = _place(attribute, anatomy)
+        make = _place(attribute, schema)
     elif kind == "LanguageProperty":
-        make = _languages(attribute, anatomy, values)
+        make = _languages(attribute, schema, values)
     elif kind == "Relationship":
-        make = _link(attribute, anatomy, settings)
+        make = _link(attribute, schema, settings)
     else:
-        make = _value(attribute, anatomy, values, settings)
+        make = _value(attribute, schema, values, settings)
     convert = conversion.compiled(attribute)
     if convert is not None:
-        _require_convertible(attribute, anatomy)
+        _require_convertible(attribute, schema)
         unconverted, converted = make, convert
         make = lambda scope: converted(unconverted(scope))  # noqa: E731 - one step more
     return MadeAttribute(name, kind, make, attribute.unit_code, attribute.dead_band or dead_band)
 
 
-def entity_id(template: Template, anatomy: Anatomy, settings: Mapping[str, str]) -> Callable[[Any], str]:
-    """Return the function that makes an entity id of a message. Raises `WrongRule`."""
+def entity_id(template: Template, schema: MessageSchema, settings: Mapping[str, str]) -> Callable[[Any], str]:
+    """Return the function that makes an entity id of a message. Raises `InvalidRule`."""
 
     def safe(path: Path) -> Getter:
-        find = anatomy.find(path)
+        find = schema.find(path)
         return lambda scope: in_id(find(scope), path)
 
     return template.with_settings(settings).filler(safe)
 
 
-def text(template: Template, anatomy: Anatomy, settings: Mapping[str, str]) -> Callable[[Any], str]:
-    """Return the function that fills `template` from a message. Raises `WrongRule`."""
-    return template.with_settings(settings).filler(anatomy.find)
+def text(template: Template, schema: MessageSchema, settings: Mapping[str, str]) -> Callable[[Any], str]:
+    """Return the function that fills `template` from a message. Raises `InvalidRule`."""
+    return template.with_settings(settings).filler(schema.find)
 
 
-def _value(attribute: Attribute, anatomy: Anatomy, values: JsonValues, settings: Mapping[str, str]) -> Make:
+def _value(
+    attribute: Attribute, schema: MessageSchema, values: JsonValues, settings: Mapping[str, str]
+) -> Make:
     if attribute.field is not None:
-        find = anatomy.find(attribute.field)
+        find = schema.find(attribute.field)
         nan = attribute.nan if "nan" in attribute.model_fields_set else absent()
-        to_json = values.maker(anatomy.leads(attribute.field), str(attribute.field), nan)
+        to_json = values.maker(schema.target(attribute.field), str(attribute.field), nan)
         return lambda scope: to_json(find(scope))
     if attribute.text is not None:
-        return text(attribute.text, anatomy, settings)
+        return text(attribute.text, schema, settings)
     if attribute.list is not None:
         nan = attribute.nan if "nan" in attribute.model_fields_set else absent()
         makes = [
-            _then(anatomy.find(path), values.maker(anatomy.leads(path), str(path), nan))
+            _then(schema.find(path), values.maker(schema.target(path), str(path), nan))
             for path in attribute.list
         ]
         return lambda scope: [make(scope) for make in makes]
     constant = attribute.constant
     if constant is None:
-        raise WrongRule("`constant` is empty; NGSI-LD has no attribute without a value")
+        raise InvalidRule("`constant` is empty; NGSI-LD has no attribute without a value")
     return lambda _: constant
 
 
-def _languages(attribute: Attribute, anatomy: Anatomy, values: JsonValues) -> Make:
+def _languages(attribute: Attribute, schema: MessageSchema, values: JsonValues) -> Make:
     if attribute.languages is None:
         constant = attribute.constant
         if not isinstance(constant, dict):
-            raise WrongRule("a LanguageProperty is words by language, such as {en: open, fi: auki}")
+            raise InvalidRule("a LanguageProperty is words by language, such as {en: open, fi: auki}")
         return lambda _: constant
     made: dict[str, Make] = {}
     for language, path in attribute.languages.items():
-        if not (leads := anatomy.leads(path)).is_text:
-            raise WrongRule(f"{path} is {leads}; a LanguageProperty is made of text")
-        made[language] = _then(anatomy.find(path), values.maker(leads, str(path)))
+        if not (target := schema.target(path)).is_text:
+            raise InvalidRule(f"{path} is {target}; a LanguageProperty is made of text")
+        made[language] = _then(schema.find(path), values.maker(target, str(path)))
     return lambda scope: {language: make(scope) for language, make in made.items()}
 
 
-def _link(attribute: Attribute, anatomy: Anatomy, settings: Mapping[str, str]) -> Make:
+def _link(attribute: Attribute, schema: MessageSchema, settings: Mapping[str, str]) -> Make:
     if attribute.object is None:
-        raise WrongRule("a Relationship is made of `object`, such as Device:{header.frame_id}")
+        raise InvalidRule("a Relationship is made of `object`, such as Device:{header.frame_id}")
     written = str(attribute.object)
     kind, _, rest = written.partition(":")
     if kind == "urn":
@@ -143,45 +145,45 @@ def _link(attribute: Attribute, anatomy: Anatomy, settings: Mapping[str, str]) -
         first, *others = attribute.object.parts
         template = Template((f"urn:ngsi-ld:{kind}:{settings['factory']}{str(first)[len(kind) :]}", *others))
     else:
-        raise WrongRule(f'"{written}" is no entity; write Type:id, such as Device:{{header.frame_id}}')
-    return entity_id(template, anatomy, settings)
+        raise InvalidRule(f'"{written}" is no entity; write Type:id, such as Device:{{header.frame_id}}')
+    return entity_id(template, schema, settings)
 
 
-def _place(attribute: Attribute, anatomy: Anatomy) -> Make:
+def _place(attribute: Attribute, schema: MessageSchema) -> Make:
     if attribute.constant is not None:
         constant = attribute.constant
         return lambda _: constant
     if attribute.point is not None:
         for path in attribute.point:
-            if not (leads := anatomy.leads(path)).is_number:
-                raise WrongRule(f"{path} is {leads}; a point is made of numbers")
-        finds = [anatomy.find(path) for path in attribute.point]
+            if not (target := schema.target(path)).is_number:
+                raise InvalidRule(f"{path} is {target}; a point is made of numbers")
+        finds = [schema.find(path) for path in attribute.point]
         if attribute.origin is not None:
             return _from_metres(lambda scope: [find(scope) for find in finds], attribute.origin)
         return lambda scope: _point([find(scope) for find in finds])
     assert attribute.field is not None  # noqa: S101 - the mapping has made sure of it
-    found = anatomy.leads(attribute.field).type
-    find = anatomy.find(attribute.field)
+    found = schema.target(attribute.field).type
+    find = schema.find(attribute.field)
     if found is None:
         return find
-    names = _coordinates(found.base, anatomy) if found.many is Many.ONE and found.is_message else None
+    names = _coordinates(found.base, schema) if found.many is Many.ONE and found.is_message else None
     if names is None:
-        raise WrongRule(
+        raise InvalidRule(
             f"{attribute.field} is {found}; a GeoProperty is made of a message with longitude and latitude, "
             "or with x and y in metres (and an `origin`), or of a `point` of two paths"
         )
     if names[0] == "longitude":
         return lambda scope: _point([find(scope)[name] for name in names])
     if attribute.origin is None:
-        raise WrongRule(
+        raise InvalidRule(
             f"{attribute.field} is {found}, in metres of its frame, and a GeoProperty is in degrees; say "
             "where the frame lies (origin: {longitude: …, latitude: …}), or map it as a Property"
         )
     return _from_metres(lambda scope: [find(scope)[name] for name in names], attribute.origin)
 
 
-def _coordinates(type_name: str, anatomy: Anatomy) -> tuple[str, ...] | None:
-    definition = anatomy.definition(type_name)
+def _coordinates(type_name: str, schema: MessageSchema) -> tuple[str, ...] | None:
+    definition = schema.definition(type_name)
     for names in (("longitude", "latitude"), ("x", "y")):
         if all(definition.field(name) for name in names):
             return names
@@ -206,16 +208,16 @@ def _from_metres(place: Make, origin: Origin) -> Make:
 def _point(coordinates: list[Any]) -> dict[str, Any]:
     numbers = [float(one) for one in coordinates]
     if not all(map(math.isfinite, numbers)) or abs(numbers[0]) > 180 or abs(numbers[1]) > 90:
-        raise NoPlace(f"longitude {numbers[0]} and latitude {numbers[1]} are no place on earth")
+        raise InvalidPosition(f"longitude {numbers[0]} and latitude {numbers[1]} are no place on earth")
     return {"type": "Point", "coordinates": [round(numbers[0], 9), round(numbers[1], 9), *numbers[2:]]}
 
 
-def _require_convertible(attribute: Attribute, anatomy: Anatomy) -> None:
+def _require_convertible(attribute: Attribute, schema: MessageSchema) -> None:
     if attribute.values is not None or attribute.field is None:
         return
-    found = anatomy.leads(attribute.field).type
+    found = schema.target(attribute.field).type
     if found is not None and (found.is_message or found.base in {"string", "bool"}):
-        raise WrongRule(f"{attribute.field} is {found}, and only numbers are converted and rounded")
+        raise InvalidRule(f"{attribute.field} is {found}, and only numbers are converted and rounded")
 
 
 def _then(first: Make, second: Make) -> Make:

@@ -11,21 +11,21 @@ from typing import Any
 
 from handover.errors import HandoverError
 from ros_fiware_bridge.mapping.values import Conversion
-from ros_fiware_bridge.rules.definitions import WrongRule
+from ros_fiware_bridge.rules.message_schema import InvalidRule
 
 Convert = Callable[[Any], Any]
 
 
-class NotInTheMap(HandoverError):
+class UnmappedValue(HandoverError):
     """A value came that `values` does not have, and there is no `otherwise`."""
 
 
-class NoNumber(HandoverError):
+class NotNumeric(HandoverError):
     """Something that is to be computed with is no number."""
 
 
 def compiled(conversion: Conversion) -> Convert | None:
-    """Return the function that does what `conversion` says; None if it does nothing. Raises `WrongRule`."""
+    """Return the function that does what `conversion` says; None if it does nothing. Raises `InvalidRule`."""
     if conversion.values is not None:
         return _lookup(conversion)
     steps: list[Convert] = []
@@ -41,7 +41,7 @@ def compiled(conversion: Conversion) -> Convert | None:
         if isinstance(value, bool) or not isinstance(value, int | float):
             if isinstance(value, list):
                 return [convert(one) for one in value]
-            raise NoNumber(f"{value!r:.80} is no number, and only numbers are converted and rounded")
+            raise NotNumeric(f"{value!r:.80} is no number, and only numbers are converted and rounded")
         for step in steps:
             value = step(value)
         return value
@@ -51,7 +51,7 @@ def compiled(conversion: Conversion) -> Convert | None:
 
 @cache
 def affine(given: str, wanted: str) -> tuple[float, float]:
-    """Return factor and offset of the conversion between two units. Raises `WrongRule`."""
+    """Return factor and offset of the conversion between two units. Raises `InvalidRule`."""
     import pint  # noqa: PLC0415 - reading its units takes a while, and few mappings convert
 
     registry = _registry()
@@ -60,14 +60,14 @@ def affine(given: str, wanted: str) -> tuple[float, float]:
             float(registry.Quantity(number, given).to(wanted).magnitude) for number in (0.0, 1.0, 2.0)
         )
     except pint.DimensionalityError as error:
-        raise WrongRule(f'"{given}" cannot be converted to "{wanted}": {error}') from None
+        raise InvalidRule(f'"{given}" cannot be converted to "{wanted}": {error}') from None
     except (pint.UndefinedUnitError, pint.PintError, AttributeError, ValueError, TypeError) as error:
-        raise WrongRule(f'"{given} -> {wanted}" has a unit that pint does not know: {error}') from None
+        raise InvalidRule(f'"{given} -> {wanted}" has a unit that pint does not know: {error}') from None
     except (ZeroDivisionError, OverflowError, ArithmeticError):
         at_0, at_1, at_2 = math.inf, 0.0, 0.0
     factor = at_1 - at_0
     if not math.isclose(at_2, at_0 + 2 * factor, rel_tol=1e-9, abs_tol=1e-12) or not math.isfinite(at_2):
-        raise WrongRule(f'"{given} -> {wanted}" is no factor with an offset; let the sender compute it')
+        raise InvalidRule(f'"{given} -> {wanted}" is no factor with an offset; let the sender compute it')
     return factor, at_0
 
 
@@ -89,7 +89,7 @@ def _lookup(conversion: Conversion) -> Convert:
         except (KeyError, TypeError):
             if has_otherwise:
                 return otherwise
-            raise NotInTheMap(
+            raise UnmappedValue(
                 f"{value!r:.80} is not among the `values` {known:.200}; add it, or say `otherwise`"
             ) from None
 

@@ -1,4 +1,4 @@
-"""Values of ROS as JSON has them: no NumPy, no NaN, no picture of five million bytes by accident."""
+"""Converts ROS values to JSON: no NumPy types, no NaN, no large arrays by accident."""
 
 import math
 from collections.abc import Callable
@@ -7,41 +7,41 @@ from typing import Any
 import numpy as np
 
 from handover.errors import HandoverError
-from ros_fiware_bridge.rules.definitions import Definitions, Leads, WrongRule
+from ros_fiware_bridge.rules.message_schema import Definitions, InvalidRule, PathTarget
 from ros_fiware_bridge.types.definition import FLOATS, FieldType, Many
 
 ToJson = Callable[[Any], Any]
 
-LONGEST_TEXT = 65_536
+MAX_TEXT_LENGTH = 65_536
 _ABSENT = object()
 
 
 class NotANumber(HandoverError):
-    """NaN or infinity, for which JSON has no word."""
+    """NaN or infinity, which JSON cannot represent."""
 
 
 class TooLarge(HandoverError):
-    """More elements, or more text, than a context broker should be given unasked."""
+    """An array or a text over the limit of the rule."""
 
 
 class JsonValues:
-    """Makes JSON of the values of one rule, within its limits."""
+    """Converts the values of one rule to JSON, within the limits of the rule."""
 
-    def __init__(self, definitions: Definitions, most_elements: int, *, large_arrays: bool) -> None:
+    def __init__(self, definitions: Definitions, max_elements: int, *, large_arrays: bool) -> None:
         self._definitions = definitions
-        self._most = math.inf if large_arrays else most_elements
+        self._max_elements = math.inf if large_arrays else max_elements
         self._large = large_arrays
 
-    def maker(self, leads: Leads, what: str, nan: Any = _ABSENT) -> ToJson:
-        """Return the function that makes JSON of what `leads` tells of; `what` is how errors call it.
+    def maker(self, target: PathTarget, what: str, nan: Any = _ABSENT) -> ToJson:
+        """Return the function that converts values of the type `target`; `what` names the value in errors.
 
-        `nan` is what stands for a number that is none, if anything does. Raises `WrongRule` when it
-        would be too large for sure.
+        `nan` replaces a number that JSON cannot represent, if it is given. Raises `InvalidRule` if every such
+        value would be over the limit.
         """
-        if leads.type is None:
+        if target.type is None:
             return lambda value: self._any(value, what, nan)
-        self._refuse_pictures(leads.type, what)
-        found = leads.type
+        self._refuse_large(target.type, what)
+        found = target.type
         if found.many is Many.ONE and not found.is_message:
             if found.base in FLOATS:
                 return lambda value: _finite(value, what, nan)
@@ -50,24 +50,24 @@ class JsonValues:
             return lambda value: value.item() if isinstance(value, np.generic) else value
         return lambda value: self._any(value, what, nan)
 
-    def _refuse_pictures(self, found: FieldType, what: str, inside: str = "") -> None:
+    def _refuse_large(self, found: FieldType, what: str, inside: str = "") -> None:
         if self._large:
             return
         named = f"{what}{inside}"
-        if found.is_octets and not 0 < found.size <= self._most:
-            raise WrongRule(
-                f"{named} is {found}, bytes without a limit (a picture, a point cloud): a context broker "
-                "keeps and sends each version of it to everyone; map fields that describe it, or say "
+        if found.is_octets and not 0 < found.size <= self._max_elements:
+            raise InvalidRule(
+                f"{named} is {found}, bytes without a bound (an image, a point cloud): a context broker "
+                "stores each version and sends it to every subscriber; map fields that describe it, or set "
                 "large_arrays: true"
             )
-        if found.many is Many.FIXED and found.size > self._most:
-            raise WrongRule(
-                f"{named} holds {found.size} elements, more than {self._most} (most_elements); "
-                "choose some of them, or say large_arrays: true"
+        if found.many is Many.FIXED and found.size > self._max_elements:
+            raise InvalidRule(
+                f"{named} holds {found.size} elements, more than {self._max_elements} (max_elements); "
+                "choose some of them, or set large_arrays: true"
             )
         if found.is_message:
             for field in self._definitions.definition(found.base).fields:
-                self._refuse_pictures(field.type, what, f"{inside}.{field.name}")
+                self._refuse_large(field.type, what, f"{inside}.{field.name}")
 
     def _any(self, value: Any, what: str, nan: Any) -> Any:
         if isinstance(value, float):
@@ -93,10 +93,10 @@ class JsonValues:
         return array.tolist()
 
     def _bound(self, size: int, what: str) -> None:
-        if size > self._most:
+        if size > self._max_elements:
             raise TooLarge(
-                f"{what} holds {size} elements, more than {self._most} (most_elements); choose some of them, "
-                "or say large_arrays: true"
+                f"{what} holds {size} elements, more than {self._max_elements} (max_elements); choose some, "
+                "or set large_arrays: true"
             )
 
 
@@ -104,16 +104,18 @@ def _finite(value: Any, what: str, nan: Any) -> Any:
     if math.isfinite(value):
         return float(value)
     if nan is _ABSENT:
-        raise NotANumber(f"{what} is {value}, which JSON cannot say; `nan` tells what to write instead")
+        raise NotANumber(
+            f"{what} is {value}, which JSON cannot represent; set `nan` to the value to write instead"
+        )
     return nan
 
 
 def _short(value: str, what: str) -> str:
-    if len(value) > LONGEST_TEXT:
-        raise TooLarge(f"{what} is text of {len(value)} characters, more than {LONGEST_TEXT}")
+    if len(value) > MAX_TEXT_LENGTH:
+        raise TooLarge(f"{what} is text of {len(value)} characters, more than {MAX_TEXT_LENGTH}")
     return value
 
 
 def absent() -> Any:
-    """Return what says that nothing stands for NaN."""
+    """Return the marker for a missing `nan`."""
     return _ABSENT

@@ -1,7 +1,7 @@
-"""Origin: what came from the ROS graph carries a mark, so that it is not sent back there.
+"""Marks attributes that came from the ROS graph, so that they are not sent back to it.
 
-The mark is an attribute of the attribute, `origin`, with who wrote it and a digest of what was written. A
-change made by somebody else either takes the mark away or no longer fits the digest, and is news then.
+The mark is a sub-attribute, `origin`, with the name of the writer and a digest of the value. A change by
+another client either removes the mark or no longer matches the digest, so it counts as a change.
 """
 
 import zlib
@@ -19,7 +19,7 @@ def marked(attribute: dict[str, Any], who: str) -> dict[str, Any]:
 
 
 def is_ours(attribute: Any) -> bool:
-    """Say whether `attribute`, as the broker tells it, still is what a bridge wrote from the ROS graph."""
+    """Return whether `attribute` of the broker is still what a bridge wrote from the ROS graph."""
     if not isinstance(attribute, Mapping) or not isinstance(attribute.get(MARK), Mapping):
         return False
     written = attribute[MARK].get("value")
@@ -27,7 +27,7 @@ def is_ours(attribute: Any) -> bool:
 
 
 def digest(attribute: Mapping[str, Any]) -> str:
-    """Return a short text that is the same for the same value, whichever broker tells it."""
+    """Return a short text that is the same for the same value, whichever broker returns it."""
     value = next(
         (attribute[member] for member in ("value", "object", "languageMap", "json") if member in attribute),
         None,
@@ -37,7 +37,7 @@ def digest(attribute: Mapping[str, Any]) -> str:
 
 
 def coarse_digest(value: Any) -> str:
-    """Return a digest that is the same for numbers that a `float32` cannot tell apart."""
+    """Return a digest that is the same for numbers that are equal as `float32`."""
     return digest({"value": _rounded(value)})
 
 
@@ -52,7 +52,7 @@ def _rounded(value: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return `value` with numbers as every broker would tell them: 1.0 is 1."""
+    """Return `value` with numbers in the form that all brokers agree on: 1.0 is 1."""
     if isinstance(value, float):
         return int(value) if value.is_integer() and abs(value) < 2**53 else value
     if isinstance(value, Mapping):

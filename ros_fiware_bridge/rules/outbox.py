@@ -1,7 +1,7 @@
-"""The outbox: what is on its way to the broker, entity by entity.
+"""The outbox: updates that wait for the broker or are on their way to it, by entity.
 
-Of each entity at most one request is under way; what comes meanwhile waits: of each rule the newest, or the
-last so many if the rule says `keep`. So nothing grows without end, however long the broker is away. Pure.
+Each entity has at most one batch in flight. Meanwhile further updates wait: of each rule the newest, or the
+last `keep`. So the memory in use is bounded, however long the broker is unavailable. Pure.
 """
 
 from collections import Counter, OrderedDict, deque
@@ -9,14 +9,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-MOST_IN_A_BATCH = 200
-MOST_VERSIONS = 50
-"""Of one entity so many go in one request, in order; only rules that `keep` several have more than one."""
+MAX_ENTITIES_PER_REQUEST = 200
+MAX_VERSIONS_PER_REQUEST = 50
+"""Versions of one entity in one request, in order; only rules with `keep` over 1 have more than one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Letter:
-    """What one rule has to say of one entity; `create`: whether the entity is made if it is not there."""
+class Update:
+    """A change of one entity by one rule; `create` is whether a missing entity is created."""
 
     rule: str
     entity_id: str
@@ -26,118 +26,118 @@ class Letter:
     create: bool = True
     put_at_s: float = 0.0
     shown: Mapping[str, Any] | None = None
-    """The values by attribute, where the rule counts what the broker has taken."""
+    """The values by attribute, if the rule counts accepted updates."""
 
 
 @dataclass(frozen=True, slots=True)
-class Parcel:
-    """Letters about one entity that go together: its versions in order, each of letters of several rules."""
+class Batch:
+    """The updates of one entity in one request: its versions in order, each with updates of several rules."""
 
-    versions: tuple[tuple[Letter, ...], ...]
+    versions: tuple[tuple[Update, ...], ...]
 
     @property
-    def letters(self) -> tuple[Letter, ...]:
-        """Return all letters, the oldest first."""
-        return tuple(letter for version in self.versions for letter in version)
+    def updates(self) -> tuple[Update, ...]:
+        """Return all updates, oldest first."""
+        return tuple(update for version in self.versions for update in version)
 
     @property
     def entity_id(self) -> str:
-        """Return the entity that it is about."""
+        """Return the id of the entity."""
         return self.versions[0][0].entity_id
 
     @property
     def create(self) -> bool:
-        """Say whether the entity may be made."""
-        return any(letter.create for letter in self.letters)
+        """Return whether the entity may be created."""
+        return any(update.create for update in self.updates)
 
-    def one_by_one(self) -> "list[Parcel]":
-        """Return a parcel for each version."""
-        return [Parcel((version,)) for version in self.versions]
+    def split(self) -> "list[Batch]":
+        """Return one batch for each version."""
+        return [Batch((version,)) for version in self.versions]
 
     def entities(self) -> list[dict[str, Any]]:
-        """Return the versions as the broker takes them."""
+        """Return the versions as NGSI-LD entities."""
         return [
             {
                 "id": self.entity_id,
                 "type": version[0].entity_type,
-                **{name: value for letter in version for name, value in letter.attributes.items()},
+                **{name: value for update in version for name, value in update.attributes.items()},
             }
             for version in self.versions
         ]
 
 
 @dataclass(slots=True)
-class _Pigeonhole:
-    waiting: dict[str, deque[Letter]] = field(default_factory=dict)
-    under_way: bool = False
+class _EntityQueue:
+    waiting: dict[str, deque[Update]] = field(default_factory=dict)
+    in_flight: bool = False
 
 
 class Outbox:
-    """Letters by entity and rule."""
+    """Updates by entity and rule."""
 
     def __init__(self) -> None:
-        self._holes: dict[str, _Pigeonhole] = {}
+        self._queues: dict[str, _EntityQueue] = {}
         self._ready: OrderedDict[str, None] = OrderedDict()
-        self.under_way = 0
+        self.in_flight = 0
 
-    def put(self, letter: Letter) -> int:
-        """Take a letter; return how many older ones had to go for it (a newest one is never lost)."""
-        hole = self._holes.setdefault(letter.entity_id, _Pigeonhole())
-        queue = hole.waiting.setdefault(letter.rule, deque())
-        queue.append(letter)
-        gone = 0
-        while len(queue) > letter.keep:
+    def put(self, update: Update) -> int:
+        """Queue an update; return the number of older ones that it replaces (the newest is never lost)."""
+        entity = self._queues.setdefault(update.entity_id, _EntityQueue())
+        queue = entity.waiting.setdefault(update.rule, deque())
+        queue.append(update)
+        replaced = 0
+        while len(queue) > update.keep:
             queue.popleft()
-            gone += 1
-        if not hole.under_way:
-            self._ready[letter.entity_id] = None
-        return gone
+            replaced += 1
+        if not entity.in_flight:
+            self._ready[update.entity_id] = None
+        return replaced
 
-    def take(self, most: int = MOST_IN_A_BATCH) -> list[Parcel]:
-        """Return what may go now, the longest waiting first."""
-        parcels: list[Parcel] = []
-        while self._ready and len(parcels) < most:
+    def take(self, max_entities: int = MAX_ENTITIES_PER_REQUEST) -> list[Batch]:
+        """Return the batches that may be sent now, the longest waiting first."""
+        batches: list[Batch] = []
+        while self._ready and len(batches) < max_entities:
             entity_id, _ = self._ready.popitem(last=False)
-            hole = self._holes[entity_id]
-            versions: list[tuple[Letter, ...]] = []
-            while len(versions) < MOST_VERSIONS and (
-                letters := tuple(queue.popleft() for queue in hole.waiting.values() if queue)
+            entity = self._queues[entity_id]
+            versions: list[tuple[Update, ...]] = []
+            while len(versions) < MAX_VERSIONS_PER_REQUEST and (
+                updates := tuple(queue.popleft() for queue in entity.waiting.values() if queue)
             ):
-                versions.append(letters)
+                versions.append(updates)
             if versions:
-                hole.under_way = True
-                self.under_way += 1
-                parcels.append(Parcel(tuple(versions)))
-        return parcels
+                entity.in_flight = True
+                self.in_flight += 1
+                batches.append(Batch(tuple(versions)))
+        return batches
 
-    def arrived(self, parcels: Iterable[Parcel]) -> None:
-        """Take notice that the broker has them, or has refused them for good."""
-        for parcel in parcels:
-            self._landed(parcel)
+    def acknowledge(self, batches: Iterable[Batch]) -> None:
+        """Release batches that the broker has accepted, or has refused for good."""
+        for batch in batches:
+            self._release(batch)
 
-    def came_back(self, parcels: Iterable[Parcel]) -> Counter[str]:
-        """Put back what the broker could not take now; return how many letters of each rule had to go."""
-        gone: Counter[str] = Counter()
-        for parcel in parcels:
-            hole = self._holes[parcel.entity_id]
-            for letter in reversed(parcel.letters):
-                queue = hole.waiting.setdefault(letter.rule, deque())
-                if len(queue) < letter.keep:
-                    queue.appendleft(letter)
+    def requeue(self, batches: Iterable[Batch]) -> Counter[str]:
+        """Queue batches again that were not sent; return the number of replaced updates by rule."""
+        replaced: Counter[str] = Counter()
+        for batch in batches:
+            entity = self._queues[batch.entity_id]
+            for update in reversed(batch.updates):
+                queue = entity.waiting.setdefault(update.rule, deque())
+                if len(queue) < update.keep:
+                    queue.appendleft(update)
                 else:
-                    gone[letter.rule] += 1
-            self._landed(parcel)
-        return gone
+                    replaced[update.rule] += 1
+            self._release(batch)
+        return replaced
 
     def __len__(self) -> int:
-        return sum(len(queue) for hole in self._holes.values() for queue in hole.waiting.values())
+        return sum(len(queue) for entity in self._queues.values() for queue in entity.waiting.values())
 
-    def _landed(self, parcel: Parcel) -> None:
-        hole = self._holes[parcel.entity_id]
-        hole.under_way = False
-        self.under_way -= 1
-        hole.waiting = {rule: queue for rule, queue in hole.waiting.items() if queue}
-        if hole.waiting:
-            self._ready[parcel.entity_id] = None
+    def _release(self, batch: Batch) -> None:
+        entity = self._queues[batch.entity_id]
+        entity.in_flight = False
+        self.in_flight -= 1
+        entity.waiting = {rule: queue for rule, queue in entity.waiting.items() if queue}
+        if entity.waiting:
+            self._ready[batch.entity_id] = None
         else:
-            del self._holes[parcel.entity_id]
+            del self._queues[batch.entity_id]

@@ -1,1 +1,1 @@
-"""Running: rules at work between a ROS graph and a broker."""
+"""Runs compiled rules between a ROS graph and a broker."""

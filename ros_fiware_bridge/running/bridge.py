@@ -1,4 +1,4 @@
-"""The bridge: every rule of a mapping at work, between one ROS graph and one broker."""
+"""The bridge: runs every rule of a mapping between one ROS graph and one broker."""
 
 import asyncio
 import hashlib
@@ -15,33 +15,31 @@ from handover.settings import Settings
 from handover.telemetry import get_logger
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.port import RosGraph
-from ros_fiware_bridge.metrics import SILENT
+from ros_fiware_bridge.metrics import TOPIC_SILENT
 from ros_fiware_bridge.rules import plan as planning
-from ros_fiware_bridge.rules.definitions import WrongRule
-from ros_fiware_bridge.rules.outbox import Letter
-from ros_fiware_bridge.rules.outward import AlertNews
-from ros_fiware_bridge.rules.plan import Plan, PlannedOutward
-from ros_fiware_bridge.running.alert_desk import AlertDesk
-from ros_fiware_bridge.running.asking import Asking, ChangeAsking, TaskAsking
-from ros_fiware_bridge.running.fleet import Fleet
-from ros_fiware_bridge.running.incoming import Incoming
+from ros_fiware_bridge.rules.entity_extractor import AlertState
+from ros_fiware_bridge.rules.message_schema import InvalidRule
+from ros_fiware_bridge.rules.outbox import Update
+from ros_fiware_bridge.rules.plan import Plan, PlannedRosToNgsild
+from ros_fiware_bridge.running.alert_publisher import AlertPublisher
+from ros_fiware_bridge.running.broker_writer import BrokerWriter
+from ros_fiware_bridge.running.disabled_rules import DisabledRules
+from ros_fiware_bridge.running.entity_forwarder import EntityForwarder
 from ros_fiware_bridge.running.listener import Listeners
-from ros_fiware_bridge.running.losses import Losses
-from ros_fiware_bridge.running.mailroom import Mailroom
-from ros_fiware_bridge.running.memory import Memory
-from ros_fiware_bridge.running.offering import Offering
-from ros_fiware_bridge.running.outgoing import Outgoing
 from ros_fiware_bridge.running.parameters import Parameters
-from ros_fiware_bridge.running.tally import Tally
+from ros_fiware_bridge.running.ros_requests import ChangeTrigger, RosRequest, RosTaskPerformer
+from ros_fiware_bridge.running.rule_stats import DropReporter, RuleStats
+from ros_fiware_bridge.running.served_services import ServedService
+from ros_fiware_bridge.running.topic_forwarder import PatternForwarder, TopicForwarder
 
 log = get_logger(__name__)
 
-LOOK_EVERY_S = 1.0
+CHECK_INTERVAL_S = 1.0
 SILENT_AFTER_S = 5.0
 
 
-LASTING_LOOKS = 3
-"""A mismatch with a peer that is seen in so many looks in a row is no matter of discovery."""
+MIN_LASTING_CHECKS = 3
+"""A mismatch with a peer is reported after so many checks in a row: discovery takes a while."""
 
 
 def _problem_key(text: str) -> str:
@@ -49,10 +47,10 @@ def _problem_key(text: str) -> str:
 
 
 class Bridge:
-    """Rules at work; an asynchronous context manager while they are.
+    """Runs the rules of a plan while it is entered as an asynchronous context manager.
 
-    `url` is where the broker reaches the bridge; `name` tells several bridges of one factory apart; with
-    `parameters` it serves those of its node, which the adapter does not.
+    `url` is the address at which the broker reaches the bridge; `name` distinguishes the bridges of one
+    factory. With `parameters` it serves the parameters of its node, where the adapter does not.
     """
 
     def __init__(
@@ -72,61 +70,61 @@ class Bridge:
         self.settings = settings
         self.broker = broker
         self._serves_parameters = parameters
-        self.tallies = {rule: Tally(rule, section) for section, rule, _ in plan.document.mapping.rules()}
-        self.mailroom = Mailroom(
+        self.stats = {rule: RuleStats(rule, section) for section, rule, _ in plan.document.mapping.rules()}
+        self.broker_writer = BrokerWriter(
             broker,
             plan.document.mapping.batch_ms / 1000,
-            taken=self._taken,
-            refused=self._refused,
-            dropped=self._dropped,
+            on_accepted=self._accepted,
+            on_refused=self._refused,
+            on_dropped=self._dropped,
         )
-        self.losses = Losses(
-            self.tallies.values(),
-            lambda rule, key, words: self._alert(f"{key} {rule}", words, standing=True),
+        self.drops = DropReporter(
+            self.stats.values(),
+            lambda rule, key, words: self._alert(f"{key} {rule}", words, active=True),
         )
         receiver = NotificationReceiver(name, settings, broker)
         self.listeners = Listeners(settings, broker, receiver, f"{url}/notifications", f"{name}-rule-")
-        self.tasks = TaskAsking(name, settings, broker, notify_url=f"{url}/notifications-of-tasks")
-        self.alerts = AlertDesk(broker, settings)
-        self._memory = Memory(settings.data_dir / f"{name}.json")
-        self._outgoing: dict[str, Outgoing] = {}
-        self._fleets: dict[str, Fleet] = {}
-        self._incoming: dict[str, Incoming] = {}
-        self._changes: dict[str, ChangeAsking] = {}
-        self._offerings: dict[str, Offering] = {}
+        self.tasks = RosTaskPerformer(name, settings, broker, notify_url=f"{url}/notifications-of-tasks")
+        self.alerts = AlertPublisher(broker, settings)
+        self._disabled_rules = DisabledRules(settings.data_dir / f"{name}.json")
+        self._forwarders: dict[str, TopicForwarder] = {}
+        self._pattern_forwarders: dict[str, PatternForwarder] = {}
+        self._entity_forwarders: dict[str, EntityForwarder] = {}
+        self._changes: dict[str, ChangeTrigger] = {}
+        self._served: dict[str, ServedService] = {}
         self._silent_since_s: dict[str, float] = {}
         self._problems: dict[str, int] = {}
-        """In how many looks in a row each problem of the graph was seen."""
-        self._chores: list[asyncio.Task[None]] = []
+        """The number of consecutive checks in which each problem of the graph was seen."""
+        self._tasks: list[asyncio.Task[None]] = []
         self._on = AsyncExitStack()
 
     async def __aenter__(self) -> Self:
         await self._make_rules()
-        for name in self._memory.load():
-            if name in self.tallies:
-                self.tallies[name].enabled = False
-        await self._on.enter_async_context(self.mailroom)
+        for name in self._disabled_rules.load():
+            if name in self.stats:
+                self.stats[name].enabled = False
+        await self._on.enter_async_context(self.broker_writer)
         if self._serves_parameters:
             await self._on.enter_async_context(Parameters(self.graph, self._parameters))
-        for name, tally in self.tallies.items():
-            if tally.enabled:
+        for name, stats in self.stats.items():
+            if stats.enabled:
                 await self._start(name)
             elif (listener := self.listeners.named(name)) is not None:
                 listener.enabled = False
         if any(True for _ in self.tasks.resources()):
             await self._on.enter_async_context(self.tasks)
-        self._do(self.listeners.keep())
-        self._do(self.alerts.keep())
-        self._do(self._look_around())
+        self._start_task(self.listeners.run())
+        self._start_task(self.alerts.run())
+        self._start_task(self._supervise())
         for change in self._changes.values():
-            self._do(change.keep())
+            self._start_task(change.run())
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        for chore in self._chores:
-            chore.cancel()
-        await asyncio.gather(*self._chores, return_exceptions=True)
-        for name in self.tallies:
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for name in self.stats:
             with suppress(GraphError):
                 await self._stop(name)
         await self._on.aclose()
@@ -135,42 +133,44 @@ class Bridge:
                 await self.listeners.unsubscribe()
 
     def _parameters(self) -> dict[str, bool | str]:
-        rules = {f"rules.{name}.enabled": tally.enabled for name, tally in self.tallies.items()}
+        rules = {f"rules.{name}.enabled": stats.enabled for name, stats in self.stats.items()}
         return {"mapping": self.plan.document.file, **rules}
 
     async def probe(self) -> None:
-        """Return when the broker knows where to tell us of changes; raise if it does not."""
+        """Return if the broker has the subscriptions of the bridge. Raises `BrokerUnavailable`."""
         if not self.listeners.subscribed:
-            raise BrokerUnavailable(503, "Not subscribed", "the broker has not taken the subscriptions yet")
+            raise BrokerUnavailable(
+                503, "Not subscribed", "the broker has not accepted the subscriptions yet"
+            )
         if any(True for _ in self.tasks.resources()):
             await self.tasks.probe()
 
     async def switch(self, name: str, *, on: bool) -> None:
-        """Switch a rule on or off, for good. Raises `Problem`."""
-        if name not in self.tallies:
+        """Switch a rule on or off; it stays so after a restart. Raises `Problem`."""
+        if name not in self.stats:
             raise self._no_such_rule(name)
-        off = {rule for rule, tally in self.tallies.items() if not tally.enabled}
-        self._memory.save(off - {name} if on else off | {name})
-        tally = self.tallies[name]
-        if tally.enabled is not on:
-            tally.enabled = on
+        off = {rule for rule, stats in self.stats.items() if not stats.enabled}
+        self._disabled_rules.save(off - {name} if on else off | {name})
+        stats = self.stats[name]
+        if stats.enabled is not on:
+            stats.enabled = on
             await (self._start if on else self._stop)(name)
-            self.listeners.wish()
+            self.listeners.request_resync()
 
     def views(self) -> Sequence[Mapping[str, Any]]:
-        """Return what there is to say of every rule."""
-        return [self.view(name) for name in self.tallies]
+        """Return the view of every rule."""
+        return [self.view(name) for name in self.stats]
 
     def view(self, name: str) -> Mapping[str, Any]:
-        """Return what there is to say of a rule. Raises `Problem`."""
-        if name not in self.tallies:
+        """Return the view of a rule: its statistics, source, target and peers. Raises `Problem`."""
+        if name not in self.stats:
             raise self._no_such_rule(name)
-        seen = dict(self.tallies[name].view(asyncio.get_running_loop().time()))
-        seen |= self._particulars(name)
+        seen = dict(self.stats[name].view(asyncio.get_running_loop().time()))
+        seen |= self._details(name)
         return seen
 
     def _no_such_rule(self, name: str) -> Problem:
-        known = ", ".join(self.tallies) or "none"
+        known = ", ".join(self.stats) or "none"
         return Problem(
             404,
             "No such rule",
@@ -179,95 +179,105 @@ class Bridge:
             ),
         )
 
-    def _particulars(self, name: str) -> dict[str, Any]:
-        if (fleet := self._fleets.get(name)) is not None:
-            rule = fleet.planned.rule
-            read = [one.subscription for one in fleet.members.values() if one.subscription is not None]
+    def _details(self, name: str) -> dict[str, Any]:
+        if (pattern_forwarder := self._pattern_forwarders.get(name)) is not None:
+            rule = pattern_forwarder.planned.rule
+            read = [
+                one.subscription for one in pattern_forwarder.members.values() if one.subscription is not None
+            ]
             return {
                 "from": rule.topic,
                 "to": str(rule.entity.id.with_settings(self.plan.settings)) if rule.entity else "Alert",
                 "type": rule.type,
-                "qos": str(read[0].qos if read else fleet.planned.qos),
-                "topics": sorted(fleet.members),
+                "qos": str(read[0].qos if read else pattern_forwarder.planned.qos),
+                "topics": sorted(pattern_forwarder.members),
                 "publishers": sum(one.publishers() for one in read),
-                "unread": sum(one.refused for one in read),
-                "lastUnread": next((one.last_error for one in read if one.last_error), None),
+                "unreadable": sum(one.refused for one in read),
+                "lastUnreadable": next((one.last_error for one in read if one.last_error), None),
             }
-        if (outgoing := self._outgoing.get(name)) is not None:
-            subscription = outgoing.subscription
-            rule = outgoing.planned.rule
+        if (forwarder := self._forwarders.get(name)) is not None:
+            subscription = forwarder.subscription
+            rule = forwarder.planned.rule
             return {
                 "from": rule.topic,
                 "to": str(rule.entity.id.with_settings(self.plan.settings)) if rule.entity else "Alert",
-                "type": outgoing.outward.type_name if outgoing.outward else None,
-                "qos": str(subscription.qos if subscription else outgoing.planned.qos),
+                "type": forwarder.extractor.type_name if forwarder.extractor else None,
+                "qos": str(subscription.qos if subscription else forwarder.planned.qos),
                 "publishers": subscription.publishers() if subscription else 0,
-                "unread": subscription.refused if subscription else 0,
-                "lastUnread": subscription.last_error if subscription else None,
+                "unreadable": subscription.refused if subscription else 0,
+                "lastUnreadable": subscription.last_error if subscription else None,
             }
-        if (incoming := self._incoming.get(name)) is not None:
-            chosen = incoming.planned.selector
+        if (entity_forwarder := self._entity_forwarders.get(name)) is not None:
+            chosen = entity_forwarder.planned.selector
             return {
                 "from": chosen.id or f"{chosen.type} {chosen.id_pattern or chosen.q or ''}".strip(),
-                "to": str(incoming.planned.rule.topic),
-                "type": incoming.planned.rule.type,
-                "qos": str(incoming.planned.qos),
-                "subscribers": sum(one.subscribers() for one in incoming.publishers.values()),
+                "to": str(entity_forwarder.planned.rule.topic),
+                "type": entity_forwarder.planned.rule.type,
+                "qos": str(entity_forwarder.planned.qos),
+                "subscribers": sum(one.subscribers() for one in entity_forwarder.publishers.values()),
             }
-        asks = {planned.name: planned for planned in self.plan.asks}
+        asks = {planned.name: planned for planned in self.plan.requests}
         if (asked := asks.get(name)) is not None:
             what = getattr(asked.rule, "service", None) or getattr(asked.rule, "action", None)
             by = f"{asked.rule.task} of {asked.resource}" if asked.rule.task else "a change"
             return {"from": by, "to": what, "type": asked.rule.type}
-        offering = self._offerings[name].planned.rule
-        return {"from": offering.service, "to": f"Task {offering.task.definition}", "type": offering.type}
+        served = self._served[name].planned.rule
+        return {"from": served.service, "to": f"Task {served.task.definition}", "type": served.type}
 
     # How rules are made, started and stopped
 
     async def _make_rules(self) -> None:
         plan, graph = self.plan, self.graph
-        for inward in plan.inward:
-            incoming = Incoming(inward, self.tallies[inward.name], graph, plan.settings)
-            self._incoming[inward.name] = incoming
-            self.listeners.add(incoming.listener)
-        for planned in plan.asks:
-            asking = Asking(planned, self.tallies[planned.name], graph)
+        for planned_entity_rule in plan.ngsild_to_ros:
+            entity_forwarder = EntityForwarder(
+                planned_entity_rule, self.stats[planned_entity_rule.name], graph, plan.settings
+            )
+            self._entity_forwarders[planned_entity_rule.name] = entity_forwarder
+            self.listeners.add(entity_forwarder.listener)
+        for planned in plan.requests:
+            request = RosRequest(planned, self.stats[planned.name], graph)
             if planned.rule.when is not None:
-                change = ChangeAsking(asking, self.mailroom.put, partial(self._call_fails, planned.name))
+                change = ChangeTrigger(
+                    request, self.broker_writer.put, partial(self._report_call, planned.name)
+                )
                 self._changes[planned.name] = change
                 self.listeners.add(change.listener)
             else:
-                self.tasks.add(asking)
+                self.tasks.add(request)
                 await self.tasks.act_for(planned.resource or "")
-        for outward in plan.outward:
-            if outward.pattern is not None:
-                self._fleets[outward.name] = Fleet(outward, plan, graph, self._made_outgoing)
+        for planned_topic_rule in plan.ros_to_ngsild:
+            if planned_topic_rule.pattern is not None:
+                self._pattern_forwarders[planned_topic_rule.name] = PatternForwarder(
+                    planned_topic_rule, plan, graph, self._make_forwarder
+                )
             else:
-                self._outgoing[outward.name] = self._made_outgoing(outward)
-        for offer in plan.offers:
-            self._offerings[offer.name] = Offering(
-                offer, self.tallies[offer.name], graph, self.broker, settings=self.settings, plan=plan
+                self._forwarders[planned_topic_rule.name] = self._make_forwarder(planned_topic_rule)
+        for offer in plan.served_services:
+            self._served[offer.name] = ServedService(
+                offer, self.stats[offer.name], graph, self.broker, settings=self.settings, plan=plan
             )
 
-    def _made_outgoing(self, planned: PlannedOutward) -> Outgoing:
-        return Outgoing(
+    def _make_forwarder(self, planned: PlannedRosToNgsild) -> TopicForwarder:
+        return TopicForwarder(
             planned,
-            self.tallies[planned.name],
+            self.stats[planned.name],
             self.graph,
-            put=self.mailroom.put,
-            announce=self.alerts.announce,
+            put=self.broker_writer.put,
+            publish_alert=self.alerts.publish,
             echoes=self.listeners,
         )
 
-    def _outgoing_of(self, rule: str) -> Sequence[Outgoing]:
-        """Return what is at work for a rule from ROS to NGSI-LD."""
-        if (fleet := self._fleets.get(rule)) is not None:
-            return list(fleet.members.values())
-        return [self._outgoing[rule]] if rule in self._outgoing else []
+    def _forwarders_of(self, rule: str) -> Sequence[TopicForwarder]:
+        """Return the forwarders of a rule from ROS to NGSI-LD."""
+        if (pattern_forwarder := self._pattern_forwarders.get(rule)) is not None:
+            return list(pattern_forwarder.members.values())
+        return [self._forwarders[rule]] if rule in self._forwarders else []
 
-    def _startable(self, name: str) -> "Outgoing | Fleet | Incoming | Offering | None":
-        outgoing = self._outgoing.get(name) or self._fleets.get(name)
-        return outgoing or self._incoming.get(name) or self._offerings.get(name)
+    def _startable(
+        self, name: str
+    ) -> "TopicForwarder | PatternForwarder | EntityForwarder | ServedService | None":
+        forwarder = self._forwarders.get(name) or self._pattern_forwarders.get(name)
+        return forwarder or self._entity_forwarders.get(name) or self._served.get(name)
 
     async def _start(self, name: str) -> None:
         rule = self._startable(name)
@@ -277,154 +287,162 @@ class Bridge:
             try:
                 await rule.start()
             except HandoverError as error:
-                self.tallies[name].fault(str(error), asyncio.get_running_loop().time())
+                self.stats[name].record_error(str(error), asyncio.get_running_loop().time())
 
     async def _stop(self, name: str) -> None:
         rule = self._startable(name)
         if (listener := self.listeners.named(name)) is not None:
             listener.enabled = False
-        silent = [name, *(f"{name} {topic}" for topic in rule.members)] if isinstance(rule, Fleet) else [name]
+        silent = (
+            [name, *(f"{name} {topic}" for topic in rule.members)]
+            if isinstance(rule, PatternForwarder)
+            else [name]
+        )
         if rule is not None:
             await rule.stop()
         for key in silent:
-            self._is_heard(key)
+            self._clear_silence(key)
 
-    def _taken(self, letter: Letter) -> None:
-        if letter.shown is not None:
-            for outgoing in self._outgoing_of(letter.rule)[:1]:  # any of them counts for the rule
-                outgoing.taken(letter)
+    def _accepted(self, update: Update) -> None:
+        if update.shown is not None:
+            for forwarder in self._forwarders_of(update.rule)[
+                :1
+            ]:  # all of them share the statistics of the rule
+                forwarder.accepted(update)
 
     def _dropped(self, rule: str, number: int, cause: str) -> None:
-        if any(one.planned.rule.buffer.keep > 1 for one in self._outgoing_of(rule)):
-            self.tallies[rule].lose(cause, number)
+        if any(one.planned.rule.buffer.keep > 1 for one in self._forwarders_of(rule)):
+            self.stats[rule].count_dropped(cause, number)
         else:
-            self.tallies[rule].conflate(number)
+            self.stats[rule].count_conflated(number)
 
-    def _refused(self, letter: Letter, why: str) -> None:
-        self.tallies[letter.rule].fault(f"{letter.entity_id}: {why}", asyncio.get_running_loop().time())
-        self.tallies[letter.rule].lose("refused")
-        for outgoing in self._outgoing_of(letter.rule):
-            outgoing.refused(letter)
+    def _refused(self, update: Update, why: str) -> None:
+        self.stats[update.rule].record_error(f"{update.entity_id}: {why}", asyncio.get_running_loop().time())
+        self.stats[update.rule].count_dropped("refused")
+        for forwarder in self._forwarders_of(update.rule):
+            forwarder.refused(update)
 
-    # What is looked after
+    # Supervision
 
-    async def _look_around(self) -> None:
-        """Every second: topics whose type is not known yet, topics gone silent, a broker that was away."""
+    async def _supervise(self) -> None:
+        """Check every second: unknown types, changed QoS, new topics, silent topics, losses, mismatches."""
         clock = asyncio.get_running_loop().time
-        heard: set[str] = set()
+        active: set[str] = set()
         while True:
-            await asyncio.sleep(LOOK_EVERY_S)
-            for name, fleet in self._fleets.items():
-                if self.tallies[name].enabled:
-                    await self._look_for_robots(name, fleet, heard)
-            for name, outgoing in self._outgoing.items():
-                if not self.tallies[name].enabled:
+            await asyncio.sleep(CHECK_INTERVAL_S)
+            for name, pattern_forwarder in self._pattern_forwarders.items():
+                if self.stats[name].enabled:
+                    await self._check_pattern(name, pattern_forwarder, active)
+            for name, forwarder in self._forwarders.items():
+                if not self.stats[name].enabled:
                     continue
-                outgoing.count_losses()
-                if outgoing.planned.match:
-                    await self._match(name, outgoing)
-                if outgoing.outward is None:
-                    await self._learn_type(name, outgoing)
-                elif outgoing.subscription is not None:
-                    if outgoing.subscription.publishers() > 0:
-                        heard.add(name)
-                        self._is_heard(name)
-                    elif name in heard:
-                        self._is_silent(name, outgoing, clock())
-            self.losses.look(clock())
+                forwarder.count_reader_losses()
+                if forwarder.planned.match:
+                    await self._match(name, forwarder)
+                if forwarder.extractor is None:
+                    await self._learn_type(name, forwarder)
+                elif forwarder.subscription is not None:
+                    if forwarder.subscription.publishers() > 0:
+                        active.add(name)
+                        self._clear_silence(name)
+                    elif name in active:
+                        self._report_silence(name, forwarder, clock())
+            self.drops.report(clock())
             self._report_problems()
 
-    async def _look_for_robots(self, name: str, fleet: Fleet, heard: set[str]) -> None:
+    async def _check_pattern(self, name: str, pattern_forwarder: PatternForwarder, active: set[str]) -> None:
         clock = asyncio.get_running_loop().time
         try:
-            await fleet.look()
+            await pattern_forwarder.add_topics()
         except GraphError as error:
-            self.tallies[name].fault(str(error), clock())
-        for topic, member in tuple(fleet.members.items()):  # a rule may be switched on or off meanwhile
+            self.stats[name].record_error(str(error), clock())
+        for topic, member in tuple(
+            pattern_forwarder.members.items()
+        ):  # a rule may be switched on or off meanwhile
             key = f"{name} {topic}"
-            member.count_losses()
+            member.count_reader_losses()
             if member.planned.match:
                 await self._match(name, member)
             if member.subscription is not None and member.subscription.publishers() > 0:
-                heard.add(key)
-                self._is_heard(key)
-            elif key in heard:
-                self._is_silent(key, member, clock())
+                active.add(key)
+                self._clear_silence(key)
+            elif key in active:
+                self._report_silence(key, member, clock())
 
-    async def _match(self, name: str, outgoing: Outgoing) -> None:
+    async def _match(self, name: str, forwarder: TopicForwarder) -> None:
         try:
-            await outgoing.match()
+            await forwarder.match()
         except GraphError as error:
-            self.tallies[name].fault(str(error), asyncio.get_running_loop().time())
+            self.stats[name].record_error(str(error), asyncio.get_running_loop().time())
 
-    async def _learn_type(self, name: str, outgoing: Outgoing) -> None:
+    async def _learn_type(self, name: str, forwarder: TopicForwarder) -> None:
         types = {topic.name: topic.type_names for topic in self.graph.topics()}
-        topic = outgoing.planned.rule.topic
+        topic = forwarder.planned.rule.topic
         found = types.get(topic, ())
         if not found:
             return
         wrong: list[str] = []
         if len(found) > 1:
-            wrong.append(f"{topic} has the types {' and '.join(found)}; say which (type: …)")
-            self._wrong_type(name, wrong)
+            wrong.append(f"{topic} has the types {' and '.join(found)}; set one of them (type: …)")
+            self._report_type_errors(name, wrong)
             return
 
-        def say(where: tuple[str, ...], why: WrongRule) -> None:
+        def report(where: tuple[str, ...], why: InvalidRule) -> None:
             wrong.append(f"{'.'.join(where)}: {why}")
 
         try:
-            made = planning.outward(self.plan, outgoing.planned.rule, found[0], say)
-        except (GraphError, WrongRule) as error:
+            made = planning.compile_rule(self.plan, forwarder.planned.rule, found[0], report)
+        except (GraphError, InvalidRule) as error:
             wrong.append(str(error))
         else:
             if not wrong:
-                outgoing.know(made)
+                forwarder.set_type(made)
                 await self._start(name)
-        self._wrong_type(name, wrong)
+        self._report_type_errors(name, wrong)
 
-    def _wrong_type(self, name: str, wrong: Sequence[str]) -> None:
+    def _report_type_errors(self, name: str, wrong: Sequence[str]) -> None:
         for why in wrong:
-            self.tallies[name].fault(why, asyncio.get_running_loop().time())
-        self._alert(f"type {name}", "; ".join(wrong), standing=bool(wrong))
+            self.stats[name].record_error(why, asyncio.get_running_loop().time())
+        self._alert(f"type {name}", "; ".join(wrong), active=bool(wrong))
 
-    def _is_silent(self, name: str, outgoing: Outgoing, now_s: float) -> None:
+    def _report_silence(self, name: str, forwarder: TopicForwarder, now_s: float) -> None:
         since_s = self._silent_since_s.setdefault(name, now_s)
         if now_s - since_s >= SILENT_AFTER_S:
-            SILENT.labels(name).set(1)
-            topic = outgoing.planned.rule.topic
-            words = f"nobody speaks on {topic} any more; start the node that does, or switch the rule off"
-            self._alert(f"silent {name}", words, standing=True)
+            TOPIC_SILENT.labels(name).set(1)
+            topic = forwarder.planned.rule.topic
+            words = f"nobody publishes {topic} any more; start its node, or switch the rule off"
+            self._alert(f"silent {name}", words, active=True)
 
-    def _is_heard(self, name: str) -> None:
+    def _clear_silence(self, name: str) -> None:
         if self._silent_since_s.pop(name, None) is not None:
-            SILENT.labels(name).set(0)
-            self._alert(f"silent {name}", "", standing=False)
+            TOPIC_SILENT.labels(name).set(0)
+            self._alert(f"silent {name}", "", active=False)
 
-    def _call_fails(self, name: str, why: str | None) -> None:
+    def _report_call(self, name: str, why: str | None) -> None:
         words = f'the rule "{name}" could not call the graph: {why}' if why is not None else ""
-        self._alert(f"call {name}", words, standing=why is not None)
+        self._alert(f"call {name}", words, active=why is not None)
 
     def _report_problems(self) -> None:
-        """Raise an Alert for each mismatch with a peer that lasts, and clear it when it is gone."""
+        """Raise an Alert for each mismatch with a peer that lasts, and clear it afterwards."""
         seen = {str(problem) for problem in self.graph.problems()}
         for gone in self._problems.keys() - seen:
-            if self._problems.pop(gone) >= LASTING_LOOKS:
-                self._alert(_problem_key(gone), "", standing=False)
+            if self._problems.pop(gone) >= MIN_LASTING_CHECKS:
+                self._alert(_problem_key(gone), "", active=False)
         for text in seen:
-            looks = self._problems[text] = self._problems.get(text, 0) + 1
-            if looks == LASTING_LOOKS:
-                self._alert(_problem_key(text), text, standing=True)
+            checks = self._problems[text] = self._problems.get(text, 0) + 1
+            if checks == MIN_LASTING_CHECKS:
+                self._alert(_problem_key(text), text, active=True)
 
-    def _alert(self, key: str, description: str, *, standing: bool) -> None:
+    def _alert(self, key: str, description: str, *, active: bool) -> None:
         source = self.settings.entity_id("Device", self.name)
-        news = AlertNews(key, source, standing, "ros", description, severity="medium")
-        self.alerts.announce(self.name, news)
+        alert_state = AlertState(key, source, active, "ros", description, severity="medium")
+        self.alerts.publish(self.name, alert_state)
 
-    def _do(self, work: Coroutine[Any, Any, None]) -> None:
-        chore = asyncio.create_task(work)
-        chore.add_done_callback(self._done)
-        self._chores.append(chore)
+    def _start_task(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        task.add_done_callback(self._log_failure)
+        self._tasks.append(task)
 
-    def _done(self, chore: asyncio.Task[None]) -> None:
-        if not chore.cancelled() and (error := chore.exception()) is not None:
-            log.error("a chore of the bridge failed", exc_info=error)
+    def _log_failure(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("background task of the bridge failed", exc_info=error)

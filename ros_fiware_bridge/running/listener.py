@@ -1,7 +1,7 @@
-"""A listener: learns of entities in the broker, by subscription and by asking, and passes on what is news.
+"""Listeners: receive entities of the broker by subscription and by polling, and pass on changes.
 
-Its subscription has a deterministic id, so making it twice makes one; it is deleted when the bridge ends in
-good order. Every few seconds the broker is asked for the state itself, since notifications may be lost.
+Each subscription has a deterministic id, so creating it twice has no effect; the bridge deletes it on an
+orderly shutdown. The broker is also polled every few seconds, since notifications may be lost.
 """
 
 import re
@@ -20,19 +20,19 @@ from handover.resync import Resync
 from handover.settings import Settings
 from handover.telemetry import get_logger
 from ros_fiware_bridge.mapping.model import EntitySelector
-from ros_fiware_bridge.rules.inward import Scope
-from ros_fiware_bridge.rules.latest import Latest, scope_of
+from ros_fiware_bridge.rules.change_tracker import ChangeTracker, scope_of
+from ros_fiware_bridge.rules.message_builder import Scope
 
 log = get_logger(__name__)
 
 Effect = Callable[[Mapping[str, Any], Scope], None]
-"""What is done with an entity (normalized) that is news."""
+"""Called with a changed entity (normalized)."""
 
 
 class Listener:
-    """Listens for `attributes` of the entities that `selector` chooses, and has `effect` done with news.
+    """Watches `attributes` of the entities that `selector` selects, and calls `effect` for each change.
 
-    What the broker holds at the start is only news with `at_start`.
+    The state that the broker holds at the start counts as a change only with `at_start`.
     """
 
     def __init__(
@@ -43,21 +43,21 @@ class Listener:
         effect: Effect,
         *,
         at_start: bool,
-        complain: Callable[[str], None],
+        on_error: Callable[[str], None],
     ) -> None:
         self.name = name
         self.selector = selector
         self.attributes = tuple(attributes)
-        self.latest = Latest(self.attributes)
+        self.tracker = ChangeTracker(self.attributes)
         self.enabled = True
-        self.complain = complain
-        """Told why the broker does not let us listen."""
+        self.on_error = on_error
+        """Called with the reason why the broker refuses the subscription or the query."""
         self._effect = effect
         self._at_start = at_start
         self._began = False
 
     def subscription(self, subscription_id: str, endpoint: Mapping[str, Any]) -> dict[str, Any]:
-        """Return its subscription as the broker takes it."""
+        """Return the subscription as NGSI-LD."""
         chosen = self.selector
         entity = {"type": chosen.type, "id": chosen.id, "idPattern": chosen.id_pattern}
         return {
@@ -73,8 +73,8 @@ class Listener:
             },
         }
 
-    async def ask(self, broker: BrokerClient) -> None:
-        """Ask the broker for the state itself. Raises `BrokerError`."""
+    async def poll(self, broker: BrokerClient) -> None:
+        """Poll the broker. Raises `BrokerError`."""
         chosen = self.selector
         if chosen.id is not None and chosen.q is None:
             entities = []
@@ -86,26 +86,26 @@ class Listener:
             )
         first, self._began = not self._began, True
         for entity in entities:
-            self.take(entity, only_notice=first and not self._at_start)
+            self.take(entity, baseline=first and not self._at_start)
 
     async def read(self, notified: Iterable[Mapping[str, Any]], receiver: NotificationReceiver) -> None:
-        """Read from the broker what a notification is about, and pass on what is news. Raises `BrokerError`.
+        """Retrieve the entities of a notification and pass on changes. Raises `BrokerError`.
 
-        What is passed on may move a robot, so the content of the notification is not used.
+        The content of the notification itself is not used, since a change may move a robot.
         """
         ids = ids_of([entity for entity in notified if self._is_chosen(entity)])
         for entity in await receiver.read(self.selector.type, ids, q=self.selector.q):
             self.take(entity)
 
-    def take(self, entity: Mapping[str, Any], *, only_notice: bool = False) -> None:
-        """Take notice of an entity; what is news is passed on unless it is `only_notice`d."""
+    def take(self, entity: Mapping[str, Any], *, baseline: bool = False) -> None:
+        """Record the state of an entity; a change is passed on unless the state is a `baseline`."""
         if not self._is_chosen(entity):
             return
-        if self.latest.take(entity, time.monotonic()) and self.enabled and not only_notice:
+        if self.tracker.take(entity, time.monotonic()) and self.enabled and not baseline:
             self._effect(entity, scope_of(entity, time.time()))
 
     def _is_chosen(self, entity: Mapping[str, Any]) -> bool:
-        """Say whether this is an entity that the rule is about, whoever tells of it."""
+        """Return whether the rule selects this entity; notifications may hold others."""
         entity_id, types, chosen = entity.get("id"), entity.get("type"), self.selector
         if not isinstance(entity_id, str) or chosen.type not in (
             types if isinstance(types, list) else [types]
@@ -117,7 +117,7 @@ class Listener:
 
 
 class Listeners:
-    """All listeners of a bridge, with their subscriptions."""
+    """All listeners of a bridge and their subscriptions."""
 
     def __init__(
         self,
@@ -135,10 +135,10 @@ class Listeners:
         self._notify_url = notify_url
         self._prefix = prefix
         self._listeners: dict[str, Listener] = {}
-        self._resync = Resync(self._go, settings.reconcile_s)
+        self._resync = Resync(self._synchronize, settings.reconcile_s)
 
     def add(self, listener: Listener) -> None:
-        """Have one more listen, from the next round on."""
+        """Add a listener; it takes effect with the next resync."""
         self._listeners[listener.name] = listener
         self.watched |= frozenset(listener.attributes)
 
@@ -147,19 +147,21 @@ class Listeners:
         return self._listeners.get(name)
 
     def is_echo(self, entity_id: str, attribute: str, value: Any) -> bool:
-        """Say whether this value is what somebody else wrote just now."""
+        """Return whether this value is what another client has just written."""
         now_s = time.monotonic()
-        return any(one.latest.is_echo(entity_id, attribute, value, now_s) for one in self._listeners.values())
+        return any(
+            one.tracker.is_echo(entity_id, attribute, value, now_s) for one in self._listeners.values()
+        )
 
     def wrote(self, entity_id: str, attribute: str) -> None:
-        """Take notice that a value of the graph is being written."""
+        """Record that a value of the graph is being written."""
         for listener in self._listeners.values():
-            listener.latest.wrote(entity_id, attribute)
+            listener.tracker.wrote(entity_id, attribute)
 
     async def take_notification(self, rule: str, request: Request) -> None:
-        """Have the rule `rule` act on what the broker says of the entities that a notification names.
+        """Have `rule` process the current state of the entities in a notification.
 
-        Raises `Problem` if there is no such rule, or if the notification is refused.
+        Raises `Problem` if there is no such rule, or the notification is refused.
         """
         notified = await self._receiver.receive(request)
         listener = self._listeners.get(rule)
@@ -172,61 +174,56 @@ class Listeners:
         try:
             await listener.read(notified, self._receiver)
         except BrokerError as error:
-            log.warning("cannot read entities that have changed", rule=rule, error=str(error))
+            log.warning("reading changed entities failed", rule=rule, error=str(error))
             self._resync.request()
 
-    async def keep(self) -> None:
-        """Go rounds until cancelled: subscriptions are what they should be, and nothing has been missed."""
+    async def run(self) -> None:
+        """Keep the subscriptions in place and poll the broker until cancelled."""
         await self._resync.run()
 
-    def wish(self) -> None:
-        """Wish for a round now."""
+    def request_resync(self) -> None:
+        """Request a resync now, without waiting for it."""
         self._resync.request()
 
     async def unsubscribe(self) -> None:
-        """Delete the subscriptions, as far as the broker lets us."""
+        """Delete the subscriptions, as far as the broker is available."""
         for name in self._listeners:
             with suppress(BrokerError):
                 await self._broker.delete_subscription(self._id(name))
         self.subscribed = False
 
-    async def _go(self) -> bool:
+    async def _synchronize(self) -> bool:
         try:
             there = {str(one.get("id")) for one in await self._broker.subscriptions()}
-            await self._clear_away(there)
+            await self._delete_unused(there)
             for name, listener in self._listeners.items():
                 if listener.enabled:
                     await self._listen(self._id(name), listener, there)
         except BrokerError as error:
-            log.info("the broker cannot be asked", error=str(error))
+            log.info("resync with the broker failed", error=str(error))
             self.subscribed = False
             return False
         self.subscribed = True
         return True
 
-    async def _clear_away(self, there: set[str]) -> None:
-        """Delete the subscriptions of rules that are off, or that an earlier mapping left behind."""
+    async def _delete_unused(self, there: set[str]) -> None:
+        """Delete the subscriptions of disabled rules and of earlier mappings."""
         wanted = {self._id(name) for name, one in self._listeners.items() if one.enabled}
         for subscription_id in {one for one in there if one.startswith(self._id(""))} - wanted:
             with suppress(NotFound):
                 await self._broker.delete_subscription(subscription_id)
 
     async def _listen(self, subscription_id: str, listener: Listener, there: set[str]) -> None:
-        """Make the subscription if it lacks, and ask for what it may have missed."""
+        """Create the subscription if it is missing, and poll for changes that were missed."""
         try:
             if subscription_id not in there or not self.subscribed:
                 endpoint = self._receiver.endpoint(f"{self._notify_url}/{listener.name}")
                 await self._broker.ensure_subscription(listener.subscription(subscription_id, endpoint))
-            await listener.ask(self._broker)
+            await listener.poll(self._broker)
         except BrokerUnavailable:
             raise
         except BrokerError as error:
-            listener.complain(f"the broker does not let us listen: {error}")
+            listener.on_error(f"the broker refuses the subscription: {error}")
 
     def _id(self, name: str) -> str:
         return self._settings.entity_id("Subscription", f"{self._prefix}{name}")
-
-
-def _short(kind: Any) -> str:
-    """Return the name of a type, which some brokers tell as a URI."""
-    return re.split(r"[/#]", str(kind))[-1]

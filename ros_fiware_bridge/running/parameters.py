@@ -1,7 +1,6 @@
-"""Parameters: what `ros2 param list` and `ros2 param get` show of the bridge's own node.
+"""The ROS parameters of the bridge's node, for `ros2 param list` and `ros2 param get`.
 
-They can be read only: the graph knows no users, and a node must not switch on a rule that a person has
-switched off.
+They are read-only: the graph has no users, and a node must not enable a rule that a person has disabled.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +18,7 @@ _NOT_SET, _BOOL, _STRING = 0, 1, 4  # the constants of rcl_interfaces/msg/Parame
 
 
 class Parameters:
-    """Serves parameters while it is entered; `values` gives them by name."""
+    """Serves the parameters that `values` returns, while it is entered."""
 
     def __init__(self, graph: RosGraph, values: Callable[[], Values]) -> None:
         self._graph = graph
@@ -59,7 +58,7 @@ class Parameters:
         return {"values": [_parameter(values.get(name)) for name in request["names"]]}
 
     async def _set(self, request: Message) -> Message:
-        reason = "parameters of the bridge can be read only; switch rules by its REST interface or page"
+        reason = "the parameters of the bridge are read-only; switch rules by its REST interface or the page"
         return {"results": [{"successful": False, "reason": reason} for _ in request["parameters"]]}
 
 

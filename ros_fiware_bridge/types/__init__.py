@@ -1,1 +1,1 @@
-"""ROS types: what messages, services and actions are made of, and how they look on the wire."""
+"""ROS types: the definitions of messages, services and actions, and their wire format."""

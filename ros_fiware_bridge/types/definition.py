@@ -1,4 +1,4 @@
-"""The definition of a ROS message: its fields in order, each with its kind, bounds and default."""
+"""The definition of a ROS message: its fields in order, each with its type, bounds and default."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,12 +22,12 @@ INTEGER_RANGES: Mapping[str, tuple[int, int]] = MappingProxyType(
 )
 FLOATS = frozenset({"float32", "float64"})
 OCTETS = frozenset({"uint8", "byte", "char"})
-"""Arrays of these are bytes in a message."""
+"""Arrays of these types are bytes in a message."""
 PRIMITIVES = frozenset({*INTEGER_RANGES, *FLOATS, "bool", "string"})
 
 
 class Many(Enum):
-    """Whether a field holds one value, as many as its definition says, or as many as it likes."""
+    """Whether a field has one value, a fixed number of values, or any number."""
 
     ONE = "one"
     FIXED = "fixed"
@@ -36,10 +36,10 @@ class Many(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FieldType:
-    """What a field holds: `base` is a primitive (`float64`, `string`) or a message type.
+    """The type of a field: `base` is a primitive (`float64`, `string`) or a message type.
 
-    `size` is the length of a fixed array or the bound of a sequence (0: none); `text_bound` that of a string,
-    in bytes (0: none).
+    `size` is the length of a fixed array or the bound of a sequence (0: none); `text_bound` is the bound of a
+    string in bytes (0: none).
     """
 
     base: str
@@ -49,7 +49,7 @@ class FieldType:
 
     @property
     def is_message(self) -> bool:
-        """Whether it holds a message (or several)."""
+        """Whether the base is a message type."""
         return self.base not in PRIMITIVES
 
     @property
@@ -59,14 +59,14 @@ class FieldType:
 
     @property
     def is_number_array(self) -> bool:
-        """Whether it is an array that arrives as a NumPy array."""
+        """Whether it is an array that is decoded to a NumPy array."""
         return (
             self.many is not Many.ONE and not self.is_message and self.base != "string" and not self.is_octets
         )
 
     @property
     def item(self) -> "FieldType":
-        """What one item of the array is."""
+        """The type of one element of the array."""
         return FieldType(self.base, text_bound=self.text_bound)
 
     def __str__(self) -> str:
@@ -80,7 +80,7 @@ class FieldType:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field; `default` is None where the definition gives none (then it is zero, empty or false)."""
+    """A field; `default` is None if the definition gives none (then it is zero, empty or false)."""
 
     name: str
     type: FieldType

@@ -1,7 +1,7 @@
-"""Reading `.msg`, `.srv` and `.action` files into definitions, wherever they lie.
+"""Parses `.msg`, `.srv` and `.action` files into definitions.
 
-A `.srv` file gives the messages `X_Request` and `X_Response`; an `.action` file gives `X_Goal`, `X_Result`
-and `X_Feedback`; the messages that carry these on the wire are made of them in `wrappers.py`.
+A `.srv` file defines the messages `X_Request` and `X_Response`; an `.action` file defines `X_Goal`,
+`X_Result` and `X_Feedback`. `wrappers.py` derives the messages that transmit them.
 """
 
 import re
@@ -20,14 +20,14 @@ _PACKAGE = re.compile(r"[a-z](?:_?[a-z0-9]+)*")
 def find(path: Path) -> Iterator[tuple[str, Path]]:
     """Yield (type name, file) for a definition file or every one below a folder.
 
-    A folder may be an ament share folder, a package, or a tree of packages: each file lies in a folder `msg`,
-    `srv` or `action` inside the folder that is named like its package.
+    A folder may be an ament share folder, a package, or a tree of packages: each file is in a folder `msg`,
+    `srv` or `action` inside the folder with the name of its package.
 
     Raises:
-        BadDefinition: the path is not there, holds no definition, or a file lies in no package.
+        BadDefinition: the path does not exist, contains no definition, or a file is not in a package.
     """
     if not path.exists():
-        raise BadDefinition(f"type_paths: {path} is not there; name a definition file or a folder of them")
+        raise BadDefinition(f"type_paths: {path} does not exist; name a definition file or a folder of them")
     if path.is_file():
         yield _named(path), path
         return
@@ -39,7 +39,7 @@ def find(path: Path) -> Iterator[tuple[str, Path]]:
                 yield _named(file), file
     if not found:
         raise BadDefinition(
-            f"type_paths: {path} holds no definition; they lie as PACKAGE/msg/NAME.msg, "
+            f"type_paths: {path} contains no definition; the layout is PACKAGE/msg/NAME.msg, "
             "PACKAGE/srv/NAME.srv or PACKAGE/action/NAME.action"
         )
 
@@ -49,27 +49,27 @@ def _named(file: Path) -> str:
     package = file.resolve().parent.parent.name
     if kind not in KINDS or file.resolve().parent.name != kind:
         raise BadDefinition(
-            f"{file} is not where a definition lies; put it at PACKAGE/msg/NAME.msg, PACKAGE/srv/NAME.srv or "
+            f"{file} is not in a package; move it to PACKAGE/msg/NAME.msg, PACKAGE/srv/NAME.srv or "
             "PACKAGE/action/NAME.action"
         )
     if not _PACKAGE.fullmatch(package):
         raise BadDefinition(
-            f'{file}: "{package}" cannot be a ROS package; use lower case letters, digits '
+            f'{file}: "{package}" cannot be a ROS package; use lower-case characters, digits '
             "and single underscores"
         )
     if not _NAME.fullmatch(file.stem):
         raise BadDefinition(
-            f'{file}: "{file.stem}" cannot be a ROS type; begin with a capital, then letters and digits'
+            f'{file}: "{file.stem}" cannot be a ROS type; use a capital first, then characters and digits'
         )
     return f"{package}/{kind}/{file.stem}"
 
 
 def read(type_name: str, file: Path) -> list[Definition]:
-    """Return the definitions that a file gives.
+    """Return the definitions in a file.
 
     Raises:
-        BadDefinition: naming the file and the line.
-        UnsupportedType: a field that cannot be carried.
+        BadDefinition: the error names the file and the line.
+        UnsupportedType: a field has an unsupported type.
     """
     try:
         text = file.read_text(encoding="utf-8")
@@ -79,15 +79,15 @@ def read(type_name: str, file: Path) -> list[Definition]:
 
 
 def parse(type_name: str, text: str, where: str) -> list[Definition]:
-    """Return the definitions that the text of a file gives; `where` names it in errors."""
+    """Return the definitions in the text of a file; `where` names the file in errors."""
     package, kind, name = type_name.split("/")
     suffixes = SECTIONS[kind]
     lines = text.splitlines()
     cuts = [number for number, line in enumerate(lines) if line.strip() == "---"]
     if len(cuts) != len(suffixes) - 1:
         raise BadDefinition(
-            f"{where}: a .{kind} file has {len(suffixes)} parts, {len(suffixes) - 1} lines of --- between "
-            f"them; this one has {len(cuts)} such lines"
+            f"{where}: a .{kind} file has {len(suffixes)} parts, with {len(suffixes) - 1} lines of --- "
+            f"between them; this file has {len(cuts)} such lines"
         )
     starts = [0, *(cut + 1 for cut in cuts)]
     ends = [*cuts, len(lines)]
@@ -98,7 +98,7 @@ def parse(type_name: str, text: str, where: str) -> list[Definition]:
 
 
 def _definition(type_name: str, package: str, lines: list[str], where: str, offset: int) -> Definition:
-    from rosbags.typesys.base import TypesysError  # noqa: PLC0415 - heavy, and not needed until a type is
+    from rosbags.typesys.base import TypesysError  # noqa: PLC0415 - heavy, and needed for custom types alone
     from rosbags.typesys.msg import MSGParser  # noqa: PLC0415
 
     fields: list[Field] = []
@@ -108,7 +108,7 @@ def _definition(type_name: str, package: str, lines: list[str], where: str, offs
         if not bare or bare.startswith(("#", "@")):
             continue
         if re.match(r"wstring\b", bare):
-            raise UnsupportedType(f"{where}, line {number}: wstring cannot be carried; use string (UTF-8)")
+            raise UnsupportedType(f"{where}, line {number}: wstring is not supported; use string (UTF-8)")
         try:
             message = MSGParser(f"MSG: {package}/msg/Line\n{bare}\n").specification()[0]
         except TypesysError:
@@ -120,19 +120,19 @@ def _definition(type_name: str, package: str, lines: list[str], where: str, offs
             constants[constant.name] = _bare(constant.value)
         for one in message.fields:
             if any(one.name == other.name for other in fields):
-                raise BadDefinition(f'{where}, line {number}: the field "{one.name}" is there twice')
+                raise BadDefinition(f'{where}, line {number}: the field "{one.name}" is a duplicate')
             cardinality = {"scalar": Many.ONE, "array": Many.FIXED, "sequence": Many.SEQUENCE}
             base = str(getattr(one.typ.ref.name, "value", one.typ.ref.name))
             many = cardinality[one.typ.cardinality.value]
             if many is Many.FIXED and one.typ.size < 1:
-                raise BadDefinition(f'{where}, line {number}: "{bare}" has an array without items')
+                raise BadDefinition(f'{where}, line {number}: "{bare}" has an array without elements')
             kind = FieldType(base, many, one.typ.size, one.typ.str_size)
             fields.append(Field(one.name, kind, _bare(one.value)))
     return Definition(type_name, tuple(fields), constants)
 
 
 def _bare(value: object) -> object:
-    """Return a default or constant as it is meant: a quote inside quotes is written with a backslash."""
+    """Return a default or constant without the backslashes before quotes."""
     if isinstance(value, list):
         return [_bare(one) for one in value]
     return re.sub(r"\\(['\"])", r"\1", value) if isinstance(value, str) else value

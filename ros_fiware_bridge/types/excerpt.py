@@ -1,12 +1,12 @@
-"""An excerpt: those fields of a message that somebody asks for, read from CDR past all the others.
+"""Excerpts: reads selected fields of a CDR message and skips all others.
 
-A rule that wants one joint of a hundred pays for one: numbers that nobody asks for are jumped over, text and
-sequences are walked by their lengths. The walk goes to the end, so that a message cut short is refused
-whatever is asked for; only whether text that nobody asks for is text is not looked at.
+A rule that reads one joint of a hundred costs as little as one joint: numbers in between are skipped, and
+text and sequences are skipped by their lengths. The walk always reaches the end, so that a truncated message
+is refused for any selection; only the encoding of skipped text is not checked.
 
-XCDR1: each number stands at a multiple of its own size, counted from behind the header, and a structure adds
-nothing to that; so a structure may be longer at one place than at another. (DDSI-RTPS 2.5, 10; CDR of CORBA
-3.0.3, 15.3.)
+XCDR1: each number is aligned to a multiple of its own size, counted from the end of the header. A structure
+has no alignment of its own, so its size depends on its position. (DDSI-RTPS 2.5, 10; CDR of CORBA 3.0.3,
+15.3.)
 """
 
 import struct
@@ -18,13 +18,13 @@ import numpy as np
 from ros_fiware_bridge.types.definition import Definition, FieldType, Many
 
 FieldNames: TypeAlias = tuple[str, ...]
-"""The way to a field from the outside in; none for the whole message."""
+"""The path to a field, from the outermost name inwards; empty for the whole message."""
 Wanted: TypeAlias = Mapping[str, "Wanted"]
-"""What is asked for, by field; a field with nothing below is asked for as a whole."""
+"""The selected fields by name; a field without entries below it is selected as a whole."""
 Skip: TypeAlias = Callable[[memoryview, int], int]
-"""Returns the place behind what stands at a place of a message."""
+"""Returns the position behind the value at a position of a message."""
 Read: TypeAlias = Callable[[memoryview, int], tuple[Any, int]]
-"""Returns what stands there, too."""
+"""Returns the value at a position, and the position behind it."""
 
 LITTLE, BIG = "<", ">"
 _CODES = {
@@ -42,26 +42,26 @@ _CODES = {
     "float32": "f",
     "float64": "d",
 }
-_SHORTEST_TEXT = 5
-_LONGEST_REMEMBERED = 65_536
-_NOTHING = FieldType("uint8")
-"""What stands for a structure without members."""
+_MIN_TEXT_BYTES = 5
+_MAX_CACHED_BYTES = 65_536
+_EMPTY_MEMBER = FieldType("uint8")
+"""The member of a structure without members."""
 
 
 def wanted(fields: Collection[FieldNames]) -> Wanted:
-    """Return what is asked for, field by field; a field of one that is wanted whole is wanted already."""
+    """Return the selection as a tree; a field inside one that is selected as a whole adds nothing."""
     tree: dict[str, Any] = {}
     for names in sorted(fields, key=len):
         here = tree
         for name in names:
             if here.get(name) == {}:
-                break  # it is wanted whole
+                break  # it is selected as a whole
             here = here.setdefault(name, {})
     return {} if () in fields else tree
 
 
 class Excerpts:
-    """Makes the functions that read excerpts, of one byte order (`LITTLE` or `BIG`)."""
+    """Creates the functions that read excerpts, for one byte order (`LITTLE` or `BIG`)."""
 
     def __init__(self, definition_of: Callable[[str], Definition], order: str) -> None:
         self._definition_of = definition_of
@@ -69,18 +69,18 @@ class Excerpts:
         self._length = struct.Struct(f"{order}I").unpack_from
 
     def reader(self, type_name: str, asked: Wanted) -> Read:
-        """Return what reads messages of `type_name`; it raises ValueError or struct.error."""
+        """Return the function that reads messages of `type_name`; it raises ValueError or struct.error."""
         read = self._message(type_name, asked)
 
         def whole(data: memoryview, at: int) -> tuple[Any, int]:
             message, at = read(data, at)
             if at > len(data):
-                raise ValueError(f"it ends after {len(data)} bytes, and {at} are wanted")
+                raise ValueError(f"it ends after {len(data)} bytes, and {at} are expected")
             return message, at
 
         return whole
 
-    # What is read
+    # Reading
 
     def _read(self, kind: FieldType, asked: Wanted) -> Read:
         if kind.many is not Many.ONE:
@@ -100,7 +100,7 @@ class Excerpts:
             steps += [(None, skip) for skip in self._skips(jumped)]
             steps.append((field.name, self._read(field.type, asked.get(field.name, {}))))
             jumped = []
-        steps += [(None, skip) for skip in self._skips(jumped if fields else [_NOTHING])]
+        steps += [(None, skip) for skip in self._skips(jumped if fields else [_EMPTY_MEMBER])]
 
         def read(data: memoryview, at: int) -> tuple[Any, int]:
             message: dict[str, Any] = {}
@@ -145,7 +145,7 @@ class Excerpts:
         if kind.is_number_array:
             return self._numbers(kind)
         read_one = self._read(kind.item, {})
-        start = self._start(kind, 1 if kind.is_message else _SHORTEST_TEXT)
+        start = self._start(kind, 1 if kind.is_message else _MIN_TEXT_BYTES)
 
         def read(data: memoryview, at: int) -> tuple[Any, int]:
             count, at = start(data, at)
@@ -174,10 +174,10 @@ class Excerpts:
 
         return read
 
-    # What is jumped over
+    # Skipping
 
     def _skips(self, kinds: Iterable[FieldType]) -> list[Skip]:
-        """Return what goes past fields that follow each other, numbers of one size in one go."""
+        """Return the functions that skip consecutive fields; numbers of one size are skipped together."""
         skips: list[Skip] = []
         size, count = 0, 0
         for kind in kinds:
@@ -195,7 +195,7 @@ class Excerpts:
         return skips
 
     def _even(self, kind: FieldType) -> tuple[int, int] | None:
-        """Return the size of the numbers that `kind` is made of and how many they are, if both are fixed."""
+        """Return the size and the count of the numbers in `kind`, if both are fixed; else None."""
         if kind.many is Many.SEQUENCE or kind.base == "string":
             return None
         many = kind.size if kind.many is Many.FIXED else 1
@@ -234,7 +234,7 @@ class Excerpts:
 
             return jump
         past = self._past(kind.item)
-        start = self._start(kind, 1 if kind.is_message else _SHORTEST_TEXT)
+        start = self._start(kind, 1 if kind.is_message else _MIN_TEXT_BYTES)
 
         def skip(data: memoryview, at: int) -> int:
             count, at = start(data, at)
@@ -255,15 +255,15 @@ class Excerpts:
             size = length(data, at)[0]
             end = at + 4 + size
             if size < 1 or end > len(data):
-                raise ValueError(f"at {at} stands the length of a text, {size}, which cannot be")
+                raise ValueError(f"the length of the text at {at} is {size}, which is impossible")
             if data[end - 1]:
-                raise ValueError(f"the text at {at} does not end with a zero")
+                raise ValueError(f"the text at {at} has no terminating zero")
             return int(end)
 
         return skip
 
     def _start(self, kind: FieldType, shortest: int) -> Read:
-        """Return what reads how many items there are, each of `shortest` bytes or more."""
+        """Return the function that reads the number of elements, each of at least `shortest` bytes."""
         length, fixed = self._length, kind.size
 
         def count_of_fixed(data: memoryview, at: int) -> tuple[int, int]:
@@ -281,7 +281,7 @@ class Excerpts:
 
 def _require_room(data: memoryview, at: int, count: int, shortest: int) -> None:
     if at + count * shortest > len(data):
-        raise ValueError(f"{count} items stand at {at}, more than the message has bytes for")
+        raise ValueError(f"{count} elements at {at} do not fit into the message")
 
 
 def _past_numbers(size: int, count: int) -> Skip:
@@ -299,7 +299,7 @@ def _texts_unless_as_before(read: Read) -> Read:
 
 
 def _unless_as_before(read: Read) -> Read:
-    """Return `read`, which walks again only through what has changed: the names of joints seldom do."""
+    """Return a `read` that caches its last result: the names of joints seldom change."""
     before, before_at, known = b"", -1, None
 
     def read_if_new(data: memoryview, at: int) -> tuple[Any, int]:
@@ -308,7 +308,7 @@ def _unless_as_before(read: Read) -> Read:
         if at == before_at and bytes(data[at:end]) == before:
             return known, end
         found, end = read(data, at)
-        if end - at <= _LONGEST_REMEMBERED:
+        if end - at <= _MAX_CACHED_BYTES:
             before, before_at, known = bytes(data[at:end]), at, found
         return found, end
 

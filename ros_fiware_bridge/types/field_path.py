@@ -1,4 +1,4 @@
-"""Field paths: how a rule names a part of a message, `position[0]` or `pose.pose.position`."""
+"""Field paths: name a part of a message, as in `position[0]` or `pose.pose.position`."""
 
 import difflib
 import re
@@ -16,14 +16,14 @@ _STEP = re.compile(r"([A-Za-z][A-Za-z0-9_]*)(?:\[([0-9]+)\])?")
 
 @dataclass(frozen=True, slots=True)
 class FieldPath:
-    """A path checked against a definition: names and indexes in order, and what stands at its end."""
+    """A path checked against a definition: its names and indexes, and the type at its end."""
 
     text: str
     steps: tuple[str | int, ...]
     type: FieldType
 
     def of(self, message: dict[str, Any]) -> Any:
-        """Return what stands there in a whole message; None beyond the end of an array."""
+        """Return the value in a whole message; None beyond the end of an array."""
         value: Any = message
         for step in self.steps:
             if isinstance(step, int) and step >= len(value):
@@ -36,7 +36,7 @@ def field_path(text: str, type_name: str, definition_of: Callable[[str], Definit
     """Check `text` against the definition of `type_name`.
 
     Raises:
-        UnknownField: naming the part that is not there and what would be.
+        UnknownField: the error names the missing part and the existing ones.
     """
     steps: list[str | int] = []
     here = FieldType(type_name)
@@ -50,7 +50,7 @@ def field_path(text: str, type_name: str, definition_of: Callable[[str], Definit
             )
         if here.many is not Many.ONE:
             raise UnknownField(
-                f'"{text}": {so_far} of {type_name} is {here}; name one item, {so_far}[0].{part}'
+                f'"{text}": {so_far} of {type_name} is {here}; name one element, {so_far}[0].{part}'
             )
         if not here.is_message:
             raise UnknownField(f'"{text}": {so_far} of {type_name} is {here}, which has no fields')
@@ -71,14 +71,14 @@ def field_path(text: str, type_name: str, definition_of: Callable[[str], Definit
 
 def _item(kind: FieldType, index: int, text: str, where: str) -> FieldType:
     if kind.many is Many.ONE:
-        raise UnknownField(f'"{text}": {where} is {kind}, no array; leave the [{index}] out')
+        raise UnknownField(f'"{text}": {where} is {kind}, not an array; remove the [{index}]')
     if kind.size and index >= kind.size:
         raise UnknownField(f'"{text}": {where} is {kind}; the last index is {kind.size - 1}')
     return kind.item
 
 
 def meant(name: str, definition: Definition) -> str:
-    """Say which field `name` may have meant, or which there are."""
+    """Return a hint: the field that `name` may mean, or all fields."""
     names = [one.name for one in definition.fields]
     near = difflib.get_close_matches(name, names, n=1)
     if near:

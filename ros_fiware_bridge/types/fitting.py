@@ -1,6 +1,6 @@
-"""Fitting: a dict that somebody wrote becomes a message, or it is said where it does not fit its definition.
+"""Fits dicts to message definitions, with errors that name the field.
 
-What is left out takes its default. Numbers are not rounded, cut or wrapped: 300 does not fit a uint8.
+Missing fields take their defaults. Numbers are not rounded, truncated or wrapped: 300 does not fit uint8.
 """
 
 import math
@@ -20,7 +20,7 @@ _FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
 class Unfit(Exception):
-    """Something does not fit; the path to it grows while the fault travels up to the whole message."""
+    """A value does not fit; the path to it grows while the error propagates to the whole message."""
 
     def __init__(self, rule: str, path: str = "") -> None:
         super().__init__(rule)
@@ -28,13 +28,13 @@ class Unfit(Exception):
         self.path = path
 
     def under(self, name: str) -> "Unfit":
-        """Return the same fault seen from one step further up."""
+        """Return the same error, seen from the enclosing field."""
         dot = "" if not self.path or self.path.startswith("[") else "."
         return Unfit(self.rule, f"{name}{dot}{self.path}")
 
 
 class Fitting:
-    """Fits dicts to the definitions of one store; what it gives has the attributes that the codec reads."""
+    """Fits dicts to the definitions of one store; the results have the attributes that the codec reads."""
 
     def __init__(
         self, definition_of: Callable[[str], Definition], attribute_of: Callable[[str], str]
@@ -45,10 +45,10 @@ class Fitting:
         self._defaults: dict[str, Any] = {}
 
     def message(self, type_name: str, message: Mapping[str, Any]) -> Any:
-        """Return `message` ready for the codec.
+        """Return `message` for the codec.
 
         Raises:
-            BadMessage: naming the field path, the rule and what was found.
+            BadMessage: the error names the field path, the rule and the value.
         """
         try:
             return self._message_fit(type_name)(message)
@@ -70,9 +70,7 @@ class Fitting:
 
         def fit(value: Any) -> Any:
             if not isinstance(value, Mapping):
-                raise Unfit(
-                    f"{_shown(value)} is not a message of {type_name}; give an object with its fields"
-                )
+                raise Unfit(f"{_shown(value)} is not a message of {type_name}; use an object with its fields")
             taken = 0
             made = SimpleNamespace(structure_needs_at_least_one_member=0)
             slots = made.__dict__
@@ -156,16 +154,16 @@ def _at(index: int, inner: Fit, item: Any) -> Any:
 
 def _items(value: Any, kind: FieldType) -> list[Any]:
     if isinstance(value, (str, bytes, Mapping)) or not isinstance(value, Iterable):
-        raise Unfit(f"{_shown(value)} is not a list; {kind} is wanted")
+        raise Unfit(f"{_shown(value)} is not a list; {kind} is expected")
     return list(value)
 
 
 def _counted(items: Any, kind: FieldType) -> Any:
     count = len(items)
     if kind.many is Many.FIXED and count != kind.size:
-        raise Unfit(f"{count} items do not fit {kind}; exactly {kind.size} are wanted")
+        raise Unfit(f"{count} elements do not fit {kind}; exactly {kind.size} are expected")
     if kind.many is Many.SEQUENCE and kind.size and count > kind.size:
-        raise Unfit(f"{count} items do not fit {kind}; at most {kind.size} are allowed")
+        raise Unfit(f"{count} elements do not fit {kind}; at most {kind.size} are allowed")
     return items
 
 
@@ -194,7 +192,7 @@ def _numbers_fit(kind: FieldType, inner: Fit) -> Fit:
 
 
 def _quick(items: list[Any], dtype: np.dtype[Any]) -> NDArray[Any] | None:
-    """Return the array where all of `items` fit for certain; None sends them through one by one."""
+    """Return the array if all `items` fit for certain; None means that each must be checked."""
     try:
         raw = np.asarray(items)
     except (ValueError, OverflowError):
@@ -219,11 +217,11 @@ def _text(value: Any, bound: int) -> str:
     if not isinstance(value, str):
         raise Unfit(f"{_shown(value)} is not text")
     if "\0" in value:
-        raise Unfit("text with a NUL character cannot be carried")
+        raise Unfit("text with a NUL character is not supported")
     try:
         size = len(value.encode())
     except UnicodeEncodeError:
-        raise Unfit("text with half a surrogate pair cannot be carried") from None
+        raise Unfit("text with half a surrogate pair is not supported") from None
     if bound and size > bound:
         raise Unfit(f"{size} bytes of text do not fit string<={bound}")
     return value
@@ -243,25 +241,25 @@ def _float64(value: Any) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise Unfit(f"{_shown(value)} is beyond float64") from None
+        raise Unfit(f"{_shown(value)} is out of the range of float64") from None
 
 
 def _float32(value: Any) -> float:
     number = _float64(value)
     if math.isfinite(number) and abs(number) > _FLOAT32_MAX:
-        raise Unfit(f"{number} is beyond float32, which ends at {_FLOAT32_MAX:.7g}")
+        raise Unfit(f"{number} is out of the range of float32, which ends at {_FLOAT32_MAX:.7g}")
     return number
 
 
 def _integer(value: Any, base: str, low: int, high: int) -> int:
     if isinstance(value, (float, np.floating)):
         if not float(value).is_integer():
-            raise Unfit(f"{value} is not a whole number; {base} is wanted")
+            raise Unfit(f"{value} is not a whole number; {base} is expected")
         value = int(value)
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
-        raise Unfit(f"{_shown(value)} is not a whole number; {base} is wanted")
+        raise Unfit(f"{_shown(value)} is not a whole number; {base} is expected")
     if not low <= value <= high:
-        raise Unfit(f"{value} does not fit {base}, which goes from {low} to {high}")
+        raise Unfit(f"{value} does not fit {base}, whose range is {low} to {high}")
     return int(value)
 
 

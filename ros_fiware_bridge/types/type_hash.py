@@ -1,6 +1,6 @@
-"""RIHS01: the hash by which two ROS 2 programs see that they mean the same type (REP-2016).
+"""RIHS01: the hash with which two ROS 2 programs compare their definitions of a type (REP-2016).
 
-It is the SHA-256 of the type's description as JSON: its fields, and those of every type they name.
+It is the SHA-256 of the type's description as JSON: its fields, and the fields of all types that it contains.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ _TYPE_IDS = {
     "uint64": 9,
     "float32": 10,
     "float64": 11,
-    # ROS 2 has no characters: a char of a .msg file is a uint8 before anything is hashed.
+    # In ROS 2 a char of a .msg file is a uint8 already when the type is hashed.
     "char": 3,
     "bool": 15,
     "byte": 16,
@@ -32,7 +32,7 @@ _FIXED, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
 
 
 def rihs01(type_name: str, definition_of: Callable[[str], Definition]) -> str:
-    """Return `RIHS01_` and 64 hexadecimal digits; `definition_of` gives the definition of each type named."""
+    """Return `RIHS01_` and 64 hexadecimal digits; `definition_of` returns definitions by name."""
     described: dict[str, dict[str, Any]] = {}
 
     def describe(name: str) -> None:

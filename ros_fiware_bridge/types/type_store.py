@@ -1,7 +1,7 @@
-"""The type store: every ROS type that is known, its fields, defaults and hash, and its form on the wire.
+"""The type store: definitions, defaults and hashes of ROS types, and their encoding.
 
-It knows the messages of ROS 2 Jazzy, a few services and actions that robots commonly serve, and what
-`type_paths` names; a type of the same name under `type_paths` takes the place of ours.
+It contains the messages of ROS 2 Jazzy, some services and actions that many robots serve, and the types in
+`type_paths`; a type in `type_paths` replaces a built-in type of the same name.
 """
 
 import difflib
@@ -21,24 +21,24 @@ from ros_fiware_bridge.types.wire import Wire, attribute
 
 SHIPPED = Path(__file__).parent / "definitions"
 
-# The definitions of the common interfaces that the library carries are without defaults.
+# The definitions of the common interfaces in the library have no defaults.
 _DEFAULTS: Mapping[str, Mapping[str, Any]] = {
     "geometry_msgs/msg/Quaternion": {"w": 1.0},
     "sensor_msgs/msg/NavSatStatus": {"status": -2},
 }
-_MOST_PATHS = 10_000  # more than the rules of a bridge name
+_MAX_CACHED_PATHS = 10_000  # more than the rules of a bridge contain
 _SERVICE_PARTS = ("_Request", "_Response")
 _ACTION_PARTS = ("_Goal", "_Result", "_Feedback")
 
 
 class TypeStore:
-    """Definitions by name, and what follows of them; made once for a bridge and then only read."""
+    """Definitions by name and what follows from them; created once per bridge and immutable."""
 
     def __init__(self, type_paths: Iterable[Path] = ()) -> None:
-        """Read nothing yet but the names of files.
+        """Index the files without reading them.
 
         Raises:
-            BadDefinition: a path of `type_paths` is not there, or two of them define one type differently.
+            BadDefinition: a path of `type_paths` does not exist, or two files define one type differently.
         """
         self._files: dict[str, Path] = dict(definition_files.find(SHIPPED))
         self._definitions: dict[str, Definition] = {}
@@ -73,10 +73,10 @@ class TypeStore:
         return sorted({*self._files, *self._builtin})
 
     def resolve(self, name: str, kind: str = "msg") -> str:
-        """Return the full name of a type of `kind` (`msg`, `srv`, `action`); `std_msgs/String` is understood.
+        """Return the full name of a type of `kind` (`msg`, `srv`, `action`), also for `std_msgs/String`.
 
         Raises:
-            UnknownType: there is no such type, with the nearest name that there is.
+            UnknownType: there is no such type; the error contains the nearest name.
         """
         parts = name.strip().split("/")
         full = f"{parts[0]}/{kind}/{parts[1]}" if len(parts) == 2 else "/".join(parts)
@@ -86,9 +86,7 @@ class TypeStore:
             )
         if full.split("/")[1] != kind and not (kind == "msg" and "_" in full.rsplit("/", 1)[-1]):
             what = {"msg": "a message", "srv": "a service", "action": "an action"}
-            raise UnknownType(
-                f"{full} is {what[full.split('/')[1]]} type, but {what[kind]} type is wanted here"
-            )
+            raise UnknownType(f"{full} is {what[full.split('/')[1]]} type, but {what[kind]} type is expected")
         if not self._has(full):
             near = difflib.get_close_matches(full, self.type_names(), n=1, cutoff=0.8)
             hint = f"did you mean {near[0]}? Otherwise name" if near else "name"
@@ -120,12 +118,12 @@ class TypeStore:
             return self._definitions[type_name]
         else:
             self.resolve(type_name)
-            raise UnknownType(f"{type_name} is not a message type; its request, goal or result is")
+            raise UnknownType(f"{type_name} is not a message type; use its request, goal or result")
         self._definitions[type_name] = found
         return found
 
     def _derive(self, type_name: str) -> bool:
-        """Make the messages of the service or action that `type_name` belongs to; False if there is none."""
+        """Derive the messages of the service or action of `type_name`; False if there is none."""
         package, _, rest = type_name.partition("/")
         kind, _, name = rest.partition("/")
         base = f"{package}/{kind}/{name.split('_')[0]}"
@@ -142,10 +140,10 @@ class TypeStore:
         return type_name in self._definitions
 
     def sound(self, type_name: str) -> Definition:
-        """Return the definition once everything it names is known and it does not contain itself.
+        """Return the definition, after checking that all its types are known and that it is not recursive.
 
         Raises:
-            UnknownType, UnsupportedType, BadDefinition: naming the type that is at fault.
+            UnknownType, UnsupportedType, BadDefinition: the error names the faulty type.
         """
         self._walk(type_name, ())
         return self.definition(type_name)
@@ -153,14 +151,14 @@ class TypeStore:
     def _walk(self, type_name: str, above: tuple[str, ...]) -> None:
         if type_name in above:
             raise UnsupportedType(
-                f"{type_name} contains itself ({' > '.join((*above, type_name))}); ROS has no such"
+                f"{type_name} contains itself ({' > '.join((*above, type_name))}); ROS has no recursive types"
             )
         if type_name in self._sound:
             return
         for one in self.definition(type_name).fields:
             if one.type.base.rsplit("/", 1)[-1] in ("wstring", "wchar"):
                 raise UnsupportedType(
-                    f"{type_name}.{one.name} is a wstring, which cannot be carried; use string"
+                    f"{type_name}.{one.name} is a wstring, which is not supported; use string"
                 )
             if one.type.is_message:
                 try:
@@ -188,7 +186,7 @@ class TypeStore:
         known = self._paths.get(key)
         if known is None:
             known = field_path(path, type_name, self.definition)
-            if len(self._paths) < _MOST_PATHS:
+            if len(self._paths) < _MAX_CACHED_PATHS:
                 self._paths[key] = known
         return known
 
@@ -196,12 +194,12 @@ class TypeStore:
         """Return `message` as CDR (XCDR1, little endian, with its 4 bytes of header).
 
         Raises:
-            BadMessage: naming the field path, the rule and what was found.
+            BadMessage: the error names the field path, the rule and the value.
         """
         return self._wire.encode(type_name, self._fitting.message(type_name, message))
 
     def decode(self, type_name: str, data: bytes) -> dict[str, Any]:
-        """Return the message that `data` (CDR with its header) holds.
+        """Return the message in `data` (CDR with header).
 
         Raises:
             BadMessage: it is not a message of this type.
@@ -209,9 +207,9 @@ class TypeStore:
         return self._wire.decode(type_name, data)
 
     def excerpt(self, type_name: str, data: bytes, fields: frozenset[FieldNames]) -> dict[str, Any]:
-        """Return the message that `data` holds with those `fields` alone, `("header", "stamp")`; `()` is all.
+        """Return the `fields`, such as `("header", "stamp")`, of the message in `data`; `()` selects all.
 
-        What is not asked for is hardly looked at, so this takes a fraction of the time of `decode`.
+        Other fields are skipped, which takes a fraction of the time of `decode`.
 
         Raises:
             BadMessage: it is not a message of this type.
@@ -219,10 +217,10 @@ class TypeStore:
         return self._wire.excerpt(type_name, data, fields)
 
     def check(self, type_name: str, message: Mapping[str, Any]) -> None:
-        """Check that `message` could be sent.
+        """Check that `message` can be sent.
 
         Raises:
-            BadMessage: naming the field path, the rule and what was found.
+            BadMessage: the error names the field path, the rule and the value.
         """
         self._fitting.message(type_name, message)
 

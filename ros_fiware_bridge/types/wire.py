@@ -1,7 +1,7 @@
-"""The wire form of messages: CDR as all ROS 2 middlewares speak it (XCDR1, little endian).
+"""The wire format of messages: CDR as all ROS 2 middlewares use it (XCDR1, little endian).
 
-The functions that read and write are made by rosbags from the definitions. It would pack `byte` as signed and
-knows `char` as a type of its own; on the wire both are what they are in ROS 2, unsigned octets.
+rosbags generates the functions that read and write. It packs `byte` as signed and has its own type `char`; on
+the wire of ROS 2 both are unsigned octets.
 """
 
 import struct
@@ -13,19 +13,19 @@ from ros_fiware_bridge.types.definition import Definition, FieldType, Many
 from ros_fiware_bridge.types.excerpt import BIG, LITTLE, Excerpts, FieldNames, Read, wanted
 
 _HEADER_BYTES = 4
-_MOST_READERS = 1000  # more than a bridge has rules
+_MAX_CACHED_READERS = 1000  # more than the rules of a bridge
 _MEMBER = "structure_needs_at_least_one_member"
 
 
 def attribute(field_name: str) -> str:
-    """Return the attribute by which the codec reads a field (`from` is a word of Python's)."""
+    """Return the attribute in which the codec stores a field (`from` is a keyword of Python)."""
     from rosbags.typesys.base import normalize_fieldname  # noqa: PLC0415 - heavy
 
     return normalize_fieldname(field_name)
 
 
 class Wire:
-    """Reads and writes messages; the functions for a type are made when it is first met."""
+    """Encodes and decodes messages; the functions for a type are generated on first use."""
 
     def __init__(self, definition_of: Callable[[str], Definition]) -> None:
         self._definition_of = definition_of
@@ -35,12 +35,12 @@ class Wire:
         self._readers: dict[tuple[int, str, frozenset[FieldNames]], Read] = {}
 
     def encode(self, type_name: str, message: Any) -> bytes:
-        """Return what `Fitting.message` gave as CDR."""
+        """Return the result of `Fitting.message` as CDR."""
         self._meet(type_name)
         return bytes(self._store.serialize_cdr(message, type_name, little_endian=True))
 
     def decode(self, type_name: str, data: bytes) -> dict[str, Any]:
-        """Return the message that `data` holds.
+        """Return the message in `data`.
 
         Raises:
             BadMessage: it is not a message of this type.
@@ -50,14 +50,14 @@ class Wire:
         described = self._store.get_msgdef(type_name)
         read = described.deserialize_cdr_le if data[1] else described.deserialize_cdr_be
         try:
-            # What follows the message is let be: the serializer of Fast DDS hands out all that it reserved.
+            # Bytes behind the message are ignored: the serializer of Fast DDS returns its whole buffer.
             message: dict[str, Any] = read(memoryview(data)[_HEADER_BYTES:], 0, described.cls, self._store)[0]
         except (self._fault, IndexError, struct.error, ValueError, OverflowError) as error:
-            raise BadMessage(f"what came is not a message of {type_name}: {error}") from error
+            raise BadMessage(f"the data is not a message of {type_name}: {error}") from error
         return message
 
     def excerpt(self, type_name: str, data: bytes, fields: frozenset[FieldNames]) -> dict[str, Any]:
-        """Return those `fields` of the message that `data` holds.
+        """Return the `fields` of the message in `data`.
 
         Raises:
             BadMessage: it is not a message of this type.
@@ -66,12 +66,12 @@ class Wire:
         key = (data[1], type_name, fields)
         if (read := self._readers.get(key)) is None:
             read = self._excerpts[data[1]].reader(type_name, wanted(fields))
-            if len(self._readers) < _MOST_READERS:
+            if len(self._readers) < _MAX_CACHED_READERS:
                 self._readers[key] = read
         try:
             message: dict[str, Any] = read(memoryview(data)[_HEADER_BYTES:], 0)[0]
         except (struct.error, ValueError) as error:
-            raise BadMessage(f"what came is not a message of {type_name}: {error}") from error
+            raise BadMessage(f"the data is not a message of {type_name}: {error}") from error
         return message
 
     def _meet(self, type_name: str) -> None:
@@ -95,7 +95,7 @@ class Wire:
 def _require_cdr(type_name: str, data: bytes) -> None:
     if data[:2] not in (b"\x00\x00", b"\x00\x01") or len(data) < _HEADER_BYTES:
         raise BadMessage(
-            f"what came is not a message of {type_name}: it is not CDR (XCDR1) but begins with "
+            f"the data is not a message of {type_name}: it is not CDR (XCDR1) but begins with "
             f"{data[:_HEADER_BYTES].hex() or 'nothing'}"
         )
 

@@ -1,7 +1,7 @@
-"""The messages that carry services and actions: what ROS wraps around a request, a goal, a result.
+"""The messages that ROS derives from services and actions to transmit and hash them.
 
-`X_SendGoal` and `X_GetResult` are the services of an action and `X_FeedbackMessage` its topic; `X_Event` and
-the bare `X` exist only to be hashed (REP-2016, and the interface types that rosidl derives).
+`X_SendGoal` and `X_GetResult` are the services of an action, and `X_FeedbackMessage` is its topic. `X_Event`
+and the bare `X` exist only for the hash (REP-2016, and the interface types of rosidl).
 """
 
 from ros_fiware_bridge.types.definition import Definition, Field, FieldType, Many
@@ -14,7 +14,7 @@ GOAL_STATUS_ARRAY = "action_msgs/msg/GoalStatusArray"
 
 
 def of_action(action: str) -> list[Definition]:
-    """Return the messages that ROS derives of an action, `example_interfaces/action/Fibonacci`."""
+    """Return the messages that ROS derives from an action, `example_interfaces/action/Fibonacci`."""
     return [
         Definition(f"{action}_SendGoal_Request", (_one("goal_id", UUID), _one("goal", f"{action}_Goal"))),
         Definition(f"{action}_SendGoal_Response", (_one("accepted", "bool"), _one("stamp", TIME))),
@@ -29,7 +29,7 @@ def of_action(action: str) -> list[Definition]:
 
 
 def hashed_with_service(service: str) -> list[Definition]:
-    """Return the two types of a service that only its hash knows: its event, and the service as a whole."""
+    """Return the types that only the hash of a service uses: its event, and the service as a whole."""
     optional = [
         Field(name, FieldType(f"{service}_{part}", Many.SEQUENCE, 1))
         for name, part in (("request", "Request"), ("response", "Response"))
@@ -49,7 +49,7 @@ def hashed_with_service(service: str) -> list[Definition]:
 
 
 def hashed_with_action(action: str) -> list[Definition]:
-    """Return the types of an action that only its hash knows: the action as a whole."""
+    """Return the types that only the hash of an action uses: the action as a whole."""
     parts = [
         ("goal", "Goal"),
         ("result", "Result"),

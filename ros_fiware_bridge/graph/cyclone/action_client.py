@@ -1,4 +1,4 @@
-"""Sending goals: an action is three services and two topics, and to its user one thing."""
+"""Sends goals: an action consists of three services and two topics."""
 
 import asyncio
 import contextlib
@@ -15,8 +15,8 @@ from ros_fiware_bridge.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
 OnFeedback = Callable[[Message], None]
 
 
-class Means(Protocol):
-    """What an action is made of."""
+class ActionTransport(Protocol):
+    """Creates the services and topics of an action; see `CycloneGraph`."""
 
     def client(self, service: str, base: str) -> CycloneClient:
         """Return the client of a service."""
@@ -24,11 +24,11 @@ class Means(Protocol):
     async def subscribe(
         self, topic: str, type_name: str, on_message: Callable[[Received], None], qos: Qos = DEFAULT
     ) -> Subscription:
-        """Listen to a topic."""
+        """Subscribe to a topic."""
 
 
 class CycloneGoal:
-    """A goal that was accepted; see `port.Goal`."""
+    """An accepted goal; see `port.Goal`."""
 
     def __init__(self, client: "CycloneActionClient", goal_id: bytes) -> None:
         self.goal_id = goal_id
@@ -38,33 +38,33 @@ class CycloneGoal:
 
     @property
     def status(self) -> GoalStatus:
-        """How it stands."""
+        """Return the state of the goal."""
         return self._status
 
-    def told(self, status: GoalStatus) -> None:
-        """Take what the server tells; what has ended does not begin again."""
+    def set_status(self, status: GoalStatus) -> None:
+        """Set the reported state; the state of an ended goal is final."""
         if not self._status.is_over:
             self._status = status
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:
-        """Wait for its end."""
+        """Wait for the end of the goal."""
         if self._result is None or (self._result.done() and self._result.exception() is not None):
             self._result = asyncio.get_running_loop().create_task(self._client.ask_result(self))
         try:
             return await asyncio.wait_for(asyncio.shield(self._result), timeout_s)
         except asyncio.CancelledError:
-            if self._result.cancelled():  # by `forget`, not whoever waits here
+            if self._result.cancelled():  # by `forget`, not by the caller
                 raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
             raise
         except TimeoutError:
             raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
 
     async def cancel(self, timeout_s: float = 5.0) -> bool:
-        """Ask the server to cancel it."""
+        """Request the cancellation."""
         return await self._client.cancel(self, timeout_s)
 
     def forget(self) -> None:
-        """Wait for nothing any more."""
+        """Cancel waiting for the result."""
         if self._result is not None:
             self._result.cancel()
 
@@ -72,26 +72,28 @@ class CycloneGoal:
 class CycloneActionClient:
     """An action that goals are sent to; see `port.ActionClient`."""
 
-    def __init__(self, means: Means, action: str, type_name: str, closed: Callable[[Any], None]) -> None:
+    def __init__(
+        self, transport: ActionTransport, action: str, type_name: str, closed: Callable[[Any], None]
+    ) -> None:
         self.name = action
         self.type_name = type_name
-        self._means = means
+        self._transport = transport
         self._closed = closed
         base = f"{action}/_action"
-        self._send = means.client(f"{base}/send_goal", f"{type_name}_SendGoal")
-        self._get_result = means.client(f"{base}/get_result", f"{type_name}_GetResult")
-        self._cancel = means.client(f"{base}/cancel_goal", CANCEL_GOAL)
+        self._send = transport.client(f"{base}/send_goal", f"{type_name}_SendGoal")
+        self._get_result = transport.client(f"{base}/get_result", f"{type_name}_GetResult")
+        self._cancel = transport.client(f"{base}/cancel_goal", CANCEL_GOAL)
         self._goals: dict[bytes, tuple[CycloneGoal, OnFeedback | None]] = {}
-        self._heard: list[Subscription] = []
+        self._subscriptions: list[Subscription] = []
 
     async def open(self) -> None:
-        """Listen to what the server tells of goals."""
+        """Subscribe to the feedback and the states of goals."""
         base = f"{self.name}/_action"
-        self._heard = [
-            await self._means.subscribe(
+        self._subscriptions = [
+            await self._transport.subscribe(
                 f"{base}/feedback", f"{self.type_name}_FeedbackMessage", self._on_feedback, DEFAULT
             ),
-            await self._means.subscribe(f"{base}/status", GOAL_STATUS_ARRAY, self._on_status, LATCHED),
+            await self._transport.subscribe(f"{base}/status", GOAL_STATUS_ARRAY, self._on_status, LATCHED),
         ]
 
     def _on_feedback(self, received: Received) -> None:
@@ -105,10 +107,10 @@ class CycloneActionClient:
             goal, _ = self._goals.get(one["goal_info"]["goal_id"]["uuid"], (None, None))
             if goal is not None:
                 with contextlib.suppress(ValueError):
-                    goal.told(GoalStatus(one["status"]))
+                    goal.set_status(GoalStatus(one["status"]))
 
     async def available(self, timeout_s: float) -> bool:
-        """Wait until a server is there."""
+        """Wait until a server is available."""
         return await self._send.available(timeout_s)
 
     async def send_goal(
@@ -117,7 +119,7 @@ class CycloneActionClient:
         """Send a goal."""
         goal_id = secrets.token_bytes(16)
         sent = CycloneGoal(self, goal_id)
-        # Known before it is sent: feedback may overtake the answer.
+        # Registered before it is sent: feedback may arrive before the response.
         self._goals[goal_id] = (sent, on_feedback)
         try:
             answer = await self._send.call({"goal_id": {"uuid": goal_id}, "goal": goal}, timeout_s)
@@ -130,27 +132,27 @@ class CycloneActionClient:
         return sent
 
     async def ask_result(self, goal: CycloneGoal) -> GoalResult:
-        """Wait for the result of a goal as long as its server is there."""
+        """Wait for the result of a goal while its server is available."""
         answer = await self._get_result.call({"goal_id": {"uuid": goal.goal_id}}, None)
         try:
             status = GoalStatus(answer["status"])
         except ValueError:
             status = GoalStatus.UNKNOWN
-        goal.told(status)
+        goal.set_status(status)
         self._goals.pop(goal.goal_id, None)
         return GoalResult(status, answer["result"])
 
     async def cancel(self, goal: CycloneGoal, timeout_s: float) -> bool:
-        """Ask to cancel a goal."""
+        """Request the cancellation of a goal."""
         answer = await self._cancel.call({"goal_info": {"goal_id": {"uuid": goal.goal_id}}}, timeout_s)
         agreed = any(one["goal_id"]["uuid"] == goal.goal_id for one in answer["goals_canceling"])
         if agreed:
-            goal.told(GoalStatus.CANCELING)
+            goal.set_status(GoalStatus.CANCELING)
         return agreed
 
     async def close(self) -> None:
-        """Let go of the action."""
-        for one in self._heard:
+        """Release the action."""
+        for one in self._subscriptions:
             await one.close()
         for goal, _ in self._goals.values():
             goal.forget()

@@ -1,4 +1,4 @@
-"""Serving goals: each accepted goal is worked on by a task; its result is kept a while for whoever asks."""
+"""Serves goals: a task executes each accepted goal; its result is kept for a while."""
 
 import asyncio
 import time
@@ -23,14 +23,14 @@ from ros_fiware_bridge.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
 
 log = structlog.get_logger(__name__)
 
-_KEPT_S = 900.0
-_MOST_KEPT = 1000
+_RESULT_TTL_S = 900.0
+_MAX_KEPT_GOALS = 1000
 _ANY = bytes(16)
 _AGREED, _REFUSED, _UNKNOWN, _OVER = 0, 1, 2, 3  # the constants of action_msgs/srv/CancelGoal
 
 
-class Means(Protocol):
-    """What an action is made of."""
+class ActionTransport(Protocol):
+    """Creates the services and topics of an action; see `CycloneGraph`."""
 
     store: TypeStore
 
@@ -38,11 +38,11 @@ class Means(Protocol):
         """Serve a service."""
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
-        """Speak on a topic."""
+        """Publish on a topic."""
 
 
 class CycloneServedGoal:
-    """A goal that is worked on; see `port.ServedGoal`."""
+    """A goal that is being executed; see `port.ServedGoal`."""
 
     def __init__(self, server: "CycloneActionServer", goal_id: bytes, request: Message) -> None:
         self.goal_id = goal_id
@@ -63,29 +63,29 @@ class CycloneServedGoal:
 
     @property
     def cancel_requested(self) -> bool:
-        """Whether the client asked to cancel."""
+        """Return whether the client has requested the cancellation."""
         return self._cancel.is_set()
 
     async def wait_cancel_requested(self) -> None:
-        """Wait until the client asks to cancel."""
+        """Wait until the client requests the cancellation."""
         await self._cancel.wait()
 
     def cancel(self) -> None:
-        """Take the client's wish."""
+        """Record the request of the client."""
         self.status = GoalStatus.CANCELING
         self._cancel.set()
 
     def feedback(self, feedback: Message) -> None:
-        """Tell how far it is."""
-        self._server.told(self, feedback)
+        """Send feedback to the client."""
+        self._server.send_feedback(self, feedback)
 
 
 class CycloneActionServer:
-    """An action that is served; see `port.Served`."""
+    """A served action; see `port.Served`."""
 
     def __init__(
         self,
-        means: Means,
+        transport: ActionTransport,
         action: str,
         type_name: str,
         handler: ActionHandler,
@@ -98,7 +98,7 @@ class CycloneActionServer:
         self.calls = 0
         self.failed = 0
         self.last_error: str | None = None
-        self._means = means
+        self._transport = transport
         self._handler = handler
         self._accept = accept
         self._closed = closed
@@ -106,26 +106,26 @@ class CycloneActionServer:
         self._parts: list[Served | Publisher] = []
 
     async def open(self) -> None:
-        """Be there for goals."""
+        """Create the services and topics of the action."""
         base = f"{self.name}/_action"
-        means = self._means
-        self._feedback = await means.publisher(
+        transport = self._transport
+        self._feedback = await transport.publisher(
             f"{base}/feedback", f"{self.type_name}_FeedbackMessage", DEFAULT
         )
-        self._status = await means.publisher(f"{base}/status", GOAL_STATUS_ARRAY, LATCHED)
+        self._status = await transport.publisher(f"{base}/status", GOAL_STATUS_ARRAY, LATCHED)
         self._parts = [
             self._feedback,
             self._status,
-            means.server(f"{base}/cancel_goal", CANCEL_GOAL, self._on_cancel),
-            means.server(f"{base}/get_result", f"{self.type_name}_GetResult", self._on_get_result),
-            means.server(f"{base}/send_goal", f"{self.type_name}_SendGoal", self._on_send_goal),
+            transport.server(f"{base}/cancel_goal", CANCEL_GOAL, self._on_cancel),
+            transport.server(f"{base}/get_result", f"{self.type_name}_GetResult", self._on_get_result),
+            transport.server(f"{base}/send_goal", f"{self.type_name}_SendGoal", self._on_send_goal),
         ]
 
     async def _on_send_goal(self, request: Message) -> Message:
         self.calls += 1
         goal_id = request["goal_id"]["uuid"]
         self._forget_old()
-        if goal_id in self._goals or len(self._goals) >= _MOST_KEPT or not self._wanted(request["goal"]):
+        if goal_id in self._goals or len(self._goals) >= _MAX_KEPT_GOALS or not self._wanted(request["goal"]):
             return {"accepted": False}
         goal = CycloneServedGoal(self, goal_id, request["goal"])
         self._goals[goal_id] = goal
@@ -141,11 +141,11 @@ class CycloneActionServer:
 
     async def _work(self, goal: CycloneServedGoal) -> None:
         goal.status = GoalStatus.EXECUTING
-        self._tell()
+        self._publish_status()
         result: Message = {}
         try:
             result = await self._handler(goal)
-            self._means.store.check(f"{self.type_name}_Result", result)
+            self._transport.store.check(f"{self.type_name}_Result", result)
             status = GoalStatus.SUCCEEDED
         except GoalEnded as ended:
             status, result = ended.status, ended.result
@@ -160,7 +160,7 @@ class CycloneActionServer:
         goal.ended_s = time.monotonic()
         if not goal.result.done():
             goal.result.set_result(result)
-        self._tell()
+        self._publish_status()
 
     async def _on_get_result(self, request: Message) -> Message:
         goal = self._goals.get(request["goal_id"]["uuid"])
@@ -184,7 +184,7 @@ class CycloneActionServer:
         for one in going:
             one.cancel()
         if going:
-            self._tell()
+            self._publish_status()
             code = _AGREED
         elif meant:
             code = _OVER
@@ -192,15 +192,15 @@ class CycloneActionServer:
             code = _UNKNOWN if goal_id != _ANY else _REFUSED
         return {"return_code": code, "goals_canceling": [one.info for one in going]}
 
-    def told(self, goal: CycloneServedGoal, feedback: Message) -> None:
-        """Publish how far a goal is.
+    def send_feedback(self, goal: CycloneServedGoal, feedback: Message) -> None:
+        """Publish the feedback of a goal.
 
         Raises:
-            BadMessage: it does not fit the definition.
+            BadMessage: it does not match the definition.
         """
         self._feedback.publish({"goal_id": {"uuid": goal.goal_id}, "feedback": feedback})
 
-    def _tell(self) -> None:
+    def _publish_status(self) -> None:
         listed = [{"goal_info": one.info, "status": int(one.status)} for one in self._goals.values()]
         try:
             self._status.publish({"status_list": listed})
@@ -210,22 +210,22 @@ class CycloneActionServer:
     def _forget_old(self) -> None:
         now_s = time.monotonic()
         for goal_id, one in list(self._goals.items()):
-            full = len(self._goals) >= _MOST_KEPT
-            if one.ended_s is not None and (full or now_s - one.ended_s > _KEPT_S):
+            full = len(self._goals) >= _MAX_KEPT_GOALS
+            if one.ended_s is not None and (full or now_s - one.ended_s > _RESULT_TTL_S):
                 del self._goals[goal_id]
 
     def _fault(self, error: Exception) -> None:
         self.failed += 1
         self.last_error = f"{type(error).__name__}: {error}"
-        log.error("a goal of the ROS graph was not dealt with", action=self.name, error=self.last_error)
+        log.error("executing a goal failed", action=self.name, error=self.last_error)
 
     async def close(self) -> None:
-        """Stop serving; goals that are worked on are aborted."""
+        """Stop serving; active goals are aborted."""
         going = [one.task for one in self._goals.values() if one.task is not None and not one.task.done()]
         for task in going:
             task.cancel()
         await asyncio.gather(*going, return_exceptions=True)
-        # Whoever waits for a result is given it before the service is gone.
+        # Clients that wait for a result receive it before the service closes.
         await asyncio.sleep(0)
         for part in self._parts:
             await part.close()

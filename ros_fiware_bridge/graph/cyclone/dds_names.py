@@ -1,6 +1,6 @@
-"""How ROS names its topics, services and types on DDS, and back again.
+"""The names of ROS topics, services and types on DDS.
 
-Topics stand under `rt`, requests under `rq`, replies under `rr`; a type `pkg/msg/X` is `pkg::msg::dds_::X_`.
+Topics have the prefix `rt`, requests `rq`, replies `rr`; a type `pkg/msg/X` is `pkg::msg::dds_::X_`.
 """
 
 DISCOVERY_TOPIC = "ros_discovery_info"
@@ -39,12 +39,12 @@ def of_type(type_name: str) -> str:
 
 
 def to_topic(dds_topic: str) -> str | None:
-    """Return the ROS topic of a DDS topic; None if it is none."""
+    """Return the ROS topic of a DDS topic; None if it has none."""
     return dds_topic.removeprefix("rt") if dds_topic.startswith("rt/") else None
 
 
 def to_service(dds_topic: str) -> tuple[str, bool] | None:
-    """Return the service of a DDS topic, and whether it carries the requests; None if it is of none."""
+    """Return the service of a DDS topic and whether it carries requests; None for other topics."""
     if dds_topic.startswith("rq/") and dds_topic.endswith("Request"):
         return dds_topic[2 : -len("Request")], True
     if dds_topic.startswith("rr/") and dds_topic.endswith("Reply"):
@@ -53,7 +53,7 @@ def to_service(dds_topic: str) -> tuple[str, bool] | None:
 
 
 def to_type(dds_type: str) -> str:
-    """Return the ROS type of a DDS type; another program's type is given as it is."""
+    """Return the ROS type of a DDS type; other DDS types are returned unchanged."""
     parts = dds_type.split("::")
     if len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_"):
         return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
@@ -61,16 +61,16 @@ def to_type(dds_type: str) -> str:
 
 
 def vendor(guid: bytes) -> str:
-    """Return the middleware of a participant: its GUID begins with the vendor's number."""
+    """Return the middleware of a participant, from the vendor id at the start of its GUID."""
     return _VENDORS.get(guid[:2], f"vendor {guid[:2].hex()}")
 
 
 def user_data(pairs: dict[str, str]) -> bytes:
-    """Return what a participant or endpoint tells about itself, `key=value;key=value;`."""
+    """Return the user data of a participant or endpoint, `key=value;key=value;`."""
     return "".join(f"{key}={value};" for key, value in pairs.items()).encode()
 
 
-def told(data: bytes) -> dict[str, str]:
-    """Read what a participant or endpoint tells about itself; what cannot be read is left out."""
+def parse_user_data(data: bytes) -> dict[str, str]:
+    """Return the pairs in the user data of a participant or endpoint; malformed parts are left out."""
     pairs = (part.partition("=") for part in data.decode("utf-8", "replace").split(";"))
     return {key: value for key, found, value in pairs if found}

@@ -1,13 +1,13 @@
-"""Quality of service between ROS and DDS."""
+"""Conversion of quality of service between ROS and DDS."""
 
 from typing import Any
 
 from ros_fiware_bridge.graph.qos import Durability, History, Qos, Reliability
 
-_MOST_BLOCKING_NS = 100_000_000
-_READER_PLACES = 256
-"""A reader keeps at least as many samples until they are taken: the depth that was asked for is kept, and
-what it costs is counted, where they wait for the loop.
+_MAX_BLOCKING_NS = 100_000_000
+_MIN_READER_DEPTH = 256
+"""The minimum number of samples that a reader keeps until they are taken. `Inbox` applies the depth of the
+subscription, and counts what it drops.
 """
 
 
@@ -17,7 +17,7 @@ def of_writer(qos: Qos, user_data: bytes) -> Any:
 
     policies: list[Any] = [Policy.WriterDataLifecycle(autodispose=False)]
     if qos.durability is Durability.TRANSIENT_LOCAL:
-        # How much a late reader is given stands here, not in the history of the writer.
+        # The durability service determines what a late reader receives, not the history of the writer.
         policies.append(
             Policy.DurabilityService(
                 cleanup_delay=0,
@@ -35,7 +35,9 @@ def of_reader(qos: Qos, user_data: bytes) -> Any:
     from cyclonedds.qos import Policy  # noqa: PLC0415 - heavy
 
     all_of_it = qos.history is History.KEEP_ALL
-    history = Policy.History.KeepAll if all_of_it else Policy.History.KeepLast(max(qos.depth, _READER_PLACES))
+    history = (
+        Policy.History.KeepAll if all_of_it else Policy.History.KeepLast(max(qos.depth, _MIN_READER_DEPTH))
+    )
     return _policies(qos, user_data, history, [])
 
 
@@ -46,7 +48,7 @@ def _policies(qos: Qos, user_data: bytes, history: Any, more: list[Any]) -> Any:
     reliable = qos.reliability is Reliability.RELIABLE
     late = qos.durability is Durability.TRANSIENT_LOCAL
     return DdsQos(
-        Policy.Reliability.Reliable(_MOST_BLOCKING_NS) if reliable else Policy.Reliability.BestEffort,
+        Policy.Reliability.Reliable(_MAX_BLOCKING_NS) if reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if late else Policy.Durability.Volatile,
         history,
         # ROS 2 speaks XCDR1; without this the binding may choose XCDR2.
@@ -63,7 +65,7 @@ def _history(qos: Qos) -> Any:
 
 
 def offered(policies: Any) -> Qos:
-    """Return what a peer's endpoint offers or wants (its history is not told over DDS)."""
+    """Return the QoS that a peer's endpoint offers or requests (DDS does not transmit its history)."""
     from cyclonedds.qos import Policy  # noqa: PLC0415 - heavy
 
     best_effort = policies[Policy.Reliability] == Policy.Reliability.BestEffort
@@ -74,7 +76,7 @@ def offered(policies: Any) -> Qos:
     )
 
 
-def told(policies: Any) -> bytes:
+def user_data_of(policies: Any) -> bytes:
     """Return the user data of a peer's participant or endpoint."""
     from cyclonedds.qos import Policy  # noqa: PLC0415 - heavy
 

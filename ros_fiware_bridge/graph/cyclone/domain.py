@@ -1,13 +1,13 @@
-"""The DDS domain: which network the bridge speaks on, and with whom it begins.
+"""The DDS domain: the network interfaces of the bridge and its initial peers.
 
-Without a word of configuration it is heard both on the network that the machine prefers (by multicast, as
-ROS 2 does it) and on the machine itself (by unicast, as the loopback interface has no multicast). Where there
-is no network, the loopback interface alone is used. `CYCLONEDDS_URI` has the last word, as with ROS 2.
+By default the bridge uses both the network that the machine prefers (multicast, like ROS 2) and the loopback
+interface (unicast, since loopback has no multicast). Without a network it uses the loopback interface alone.
+`CYCLONEDDS_URI` overrides all of this, as in ROS 2.
 
-Two defaults of Cyclone are changed. It prefers loopback to other interfaces, and would send what is meant
-for a peer on the network over loopback, where it goes nowhere; so both have the same priority. It forgets a
-peer that has not answered for 30 s, so a robot that is switched on later would never be found; peers are
-kept for good.
+Two defaults of Cyclone are changed. Cyclone prefers loopback to other interfaces, and would send data for a
+peer on the network to loopback, where the peer cannot receive it; so both have the same priority. Cyclone
+also prunes a peer that has not answered for 30 s, so it would never find a robot that starts later; so peers
+are never pruned.
 """
 
 import os
@@ -23,13 +23,15 @@ from ros_fiware_bridge.errors import AdapterUnavailable
 log = structlog.get_logger(__name__)
 
 LOOPBACK = "127.0.0.1"
-_MOST_DOMAINS = 232  # beyond it the port numbers of the RTPS specification run out
+_MAX_DOMAIN_ID = 232  # beyond it the port numbers of the RTPS specification run out
 
 
 @dataclass(frozen=True, slots=True)
 class DomainSettings:
-    """`interfaces` are names or addresses (none: the network that the machine prefers, and loopback);
-    `peers` are addresses to which we make ourselves known besides, where multicast does not reach.
+    """Network settings of a domain.
+
+    `interfaces` are names or addresses (default: the network that the machine prefers, and loopback).
+    `peers` are addresses for unicast discovery, where multicast does not reach.
     """
 
     domain_id: int = 0
@@ -70,7 +72,7 @@ def _multicast(wanted: bool) -> str:
 
 
 class _Open:
-    """A domain that is open in this process, and how many graphs stand on it: DDS allows it only once."""
+    """A domain that this process has open, with the number of its users: DDS allows each domain only once."""
 
     def __init__(self, domain: Any, settings: DomainSettings) -> None:
         self.domain = domain
@@ -83,24 +85,24 @@ _open: dict[int, _Open] = {}
 
 
 def enter(settings: DomainSettings) -> None:
-    """Open the domain, or join it where this process has it open already.
+    """Open the domain, or share it if this process has opened it already.
 
     Raises:
-        AdapterUnavailable: it cannot be opened so.
+        AdapterUnavailable: the domain cannot be opened.
     """
     from cyclonedds.core import DDSException  # noqa: PLC0415 - heavy
     from cyclonedds.domain import Domain  # noqa: PLC0415
 
     number = settings.domain_id
-    if not 0 <= number <= _MOST_DOMAINS:
-        raise AdapterUnavailable(f"there is no ROS domain {number}; it is a number from 0 to {_MOST_DOMAINS}")
+    if not 0 <= number <= _MAX_DOMAIN_ID:
+        raise AdapterUnavailable(f"there is no ROS domain {number}; use a number from 0 to {_MAX_DOMAIN_ID}")
     with _lock:
         known = _open.get(number)
         if known is not None:
             if known.settings != settings:
                 raise AdapterUnavailable(
                     f"ROS domain {number} is open in this process with other settings ({known.settings}); "
-                    "use the same, or another domain"
+                    "use the same settings, or another domain"
                 )
             known.users += 1
             return
@@ -114,7 +116,9 @@ def enter(settings: DomainSettings) -> None:
                 faults.append(str(error))
             else:
                 if faults:
-                    log.warning("no network but loopback for ROS; only programs on this machine are reached")
+                    log.warning(
+                        "no network for ROS except loopback; only programs on this machine are reachable"
+                    )
                 return
         wanted = ", ".join(settings.interfaces) or "any network"
         raise AdapterUnavailable(
@@ -124,7 +128,7 @@ def enter(settings: DomainSettings) -> None:
 
 
 def leave(settings: DomainSettings) -> None:
-    """Leave the domain; the last one out closes it."""
+    """Leave the domain; the last user closes it."""
     with _lock:
         known = _open[settings.domain_id]
         known.users -= 1

@@ -1,10 +1,11 @@
-"""The ROS graph over DDS: everything that the port promises, from PyPI wheels, without a ROS installation."""
+"""The ROS graph over Cyclone DDS, from PyPI wheels, without a ROS installation."""
 
 import asyncio
 from collections.abc import Callable, Sequence
 
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph import names
+from ros_fiware_bridge.graph.base_graph import BaseGraph
 from ros_fiware_bridge.graph.cyclone import dds_names, view
 from ros_fiware_bridge.graph.cyclone.action_client import CycloneActionClient
 from ros_fiware_bridge.graph.cyclone.action_server import CycloneActionServer
@@ -13,7 +14,6 @@ from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.services import CycloneClient, CycloneServer, obstacle
 from ros_fiware_bridge.graph.cyclone.topics import CyclonePublisher, CycloneSubscription
 from ros_fiware_bridge.graph.joining import JoinSettings
-from ros_fiware_bridge.graph.member import Member
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,
@@ -28,8 +28,8 @@ from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-class CycloneGraph(Member):
-    """A node on the graph; see `port.RosGraph`. Made by `joining.join`."""
+class CycloneGraph(BaseGraph):
+    """A node on the graph; see `port.RosGraph`. Created by `joining.join`."""
 
     def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnNode) -> None:
         super().__init__(store, settings)
@@ -41,7 +41,7 @@ class CycloneGraph(Member):
         """Join the graph.
 
         Raises:
-            BadName: the node or its namespace cannot be called so.
+            BadName: the node or its namespace has an invalid name.
             AdapterUnavailable: the domain cannot be opened.
         """
         name, namespace = names.node_name(settings.node), names.namespace(settings.namespace)
@@ -54,7 +54,7 @@ class CycloneGraph(Member):
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
     ) -> CycloneSubscription:
-        """Listen to a topic."""
+        """Subscribe to a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = CycloneSubscription(
             self._node,
@@ -62,19 +62,24 @@ class CycloneGraph(Member):
             full,
             qos,
             on_message=on_message,
-            most_bytes=self._settings.most_bytes,
-            closed=self._gone,
+            max_message_bytes=self._settings.max_message_bytes,
+            closed=self._unregister,
         )
-        self._keep(opened)
+        self._register(opened)
         return opened
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> CyclonePublisher:
-        """Speak on a topic."""
+        """Publish on a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = CyclonePublisher(
-            self._node, name, full, qos, most_bytes=self._settings.most_bytes, closed=self._gone
+            self._node,
+            name,
+            full,
+            qos,
+            max_message_bytes=self._settings.max_message_bytes,
+            closed=self._unregister,
         )
-        self._keep(opened)
+        self._register(opened)
         return opened
 
     async def call(self, service: str, type_name: str, request: Message, timeout_s: float = 5.0) -> Message:
@@ -84,10 +89,10 @@ class CycloneGraph(Member):
         return await self.client(name, base).call(request, timeout_s)
 
     def client(self, service: str, base: str) -> CycloneClient:
-        """Return the client of a service, by its full name and type; it is made once."""
+        """Return the client of a service, by its full name and type; it is created once."""
         key = (service, base)
         if key not in self._clients:
-            self._clients[key] = CycloneClient(self._node, service, base, self._settings.most_bytes)
+            self._clients[key] = CycloneClient(self._node, service, base, self._settings.max_message_bytes)
         return self._clients[key]
 
     async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> CycloneServer:
@@ -98,16 +103,21 @@ class CycloneGraph(Member):
     def server(self, service: str, base: str, handler: ServiceHandler) -> CycloneServer:
         """Serve a service, by its full name and type."""
         opened = CycloneServer(
-            self._node, service, base, handler, most_bytes=self._settings.most_bytes, closed=self._gone
+            self._node,
+            service,
+            base,
+            handler,
+            max_message_bytes=self._settings.max_message_bytes,
+            closed=self._unregister,
         )
-        self._keep(opened)
+        self._register(opened)
         return opened
 
     async def action_client(self, action: str, type_name: str) -> CycloneActionClient:
         """Send goals to an action."""
         name, full = self.require_action(action, type_name)
-        opened = CycloneActionClient(self, name, full, self._gone)
-        self._keep(opened)
+        opened = CycloneActionClient(self, name, full, self._unregister)
+        self._register(opened)
         await opened.open()
         return opened
 
@@ -129,8 +139,8 @@ class CycloneGraph(Member):
     ) -> CycloneActionServer:
         """Serve an action."""
         name, full = self.require_action(action, type_name)
-        opened = CycloneActionServer(self, name, full, handler, accept=accept, closed=self._gone)
-        self._keep(opened)
+        opened = CycloneActionServer(self, name, full, handler, accept=accept, closed=self._unregister)
+        self._register(opened)
         await opened.open()
         return opened
 
@@ -147,38 +157,38 @@ class CycloneGraph(Member):
         return self._vendors(service, writes=True)
 
     def _vendors(self, service: str, *, writes: bool) -> set[str]:
-        picture = self._node.discovery.picture()
-        requests = picture.at(dds_names.of_request(service), writes=writes)
+        snapshot = self._node.discovery.snapshot()
+        requests = snapshot.at(dds_names.of_request(service), writes=writes)
         return {one.vendor for one in requests}
 
     def topics(self) -> Sequence[TopicInfo]:
         """Return the topics of the graph."""
-        return view.topics(self._node.discovery.picture())
+        return view.topics(self._node.discovery.snapshot())
 
     def services(self) -> Sequence[ServiceInfo]:
         """Return the services of the graph."""
-        return view.services(self._node.discovery.picture())
+        return view.services(self._node.discovery.snapshot())
 
     def actions(self) -> Sequence[ActionInfo]:
         """Return the actions of the graph."""
-        return view.actions(self._node.discovery.picture())
+        return view.actions(self._node.discovery.snapshot())
 
     def nodes(self) -> Sequence[NodeInfo]:
         """Return the nodes of the graph."""
-        return view.nodes(self._node.discovery.picture())
+        return view.nodes(self._node.discovery.snapshot())
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:
-        """Return why calls of a service would fail with the servers that are there."""
-        name, picture = self._full(service), self._node.discovery.picture()
+        """Return why calls of a service would fail with its present servers."""
+        name, snapshot = self._full(service), self._node.discovery.snapshot()
         found = (
-            obstacle(self.store, name, type_name, one, picture.node_of(one))
-            for one in picture.at(dds_names.of_request(name), writes=False)
+            obstacle(self.store, name, type_name, one, snapshot.node_of(one))
+            for one in snapshot.at(dds_names.of_request(name), writes=False)
         )
         return [one for one in found if one is not None]
 
     def problems(self) -> Sequence[GraphError]:
-        """Return what stands between us and peers now."""
-        return view.problems(self._node.discovery.picture())
+        """Return the present incompatibilities with peers."""
+        return view.problems(self._node.discovery.snapshot())
 
     async def close(self) -> None:
         """Leave the graph."""

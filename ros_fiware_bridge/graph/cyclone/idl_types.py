@@ -1,7 +1,7 @@
-"""DDS types: what Cyclone must know of a ROS message to check what comes from the network.
+"""Creates the DDS types by which Cyclone validates samples of ROS messages.
 
-Cyclone checks each sample against this description in C, and drops what does not fit it; the fields are read
-and written by the type store. Final structs without keys, as ROS 2 has them.
+Cyclone validates each sample against this description in C, and drops invalid ones; the type store reads and
+writes the fields. The types are final structs without keys, like those of ROS 2.
 """
 
 from collections.abc import Callable
@@ -11,22 +11,22 @@ from ros_fiware_bridge.graph.cyclone.dds_names import of_type
 from ros_fiware_bridge.types.definition import Definition, Field, FieldType, Many
 
 _HEADER = (Field("handover_writer_guid", FieldType("uint64")), Field("handover_sequence", FieldType("int64")))
-"""What the Cyclone mapping puts before a request or reply: who asked, and the number of the request."""
+"""The header of a request or reply in the Cyclone mapping: the client's id and the request number."""
 
 
 class IdlTypes:
-    """Makes and keeps the DDS types of one graph."""
+    """Creates and caches the DDS types of one graph."""
 
     def __init__(self, definition_of: Callable[[str], Definition]) -> None:
         self._definition_of = definition_of
         self._made: dict[tuple[str, bool], Any] = {}
 
     def of(self, type_name: str, *, with_header: bool = False) -> Any:
-        """Return the class to make a topic with; there are never instances of it."""
+        """Return the class for a topic of this type; it is never instantiated."""
         key = (type_name, with_header)
         if key not in self._made:
             fields = self._definition_of(type_name).fields
-            # A request's fields stand in the wrapper itself: nested, both would have the same DDS name.
+            # The fields of a request are inlined into the wrapper: nested, both would have the same DDS name.
             made = self._struct(type_name, (*_HEADER, *fields) if with_header else fields)
             self._made[key] = made
         return self._made[key]
@@ -46,7 +46,7 @@ class IdlTypes:
     def _kind(self, kind: FieldType) -> Any:
         import cyclonedds.idl.types as described  # noqa: PLC0415 - heavy
 
-        types: Any = described  # its classes are indexed by what its checker cannot follow
+        types: Any = described  # its classes are indexed by values that mypy cannot follow
 
         if kind.is_message:
             key = (kind.base, False)

@@ -1,7 +1,7 @@
-"""Our node: the participant, its endpoints, and what it tells the graph about itself.
+"""Our node: its participant and endpoints, and its discovery data.
 
-Each endpoint says which type it means (its hash), and `ros_discovery_info` says that it is ours; so
-`ros2 node info` shows the bridge as it shows any node.
+Each endpoint publishes its type hash, and `ros_discovery_info` assigns the endpoints to the node; so
+`ros2 node info` displays the bridge like any other node.
 """
 
 from typing import Any
@@ -10,17 +10,17 @@ from ros_fiware_bridge.errors import AdapterUnavailable
 from ros_fiware_bridge.graph.cyclone import dds_names, dds_qos, domain
 from ros_fiware_bridge.graph.cyclone.discovery import Discovery
 from ros_fiware_bridge.graph.cyclone.idl_types import IdlTypes
-from ros_fiware_bridge.graph.cyclone.listening import Listening
-from ros_fiware_bridge.graph.cyclone.samples import Sender
+from ros_fiware_bridge.graph.cyclone.listener_thread import ListenerThread
+from ros_fiware_bridge.graph.cyclone.samples import SampleSender
 from ros_fiware_bridge.graph.qos import Durability, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
 
-_TELLING = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-_HEARING = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000)
+_DISCOVERY_WRITER_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+_DISCOVERY_READER_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000)
 
 
 class OwnNode:
-    """The bridge on DDS. Used from one thread; what it listens to runs in the listening thread."""
+    """The bridge on DDS. Used from one thread; the callbacks of its readers run in the listener thread."""
 
     def __init__(
         self, settings: domain.DomainSettings, store: TypeStore, name: str, namespace: str, enclave: str
@@ -28,7 +28,7 @@ class OwnNode:
         """Join the domain.
 
         Raises:
-            AdapterUnavailable: the domain cannot be opened, or has no room for one more program.
+            AdapterUnavailable: the domain cannot be opened, or has reached its limit of programs.
         """
         from cyclonedds.core import DDSException  # noqa: PLC0415 - heavy
         from cyclonedds.domain import DomainParticipant  # noqa: PLC0415
@@ -49,23 +49,27 @@ class OwnNode:
         except DDSException as error:
             domain.leave(settings)
             raise AdapterUnavailable(
-                f"ROS domain {settings.domain_id} has no room for this program ({error}); "
-                "end another, or use another domain"
+                f"ROS domain {settings.domain_id} has reached its limit of programs ({error}); "
+                "stop another program, or use another domain"
             ) from error
         self._publisher = Publisher(self._participant)
         self._subscriber = Subscriber(self._participant)
         self._types = IdlTypes(store.definition)
         self._readers: dict[int, Any] = {}
         self._writers: dict[int, Any] = {}
-        self.sender = Sender()
+        self.sender = SampleSender()
         self.discovery = Discovery(self._participant, store)
-        self.listening = Listening(self._participant)
+        self.listener = ListenerThread(self._participant)
         for reader, take in self.discovery.readers:
-            self.listening.to(reader, take)
-        self._telling = self.writer(dds_names.DISCOVERY_TOPIC, dds_names.DISCOVERY_TYPE, _TELLING, told=False)
-        hearing = self.reader(dds_names.DISCOVERY_TOPIC, dds_names.DISCOVERY_TYPE, _HEARING, told=False)
-        self.listening.to_samples(hearing, self.discovery.on_node_info)
-        self._tell()
+            self.listener.to(reader, take)
+        self._discovery_writer = self.writer(
+            dds_names.DISCOVERY_TOPIC, dds_names.DISCOVERY_TYPE, _DISCOVERY_WRITER_QOS, announced=False
+        )
+        discovery_reader = self.reader(
+            dds_names.DISCOVERY_TOPIC, dds_names.DISCOVERY_TYPE, _DISCOVERY_READER_QOS, announced=False
+        )
+        self.listener.to_samples(discovery_reader, self.discovery.on_node_info)
+        self._announce()
 
     def reader(
         self,
@@ -75,9 +79,9 @@ class OwnNode:
         *,
         user: dict[str, str] | None = None,
         header: bool = False,
-        told: bool = True,
+        announced: bool = True,
     ) -> Any:
-        """Open a reader of a DDS topic; with `header` it is one of a service."""
+        """Open a reader of a DDS topic; `header` is for the topics of services."""
         from cyclonedds.sub import DataReader  # noqa: PLC0415 - heavy
 
         opened = DataReader(
@@ -85,9 +89,9 @@ class OwnNode:
             self._topic(topic, type_name, header),
             qos=dds_qos.of_reader(qos, dds_names.user_data(user or {})),
         )
-        if told:
+        if announced:
             self._readers[id(opened)] = opened
-            self._tell()
+            self._announce()
         return opened
 
     def writer(
@@ -98,9 +102,9 @@ class OwnNode:
         *,
         user: dict[str, str] | None = None,
         header: bool = False,
-        told: bool = True,
+        announced: bool = True,
     ) -> Any:
-        """Open a writer on a DDS topic; with `header` it is one of a service."""
+        """Open a writer on a DDS topic; `header` is for the topics of services."""
         from cyclonedds.pub import DataWriter  # noqa: PLC0415 - heavy
 
         opened = DataWriter(
@@ -108,9 +112,9 @@ class OwnNode:
             self._topic(topic, type_name, header),
             qos=dds_qos.of_writer(qos, dds_names.user_data(user or {})),
         )
-        if told:
+        if announced:
             self._writers[id(opened)] = opened
-            self._tell()
+            self._announce()
         return opened
 
     def _topic(self, topic: str, type_name: str, header: bool) -> Any:
@@ -119,17 +123,17 @@ class OwnNode:
         return Topic(self._participant, topic, self._types.of(type_name, with_header=header))
 
     def drop(self, *opened: Any) -> None:
-        """Close readers and writers that nothing listens to any more."""
+        """Close readers and writers that are no longer used."""
         for one in opened:
             self._readers.pop(id(one), None)
             self._writers.pop(id(one), None)
-        self._tell()
+        self._announce()
         for one in opened:
             one.__del__()
             one.topic.__del__()
 
-    def _tell(self) -> None:
-        told = {
+    def _announce(self) -> None:
+        info = {
             "gid": {"data": self.discovery.own},
             "node_entities_info_seq": [
                 {
@@ -140,10 +144,10 @@ class OwnNode:
                 }
             ],
         }
-        self.sender.write(self._telling, self.store.encode(dds_names.DISCOVERY_TYPE, told))
+        self.sender.write(self._discovery_writer, self.store.encode(dds_names.DISCOVERY_TYPE, info))
 
     def close(self) -> None:
-        """Leave the domain; all that was opened is closed with it."""
-        self.listening.stop()
+        """Leave the domain; this closes everything opened in it."""
+        self.listener.stop()
         self._participant.__del__()
         domain.leave(self._settings)

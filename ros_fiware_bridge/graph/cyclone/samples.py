@@ -1,7 +1,7 @@
-"""Samples as Cyclone keeps them: the bytes of a message, when it was sent and by which writer.
+"""Samples of Cyclone: the bytes of a message, the time it was sent and its writer.
 
-The Python binding of Cyclone takes a sample without its writer, and writes without letting other threads run.
-Both are asked of the C library here, with the container that the binding's C part fills (a pointer and a
+The Python binding of Cyclone takes samples without their writer, and holds the GIL while it writes. This
+module calls the C library for both, with the container that the C part of the binding fills (a pointer and a
 size).
 """
 
@@ -13,12 +13,12 @@ TIMEOUT = -10
 
 
 class Sample(NamedTuple):
-    """`data` is None when it only tells that a writer went away; `sent_ns` is since 1970, by its sender."""
+    """A sample; `data` is None if its writer has left; `sent_ns` is since 1970, by the sender's clock."""
 
     data: bytes | None
     sent_ns: int
     writer: int
-    """The instance handle of its writer, as discovery knows it."""
+    """The instance handle of the writer, as in discovery."""
 
 
 class _Info(ctypes.Structure):
@@ -45,14 +45,14 @@ class _Container(ctypes.Structure):
 def _function(name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
     from cyclonedds.internal import DDS  # noqa: PLC0415 - heavy
 
-    # Looked up by key, so that the binding's own view of the same function keeps its argument types.
+    # Looked up by key, so that the binding's own reference to the function keeps its argument types.
     found = DDS._dll_handle[name]
     found.restype, found.argtypes = result, arguments
     return found
 
 
-class Taker:
-    """Takes samples from readers; one for each thread, as it keeps the place where they are put."""
+class SampleTaker:
+    """Takes samples from readers; one per thread, since it reuses its buffers."""
 
     def __init__(self, at_once: int = 32) -> None:
         self._at_once = at_once
@@ -73,10 +73,10 @@ class Taker:
         self._free = _function("dds_free", None, ctypes.c_void_p)
 
     def take(self, reader: Any) -> list[Sample]:
-        """Return what has come and is not yet taken, at most as many as there is place for; oldest first.
+        """Return the samples that have not been taken, up to the size of the buffers; oldest first.
 
         Raises:
-            OSError: the reader is gone.
+            OSError: the reader was closed.
         """
         count = self._take(reader._ref, self._places, self._infos, self._at_once, self._at_once)
         if count < 0:
@@ -94,21 +94,21 @@ class Taker:
         return samples
 
 
-class Sender:
-    """Hands samples to writers while other threads run."""
+class SampleSender:
+    """Writes samples while other threads run."""
 
     def __init__(self) -> None:
         self._write = _function("dds_write", ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p)
 
     def write(self, writer: Any, data: bytes) -> int:
-        """Write `data` (CDR with its header); 0, `TIMEOUT` when readers are too slow, or a DDS error."""
+        """Write `data` (CDR with header); return 0, `TIMEOUT` if readers are too slow, or a DDS error."""
         padded = data if not len(data) % 4 else data + bytes(-len(data) % 4)
         container = _Container(ctypes.cast(ctypes.c_char_p(padded), ctypes.c_void_p), len(padded))
         return int(self._write(writer._ref, ctypes.byref(container)))
 
 
-class Bell:
-    """Wakes one thread when a reader has something; each reader is attached under a number of its own."""
+class ReaderWaitSet:
+    """Wakes one thread when a reader has samples; each reader has a number."""
 
     STOP = 0
 
@@ -121,29 +121,29 @@ class Bell:
         self._attach = _function("dds_waitset_attach", ref, ref, ref, ctypes.c_void_p)
         self._detach = _function("dds_waitset_detach", ref, ref, ref)
         self._wait = _function("dds_waitset_wait", ref, ref, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int64)
-        self._rung = (ctypes.c_void_p * 64)()
+        self._signalled = (ctypes.c_void_p * 64)()
         self._attach(self._waitset._ref, self._guard._ref, self.STOP)
 
     def attach(self, condition: Any, number: int) -> None:
-        """Ring under `number` (1 or more) while `condition` holds."""
+        """Signal `number` (1 or more) while `condition` holds."""
         self._attach(self._waitset._ref, condition._ref, number)
 
     def detach(self, condition: Any) -> None:
-        """Ring no more for `condition`."""
+        """Stop signalling `condition`."""
         self._detach(self._waitset._ref, condition._ref)
 
     def wait(self, timeout_ns: int) -> list[int]:
-        """Wait and return the numbers that ring; empty after the timeout."""
-        count = self._wait(self._waitset._ref, self._rung, len(self._rung), timeout_ns)
+        """Wait and return the signalled numbers; empty after the timeout."""
+        count = self._wait(self._waitset._ref, self._signalled, len(self._signalled), timeout_ns)
         if count < 0:
             return [self.STOP]
-        return [self._rung[n] or 0 for n in range(min(count, len(self._rung)))]
+        return [self._signalled[n] or 0 for n in range(min(count, len(self._signalled)))]
 
     def stop(self) -> None:
-        """Ring `STOP` from now on."""
+        """Signal `STOP` from now on."""
         self._guard.set(True)
 
     def close(self) -> None:
-        """Let go of the bell; nobody may wait on it any more."""
+        """Close the wait set; no thread may wait on it any more."""
         self._waitset.__del__()
         self._guard.__del__()

@@ -1,12 +1,12 @@
-"""Services over DDS, as Cyclone's ROS middleware carries them: a header before each request and reply.
+"""Services over DDS, like `rmw_cyclonedds_cpp`: a header before each request and reply.
 
-The header says who asked (8 bytes, chosen by the client) and which of its requests it is. Fast DDS carries
-the same in another place, so the two cannot call each other; who tries is told so, before anything is sent (a
-Fast DDS server would keep every request that it cannot answer).
+The header contains the id of the client (8 bytes, chosen by the client) and the number of the request. Fast
+DDS transmits the same in another place, so the two cannot call each other. A call to a Fast DDS server is
+refused before anything is sent (such a server would keep every request that it cannot answer).
 
-`rmw_cyclonedds_cpp` publishes on each endpoint the hash of the *message* it carries, `X_Request` or
-`X_Response`; other programs publish the hash of the service `X`. We publish as `rmw_cyclonedds_cpp` does and
-accept both.
+`rmw_cyclonedds_cpp` publishes on each endpoint the hash of the *message* that it transmits, `X_Request` or
+`X_Response`; other programs publish the hash of the service `X`. The bridge publishes the former and accepts
+both.
 """
 
 import asyncio
@@ -25,12 +25,12 @@ from ros_fiware_bridge.errors import (
     VendorNotShared,
 )
 from ros_fiware_bridge.graph.cyclone import dds_names
-from ros_fiware_bridge.graph.cyclone.discovery import Known, handles
+from ros_fiware_bridge.graph.cyclone.discovery import DiscoveredEndpoint, handles
 from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.samples import Sample
 from ros_fiware_bridge.graph.cyclone.topics import send
 from ros_fiware_bridge.graph.port import Message, ServiceHandler
-from ros_fiware_bridge.graph.qos import MAX_REQUESTS_UNDER_WAY, SERVICES
+from ros_fiware_bridge.graph.qos import MAX_REQUESTS_IN_FLIGHT, SERVICES
 from ros_fiware_bridge.graph.waiting import until
 from ros_fiware_bridge.types.type_store import TypeStore
 
@@ -39,9 +39,9 @@ log = structlog.get_logger(__name__)
 VENDOR = "cyclonedds"
 _HEADER = struct.Struct("<Qq")
 _CDR = 4
-_MOST_AT_ONCE = 256
-_CLIENT_WAIT_S = 1.0
-_AWAY_S = 2.0
+_MAX_PENDING_REQUESTS = 256
+_CLIENT_MATCH_TIMEOUT_S = 1.0
+_SERVER_LOST_AFTER_S = 2.0
 
 
 def _wrapped(writer_guid: int, sequence: int, data: bytes) -> bytes:
@@ -57,8 +57,8 @@ def _id_of_pair() -> str:
     return ".".join(f"{byte:x}" for byte in secrets.token_bytes(16))
 
 
-def vendor_refused(service: str, endpoint: Known, node: str | None, doing: str) -> str:
-    """Say that a peer carries services in another way."""
+def vendor_refused(service: str, endpoint: DiscoveredEndpoint, node: str | None, doing: str) -> str:
+    """Return the error text for a peer whose middleware has incompatible services."""
     return (
         f"{service}: {node or 'a node'} {doing} it with {endpoint.vendor}, whose services cannot be reached "
         "from Cyclone DDS; start it with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or install rclpy beside the "
@@ -67,8 +67,10 @@ def vendor_refused(service: str, endpoint: Known, node: str | None, doing: str) 
     )
 
 
-def hash_refused(store: TypeStore, service: str, base: str, server: Known, node: str | None) -> str | None:
-    """Say that the request reader of a server has another definition of `base`; None if it has the same.
+def hash_refused(
+    store: TypeStore, service: str, base: str, server: DiscoveredEndpoint, node: str | None
+) -> str | None:
+    """Return the error text for a server with another definition of `base`; None if it has the same.
 
     The peer may publish the hash of the request message, of the service, or none.
     """
@@ -84,14 +86,14 @@ def hash_refused(store: TypeStore, service: str, base: str, server: Known, node:
 
 
 def _accepted_hashes(store: TypeStore, base: str) -> dict[str, str]:
-    """Return what each hash that a request endpoint may publish is of."""
+    """Return the hashes that a request endpoint may publish, each with what it is the hash of."""
     return {store.hash(f"{base}_Request"): "request", store.hash(base): "service"}
 
 
 def obstacle(
-    store: TypeStore, service: str, base: str, server: Known, node: str | None
+    store: TypeStore, service: str, base: str, server: DiscoveredEndpoint, node: str | None
 ) -> VendorNotShared | TypeHashDiffers | None:
-    """Return why a server, given by its request reader, must not be asked; None if it may."""
+    """Return why a server, given by its request reader, must not be called; None if it may be."""
     if server.vendor != VENDOR:
         return VendorNotShared(vendor_refused(service, server, node, "serves"))
     fault = hash_refused(store, service, base, server, node)
@@ -101,32 +103,32 @@ def obstacle(
 class CycloneClient:
     """Calls one service. `base` is the type without `_Request` and `_Response`."""
 
-    def __init__(self, node: OwnNode, service: str, base: str, most_bytes: int) -> None:
+    def __init__(self, node: OwnNode, service: str, base: str, max_message_bytes: int) -> None:
         self.service = service
         self.base = base
         self._node = node
-        self._most_bytes = most_bytes
+        self._max_message_bytes = max_message_bytes
         self._loop = asyncio.get_running_loop()
         self._guid = secrets.randbits(63) + 1
         self._sequence = 0
         self._asked: dict[int, asyncio.Future[bytes]] = {}
-        self._free = asyncio.Semaphore(MAX_REQUESTS_UNDER_WAY)
+        self._free = asyncio.Semaphore(MAX_REQUESTS_IN_FLIGHT)
         self._pair: tuple[Any, Any] | None = None
         self._met: set[bytes] = set()
         self._stop: Callable[[], None] = lambda: None
         self._request_topic = dds_names.of_request(service)
         self._reply_topic = dds_names.of_reply(service)
 
-    def _servers(self) -> list[Known]:
-        """Return the request readers that may be asked.
+    def _servers(self) -> list[DiscoveredEndpoint]:
+        """Return the request readers of the servers that may be called.
 
         Raises:
-            VendorNotShared, TypeHashDiffers: one of them must not be asked.
+            VendorNotShared, TypeHashDiffers: one of them must not be called.
         """
-        picture = self._node.discovery.picture()
-        servers = picture.at(self._request_topic, writes=False)
+        snapshot = self._node.discovery.snapshot()
+        servers = snapshot.at(self._request_topic, writes=False)
         for one in servers:
-            fault = obstacle(self._node.store, self.service, self.base, one, picture.node_of(one))
+            fault = obstacle(self._node.store, self.service, self.base, one, snapshot.node_of(one))
             if isinstance(fault, VendorNotShared):
                 self.close()
             if fault is not None:
@@ -134,7 +136,7 @@ class CycloneClient:
             if one.guid not in self._met:
                 self._met.add(one.guid)
                 of = _accepted_hashes(self._node.store, self.base).get(one.type_hash or "", "none")
-                log.info("service found", service=self.service, node=picture.node_of(one), type_hash_of=of)
+                log.info("service found", service=self.service, node=snapshot.node_of(one), type_hash_of=of)
         return servers
 
     def _matched(self) -> bool:
@@ -142,14 +144,14 @@ class CycloneClient:
         if not servers:
             return False
         writer, reader = self._open()
-        picture = self._node.discovery.picture()
+        snapshot = self._node.discovery.snapshot()
         answering = handles(reader.get_matched_publications())
         asked = handles(writer.get_matched_subscriptions())
         servers &= {
-            one.participant for one in picture.at(self._reply_topic, writes=True) if one.handle in answering
+            one.participant for one in snapshot.at(self._reply_topic, writes=True) if one.handle in answering
         }
         servers &= {
-            one.participant for one in picture.at(self._request_topic, writes=False) if one.handle in asked
+            one.participant for one in snapshot.at(self._request_topic, writes=False) if one.handle in asked
         }
         return bool(servers)
 
@@ -171,7 +173,7 @@ class CycloneClient:
                 user={"clientid": pair_id, "typehash": store.hash(asks)},
                 header=True,
             )
-            self._stop = self._node.listening.to_samples(reader, self._on_samples)
+            self._stop = self._node.listener.to_samples(reader, self._on_samples)
             self._pair = writer, reader
         return self._pair
 
@@ -192,11 +194,11 @@ class CycloneClient:
             waiting.set_result(body)
 
     async def available(self, timeout_s: float) -> bool:
-        """Wait until a server is there that can be asked; False if none came in time."""
+        """Wait until a server is available; False if none was found in time."""
         return await until(self._matched, timeout_s)
 
     async def call(self, request: Message, timeout_s: float | None) -> Message:
-        """Ask and return the response; None waits as long as a server is there.
+        """Send the request and return the response; None waits as long as a server is available.
 
         Raises:
             BadMessage, VendorNotShared, TypeHashDiffers, ServiceUnavailable, CallTimeout, GraphClosed.
@@ -208,7 +210,7 @@ class CycloneClient:
                 f"nobody serves {self.service} ({self.base}); start its node, or check the name and the "
                 "number of the domain (ROS_DOMAIN_ID)"
             )
-        if timeout_s is None:  # the result of a goal, which may take for ever
+        if timeout_s is None:  # the result of a goal, which may take any time
             return await self._ask(data, None)
         try:
             async with asyncio.timeout_at(start_s + timeout_s), self._free:
@@ -223,7 +225,13 @@ class CycloneClient:
         self._asked[sequence] = answer
         try:
             writer, _ = self._open()
-            send(self._node, writer, _wrapped(self._guid, sequence, data), self._most_bytes, self.service)
+            send(
+                self._node,
+                writer,
+                _wrapped(self._guid, sequence, data),
+                self._max_message_bytes,
+                self.service,
+            )
             asked = {one.guid for one in self._servers()}
             body = await (self._while_served(answer, asked) if timeout_s is None else answer)
         finally:
@@ -231,20 +239,20 @@ class CycloneClient:
         return self._node.store.decode(f"{self.base}_Response", body)
 
     async def _while_served(self, answer: asyncio.Future[bytes], asked: set[bytes]) -> bytes:
-        """Wait while a server that was `asked` is there; another in its place does not know the request."""
+        """Wait while one of the `asked` servers is available; a new server does not know the request."""
 
         def is_there() -> bool:
             return self._matched() and any(one.guid in asked for one in self._servers())
 
         while True:
-            done, _ = await asyncio.wait([answer], timeout=_AWAY_S)
+            done, _ = await asyncio.wait([answer], timeout=_SERVER_LOST_AFTER_S)
             if done:
                 return answer.result()
-            if not await until(is_there, _AWAY_S):
+            if not await until(is_there, _SERVER_LOST_AFTER_S):
                 raise ServiceUnavailable(f"the server of {self.service} went away before it answered")
 
     def close(self) -> None:
-        """Ask no more; who still waits is told."""
+        """Close the client; pending calls end with `GraphClosed`."""
         for waiting in self._asked.values():
             if not waiting.done():
                 waiting.set_exception(GraphClosed(f"{self.service} was closed before it answered"))
@@ -264,7 +272,7 @@ class CycloneServer:
         base: str,
         handler: ServiceHandler,
         *,
-        most_bytes: int,
+        max_message_bytes: int,
         closed: Callable[[Any], None],
     ) -> None:
         self.name = service
@@ -274,12 +282,12 @@ class CycloneServer:
         self.last_error: str | None = None
         self._node = node
         self._handler = handler
-        self._most_bytes = most_bytes
+        self._max_message_bytes = max_message_bytes
         self._closed = closed
         self._loop = asyncio.get_running_loop()
         self._working: set[asyncio.Task[None]] = set()
         self._is_open = True
-        # Each is counted by one thread alone: what listening hands over, and what the loop has taken.
+        # One thread writes each: the listener thread the first, the loop the second.
         self._handed = 0
         self._taken = 0
         pair_id, asks, answers = _id_of_pair(), f"{base}_Request", f"{base}_Response"
@@ -298,7 +306,7 @@ class CycloneServer:
             user={"serviceid": pair_id, "typehash": node.store.hash(asks)},
             header=True,
         )
-        self._stop = node.listening.to_samples(self._reader, self._on_samples)
+        self._stop = node.listener.to_samples(self._reader, self._on_samples)
 
     def _on_samples(self, samples: list[Sample]) -> None:
         for sample in samples:
@@ -308,8 +316,8 @@ class CycloneServer:
             if client is None:
                 self._node.discovery.look()
                 client = self._node.discovery.writer(sample.writer)
-            if self._handed - self._taken >= _MOST_AT_ONCE:
-                self._fault(f"{self.name}: {_MOST_AT_ONCE} requests wait to be answered; one was let go")
+            if self._handed - self._taken >= _MAX_PENDING_REQUESTS:
+                self._fault(f"{self.name}: {_MAX_PENDING_REQUESTS} requests are pending; one was dropped")
                 continue
             self._handed += 1
             try:
@@ -317,18 +325,20 @@ class CycloneServer:
             except RuntimeError:  # the loop is closed
                 return
 
-    def _asked(self, client: Known | None, data: bytes) -> None:
+    def _asked(self, client: DiscoveredEndpoint | None, data: bytes) -> None:
         self._taken += 1
         if not self._is_open:
             return
         self.calls += 1
         if client is not None and client.vendor != VENDOR:
-            node = self._node.discovery.picture().node_of(client)
+            node = self._node.discovery.snapshot().node_of(client)
             self._fault(vendor_refused(self.name, client, node, "calls"))
-        elif len(data) > self._most_bytes:
-            self._fault(f"{self.name}: a request of {len(data)} bytes came, {self._most_bytes} are allowed")
-        elif len(self._working) >= _MOST_AT_ONCE:
-            self._fault(f"{self.name}: {_MOST_AT_ONCE} requests are being answered already; one was let go")
+        elif len(data) > self._max_message_bytes:
+            self._fault(
+                f"{self.name}: a request has {len(data)} bytes, {self._max_message_bytes} are allowed"
+            )
+        elif len(self._working) >= _MAX_PENDING_REQUESTS:
+            self._fault(f"{self.name}: {_MAX_PENDING_REQUESTS} requests are being answered; one was dropped")
         else:
             self._spawn(self._answer(client, *_unwrapped(data)))
 
@@ -337,31 +347,37 @@ class CycloneServer:
         self._working.add(task)
         task.add_done_callback(self._working.discard)
 
-    async def _answer(self, client: Known | None, guid: int, sequence: int, body: bytes) -> None:
+    async def _answer(self, client: DiscoveredEndpoint | None, guid: int, sequence: int, body: bytes) -> None:
         try:
             request = self._node.store.decode(f"{self.type_name}_Request", body)
             response = await self._handler(request)
             data = self._node.store.encode(f"{self.type_name}_Response", response)
-            # Replies are volatile: one sent before the client's reader is matched would be lost to it.
-            await until(lambda: self._heard_by(client), _CLIENT_WAIT_S)
+            # Replies are volatile: a client whose reader is not matched yet would miss its reply.
+            await until(lambda: self._is_matched_with(client), _CLIENT_MATCH_TIMEOUT_S)
             if self._is_open:
-                send(self._node, self._writer, _wrapped(guid, sequence, data), self._most_bytes, self.name)
-        except Exception as error:  # one caller's request must not end the service
+                send(
+                    self._node,
+                    self._writer,
+                    _wrapped(guid, sequence, data),
+                    self._max_message_bytes,
+                    self.name,
+                )
+        except Exception as error:  # one request must not end the service
             self._fault(f"{type(error).__name__}: {error}")
-            log.exception("a request of the ROS graph was not answered", service=self.name)
+            log.exception("answering a request failed", service=self.name)
 
-    def _heard_by(self, client: Known | None) -> bool:
+    def _is_matched_with(self, client: DiscoveredEndpoint | None) -> bool:
         if not self._is_open:
             return True
         matched = handles(self._writer.get_matched_subscriptions())
         if client is None:
             return bool(matched)
-        same = "clientid" if "clientid" in client.told else None
+        same = "clientid" if "clientid" in client.user_data else None
         return any(
             one.handle in matched
             and one.participant == client.participant
-            and (same is None or one.told.get(same) == client.told[same])
-            for one in self._node.discovery.picture().at(self._reply_topic, writes=False)
+            and (same is None or one.user_data.get(same) == client.user_data[same])
+            for one in self._node.discovery.snapshot().at(self._reply_topic, writes=False)
         )
 
     def _fault(self, error: str) -> None:

@@ -1,23 +1,23 @@
-"""Topics over DDS: what comes in is decoded only when it is looked at; what goes out goes at once."""
+"""Topics over DDS: received messages are decoded on first access; published ones are sent at once."""
 
 from collections.abc import Callable
 from typing import Any
 
 from ros_fiware_bridge.errors import GraphClosed, GraphError, PublishBlocked
+from ros_fiware_bridge.graph.base_graph import require_fit
 from ros_fiware_bridge.graph.cyclone import dds_names
 from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.samples import TIMEOUT, Sample
 from ros_fiware_bridge.graph.inbox import Inbox, hash_differs
-from ros_fiware_bridge.graph.member import require_fit
 from ros_fiware_bridge.graph.port import Message, OnMessage
 from ros_fiware_bridge.graph.qos import Qos
 from ros_fiware_bridge.graph.waiting import until
 
-_MOST_WRITERS_REMEMBERED = 1000
+_MAX_KNOWN_WRITERS = 1000
 
 
 class CycloneSubscription(Inbox):
-    """A topic that is listened to; see `port.Subscription`."""
+    """A subscription to a topic; see `port.Subscription`."""
 
     def __init__(
         self,
@@ -27,17 +27,19 @@ class CycloneSubscription(Inbox):
         qos: Qos,
         *,
         on_message: OnMessage,
-        most_bytes: int,
+        max_message_bytes: int,
         closed: Callable[[Any], None],
     ) -> None:
-        super().__init__(node.store, topic, type_name, qos, on_message=on_message, most_bytes=most_bytes)
+        super().__init__(
+            node.store, topic, type_name, qos, on_message=on_message, max_message_bytes=max_message_bytes
+        )
         self._node = node
         self._closed = closed
-        # For each writer: why it is not listened to (None: it is), and whether it is ours.
+        # For each writer: the reason why it is ignored (None: it is not), and whether it is ours.
         self._writers: dict[int, tuple[str | None, bool]] = {}
         self._hash = node.store.hash(type_name)
         self._reader = node.reader(dds_names.of_topic(topic), type_name, qos, user={"typehash": self._hash})
-        self._stop = node.listening.to_samples(self._reader, self._on_samples)
+        self._stop = node.listener.to_samples(self._reader, self._on_samples)
 
     def _on_samples(self, samples: list[Sample]) -> None:
         for sample in samples:
@@ -60,7 +62,7 @@ class CycloneSubscription(Inbox):
             hash_differs(self.topic, self.type_name, self._hash, writer.type_hash, who),
             writer.participant == discovery.own,
         )
-        if len(self._writers) >= _MOST_WRITERS_REMEMBERED:
+        if len(self._writers) >= _MAX_KNOWN_WRITERS:
             self._writers.clear()
         self._writers[handle] = verdict
         return verdict
@@ -74,7 +76,7 @@ class CycloneSubscription(Inbox):
         return await until(lambda: self.publishers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Stop listening."""
+        """Unsubscribe."""
         if self.shut():
             self._stop()
             self._node.drop(self._reader)
@@ -82,7 +84,7 @@ class CycloneSubscription(Inbox):
 
 
 class CyclonePublisher:
-    """A topic that is spoken on; see `port.Publisher`."""
+    """A publisher on a topic; see `port.Publisher`."""
 
     def __init__(
         self,
@@ -91,7 +93,7 @@ class CyclonePublisher:
         type_name: str,
         qos: Qos,
         *,
-        most_bytes: int,
+        max_message_bytes: int,
         closed: Callable[[Any], None],
     ) -> None:
         self.topic = topic
@@ -99,7 +101,7 @@ class CyclonePublisher:
         self.qos = qos
         self.published = 0
         self._node = node
-        self._most_bytes = most_bytes
+        self._max_message_bytes = max_message_bytes
         self._closed = closed
         self._open = True
         user = {"typehash": node.store.hash(type_name)}
@@ -110,10 +112,10 @@ class CyclonePublisher:
         self.publish_encoded(self._node.store.encode(self.type_name, message))
 
     def publish_encoded(self, data: bytes) -> None:
-        """Send what `TypeStore.encode` made of a message."""
+        """Send a message that `TypeStore.encode` has encoded."""
         if not self._open:
             raise GraphClosed(f"{self.topic} was closed; nothing can be published on it")
-        send(self._node, self._writer, data, self._most_bytes, self.topic)
+        send(self._node, self._writer, data, self._max_message_bytes, self.topic)
         self.published += 1
 
     def subscribers(self) -> int:
@@ -125,22 +127,22 @@ class CyclonePublisher:
         return await until(lambda: self.subscribers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Stop speaking."""
+        """Stop publishing."""
         if self._open:
             self._open = False
             self._node.drop(self._writer)
             self._closed(self)
 
 
-def send(node: OwnNode, writer: Any, data: bytes, most_bytes: int, where: str) -> None:
-    """Hand `data` to a writer.
+def send(node: OwnNode, writer: Any, data: bytes, max_message_bytes: int, where: str) -> None:
+    """Pass `data` to a writer.
 
     Raises:
         MessageTooBig, PublishBlocked, GraphError.
     """
-    require_fit(where, len(data), most_bytes)
+    require_fit(where, len(data), max_message_bytes)
     fault = node.sender.write(writer, data)
     if fault == TIMEOUT:
-        raise PublishBlocked(f"{where}: its reliable subscribers take too slowly; the message was not sent")
+        raise PublishBlocked(f"{where}: its reliable subscribers read too slowly; the message was not sent")
     if fault:
-        raise GraphError(f"{where}: DDS did not take the message (fault {fault})")
+        raise GraphError(f"{where}: DDS did not accept the message (error {fault})")

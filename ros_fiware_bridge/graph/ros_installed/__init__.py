@@ -1,1 +1,1 @@
-"""The graph over the ROS that is installed (rclpy): for its middleware, its security and its services."""
+"""The graph over an installed ROS (rclpy): with its middleware, its security and its services."""

@@ -11,17 +11,23 @@ import structlog
 
 from ros_fiware_bridge.errors import CallTimeout, GoalRefused, GraphClosed, ServiceUnavailable
 from ros_fiware_bridge.graph.port import ActionHandler, GoalEnded, GoalResult, GoalStatus, Message
-from ros_fiware_bridge.graph.ros_installed.own_node import SETTLES_S, OwnRosNode, as_future, call, interface
+from ros_fiware_bridge.graph.ros_installed.own_node import (
+    DISCOVERY_DELAY_S,
+    OwnRosNode,
+    as_future,
+    call,
+    interface,
+)
 from ros_fiware_bridge.graph.waiting import until
 
 log = structlog.get_logger(__name__)
 
-_AWAY_S = 2.0
-_CANCELING_S = 1.0
+_SERVER_LOST_AFTER_S = 2.0
+_CANCEL_TIMEOUT_S = 1.0
 
 
 class RosGoal:
-    """A goal that was accepted; see `port.Goal`."""
+    """An accepted goal; see `port.Goal`."""
 
     def __init__(self, client: "RosActionClient", handle: Any, goal_id: bytes) -> None:
         self.goal_id = goal_id
@@ -31,31 +37,31 @@ class RosGoal:
 
     @property
     def status(self) -> GoalStatus:
-        """How it stands."""
+        """Return the state of the goal."""
         if self._ended is not None and self._ended.done() and self._ended.exception() is None:
             return self._ended.result().status
         return GoalStatus(self._handle.status)
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:
-        """Wait for its end."""
+        """Wait for the end of the goal."""
         if self._ended is None or (self._ended.done() and self._ended.exception() is not None):
             self._ended = asyncio.get_running_loop().create_task(self._client.ask_result(self._handle))
         try:
             return await asyncio.wait_for(asyncio.shield(self._ended), timeout_s)
         except asyncio.CancelledError:
-            if self._ended.cancelled():  # by `forget`, not whoever waits here
+            if self._ended.cancelled():  # by `forget`, not by the caller
                 raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
             raise
         except TimeoutError:
             raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
 
     async def cancel(self, timeout_s: float = 5.0) -> bool:
-        """Ask the server to cancel it."""
+        """Request the cancellation."""
         answer = await self._client.within(self._handle.cancel_goal_async(), timeout_s)
         return any(bytes(one.goal_id.uuid) == self.goal_id for one in answer.goals_canceling)
 
     def forget(self) -> None:
-        """Wait for nothing any more."""
+        """Cancel waiting for the result."""
         if self._ended is not None:
             self._ended.cancel()
 
@@ -80,14 +86,14 @@ class RosActionClient:
         self._settled = False
 
     async def available(self, timeout_s: float) -> bool:
-        """Wait until a server is there."""
+        """Wait until a server is available."""
         return await until(self._client.server_is_ready, timeout_s)
 
     async def within(self, pending: Any, timeout_s: float) -> Any:
         """Wait for a future of rclpy.
 
         Raises:
-            CallTimeout: it does not end in time.
+            CallTimeout: it does not complete in time.
         """
         try:
             return await asyncio.wait_for(as_future(pending, self._loop), timeout_s)
@@ -113,16 +119,16 @@ class RosActionClient:
             )
 
         if not self._settled:
-            await asyncio.sleep(min(SETTLES_S, timeout_s / 2))
+            await asyncio.sleep(min(DISCOVERY_DELAY_S, timeout_s / 2))
             self._settled = True
 
-        def told(feedback: Any) -> None:
+        def receive_feedback(feedback: Any) -> None:
             if on_feedback is not None:
                 message = self._node.from_ros(f"{self.type_name}_Feedback", feedback.feedback)
                 call(self._loop, on_feedback, message)
 
         goal_id = secrets.token_bytes(16)
-        pending = self._client.send_goal_async(sent, told, UUID(uuid=list(goal_id)))
+        pending = self._client.send_goal_async(sent, receive_feedback, UUID(uuid=list(goal_id)))
         handle = await self.within(pending, max(0.0, start_s + timeout_s - self._loop.time()))
         if not handle.accepted:
             raise GoalRefused(f"{self.name}: the server did not accept the goal")
@@ -131,19 +137,19 @@ class RosActionClient:
         return accepted
 
     async def ask_result(self, handle: Any) -> GoalResult:
-        """Wait for the result of a goal as long as its server is there."""
+        """Wait for the result of a goal while its server is available."""
         answer = as_future(handle.get_result_async(), self._loop)
         while True:
-            done, _ = await asyncio.wait([answer], timeout=_AWAY_S)
+            done, _ = await asyncio.wait([answer], timeout=_SERVER_LOST_AFTER_S)
             if done:
                 ended = answer.result()
                 result = self._node.from_ros(f"{self.type_name}_Result", ended.result)
                 return GoalResult(GoalStatus(ended.status), result)
-            if not await self.available(_AWAY_S):
+            if not await self.available(_SERVER_LOST_AFTER_S):
                 raise ServiceUnavailable(f"the server of {self.name} went away before the goal ended")
 
     async def close(self) -> None:
-        """Let go of the action."""
+        """Release the action."""
         if self._open:
             self._open = False
             for goal in self._goals:
@@ -153,7 +159,7 @@ class RosActionClient:
 
 
 class RosServedGoal:
-    """A goal that is worked on; see `port.ServedGoal`."""
+    """A goal that is being executed; see `port.ServedGoal`."""
 
     def __init__(self, server: "RosActionServer", handle: Any, request: Message) -> None:
         self.goal_id = bytes(handle.goal_id.uuid)
@@ -166,24 +172,24 @@ class RosServedGoal:
 
     @property
     def cancel_requested(self) -> bool:
-        """Whether the client asked to cancel."""
+        """Return whether the client has requested the cancellation."""
         return self._cancel.is_set()
 
     async def wait_cancel_requested(self) -> None:
-        """Wait until the client asks to cancel."""
+        """Wait until the client requests the cancellation."""
         await self._cancel.wait()
 
     def cancel(self) -> None:
-        """Take the client's wish."""
+        """Record the request of the client."""
         self._cancel.set()
 
     def feedback(self, feedback: Message) -> None:
-        """Tell how far it is."""
-        self._server.told(self._handle, feedback)
+        """Send feedback to the client."""
+        self._server.send_feedback(self._handle, feedback)
 
 
 class RosActionServer:
-    """An action that is served; see `port.Served`."""
+    """A served action; see `port.Served`."""
 
     def __init__(
         self,
@@ -238,7 +244,7 @@ class RosActionServer:
         return self._cancel_response.ACCEPT
 
     def _execute(self, handle: Any) -> Any:
-        """Work on one goal; in a thread of the executor, which waits for the loop."""
+        """Execute one goal; in a thread of the executor, which waits for the loop."""
         work = asyncio.run_coroutine_threadsafe(self._work(handle), self._loop)
         self._working.add(work)
         try:
@@ -257,8 +263,8 @@ class RosActionServer:
 
     @staticmethod
     def _canceling(handle: Any) -> bool:
-        """Wait until rclpy has noted the wish that our handler knows already; False if there is none."""
-        end_s = time.monotonic() + _CANCELING_S
+        """Wait until rclpy has recorded the cancel request that our handler has seen; False without one."""
+        end_s = time.monotonic() + _CANCEL_TIMEOUT_S
         while not handle.is_cancel_requested:
             if time.monotonic() > end_s:
                 return False
@@ -284,11 +290,11 @@ class RosActionServer:
             self._goals.pop(goal.goal_id, None)
         return GoalStatus.SUCCEEDED, result
 
-    def told(self, handle: Any, feedback: Message) -> None:
-        """Publish how far a goal is.
+    def send_feedback(self, handle: Any, feedback: Message) -> None:
+        """Publish the feedback of a goal.
 
         Raises:
-            BadMessage: it does not fit the definition.
+            BadMessage: it does not match the definition.
         """
         made = self._interface.Feedback
         handle.publish_feedback(self._node.to_ros(made, f"{self.type_name}_Feedback", feedback))
@@ -296,10 +302,10 @@ class RosActionServer:
     def _fault(self, error: Exception) -> None:
         self.failed += 1
         self.last_error = f"{type(error).__name__}: {error}"
-        log.error("a goal of the ROS graph was not dealt with", action=self.name, error=self.last_error)
+        log.error("executing a goal failed", action=self.name, error=self.last_error)
 
     async def close(self) -> None:
-        """Stop serving; goals that are worked on are aborted."""
+        """Stop serving; active goals are aborted."""
         if self._open:
             self._open = False
             for work in list(self._working):

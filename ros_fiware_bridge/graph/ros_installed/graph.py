@@ -1,4 +1,4 @@
-"""The ROS graph over an installed ROS: everything that the port promises, by rclpy."""
+"""The ROS graph over an installed ROS, by rclpy."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -6,8 +6,8 @@ from typing import Any
 
 from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph import names
+from ros_fiware_bridge.graph.base_graph import BaseGraph
 from ros_fiware_bridge.graph.joining import JoinSettings
-from ros_fiware_bridge.graph.member import Member
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,
@@ -27,8 +27,8 @@ from ros_fiware_bridge.graph.ros_installed.topics import RosPublisher, RosSubscr
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-class RosInstalledGraph(Member):
-    """A node on the graph; see `port.RosGraph`. Made by `joining.join`."""
+class RosInstalledGraph(BaseGraph):
+    """A node on the graph; see `port.RosGraph`. Created by `joining.join`."""
 
     def __init__(self, store: TypeStore, settings: JoinSettings, node: OwnRosNode) -> None:
         super().__init__(store, settings)
@@ -45,7 +45,7 @@ class RosInstalledGraph(Member):
         """Join the graph.
 
         Raises:
-            BadName: the node or its namespace cannot be called so.
+            BadName: the node or its namespace has an invalid name.
             AdapterUnavailable: the installed ROS does not start.
         """
         names.node_name(settings.node)
@@ -55,7 +55,7 @@ class RosInstalledGraph(Member):
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
     ) -> RosSubscription:
-        """Listen to a topic."""
+        """Subscribe to a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = RosSubscription(
             self._node,
@@ -63,25 +63,30 @@ class RosInstalledGraph(Member):
             full,
             qos,
             on_message=on_message,
-            most_bytes=self._settings.most_bytes,
-            closed=self._gone,
+            max_message_bytes=self._settings.max_message_bytes,
+            closed=self._unregister,
         )
-        self._keep(opened)
+        self._register(opened)
         await self._checked(opened, self._node.node.get_subscriptions_info_by_topic)
         return opened
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> RosPublisher:
-        """Speak on a topic."""
+        """Publish on a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = RosPublisher(
-            self._node, name, full, qos, most_bytes=self._settings.most_bytes, closed=self._gone
+            self._node,
+            name,
+            full,
+            qos,
+            max_message_bytes=self._settings.max_message_bytes,
+            closed=self._unregister,
         )
-        self._keep(opened)
+        self._register(opened)
         await self._checked(opened, self._node.node.get_publishers_info_by_topic)
         return opened
 
     async def _checked(self, opened: Any, ends: Callable[[str], Any]) -> None:
-        """Let nothing pass where the installed ROS means another type than we do."""
+        """Close the topic and raise if the installed ROS has another definition of its type."""
         for end in ends(opened.topic):
             if view.full_name(end) == self.node_name and end.topic_type == opened.type_name:
                 try:
@@ -100,15 +105,15 @@ class RosInstalledGraph(Member):
     async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> RosServer:
         """Serve a service."""
         name, full = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
-        opened = RosServer(self._node, name, full, handler, closed=self._gone)
-        self._keep(opened)
+        opened = RosServer(self._node, name, full, handler, closed=self._unregister)
+        self._register(opened)
         return opened
 
     async def action_client(self, action: str, type_name: str) -> RosActionClient:
         """Send goals to an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
-        opened = RosActionClient(self._node, name, full, closed=self._gone)
-        self._keep(opened)
+        opened = RosActionClient(self._node, name, full, closed=self._unregister)
+        self._register(opened)
         return opened
 
     async def serve_action(
@@ -121,8 +126,8 @@ class RosInstalledGraph(Member):
     ) -> RosActionServer:
         """Serve an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
-        opened = RosActionServer(self._node, name, full, handler, accept=accept, closed=self._gone)
-        self._keep(opened)
+        opened = RosActionServer(self._node, name, full, handler, accept=accept, closed=self._unregister)
+        self._register(opened)
         return opened
 
     def topics(self) -> Sequence[TopicInfo]:
@@ -142,11 +147,11 @@ class RosInstalledGraph(Member):
         return view.nodes(self._node.node, self.node_name, self._node.vendor)
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:  # noqa: ARG002 - see the port
-        """Return why calls of a service would fail; rclpy does not reveal the hashes of servers."""
+        """Return why calls of a service would fail; rclpy does not report the hashes of servers."""
         return missing_type(type_name)
 
     def problems(self) -> Sequence[GraphError]:
-        """Return what stands between us and peers now."""
+        """Return the present incompatibilities with peers."""
         return view.problems(self.topics())
 
     async def close(self) -> None:
@@ -162,7 +167,7 @@ class RosInstalledGraph(Member):
 
 
 def missing_type(type_name: str) -> list[GraphError]:
-    """Return why rclpy cannot carry a service, `X` or `X_SendGoal`; empty if it can."""
+    """Return why rclpy cannot call a service `X` or `X_SendGoal`; empty if it can."""
     try:
         interface(type_name.removesuffix("_SendGoal"))
     except UnknownType as error:

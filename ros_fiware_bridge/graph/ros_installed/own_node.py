@@ -1,7 +1,7 @@
-"""Our node in an installed ROS: it spins in threads of its own, and messages cross over as CDR.
+"""Our node in an installed ROS: it spins in its own threads, and messages are converted by CDR.
 
-The installed ROS knows its types by Python modules; we know them by definitions. Both must be the same, or
-the bridge would read what nobody wrote: their hashes are compared when something is opened.
+The installed ROS defines its types by Python modules, the bridge by definition files. If they differed,
+messages would be misread: so their hashes are compared when a topic is opened.
 """
 
 import asyncio
@@ -21,13 +21,13 @@ from ros_fiware_bridge.types.type_store import TypeStore
 
 log = structlog.get_logger(__name__)
 
-_ROUND_S = 1.0
-SETTLES_S = 0.5
-"""A server that we see may not see us yet, and its answer would be lost. Nothing shows when it does, so the
-first call waits this long.
+_SPIN_TIMEOUT_S = 1.0
+DISCOVERY_DELAY_S = 0.5
+"""A server that has been discovered may not have discovered our client yet, and its response would be lost.
+Nothing reports when it has, so the first call waits this long.
 """
-_THREADS = 64
-"""Handlers of services and goals keep a thread each while they work."""
+_MAX_THREADS = 64
+"""Each handler of a service or goal occupies a thread while it runs."""
 
 
 class OwnRosNode:
@@ -46,7 +46,7 @@ class OwnRosNode:
 
         self.store = store
         for name, value in _network(settings).items():
-            os.environ.setdefault(name, value)  # what is set already is how this machine's ROS is set up
+            os.environ.setdefault(name, value)  # the configuration of the machine has priority
         self._context = rclpy.Context()
         try:
             rclpy.init(
@@ -62,7 +62,7 @@ class OwnRosNode:
             raise AdapterUnavailable(f"the installed ROS does not start: {error}") from error
         self.vendor = rclpy.get_rmw_implementation_identifier()
         self.group = ReentrantCallbackGroup()
-        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+        self._executor = MultiThreadedExecutor(_MAX_THREADS, context=self._context)
         self._executor.add_node(self.node)
         self._stopping = False
         self._thread = threading.Thread(target=self._spin, name="ros-graph", daemon=True)
@@ -73,19 +73,19 @@ class OwnRosNode:
 
         while not self._stopping and self._context.ok():
             try:
-                self._executor.spin_once(timeout_sec=_ROUND_S)
+                self._executor.spin_once(timeout_sec=_SPIN_TIMEOUT_S)
             except (ExternalShutdownException, ShutdownException):
                 return
             except Exception:
-                # One callback's fault, or what was closed while it was waited on: the others go on.
+                # The error of one callback, or an entity that was closed meanwhile: the others continue.
                 if not self._stopping:
-                    log.exception("the ROS graph had a fault")
+                    log.exception("spinning the ROS node failed")
 
     def same(self, where: str, type_name: str, theirs: str | None) -> None:
-        """Check that the installed ROS means by a type what we mean.
+        """Check that the installed ROS has the same definition of a type.
 
         Raises:
-            TypeHashDiffers: it does not.
+            TypeHashDiffers: it has another definition.
         """
         ours = self.store.hash(type_name)
         if theirs is not None and theirs != ours:
@@ -107,7 +107,7 @@ class OwnRosNode:
         return self.store.decode(type_name, serialize_message(message))
 
     def close(self) -> None:
-        """End the node and its threads."""
+        """Stop the node and its threads."""
         import rclpy  # noqa: PLC0415 - is only there where ROS is
 
         self._stopping = True
@@ -133,14 +133,14 @@ def interface(type_name: str) -> Any:
         built = f"ros-jazzy-{package.replace('_', '-')}"
         raise UnknownType(
             f"rclpy has no {type_name}; install its package ({built}), build it in a workspace and "
-            "source that, or start the robot's node with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, where "
-            "definition files do"
+            "source that, or start the robot's node with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, for which "
+            "definition files are enough"
         ) from error
     return found
 
 
 def _network(settings: JoinSettings) -> dict[str, str]:
-    """Return the environment by which ROS 2 is given the network of `settings`."""
+    """Return the environment variables that configure ROS 2 for the network of `settings`."""
     found = {}
     if settings.peers:
         found["ROS_STATIC_PEERS"] = ";".join(settings.peers)
@@ -150,7 +150,7 @@ def _network(settings: JoinSettings) -> dict[str, str]:
 
 
 def profile(qos: Qos, depth: int | None = None) -> Any:
-    """Return the profile of the installed ROS."""
+    """Return the QoS profile of rclpy."""
     from rclpy import qos as ros  # noqa: PLC0415 - is only there where ROS is
 
     keep_all = qos.history is History.KEEP_ALL
@@ -163,7 +163,7 @@ def profile(qos: Qos, depth: int | None = None) -> Any:
 
 
 def offered(found: Any) -> Qos:
-    """Return what an endpoint of the installed ROS offers or wants."""
+    """Return the QoS that an endpoint of the installed ROS offers or requests."""
     best_effort = found.reliability.name == "BEST_EFFORT"
     late = found.durability.name == "TRANSIENT_LOCAL"
     return Qos(
@@ -173,13 +173,13 @@ def offered(found: Any) -> Qos:
 
 
 def hash_of(endpoint: Any) -> str | None:
-    """Return the type hash that an endpoint told, `RIHS01_…`; None if it did not."""
-    told = str(endpoint.topic_type_hash)
-    return told if told.startswith("RIHS01_") else None
+    """Return the type hash of an endpoint, `RIHS01_…`; None if it publishes none."""
+    published = str(endpoint.topic_type_hash)
+    return published if published.startswith("RIHS01_") else None
 
 
 def as_future(pending: Any, loop: asyncio.AbstractEventLoop) -> asyncio.Future[Any]:
-    """Return a future of the loop that ends as a future of rclpy ends."""
+    """Return a future of the loop with the result of a future of rclpy."""
     mine: asyncio.Future[Any] = loop.create_future()
 
     def settle() -> None:
@@ -198,7 +198,7 @@ def as_future(pending: Any, loop: asyncio.AbstractEventLoop) -> asyncio.Future[A
 
 
 def call(loop: asyncio.AbstractEventLoop, function: Callable[..., Any], *arguments: Any) -> None:
-    """Call a function in the loop; nothing happens where the loop is closed."""
+    """Call a function in the loop; has no effect if the loop is closed."""
     try:
         loop.call_soon_threadsafe(function, *arguments)
     except RuntimeError:

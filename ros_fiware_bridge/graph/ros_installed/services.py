@@ -1,4 +1,4 @@
-"""Services over an installed ROS, whichever middleware carries them."""
+"""Services over an installed ROS, with any middleware."""
 
 import asyncio
 import concurrent.futures
@@ -9,8 +9,8 @@ import structlog
 
 from ros_fiware_bridge.errors import CallTimeout, GraphClosed, ServiceUnavailable
 from ros_fiware_bridge.graph.port import Message, ServiceHandler
-from ros_fiware_bridge.graph.qos import MAX_REQUESTS_UNDER_WAY
-from ros_fiware_bridge.graph.ros_installed.own_node import SETTLES_S, OwnRosNode, as_future, interface
+from ros_fiware_bridge.graph.qos import MAX_REQUESTS_IN_FLIGHT
+from ros_fiware_bridge.graph.ros_installed.own_node import DISCOVERY_DELAY_S, OwnRosNode, as_future, interface
 from ros_fiware_bridge.graph.waiting import until
 
 log = structlog.get_logger(__name__)
@@ -27,10 +27,10 @@ class RosClient:
         self._client = node.node.create_client(self._interface, service, callback_group=node.group)
         self._waiting: set[asyncio.Future[Any]] = set()
         self._settled = False
-        self._free = asyncio.Semaphore(MAX_REQUESTS_UNDER_WAY)
+        self._free = asyncio.Semaphore(MAX_REQUESTS_IN_FLIGHT)
 
     async def call(self, request: Message, timeout_s: float) -> Message:
-        """Ask and return the response.
+        """Send the request and return the response.
 
         Raises:
             BadMessage, ServiceUnavailable, CallTimeout, GraphClosed.
@@ -51,7 +51,7 @@ class RosClient:
 
     async def _answer(self, asked: Any, timeout_s: float) -> Any:
         if not self._settled:
-            await asyncio.sleep(min(SETTLES_S, timeout_s / 2))
+            await asyncio.sleep(min(DISCOVERY_DELAY_S, timeout_s / 2))
             self._settled = True
         pending = self._client.call_async(asked)
         answer = as_future(pending, asyncio.get_running_loop())
@@ -63,7 +63,7 @@ class RosClient:
             self._waiting.discard(answer)
 
     def close(self) -> None:
-        """Ask no more; who still waits is told."""
+        """Close the client; pending calls end with `GraphClosed`."""
         for waiting in self._waiting:
             if not waiting.done():
                 waiting.set_exception(GraphClosed(f"{self.service} was closed before it answered"))
@@ -98,7 +98,7 @@ class RosServer:
             self._interface, service, self._asked, callback_group=node.group
         )
         self._send = self._service.send_response
-        # rclpy answers whatever a callback returns; a handler that failed has nothing to answer.
+        # rclpy sends whatever a callback returns; None is the result of a failed handler.
         self._service.send_response = self._send_if_answered
 
     def _send_if_answered(self, response: Any, header: Any) -> None:
@@ -116,10 +116,10 @@ class RosServer:
             return self._node.to_ros(self._interface.Response, f"{self.type_name}_Response", work.result())
         except concurrent.futures.CancelledError:
             return None
-        except Exception as error:  # one caller's request must not end the service
+        except Exception as error:  # one request must not end the service
             self.failed += 1
             self.last_error = f"{type(error).__name__}: {error}"
-            log.exception("a request of the ROS graph was not answered", service=self.name)
+            log.exception("answering a request failed", service=self.name)
             return None
         finally:
             if work is not None:

@@ -1,23 +1,23 @@
-"""Topics over an installed ROS, taken and given as CDR."""
+"""Topics over an installed ROS, as CDR."""
 
 import time
 from collections.abc import Callable
 from typing import Any
 
 from ros_fiware_bridge.errors import GraphClosed
+from ros_fiware_bridge.graph.base_graph import require_fit
 from ros_fiware_bridge.graph.inbox import Inbox, hash_differs
-from ros_fiware_bridge.graph.member import require_fit
 from ros_fiware_bridge.graph.port import Message, OnMessage
 from ros_fiware_bridge.graph.qos import Qos
 from ros_fiware_bridge.graph.ros_installed.own_node import OwnRosNode, hash_of, interface, profile
 from ros_fiware_bridge.graph.waiting import until
 
-_PLACES = 256
-_LOOK_AGAIN_S = 1.0
+_MIN_READER_DEPTH = 256
+_RECHECK_INTERVAL_S = 1.0
 
 
 class RosSubscription(Inbox):
-    """A topic that is listened to; see `port.Subscription`."""
+    """A subscription to a topic; see `port.Subscription`."""
 
     def __init__(
         self,
@@ -27,31 +27,33 @@ class RosSubscription(Inbox):
         qos: Qos,
         *,
         on_message: OnMessage,
-        most_bytes: int,
+        max_message_bytes: int,
         closed: Callable[[Any], None],
     ) -> None:
-        super().__init__(node.store, topic, type_name, qos, on_message=on_message, most_bytes=most_bytes)
+        super().__init__(
+            node.store, topic, type_name, qos, on_message=on_message, max_message_bytes=max_message_bytes
+        )
         self._node = node
         self._closed = closed
         self._hash = node.store.hash(type_name)
-        self._looked_s = 0.0
+        self._checked_s = 0.0
         self._why_not: str | None = None
         self._subscription = node.node.create_subscription(
             interface(type_name),
             topic,
             self._came,
-            profile(qos, max(qos.depth, _PLACES)),
-            callback_group=None,  # the node's own, which lets one callback run at a time: the order is kept
+            profile(qos, max(qos.depth, _MIN_READER_DEPTH)),
+            callback_group=None,  # the default group runs one callback at a time and keeps the order
             raw=True,
         )
 
-    def _came(self, data: bytes, told: Any) -> None:
+    def _came(self, data: bytes, info: Any) -> None:
         if self._open:
-            # Who of several publishers sent it is not told; one with another definition spoils the topic.
+            # rclpy does not report which publisher sent it; one with another definition blocks the topic.
             now_s = time.monotonic()
-            if now_s - self._looked_s > _LOOK_AGAIN_S:
-                self._looked_s, self._why_not = now_s, self._differs()
-            sent_ns = told["source_timestamp"] or 0
+            if now_s - self._checked_s > _RECHECK_INTERVAL_S:
+                self._checked_s, self._why_not = now_s, self._differs()
+            sent_ns = info["source_timestamp"] or 0
             self.put(bytes(data), sent_ns=sent_ns, ours=None, why_not=self._why_not)
 
     def _differs(self) -> str | None:
@@ -71,14 +73,14 @@ class RosSubscription(Inbox):
         return await until(lambda: self.publishers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Stop listening."""
+        """Unsubscribe."""
         if self.shut():
             self._node.node.destroy_subscription(self._subscription)
             self._closed(self)
 
 
 class RosPublisher:
-    """A topic that is spoken on; see `port.Publisher`."""
+    """A publisher on a topic; see `port.Publisher`."""
 
     def __init__(
         self,
@@ -87,7 +89,7 @@ class RosPublisher:
         type_name: str,
         qos: Qos,
         *,
-        most_bytes: int,
+        max_message_bytes: int,
         closed: Callable[[Any], None],
     ) -> None:
         self.topic = topic
@@ -95,7 +97,7 @@ class RosPublisher:
         self.qos = qos
         self.published = 0
         self._node = node
-        self._most_bytes = most_bytes
+        self._max_message_bytes = max_message_bytes
         self._closed = closed
         self._open = True
         self._publisher = node.node.create_publisher(interface(type_name), topic, profile(qos))
@@ -105,7 +107,7 @@ class RosPublisher:
         if not self._open:
             raise GraphClosed(f"{self.topic} was closed; nothing can be published on it")
         data = self._node.store.encode(self.type_name, message)
-        require_fit(self.topic, len(data), self._most_bytes)
+        require_fit(self.topic, len(data), self._max_message_bytes)
         self._publisher.publish(data)
         self.published += 1
 
@@ -118,7 +120,7 @@ class RosPublisher:
         return await until(lambda: self.subscribers() > 0, timeout_s)
 
     async def close(self) -> None:
-        """Stop speaking."""
+        """Stop publishing."""
         if self._open:
             self._open = False
             self._node.node.destroy_publisher(self._publisher)

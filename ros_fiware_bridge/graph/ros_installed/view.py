@@ -1,4 +1,4 @@
-"""What the graph looks like to a person, as an installed ROS tells it."""
+"""The graph as the port reports it, from the functions of an installed ROS."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -12,9 +12,9 @@ _HIDDEN = "/_action/"
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 
 
-def full_name(told: Any) -> str:
+def full_name(endpoint: Any) -> str:
     """Return the full name of the node that an endpoint belongs to."""
-    return f"{told.node_namespace.rstrip('/')}/{told.node_name}"
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
 def topics(node: Any, ours: str) -> list[TopicInfo]:
@@ -50,13 +50,13 @@ def _vendor(gid: bytes) -> str:
 
 
 def _by_node(node: Any, ask: Callable[[str, str], Any]) -> Iterator[tuple[str, str, list[str]]]:
-    """Yield (node, name, types) of what `ask` tells of each node; a node may leave while we ask."""
+    """Yield (node, name, types) from `ask` for each node; a node that has left is skipped."""
     for name, namespace in node.get_node_names_and_namespaces():
         try:
-            told = ask(name, namespace)
+            found = ask(name, namespace)
         except RuntimeError:
             continue
-        for one, types in told:
+        for one, types in found:
             yield f"{namespace.rstrip('/')}/{name}", one, types
 
 
@@ -65,12 +65,12 @@ def services(node: Any, vendor: str) -> list[ServiceInfo]:
     servers: dict[str, list[str]] = defaultdict(list)
     clients: dict[str, list[str]] = defaultdict(list)
     types: dict[str, set[str]] = defaultdict(set)
-    for owner, name, told in _by_node(node, node.get_service_names_and_types_by_node):
+    for owner, name, found in _by_node(node, node.get_service_names_and_types_by_node):
         servers[name].append(owner)
-        types[name].update(told)
-    for owner, name, told in _by_node(node, node.get_client_names_and_types_by_node):
+        types[name].update(found)
+    for owner, name, found in _by_node(node, node.get_client_names_and_types_by_node):
         clients[name].append(owner)
-        types[name].update(told)
+        types[name].update(found)
     return [
         ServiceInfo(name, tuple(sorted(types[name])), tuple(servers[name]), tuple(clients[name]), (vendor,))
         for name in sorted(types)
@@ -82,7 +82,7 @@ def actions(node: Any) -> list[ActionInfo]:
     """Return the actions by name."""
     from rclpy import action  # noqa: PLC0415 - is only there where ROS is
 
-    def told(ask: Callable[[Any, str, str], Any]) -> dict[str, list[str]]:
+    def owners_by_name(ask: Callable[[Any, str, str], Any]) -> dict[str, list[str]]:
         owners: dict[str, list[str]] = defaultdict(list)
         for owner, name, kinds in _by_node(node, lambda one, inside: ask(node, one, inside)):
             owners[name].append(owner)
@@ -90,8 +90,8 @@ def actions(node: Any) -> list[ActionInfo]:
         return owners
 
     types: dict[str, set[str]] = defaultdict(set)
-    servers = told(action.get_action_server_names_and_types_by_node)
-    clients = told(action.get_action_client_names_and_types_by_node)
+    servers = owners_by_name(action.get_action_server_names_and_types_by_node)
+    clients = owners_by_name(action.get_action_client_names_and_types_by_node)
     return [
         ActionInfo(
             name, tuple(sorted(types[name])), tuple(servers.get(name, ())), tuple(clients.get(name, ()))
@@ -110,7 +110,7 @@ def nodes(node: Any, ours: str, vendor: str) -> list[NodeInfo]:
 
 
 def problems(seen: Sequence[TopicInfo]) -> list[GraphError]:
-    """Return what keeps our endpoints from those of others on the same topics."""
+    """Return the incompatibilities between our endpoints and those of others on the same topics."""
     found: list[GraphError] = []
     for topic in seen:
         for reader in topic.subscribers:
@@ -125,7 +125,7 @@ def problems(seen: Sequence[TopicInfo]) -> list[GraphError]:
 def _between(topic: str, reader: Endpoint, writer: Endpoint) -> GraphError | None:
     theirs, ours = (writer, reader) if reader.ours else (reader, writer)
     node = theirs.node or f"a program ({theirs.vendor})"
-    does = "publishes" if theirs is writer else "listens to"
+    does = "publishes" if theirs is writer else "subscribes to"
     if theirs.type_name != ours.type_name:
         return TypeHashDiffers(
             f"{topic}: {node} {does} {theirs.type_name}, we use {ours.type_name}; give the rule that type"

@@ -1,1 +1,1 @@
-"""The ROS graph by way of a rosbridge server: ROS 1, and graphs that DDS does not reach."""
+"""The graph over a rosbridge server, for ROS 1 and for robots that DDS cannot reach."""

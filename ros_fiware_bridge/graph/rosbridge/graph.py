@@ -1,4 +1,4 @@
-"""The ROS graph by way of a rosbridge server: what the port promises, as far as the protocol can carry it."""
+"""The ROS graph over a rosbridge server, as far as the protocol supports the port."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -6,8 +6,8 @@ from contextlib import suppress
 
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph import names
+from ros_fiware_bridge.graph.base_graph import BaseGraph
 from ros_fiware_bridge.graph.joining import JoinSettings
-from ros_fiware_bridge.graph.member import Member
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,
@@ -21,94 +21,96 @@ from ros_fiware_bridge.graph.port import (
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.graph.rosbridge import services
 from ros_fiware_bridge.graph.rosbridge.actions import RosbridgeActionClient, RosbridgeActionServer
-from ros_fiware_bridge.graph.rosbridge.forms import Forms
-from ros_fiware_bridge.graph.rosbridge.link import Link
+from ros_fiware_bridge.graph.rosbridge.connection import Connection
+from ros_fiware_bridge.graph.rosbridge.json_codec import JsonCodec
 from ros_fiware_bridge.graph.rosbridge.services import RosbridgeServer
-from ros_fiware_bridge.graph.rosbridge.topics import Desk, RosbridgePublisher, RosbridgeSubscription
+from ros_fiware_bridge.graph.rosbridge.topics import RosbridgePublisher, RosbridgeSubscription, TopicContext
 from ros_fiware_bridge.graph.rosbridge.view import RosapiView
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-class RosbridgeGraph(Member):
-    """A client of a rosbridge server; see `port.RosGraph`. Made by `joining.join`."""
+class RosbridgeGraph(BaseGraph):
+    """A client of a rosbridge server; see `port.RosGraph`. Created by `joining.join`."""
 
-    def __init__(self, store: TypeStore, settings: JoinSettings, link: Link) -> None:
+    def __init__(self, store: TypeStore, settings: JoinSettings, connection: Connection) -> None:
         super().__init__(store, settings)
-        self._link = link
-        self._forms = Forms(store)
-        self._view = RosapiView(link, store)
-        self._desk = Desk(link, self._forms, self._view, settings.most_bytes)
-        self._looking: asyncio.Task[None] | None = None
+        self._connection = connection
+        self._codec = JsonCodec(store)
+        self._view = RosapiView(connection, store)
+        self._topic_context = TopicContext(connection, self._codec, self._view, settings.max_message_bytes)
+        self._polling: asyncio.Task[None] | None = None
 
     @classmethod
     async def join(cls, store: TypeStore, settings: JoinSettings) -> "RosbridgeGraph":
         """Join the graph.
 
         Raises:
-            BadName: the node or its namespace cannot be called so.
-            AdapterUnavailable: no server answers.
+            BadName: the node or its namespace has an invalid name.
+            AdapterUnavailable: the server does not answer.
         """
         names.node_name(settings.node)
         names.namespace(settings.namespace)
-        link = Link(settings.rosbridge_url, settings.most_bytes)
-        await link.open()
-        made = cls(store, settings, link)
+        connection = Connection(settings.rosbridge_url, settings.max_message_bytes)
+        await connection.open()
+        made = cls(store, settings, connection)
         await made.begin()
         return made
 
     async def begin(self) -> None:
-        """Learn which ROS it is, and look round from then on."""
-        with suppress(GraphError):  # a server without rosapi still carries messages
-            await self._view.look()
-        self._forms.ros1 = self._view.is_ros1
-        self._looking = asyncio.create_task(self._view.keep())
+        """Determine the ROS version, and start polling the graph."""
+        with suppress(GraphError):  # messages work without rosapi
+            await self._view.poll()
+        self._codec.ros1 = self._view.is_ros1
+        self._polling = asyncio.create_task(self._view.run())
 
     async def subscribe(
         self, topic: str, type_name: str, on_message: OnMessage, qos: Qos = DEFAULT
     ) -> RosbridgeSubscription:
-        """Listen to a topic."""
+        """Subscribe to a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = RosbridgeSubscription(
-            self._desk,
+            self._topic_context,
             name,
             full,
             qos,
             on_message=on_message,
-            closed=self._gone,
+            closed=self._unregister,
         )
-        self._keep(opened)
+        self._register(opened)
         return opened
 
     async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> RosbridgePublisher:
-        """Speak on a topic."""
+        """Publish on a topic."""
         name, full = self._full(topic), self._type(type_name, "msg", "")
         opened = RosbridgePublisher(
-            self._desk,
+            self._topic_context,
             name,
             full,
             qos,
-            closed=self._gone,
+            closed=self._unregister,
         )
-        self._keep(opened)
+        self._register(opened)
         return opened
 
     async def call(self, service: str, type_name: str, request: Message, timeout_s: float = 5.0) -> Message:
         """Call a service."""
         name, full = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
-        return await services.call(self._link, self._forms, name, full, request, timeout_s=timeout_s)
+        return await services.call(self._connection, self._codec, name, full, request, timeout_s=timeout_s)
 
     async def serve(self, service: str, type_name: str, handler: ServiceHandler) -> RosbridgeServer:
         """Serve a service."""
         name, full = self._full(service), self._type(type_name, "srv", "_Request", "_Response")
-        opened = RosbridgeServer(self._link, self._forms, name, full, handler, closed=self._gone)
-        self._keep(opened)
+        opened = RosbridgeServer(self._connection, self._codec, name, full, handler, closed=self._unregister)
+        self._register(opened)
         return opened
 
     async def action_client(self, action: str, type_name: str) -> RosbridgeActionClient:
         """Send goals to an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
-        opened = RosbridgeActionClient(self._link, self._forms, self._view, name, full, closed=self._gone)
-        self._keep(opened)
+        opened = RosbridgeActionClient(
+            self._connection, self._codec, self._view, name, full, closed=self._unregister
+        )
+        self._register(opened)
         return opened
 
     async def serve_action(
@@ -122,9 +124,9 @@ class RosbridgeGraph(Member):
         """Serve an action."""
         name, full = self._full(action), self._type(type_name, "action", "_Goal", "_Result", "_Feedback")
         opened = RosbridgeActionServer(
-            self._link, self._forms, name, full, handler, accept=accept, closed=self._gone
+            self._connection, self._codec, name, full, handler, accept=accept, closed=self._unregister
         )
-        self._keep(opened)
+        self._register(opened)
         return opened
 
     def topics(self) -> Sequence[TopicInfo]:
@@ -144,11 +146,11 @@ class RosbridgeGraph(Member):
         return self._view.nodes()
 
     def obstacles(self, service: str, type_name: str) -> Sequence[GraphError]:  # noqa: ARG002 - see the port
-        """Return nothing: a rosbridge server reveals neither middlewares nor hashes."""
+        """Return nothing: a rosbridge server reports neither middlewares nor hashes."""
         return []
 
     def problems(self) -> Sequence[GraphError]:
-        """Return what stands between us and peers now."""
+        """Return the present problems of the connection."""
         return self._view.problems()
 
     async def close(self) -> None:
@@ -156,9 +158,9 @@ class RosbridgeGraph(Member):
         if self._closed:
             return
         self._closed = True
-        if self._looking is not None:
-            self._looking.cancel()
+        if self._polling is not None:
+            self._polling.cancel()
             with suppress(asyncio.CancelledError):
-                await self._looking
+                await self._polling
         await self._close_all()
-        await self._link.close()
+        await self._connection.close()

@@ -1,4 +1,4 @@
-"""Services by way of a rosbridge server."""
+"""Services over a rosbridge server."""
 
 import asyncio
 from collections.abc import Callable
@@ -8,47 +8,53 @@ import structlog
 
 from ros_fiware_bridge.errors import CallTimeout, PublishBlocked, ServiceUnavailable
 from ros_fiware_bridge.graph.port import Message, ServiceHandler
-from ros_fiware_bridge.graph.rosbridge.forms import Forms
-from ros_fiware_bridge.graph.rosbridge.link import Link, Op
+from ros_fiware_bridge.graph.rosbridge.connection import Connection, Operation
+from ros_fiware_bridge.graph.rosbridge.json_codec import JsonCodec
 
 log = structlog.get_logger(__name__)
 
 
 async def call(
-    link: Link, forms: Forms, service: str, type_name: str, request: Message, *, timeout_s: float
+    connection: Connection,
+    codec: JsonCodec,
+    service: str,
+    type_name: str,
+    request: Message,
+    *,
+    timeout_s: float,
 ) -> Message:
     """Call a service and return its response.
 
     Raises:
-        BadMessage, CallTimeout, ServiceUnavailable (the server says why), PublishBlocked.
+        BadMessage, CallTimeout, ServiceUnavailable (with the reason of the server), PublishBlocked.
     """
-    args, _ = forms.to_json(f"{type_name}_Request", request)
+    args, _ = codec.to_json(f"{type_name}_Request", request)
     try:
-        answer = await link.ask(
+        answer = await connection.request(
             timeout_s,
             op="call_service",
-            id=link.new_id(f"call_service:{service}"),
+            id=connection.new_id(f"call_service:{service}"),
             service=service,
-            type=forms.type_name(type_name),
+            type=codec.type_name(type_name),
             args=args,
         )
     except TimeoutError:
         raise CallTimeout(f"{service} did not answer within {timeout_s} s") from None
     if answer.get("result") is False:
-        said = str(answer.get("values"))[:300]
+        reason = str(answer.get("values"))[:300]
         raise ServiceUnavailable(
-            f"{service} ({type_name}) was not answered; the rosbridge server says: {said}"
+            f"{service} ({type_name}) was not answered; the rosbridge server reports: {reason}"
         )
-    return forms.message(f"{type_name}_Response", answer.get("values") or {})
+    return codec.message(f"{type_name}_Response", answer.get("values") or {})
 
 
 class RosbridgeServer:
-    """A service that is offered; see `port.Served`. The caller of a handler that raises is told why."""
+    """A served service; see `port.Served`. If the handler raises, the caller receives the reason."""
 
     def __init__(
         self,
-        link: Link,
-        forms: Forms,
+        connection: Connection,
+        codec: JsonCodec,
         service: str,
         type_name: str,
         handler: ServiceHandler,
@@ -60,40 +66,42 @@ class RosbridgeServer:
         self.calls = 0
         self.failed = 0
         self.last_error: str | None = None
-        self._link = link
-        self._forms = forms
+        self._connection = connection
+        self._codec = codec
         self._handler = handler
         self._closed = closed
         self._working: set[asyncio.Task[None]] = set()
         self._open = True
-        link.on("call_service", self._asked)
-        link.on_opening(self._advertise)
+        connection.on("call_service", self._asked)
+        connection.on_opening(self._advertise)
         self._advertise()
 
     def _advertise(self) -> None:
-        self._link.send(op="advertise_service", service=self.name, type=self._forms.type_name(self.type_name))
+        self._connection.send(
+            op="advertise_service", service=self.name, type=self._codec.type_name(self.type_name)
+        )
 
-    def _asked(self, operation: Op) -> None:
+    def _asked(self, operation: Operation) -> None:
         if operation.get("service") == self.name:
             self.calls += 1
             work = asyncio.create_task(self._answer(operation))
             self._working.add(work)
             work.add_done_callback(self._working.discard)
 
-    async def _answer(self, operation: Op) -> None:
+    async def _answer(self, operation: Operation) -> None:
         values: Any
         try:
-            request = self._forms.message(f"{self.type_name}_Request", operation.get("args") or {})
+            request = self._codec.message(f"{self.type_name}_Request", operation.get("args") or {})
             response = await self._handler(request)
-            values, _ = self._forms.to_json(f"{self.type_name}_Response", response)
+            values, _ = self._codec.to_json(f"{self.type_name}_Response", response)
             done = True
-        except Exception as error:  # one caller's request must not end the service
+        except Exception as error:  # one request must not end the service
             self.failed += 1
             self.last_error = f"{type(error).__name__}: {error}"
-            log.exception("a request of the ROS graph was not answered", service=self.name)
+            log.exception("answering a request failed", service=self.name)
             values, done = self.last_error, False
         try:
-            self._link.send(
+            self._connection.send(
                 op="service_response", id=operation.get("id"), service=self.name, values=values, result=done
             )
         except PublishBlocked as error:
@@ -103,10 +111,10 @@ class RosbridgeServer:
         """Stop serving."""
         if self._open:
             self._open = False
-            self._link.off("call_service", self._asked)
-            self._link.off_opening(self._advertise)
+            self._connection.off("call_service", self._asked)
+            self._connection.off_opening(self._advertise)
             for work in list(self._working):
                 work.cancel()
-            if self._link.is_open:
-                self._link.send(op="unadvertise_service", service=self.name)
+            if self._connection.is_open:
+                self._connection.send(op="unadvertise_service", service=self.name)
             self._closed(self)

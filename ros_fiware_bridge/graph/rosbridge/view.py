@@ -1,6 +1,6 @@
-"""The graph as the server's rosapi tells of it, asked every few seconds: it sends no news by itself.
+"""The graph as the rosapi of the server reports it, polled every few seconds: rosapi sends no notifications.
 
-All clients of a server are one node of the graph, the server's own, so what is ours cannot be told apart.
+All clients of a server are one node of the graph, so our own endpoints are not recognizable.
 """
 
 import asyncio
@@ -11,21 +11,21 @@ from typing import Any
 from ros_fiware_bridge.errors import CallTimeout, GraphError
 from ros_fiware_bridge.graph.port import ActionInfo, Endpoint, NodeInfo, ServiceInfo, TopicInfo
 from ros_fiware_bridge.graph.qos import DEFAULT
-from ros_fiware_bridge.graph.rosbridge.link import Link
+from ros_fiware_bridge.graph.rosbridge.connection import Connection
 from ros_fiware_bridge.types.type_store import TypeStore
 
-LOOK_EVERY_S, LOOK_SOON_S = 3.0, 0.25
-PATIENCE_S = 3.0
-MOST_NODES = 300
+POLL_INTERVAL_S, POLL_SOON_S = 3.0, 0.25
+CALL_TIMEOUT_S = 3.0
+MAX_NODES = 300
 VENDOR = "rosbridge"
 _OF_ACTIONS = "/_action/"
 
 
 class RosapiView:
-    """Who is on the graph, as it was told last."""
+    """The nodes, topics and services of the last poll."""
 
-    def __init__(self, link: Link, store: TypeStore) -> None:
-        self._link = link
+    def __init__(self, connection: Connection, store: TypeStore) -> None:
+        self._connection = connection
         self._store = store
         self._types: dict[str, str] = {}
         self._nodes: dict[str, Mapping[str, Sequence[str]]] = {}
@@ -33,33 +33,33 @@ class RosapiView:
         self._soon = asyncio.Event()
         self.fault: str | None = None
 
-    async def keep(self) -> None:
-        """Look round until cancelled."""
+    async def run(self) -> None:
+        """Poll until cancelled."""
         while True:
             self._soon.clear()
-            if self._link.is_open:
+            if self._connection.is_open:
                 with suppress(GraphError):
-                    await self.look()
+                    await self.poll()
             with suppress(TimeoutError):
-                async with asyncio.timeout(LOOK_EVERY_S):
+                async with asyncio.timeout(POLL_INTERVAL_S):
                     await self._soon.wait()
-                await asyncio.sleep(LOOK_SOON_S)
+                await asyncio.sleep(POLL_SOON_S)
 
-    def look_now(self) -> None:
-        """Have it looked round soon, because somebody waits."""
+    def poll_soon(self) -> None:
+        """Poll again soon, because a caller waits."""
         self._soon.set()
 
-    async def look(self) -> None:
-        """Look round once. Raises `GraphError`."""
+    async def poll(self) -> None:
+        """Poll once. Raises `GraphError`."""
         try:
-            topics = await self.ask("topics")
-            nodes = (await self.ask("nodes")).get("nodes", ())
-            found = {name: await self.ask("node_details", node=name) for name in list(nodes)[:MOST_NODES]}
+            topics = await self.call("topics")
+            nodes = (await self.call("nodes")).get("nodes", ())
+            found = {name: await self.call("node_details", node=name) for name in list(nodes)[:MAX_NODES]}
             offered = {one for details in found.values() for one in details.get("services", ())}
             for service in sorted(offered - self._service_types.keys()):
                 if _OF_ACTIONS not in service and not service.startswith("/rosapi/"):
                     self._service_types[service] = str(
-                        (await self.ask("service_type", service=service))["type"]
+                        (await self.call("service_type", service=service))["type"]
                     )
         except GraphError as error:
             self.fault = str(error)
@@ -68,26 +68,28 @@ class RosapiView:
         self._nodes = found
         self.fault = None
 
-    async def ask(self, what: str, /, **asked: Any) -> Mapping[str, Any]:
-        """Ask the server's rosapi. Raises `GraphError`."""
+    async def call(self, what: str, /, **asked: Any) -> Mapping[str, Any]:
+        """Call a service of rosapi. Raises `GraphError`."""
         try:
-            answer = await self._link.ask(
-                PATIENCE_S,
+            answer = await self._connection.request(
+                CALL_TIMEOUT_S,
                 op="call_service",
-                id=self._link.new_id(f"rosapi:{what}"),
+                id=self._connection.new_id(f"rosapi:{what}"),
                 service=f"/rosapi/{what}",
                 args=asked,
             )
         except TimeoutError:
-            raise CallTimeout(f"rosapi of {self._link.url} did not answer within {PATIENCE_S:g} s") from None
+            raise CallTimeout(
+                f"rosapi of {self._connection.url} did not answer within {CALL_TIMEOUT_S:g} s"
+            ) from None
         values = answer.get("values")
         if answer.get("result") is False or not isinstance(values, Mapping):
-            raise GraphError(f"rosapi of {self._link.url} does not tell of {what}: {str(values)[:200]}")
+            raise GraphError(f"rosapi of {self._connection.url} failed to answer {what}: {str(values)[:200]}")
         return values
 
     @property
     def is_ros1(self) -> bool:
-        """Say whether the types are those of ROS 1, which are written without their kind."""
+        """Return whether the types are those of ROS 1, which have no kind in their names."""
         return bool(self._types) and all(one.count("/") == 1 for one in self._types.values())
 
     def publishers(self, topic: str) -> int:
@@ -95,7 +97,7 @@ class RosapiView:
         return sum(topic in details.get("publishing", ()) for details in self._nodes.values())
 
     def subscribers(self, topic: str) -> int:
-        """Return how many nodes listen to `topic`."""
+        """Return how many nodes subscribe to `topic`."""
         return sum(topic in details.get("subscribing", ()) for details in self._nodes.values())
 
     def topics(self) -> Sequence[TopicInfo]:
@@ -103,34 +105,34 @@ class RosapiView:
         return [
             TopicInfo(
                 name,
-                (self._full(told),),
-                tuple(self._ends(name, told, "publishing")),
-                tuple(self._ends(name, told, "subscribing")),
+                (self._full_type(type_name),),
+                tuple(self._ends(name, type_name, "publishing")),
+                tuple(self._ends(name, type_name, "subscribing")),
             )
-            for name, told in sorted(self._types.items())
+            for name, type_name in sorted(self._types.items())
             if _OF_ACTIONS not in name
         ]
 
     def services(self) -> Sequence[ServiceInfo]:
         """Return the services by name."""
         return [
-            ServiceInfo(name, (self._full(told, "srv"),), self._servers(name), (), (VENDOR,))
-            for name, told in sorted(self._service_types.items())
+            ServiceInfo(name, (self._full_type(type_name, "srv"),), self._servers(name), (), (VENDOR,))
+            for name, type_name in sorted(self._service_types.items())
             if self._servers(name)
         ]
 
     def actions(self) -> Sequence[ActionInfo]:
-        """Return the actions by name: those whose feedback is a topic of the graph."""
+        """Return the actions by name: those with a feedback topic on the graph."""
         ending, part = f"{_OF_ACTIONS}feedback", "_FeedbackMessage"
         return [
             ActionInfo(
                 name.removesuffix(ending),
-                (told.removesuffix(part),),
-                tuple(one.node for one in self._ends(name, told, "publishing")),
-                tuple(one.node for one in self._ends(name, told, "subscribing")),
+                (type_name.removesuffix(part),),
+                tuple(one.node for one in self._ends(name, type_name, "publishing")),
+                tuple(one.node for one in self._ends(name, type_name, "subscribing")),
             )
-            for name, told in sorted(self._types.items())
-            if name.endswith(ending) and told.endswith(part)
+            for name, type_name in sorted(self._types.items())
+            if name.endswith(ending) and type_name.endswith(part)
         ]
 
     def nodes(self) -> Sequence[NodeInfo]:
@@ -139,13 +141,17 @@ class RosapiView:
         return [NodeInfo(name, space or "/", "/", VENDOR, ours=False) for space, _, name in parts]
 
     def problems(self) -> Sequence[GraphError]:
-        """Return what stands between us and the graph."""
-        away = [] if self._link.is_open else [f"the rosbridge server at {self._link.url} is away"]
+        """Return the present problems of the connection."""
+        away = (
+            []
+            if self._connection.is_open
+            else [f"the rosbridge server at {self._connection.url} is unavailable"]
+        )
         return [GraphError(one) for one in (*away, self.fault) if one]
 
-    def _ends(self, topic: str, told: str, role: str) -> list[Endpoint]:
+    def _ends(self, topic: str, type_name: str, role: str) -> list[Endpoint]:
         return [
-            Endpoint(node, self._full(told), DEFAULT, None, VENDOR, ours=False)
+            Endpoint(node, self._full_type(type_name), DEFAULT, None, VENDOR, ours=False)
             for node, details in sorted(self._nodes.items())
             if topic in details.get(role, ())
         ]
@@ -155,6 +161,6 @@ class RosapiView:
             node for node, details in sorted(self._nodes.items()) if service in details.get("services", ())
         )
 
-    def _full(self, told: str, kind: str = "msg") -> str:
-        package, _, name = told.partition("/")
-        return told if "/" in name else f"{package}/{kind}/{name}"
+    def _full_type(self, type_name: str, kind: str = "msg") -> str:
+        package, _, name = type_name.partition("/")
+        return type_name if "/" in name else f"{package}/{kind}/{name}"

@@ -18,7 +18,7 @@ from ros_fiware_bridge.graph.joining import JoinSettings, join
 from ros_fiware_bridge.graph.port import Publisher, Received, Subscription
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.types.type_store import TypeStore
-from tests.integration.ros_fiware_bridge.everyday import ASKING, BOTH_WAYS
+from tests.integration.ros_fiware_bridge.shared_mapping import BOTH_WAYS, REQUESTS
 from tests.kit.cell import new_cell
 from tests.kit.waiting import until
 
@@ -50,7 +50,7 @@ class Shop:
 
     @asynccontextmanager
     async def opened(self) -> AsyncIterator[None]:
-        """Have a client of the broker, and the robot on the graph."""
+        """Open a client of the broker, and join the graph as the robot."""
         asked = JoinSettings(node="robot", domain_id=self.domain, interfaces=("127.0.0.1",))
         self.robot = await join(TypeStore(), asked)
         try:
@@ -60,40 +60,42 @@ class Shop:
         finally:
             await self.robot.close()
 
-    async def speaks(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
-        """Return a publisher of the robot that somebody listens to."""
+    async def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
+        """Return a publisher of the robot that has a subscriber."""
         publisher = await self.robot.publisher(topic, type_name, qos)
-        assert await publisher.matched(10.0), f"nobody listens to {topic}"
+        assert await publisher.matched(10.0), f"nobody subscribes to {topic}"
         return publisher
 
-    async def listens(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> tuple[Subscription, list[Any]]:
-        """Return a subscription of the robot that somebody speaks to, and the list of what it hears."""
-        heard: list[Any] = []
+    async def subscribe(
+        self, topic: str, type_name: str, qos: Qos = DEFAULT
+    ) -> tuple[Subscription, list[Any]]:
+        """Return a subscription of the robot that has a publisher, and the list of its messages."""
+        messages: list[Any] = []
 
-        def hear(received: Received) -> None:
-            heard.append(received.message)
+        def on_message(received: Received) -> None:
+            messages.append(received.message)
 
-        subscription = await self.robot.subscribe(topic, type_name, hear, qos)
-        assert await subscription.matched(10.0), f"nobody speaks on {topic}"
-        return subscription, heard
+        subscription = await self.robot.subscribe(topic, type_name, on_message, qos)
+        assert await subscription.matched(10.0), f"nobody publishes {topic}"
+        return subscription, messages
 
     def rule(self, name: str) -> dict[str, Any]:
-        """Return what the bridge says of a rule."""
+        """Return the view of a rule."""
         answer = httpx.get(f"{self.cell.url('ros_fiware_bridge')}/rules/{name}", timeout=120)
         assert answer.is_success, answer.text
         found: dict[str, Any] = answer.json()
         return found
 
     def post(self, path: str) -> httpx.Response:
-        """Ask the bridge for something."""
+        """Send a POST request to the bridge."""
         return httpx.post(f"{self.cell.url('ros_fiware_bridge')}{path}", timeout=120)
 
     async def until(self, condition: Callable[[], Any], within_s: float = 15.0, why: str = "") -> Any:
-        """Wait until `condition` holds; return what it gives."""
-        return await until(condition, within_s, lambda: f"{why or 'it never came'}: {self._log()}")
+        """Wait until the result of `condition` is true; return it."""
+        return await until(condition, within_s, lambda: f"{why or 'timeout'}: {self._log()}")
 
     async def value(self, entity_id: str, attribute: str) -> Any:
-        """Return the value of an attribute; None while there is none."""
+        """Return the value of an attribute; None if there is none."""
         try:
             entity = await self.broker.retrieve(entity_id)
         except BrokerError:
@@ -113,17 +115,17 @@ class Shop:
 
 
 @pytest.fixture(scope="session")
-def everyday(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
-    """A broker and a bridge with the everyday mapping, for the modules that need no other."""
+def shared_shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+    """A broker and a bridge with the shared mapping, for the modules that need no other."""
     with new_cell(tmp_path_factory.mktemp("cell")) as cell:
         made = Shop(cell, random.randint(1, 100))
-        made.begin(BOTH_WAYS + ASKING)
+        made.begin(BOTH_WAYS + REQUESTS)
         yield made
 
 
 @pytest.fixture(scope="module")
 def at_work(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
-    """A broker and a bridge that works by the `MAPPING` of the test's module, for all tests of it."""
+    """A broker and a bridge with the `MAPPING` of the module, for all its tests."""
     with new_cell(tmp_path_factory.mktemp("cell")) as cell:
         made = Shop(cell, random.randint(1, 100))
         try:
@@ -142,7 +144,7 @@ async def shop(at_work: Shop) -> AsyncIterator[Shop]:
 
 @pytest.fixture
 async def own_shop(cell: Any) -> AsyncIterator[Shop]:
-    """A shop of which nothing runs yet, but its robot is on the graph."""
+    """A shop without processes, whose robot has joined the graph."""
     made = Shop(cell, random.randint(1, 100))
     async with made.opened():
         yield made

@@ -1,4 +1,4 @@
-"""What keeps a rule from working is an Alert while it lasts: a failed call, another type, another QoS."""
+"""A condition that keeps a rule from working raises an Alert while it lasts."""
 
 from typing import Any
 
@@ -25,11 +25,9 @@ services:
 LAMP = "urn:ngsi-ld:Device:demo:lamp"
 
 
-async def alerts(shop: Any, words: str, *, standing: bool = True) -> list[dict[str, Any]]:
+async def alerts(shop: Any, words: str, *, active: bool = True) -> list[dict[str, Any]]:
     found = await shop.broker.query(type="Alert")
-    return [
-        one for one in found if words in one["description"]["value"] and ("validTo" not in one) is standing
-    ]
+    return [one for one in found if words in one["description"]["value"] and ("validTo" not in one) is active]
 
 
 async def want(shop: Any, wanted: bool) -> None:
@@ -37,7 +35,7 @@ async def want(shop: Any, wanted: bool) -> None:
     await shop.broker.upsert([{"id": LAMP, "type": "Device", "wanted": value}])
 
 
-async def test_a_call_for_a_changed_attribute_that_fails_is_an_alert_until_one_succeeds(shop: Any) -> None:
+async def test_a_failed_call_for_a_changed_attribute_raises_an_alert_until_one_succeeds(shop: Any) -> None:
     await want(shop, True)
     words = f'the rule "light" could not call the graph: {LAMP}: '
     await shop.until(lambda: alerts(shop, f"{words}nobody serves /lamp/on"), 60.0)
@@ -54,17 +52,17 @@ async def test_a_call_for_a_changed_attribute_that_fails_is_an_alert_until_one_s
     await broken.close()
     await shop.robot.serve("/lamp/on", "std_srvs/srv/SetBool", yes)
     await want(shop, True)
-    await shop.until(lambda: alerts(shop, words, standing=False), 60.0)
+    await shop.until(lambda: alerts(shop, words, active=False), 60.0)
 
 
-async def test_a_quality_of_service_that_does_not_meet_is_an_alert_while_it_lasts(shop: Any) -> None:
+async def test_incompatible_qos_raises_an_alert_while_it_lasts(shop: Any) -> None:
     publisher = await shop.robot.publisher("/level", "std_msgs/msg/Float64", SENSOR_DATA)
     words = "/level: /robot publishes it with best_effort"
     await shop.until(lambda: alerts(shop, words), 60.0)
     await publisher.close()
-    await shop.until(lambda: alerts(shop, words, standing=False), 60.0)
+    await shop.until(lambda: alerts(shop, words, active=False), 60.0)
 
 
-async def test_another_type_on_the_topic_is_an_alert(shop: Any) -> None:
+async def test_another_type_on_the_topic_raises_an_alert(shop: Any) -> None:
     await shop.robot.publisher("/count", "std_msgs/msg/String")
     await shop.until(lambda: alerts(shop, "/count: /robot publishes std_msgs/msg/String, we use"), 60.0)

@@ -1,7 +1,7 @@
 """The trajectory tool moves an arm of a ROS graph, through the broker and the bridge.
 
-The arm's side is a node with a `FollowJointTrajectory` server, a `GripperCommand` server and joint states.
-It moves as a joint trajectory controller does: along the points, and to rest where it is when cancelled.
+The arm is a node with a `FollowJointTrajectory` server, a `GripperCommand` server and joint states. It
+behaves like a joint trajectory controller: it follows the points, and stops at its position when cancelled.
 """
 
 import asyncio
@@ -36,13 +36,13 @@ JOINTS = [
     "wrist_2_joint",
     "wrist_3_joint",
 ]
-TOLD = ["elbow_joint", "finger_joint", *(name for name in JOINTS if name != "elbow_joint")]
-"""The driver tells of its joints in an order of its own, and of one more."""
+REPORTED = ["elbow_joint", "finger_joint", *(name for name in JOINTS if name != "elbow_joint")]
+"""The driver reports its joints in another order, and one more."""
 _numbers = itertools.count(1)
 
 
 class Arm:
-    """A driver of an arm and its gripper, at work on a graph while it `drives`."""
+    """A driver of an arm and its gripper."""
 
     def __init__(self) -> None:
         self.at = dict(zip(JOINTS, HOME, strict=True)) | {"finger_joint": 0.0}
@@ -53,16 +53,16 @@ class Arm:
         self.fault = ""
         self.dead = False
 
-    async def tell(self, graph: Any) -> None:
+    async def report(self, graph: Any) -> None:
         states = await graph.publisher("/joint_states", "sensor_msgs/msg/JointState", SENSOR_DATA)
         while not self.dead:
             now_ns = time.time_ns()
             states.publish(
                 {
                     "header": {"stamp": {"sec": now_ns // 10**9, "nanosec": now_ns % 10**9}},
-                    "name": TOLD,
-                    "position": [self.at[name] for name in TOLD],
-                    "velocity": [self.turning[name] for name in TOLD],
+                    "name": REPORTED,
+                    "position": [self.at[name] for name in REPORTED],
+                    "velocity": [self.turning[name] for name in REPORTED],
                 }
             )
             await asyncio.sleep(0.02)
@@ -102,7 +102,7 @@ class Arm:
 
 @pytest.fixture(scope="module")
 def at_work(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
-    """A broker, a bridge with the mapping that ships, and a trajectory tool whose robot is behind ROS."""
+    """A broker, a bridge with the shipped mapping, and a trajectory tool with `HANDOVER_ROBOT=ros`."""
     with new_cell(tmp_path_factory.mktemp("cell")) as cell:
         made = Shop(cell, random.randint(1, 100))
         cell.extra.update({"HANDOVER_ROBOT": "ros", "HANDOVER_ROBOT_SPEED": "1"})
@@ -119,9 +119,9 @@ async def arm(shop: Shop) -> AsyncIterator[Arm]:
     await shop.robot.serve_action(
         "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", made.grip
     )
-    telling = asyncio.create_task(made.tell(shop.robot))
+    reporting = asyncio.create_task(made.report(shop.robot))
     yield made
-    telling.cancel()
+    reporting.cancel()
 
 
 async def ask(shop: Shop, operation: str, **parameters: Any) -> str:
@@ -159,12 +159,12 @@ async def no_orders(shop: Shop) -> bool:
     return not await shop.broker.query(type="Task", id_pattern=".*ur10-1-order-.*")
 
 
-async def test_an_arm_that_tells_nothing_is_not_moved(shop: Shop) -> None:
+async def test_an_arm_without_joint_states_is_not_moved(shop: Shop) -> None:
     silent = await comes_to(shop, await ask(shop, "moveTo", joints=HOME), TaskStatus.FAILED)
     assert "where the joints of urn:ngsi-ld:Device:demo:arm-1 are is not known" in silent["reason"]
 
 
-async def test_a_task_moves_the_arm_along_a_trajectory_to_where_it_is_asked(shop: Shop, arm: Arm) -> None:
+async def test_a_task_moves_the_arm_along_a_trajectory_to_its_target(shop: Shop, arm: Arm) -> None:
     done = await comes_to(
         shop, await ask(shop, "moveTo", joints=AWAY), TaskStatus.COMPLETED, TaskStatus.FAILED
     )
@@ -184,7 +184,7 @@ async def test_a_task_moves_the_arm_along_a_trajectory_to_where_it_is_asked(shop
     await shop.until(lambda: no_orders(shop), why="the order is still in the broker")
 
 
-async def test_a_pause_brings_the_arm_to_rest_and_it_goes_on_from_there(shop: Shop, arm: Arm) -> None:
+async def test_a_pause_stops_the_arm_and_it_continues_from_there(shop: Shop, arm: Arm) -> None:
     task = await ask(shop, "moveTo", joints=AWAY, speed=0.3)
     await shop.until(lambda: arm.at[JOINTS[0]] > 0.1, why="the arm never moved")
     await wish(shop, task, "paused")
@@ -199,7 +199,7 @@ async def test_a_pause_brings_the_arm_to_rest_and_it_goes_on_from_there(shop: Sh
     assert rests_at < arm.goals[1]["trajectory"]["points"][0]["positions"][0] < rests_at + 0.1
 
 
-async def test_a_task_that_is_cancelled_stops_the_arm(shop: Shop, arm: Arm) -> None:
+async def test_a_cancelled_task_stops_the_arm(shop: Shop, arm: Arm) -> None:
     task = await ask(shop, "moveTo", joints=AWAY, speed=0.2)
     await shop.until(lambda: arm.at[JOINTS[0]] > 0.05, why="the arm never moved")
     await wish(shop, task, "cancelled")
@@ -209,18 +209,18 @@ async def test_a_task_that_is_cancelled_stops_the_arm(shop: Shop, arm: Arm) -> N
     assert not any(arm.turning.values())
 
 
-async def test_what_the_controller_says_against_it_is_the_reason_of_the_task(shop: Shop, arm: Arm) -> None:
+async def test_the_error_of_the_controller_is_the_reason_of_the_task(shop: Shop, arm: Arm) -> None:
     arm.fault = "path tolerance violated at elbow_joint"
     ended = await comes_to(shop, await ask(shop, "moveTo", joints=AWAY), TaskStatus.FAILED)
     assert "gave up: path tolerance violated at elbow_joint" in ended["reason"]
     assert ended["reason"].startswith("the robot cannot move: ")
 
 
-async def test_a_task_neither_progresses_nor_completes_while_the_arm_is_dead(shop: Shop, arm: Arm) -> None:
+async def test_a_task_fails_without_progress_while_the_arm_is_unavailable(shop: Shop, arm: Arm) -> None:
     async def progress() -> float:
         task: Task = await shop.broker.get(task_id, Task)
-        told = task.output_parameters.value.get("progress") if task.output_parameters else None
-        return float(told or 0.0)
+        progress = task.output_parameters.value.get("progress") if task.output_parameters else None
+        return float(progress or 0.0)
 
     task_id = await ask(shop, "moveTo", joints=AWAY, speed=0.1)
     await shop.until(lambda: arm.at[JOINTS[0]] > 0.1, 30.0, "the arm never moved")
@@ -232,7 +232,7 @@ async def test_a_task_neither_progresses_nor_completes_while_the_arm_is_dead(sho
     assert await progress() <= way + 0.1
 
 
-async def test_the_gripper_says_whether_it_holds_something(shop: Shop, arm: Arm) -> None:
+async def test_the_gripper_reports_whether_it_holds_a_part(shop: Shop, arm: Arm) -> None:
     arm.part_between_fingers = True
     picked = await comes_to(
         shop, await ask(shop, "pick", bin="bin-1"), TaskStatus.COMPLETED, TaskStatus.FAILED

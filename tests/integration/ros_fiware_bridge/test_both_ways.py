@@ -1,4 +1,4 @@
-"""Messages become entities and entities become messages, between a real graph and a real broker."""
+"""Rules in both directions between a real graph and a real broker."""
 
 import math
 from typing import Any
@@ -14,8 +14,8 @@ ROBOT = "urn:ngsi-ld:Device:demo:r1"
 
 
 @pytest.fixture(scope="module")
-def at_work(everyday: Shop) -> Shop:
-    return everyday
+def at_work(shared_shop: Shop) -> Shop:
+    return shared_shop
 
 
 def joints(angle: float) -> dict[str, Any]:
@@ -23,51 +23,51 @@ def joints(angle: float) -> dict[str, Any]:
     return {"header": stamp, "name": ["wrist", "elbow"], "position": [0.0, angle]}
 
 
-async def test_what_a_robot_says_is_in_the_broker(shop: Any) -> None:
-    speaker = await shop.speaks("/joint_states", "sensor_msgs/msg/JointState")
-    speaker.publish(joints(math.pi / 2))
+async def test_a_message_is_written_to_the_broker(shop: Any) -> None:
+    publisher = await shop.publisher("/joint_states", "sensor_msgs/msg/JointState")
+    publisher.publish(joints(math.pi / 2))
     await shop.becomes(ROBOT, "elbow", 90)
     entity = await shop.broker.retrieve(ROBOT)
     assert entity["type"] == "Device"
     assert entity["elbow"]["observedAt"].startswith("2026-02-02T02:40:00")
     assert entity["names"]["value"] == ["wrist", "elbow"]
-    seen = await shop.until(lambda: (rule := shop.rule("joints"))["told"] == 1 and rule)
-    assert (seen["heard"], seen["faults"]) == (1, 0)
+    seen = await shop.until(lambda: (rule := shop.rule("joints"))["forwarded"] == 1 and rule)
+    assert (seen["received"], seen["errors"]) == (1, 0)
     assert seen["lastValue"]["elbow"] == 90
     assert seen["publishers"] == 1
 
 
-async def test_a_dead_band_keeps_small_changes_from_the_broker(shop: Any) -> None:
-    speaker = await shop.speaks("/level", "std_msgs/msg/Float64")
+async def test_changes_within_the_dead_band_are_not_written(shop: Any) -> None:
+    publisher = await shop.publisher("/level", "std_msgs/msg/Float64")
     for level in (1.0, 1.2, 1.5, 1.6, 1.7, 3.0):
-        speaker.publish({"data": level})
+        publisher.publish({"data": level})
     await shop.becomes(ROBOT, "level", 3)
 
     def all_counted() -> bool:
-        # What comes while a request is under way may give way to the newest.
+        # A message that arrives while a request is in flight may be replaced by the newest.
         seen = shop.rule("level")
-        return bool(seen["heard"] == 6 and seen["told"] + seen["conflated"] == 3)
+        return bool(seen["received"] == 6 and seen["forwarded"] + seen["conflated"] == 3)
 
     await shop.until(all_counted)
     assert shop.rule("level")["dropped"] == 0
 
 
-async def test_an_entity_is_written_so_often_at_most_and_the_last_word_is_told(shop: Any) -> None:
-    speaker = await shop.speaks("/paced", "std_msgs/msg/Int32")
+async def test_the_rate_is_limited_and_the_last_value_is_written(shop: Any) -> None:
+    publisher = await shop.publisher("/paced", "std_msgs/msg/Int32")
     for number in range(20):
-        speaker.publish({"data": number})
+        publisher.publish({"data": number})
     await shop.becomes("urn:ngsi-ld:Device:demo:paced-1", "number", 19)
-    assert shop.rule("paced")["told"] <= 4
+    assert shop.rule("paced")["forwarded"] <= 4
 
 
-async def test_a_rule_that_the_broker_does_not_understand_says_so_and_hinders_no_other(shop: Any) -> None:
-    await shop.until(lambda: "the broker does not let us listen" in (shop.rule("wrong")["lastError"] or ""))
+async def test_a_rule_that_the_broker_refuses_does_not_affect_the_others(shop: Any) -> None:
+    await shop.until(lambda: "the broker refuses the subscription" in (shop.rule("wrong")["lastError"] or ""))
     names = {one["id"].rsplit(":", 1)[-1] for one in await shop.broker.subscriptions()}
     assert names > {"ros-bridge-rule-speed", "ros-bridge-rule-valve-to-ros"}
     assert "ros-bridge-rule-wrong" not in names
 
 
-async def test_a_rule_without_a_quality_of_service_reads_with_that_of_the_publisher(shop: Any) -> None:
+async def test_a_rule_without_qos_uses_the_qos_of_the_publisher(shop: Any) -> None:
     sensor = await shop.robot.publisher("/sensor", "std_msgs/msg/Float64", SENSOR_DATA)
     latched = await shop.robot.publisher("/latched", "std_msgs/msg/Float64", LATCHED)
     latched.publish({"data": 4.5})
@@ -81,25 +81,25 @@ async def test_a_rule_without_a_quality_of_service_reads_with_that_of_the_publis
     assert shop.rule("latched")["qos"].startswith("reliable, transient_local")
 
 
-async def test_one_rule_is_for_every_robot_whose_topic_fits(shop: Any) -> None:
+async def test_a_topic_pattern_applies_to_every_matching_robot(shop: Any) -> None:
     async def charges(robot: str, charge: float) -> None:
-        speaker = await shop.speaks(f"/{robot}/charge", "std_msgs/msg/Float64")
-        speaker.publish({"data": charge})
+        publisher = await shop.publisher(f"/{robot}/charge", "std_msgs/msg/Float64")
+        publisher.publish({"data": charge})
         await shop.becomes(f"urn:ngsi-ld:Device:demo:{robot}", "charge", charge, 60.0)
 
     await charges("amr_1", 0.75)
     await charges("amr_2", 0.5)
-    await shop.until(lambda: shop.rule("fleet")["told"] == 2)
+    await shop.until(lambda: shop.rule("fleet")["forwarded"] == 2)
     seen = shop.rule("fleet")
     assert seen["topics"] == ["/amr_1/charge", "/amr_2/charge"]
     assert (seen["from"], seen["publishers"]) == ("/{robot}/charge", 2)
 
 
-async def test_a_type_that_only_the_graph_knows_is_learnt(shop: Any) -> None:
-    speaker = await shop.robot.publisher("/words", "std_msgs/msg/String", LATCHED)
+async def test_the_type_of_a_topic_is_taken_from_the_graph(shop: Any) -> None:
+    publisher = await shop.robot.publisher("/words", "std_msgs/msg/String", LATCHED)
     await shop.until(lambda: shop.rule("untyped")["type"] == "std_msgs/msg/String")
-    assert await speaker.matched(10.0)
-    speaker.publish({"data": "hello"})
+    assert await publisher.matched(10.0)
+    publisher.publish({"data": "hello"})
     await shop.becomes(ROBOT, "words", "hello")
 
 
@@ -114,38 +114,38 @@ def belt(**values: Any) -> dict[str, Any]:
     }
 
 
-async def test_what_is_written_in_the_broker_is_heard_on_the_graph(shop: Any) -> None:
-    _, heard = await shop.listens("/belt/speed", "std_msgs/msg/Float64")
+async def test_a_change_in_the_broker_is_published(shop: Any) -> None:
+    _, received = await shop.subscribe("/belt/speed", "std_msgs/msg/Float64")
     await shop.broker.upsert([belt(speed=36)])
-    await shop.until(lambda: heard == [{"data": 10.0}])
+    await shop.until(lambda: received == [{"data": 10.0}])
     await shop.broker.update(BELT, {"speed": {"type": "Property", "value": "fast"}})
-    await shop.until(lambda: shop.rule("speed")["faults"] == 1)
-    assert "'fast' is no number" in shop.rule("speed")["lastError"]
+    await shop.until(lambda: shop.rule("speed")["errors"] == 1)
+    assert "'fast' is not a number" in shop.rule("speed")["lastError"]
     await shop.broker.update(BELT, {"speed": {"type": "Property", "value": 18}})
-    await shop.until(lambda: heard == [{"data": 10.0}, {"data": 5.0}])
+    await shop.until(lambda: received == [{"data": 10.0}, {"data": 5.0}])
 
 
 VALVE = "urn:ngsi-ld:Device:demo:valve-1"
 
 
-async def test_nothing_goes_round(shop: Any) -> None:
-    _, heard = await shop.listens("/valve", "std_msgs/msg/Float32")
-    speaker = await shop.speaks("/valve", "std_msgs/msg/Float32")
-    speaker.publish({"data": 0.25})
+async def test_a_value_is_not_sent_back_to_its_side(shop: Any) -> None:
+    _, received = await shop.subscribe("/valve", "std_msgs/msg/Float32")
+    publisher = await shop.publisher("/valve", "std_msgs/msg/Float32")
+    publisher.publish({"data": 0.25})
     await shop.becomes(VALVE, "opening", 0.25)
     await shop.broker.update(VALVE, {"opening": {"type": "Property", "value": 0.1}})
-    await shop.until(lambda: len(heard) == 2)
+    await shop.until(lambda: len(received) == 2)
     await shop.broker.update(VALVE, {"opening": {"type": "Property", "value": 0.5}})
-    await shop.until(lambda: len(heard) == 3)
-    speaker.publish({"data": 0.75})
+    await shop.until(lambda: len(received) == 3)
+    publisher.publish({"data": 0.75})
     await shop.becomes(VALVE, "opening", 0.75)
-    said = [round(message["data"], 3) for message in heard]
-    assert said == [0.25, 0.1, 0.5, 0.75]
-    assert shop.rule("valve-to-ros")["told"] == 2, "what came from the graph was sent back to it"
-    assert shop.rule("valve-from-ros")["told"] <= 4
+    sent = [round(message["data"], 3) for message in received]
+    assert sent == [0.25, 0.1, 0.5, 0.75]
+    assert shop.rule("valve-to-ros")["forwarded"] == 2, "what came from the graph was sent back to it"
+    assert shop.rule("valve-from-ros")["forwarded"] <= 4
 
 
-async def test_the_bridges_node_has_parameters_that_can_be_read(shop: Any) -> None:
+async def test_the_parameters_of_the_node_are_read_only(shop: Any) -> None:
     async def call(service: str, kind: str, request: dict[str, Any]) -> Any:
         return await shop.robot.call(
             f"/handover_bridge/{service}", f"rcl_interfaces/srv/{kind}", request, 30.0

@@ -1,4 +1,4 @@
-"""The bridge at work by way of a rosbridge server: the same mapping, another adapter."""
+"""The bridge with the rosbridge adapter."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -50,11 +50,11 @@ async def shop(at_work: Shop) -> AsyncIterator[Shop]:
         yield at_work
 
 
-async def test_a_rule_passes_on_both_ways(shop: Shop) -> None:
-    said = await shop.speaks("/counted", "std_msgs/msg/UInt32")
-    said.publish({"data": 7})
+async def test_rules_work_in_both_directions(shop: Shop) -> None:
+    sent = await shop.publisher("/counted", "std_msgs/msg/UInt32")
+    sent.publish({"data": 7})
     await shop.becomes("urn:ngsi-ld:Device:demo:counter", "count", 7)
-    _, heard = await shop.listens("/belt/speed", "std_msgs/msg/Float64")
+    _, received = await shop.subscribe("/belt/speed", "std_msgs/msg/Float64")
     speed = {"type": "Property", "value": 0.25}
     await shop.broker.create({"id": BELT, "type": "Device", "speed": speed})
-    await shop.until(lambda: heard == [{"data": 0.25}], why="the speed never came")
+    await shop.until(lambda: received == [{"data": 0.25}], why="the speed never came")

@@ -1,4 +1,4 @@
-"""`handover bridge` as a person types it."""
+"""The commands of `handover bridge`."""
 
 import asyncio
 import subprocess
@@ -23,7 +23,7 @@ Handover = Callable[..., Awaitable[tuple[int, str, str]]]
 
 @pytest.fixture
 def handover(own_shop: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Handover:
-    """The command in a thread of this process: a new one each time would load the middleware anew."""
+    """The command in a thread of this process: a new one each time would load the middleware again."""
     monkeypatch.chdir(own_shop.cell.data_dir)
     for name, value in own_shop.cell.environment.items():
         monkeypatch.setenv(name, value)
@@ -47,25 +47,23 @@ def handover(own_shop: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     return command
 
 
-async def test_a_mapping_is_checked_and_its_mistakes_are_told_in_lines(
-    own_shop: Any, handover: Handover
-) -> None:
+async def test_check_reports_each_error_with_its_line(own_shop: Any, handover: Handover) -> None:
     code, said, wrong = await handover("check", "battery")
     assert (code, wrong) == (0, "")
     assert "battery: /battery_state (sensor_msgs/msg/BatteryState;" in said
     file = own_shop.cell.data_dir / "cell.yaml"
     file.write_text(
-        "ros_to_ngsild:\n  a:\n    topic: /x\n    type: std_msgs/Strin\n    entity: Device:d\n"
+        "ros_to_ngsild:\n  a:\n    topic: /x\n    type: std_msgs/Text\n    entity: Device:d\n"
         "    attributes: {words: data}\n"
     )
     code, said, wrong = await handover("check", "cell.yaml")
     assert (code, said) == (2, "")
     assert wrong.startswith("handover: cell.yaml:4: ros_to_ngsild.a.type: ")
-    assert "did you mean std_msgs/msg/String" in wrong
+    assert "there is no type std_msgs/msg/Text" in wrong
     assert (await handover("check", "nowhere.yaml"))[0] == 2
 
 
-def test_a_shell_gets_the_code_and_one_line(tmp_path: Path) -> None:
+def test_a_failed_command_prints_one_line(tmp_path: Path) -> None:
     typed = [sys.executable, "-m", "handover.cli", "bridge", "check", "nowhere.yaml"]
     ended = subprocess.run(
         typed, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=90
@@ -74,7 +72,7 @@ def test_a_shell_gets_the_code_and_one_line(tmp_path: Path) -> None:
     assert len(ended.stderr.splitlines()) == 1
 
 
-def test_what_a_command_logs_is_not_in_its_standard_output(tmp_path: Path) -> None:
+def test_logs_of_a_command_go_to_standard_error(tmp_path: Path) -> None:
     # Every logger of the bridge is a structlog logger; this one logs what the others may.
     script = (
         "import sys, structlog\nfrom handover.cli.main import main\n"
@@ -94,9 +92,7 @@ def test_what_a_command_logs_is_not_in_its_standard_output(tmp_path: Path) -> No
     assert rule["type"] == "sensor_msgs/msg/JointState"
 
 
-async def test_a_topic_that_exists_is_seen_and_gets_a_mapping_that_can_work(
-    own_shop: Any, handover: Handover
-) -> None:
+async def test_scaffold_writes_a_mapping_for_a_topic(own_shop: Any, handover: Handover) -> None:
     await own_shop.robot.publisher("/joint_states", "sensor_msgs/msg/JointState", SENSOR_DATA)
     code, scaffold, wrong = await handover("scaffold", "/joint_states", *LOOK)
     assert code == 0, wrong
@@ -107,8 +103,10 @@ async def test_a_topic_that_exists_is_seen_and_gets_a_mapping_that_can_work(
     assert code == 0, wrong
     assert "nobody" not in live
     file.write_text(scaffold.replace("qos: sensor_data", "qos: default"))
-    _, unheard, _ = await handover("check", "cell.yaml", "--live", *LOOK)
-    assert "/robot will not be heard: the reader wants reliable, the writer offers best_effort" in unheard
+    _, unmatched, _ = await handover("check", "cell.yaml", "--live", *LOOK)
+    assert (
+        "/robot will not be received: the reader wants reliable, the writer offers best_effort" in unmatched
+    )
     _, seen, _ = await handover("graph", *LOOK)
     assert "topic     /joint_states  sensor_msgs/msg/JointState" in seen
     assert "from /robot (best_effort, volatile" in seen
@@ -130,17 +128,15 @@ actions:
 """
 
 
-async def test_a_check_on_the_graph_names_calls_and_messages_that_will_not_work(
-    own_shop: Any, handover: Handover
-) -> None:
+async def test_check_live_reports_rules_that_cannot_work(own_shop: Any, handover: Handover) -> None:
     async def answer(_: dict[str, Any]) -> dict[str, Any]:
         return {}
 
-    def hear(_: Any) -> None:
+    def ignore(_: Any) -> None:
         pass
 
     await own_shop.robot.serve("/other", "std_srvs/srv/SetBool", answer)
-    await own_shop.robot.subscribe("/speed", "std_msgs/msg/Float64", hear, LATCHED)
+    await own_shop.robot.subscribe("/speed", "std_msgs/msg/Float64", ignore, LATCHED)
     (own_shop.cell.data_dir / "calls.yaml").write_text(CALLS)
     with genuine(own_shop.domain, "0" * 64):
         code, live, wrong = await handover("check", "calls.yaml", "--live", *LOOK)
@@ -149,10 +145,10 @@ async def test_a_check_on_the_graph_names_calls_and_messages_that_will_not_work(
     assert "other: /other has the type std_srvs/srv/SetBool, not std_srvs/srv/Trigger" in live
     assert "absent: nobody serves /absent now" in live
     assert "count: /fibonacci has the type test_msgs/action/Fibonacci, not example_interfaces" in live
-    assert "speed: /robot will not hear it: the reader wants transient_local" in live
+    assert "speed: /robot will not receive messages: the reader wants transient_local" in live
 
 
-async def test_the_graph_is_that_of_the_domain_asked_for_also_beside_a_bridge_in_another(
+async def test_graph_shows_the_configured_domain(
     own_shop: Any, handover: Handover, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await asyncio.to_thread(own_shop.begin, "")

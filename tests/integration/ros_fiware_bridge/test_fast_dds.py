@@ -1,4 +1,4 @@
-"""Tasks are done by a genuine ROS 2 node on Fast DDS, by its service and by its action."""
+"""A genuine ROS 2 node on Fast DDS performs Tasks by a service and an action."""
 
 import itertools
 from collections.abc import Iterator
@@ -71,6 +71,6 @@ async def done(shop: Shop, operation: str, **parameters: Any) -> dict[str, Any]:
     return outputs
 
 
-async def test_a_service_and_an_action_on_fast_dds_do_a_task(shop: Shop, tmp_path: Path) -> None:
+async def test_a_service_and_an_action_on_fast_dds_perform_tasks(shop: Shop, tmp_path: Path) -> None:
     assert (await done(shop, "repeat", words=["ab"], times=2))["names"] == ["ab", "ab"]
     assert (await done(shop, "count", upTo=6))["sequence"] == [0, 1, 1, 2, 3, 5]

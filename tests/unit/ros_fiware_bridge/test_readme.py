@@ -1,4 +1,4 @@
-"""What the README shows can be done."""
+"""The examples of the README."""
 
 import textwrap
 from pathlib import Path
@@ -19,12 +19,12 @@ BLOCKS = [
 ]
 
 
-def test_there_are_examples_of_every_section() -> None:
+def test_the_readme_has_examples_of_every_section() -> None:
     assert {block.split(":")[0] for block in BLOCKS} >= {"type_paths", "ros_to_ngsild", "ngsild_to_ros"}
     assert {block.split(":")[0] for block in BLOCKS} >= {"services", "tasks_from_ros"}
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_an_example_of_the_readme_can_work(block: str) -> None:
+def test_an_example_of_the_readme_compiles(block: str) -> None:
     document = parse(block, "README.md", README.parent)
     assert plan.make(document, TypeStore(), "demo").document is document

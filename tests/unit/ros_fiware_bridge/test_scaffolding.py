@@ -1,4 +1,4 @@
-"""A mapping is written for a topic that exists, and can work as it is."""
+"""Generated mappings compile."""
 
 import pytest
 
@@ -13,13 +13,13 @@ MESSAGES = [name for name in TYPES.type_names() if "/msg/" in name]
 
 
 @pytest.mark.parametrize("type_name", MESSAGES)
-def test_a_mapping_for_any_message_of_ros_can_work(type_name: str) -> None:
+def test_a_scaffold_for_any_ros_message_compiles_and_extracts(type_name: str) -> None:
     text = mapping_for("/robot/topic", type_name, None, TYPES)
-    (rule,) = plan.make(parse(text), TYPES, "demo").outward
-    assert rule.outward is not None
-    made = rule.outward.harvest(TYPES.default(type_name), 1_770_000_000.0)
-    assert made.updates
-    assert made.faults == []
+    (rule,) = plan.make(parse(text), TYPES, "demo").ros_to_ngsild
+    assert rule.extractor is not None
+    made = rule.extractor.extract(TYPES.default(type_name), 1_770_000_000.0)
+    assert made.entities
+    assert made.errors == []
 
 
 @pytest.mark.parametrize(
@@ -34,14 +34,14 @@ def test_a_mapping_for_any_message_of_ros_can_work(type_name: str) -> None:
         ),
     ],
 )
-def test_the_publishers_quality_of_service_is_taken_over(qos: Qos, line: str) -> None:
+def test_a_scaffold_uses_the_quality_of_service_of_the_publisher(qos: Qos, line: str) -> None:
     text = mapping_for("/joint_states", "sensor_msgs/msg/JointState", qos, TYPES)
     assert line in text
-    (rule,) = plan.make(parse(text), TYPES, "demo").outward
+    (rule,) = plan.make(parse(text), TYPES, "demo").ros_to_ngsild
     assert rule.qos.unmet(qos) is None
 
 
-def test_the_scaffold_for_joint_states_reads_like_one_written_by_hand() -> None:
+def test_the_scaffold_for_joint_states_is_readable() -> None:
     assert mapping_for("/joint_states", "sensor_msgs/msg/JointState", None, TYPES).endswith(
         "    topic: /joint_states\n"
         "    type: sensor_msgs/msg/JointState\n"

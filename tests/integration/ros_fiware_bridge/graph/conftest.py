@@ -15,19 +15,19 @@ from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.kit.skipping import ROS_TYPES
 
-# An installed ROS keeps to this machine too; our own DDS is told so by its settings.
+# An installed ROS uses this machine alone, like our own DDS by its settings.
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 TYPES = Path(__file__).parent / "types"
 REPEAT = "rcl_interfaces/srv/ListParameters"
 Joined = Callable[..., AbstractAsyncContextManager[RosGraph]]
 
 
-# What rclpy itself stands on warns of what Python will drop one day.
+# The dependencies of rclpy use deprecated features of Python.
 _OLD = {Adapter.RCLPY: [pytest.mark.filterwarnings("ignore::DeprecationWarning")]}
 _ADAPTERS = [
     pytest.param(one, id=one.value, marks=_OLD.get(one, []))
     for one in installed()
-    if one not in {Adapter.ROSBRIDGE, Adapter.AUTO}  # what they add is tested by itself
+    if one not in {Adapter.ROSBRIDGE, Adapter.AUTO}  # their own tests cover the rest
 ]
 
 
@@ -40,9 +40,9 @@ def adapter(request: pytest.FixtureRequest) -> Adapter:
 
 @pytest.fixture(scope="module")
 def domain_id(request: pytest.FixtureRequest) -> int:
-    """An even number of the module's own six, so that modules that run at once do not meet.
+    """An even number of six per module, so that modules that run in parallel do not share a domain.
 
-    From 101 on the ports of a domain lie where the system takes its own from.
+    The ports of domains from 101 on overlap with the ephemeral ports of the system.
     """
     modules = sorted(one.stem for one in Path(__file__).parent.glob("test_*.py"))
     return modules.index(Path(str(request.path)).stem) % 15 * 6 + 2 * random.randint(1, 3)

@@ -1,10 +1,10 @@
-"""A node as `rmw_cyclonedds_cpp` makes it, written against DDS alone: none of our adapter is used.
+"""A node as `rmw_cyclonedds_cpp` makes it, written against DDS alone: without our adapter.
 
 It serves `/trigger` (std_srvs/srv/Trigger) and the action `/fibonacci` (test_msgs/action/Fibonacci). Each of
 its endpoints publishes, as that middleware does, the hash of the message it carries. The hashes are those in
 the type descriptions of ROS 2 Jazzy (`share/std_srvs/srv/Trigger.json` and the like).
 
-`genuine_cyclone.py DOMAIN [HASH_OF_TRIGGER_REQUEST]` writes "ready" and stays until its input ends.
+`genuine_cyclone.py DOMAIN [HASH_OF_TRIGGER_REQUEST]` writes "ready" and runs until its input ends.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """A genuine ROS 2 node, written with rclpy alone: publishes `/nested` (test_msgs/msg/Nested).
 
-`genuine_rclpy.py DOMAIN` writes "ready" and stays until its input ends.
+`genuine_rclpy.py DOMAIN` writes "ready" and runs until its input ends.
 """
 
 import contextlib

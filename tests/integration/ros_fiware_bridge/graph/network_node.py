@@ -1,4 +1,4 @@
-"""A node for the tests of networks: publishes `/hello` or writes what it hears there, until its input ends.
+"""A node for the tests of networks: publishes or prints `/hello` until its input ends.
 
 `network_node.py publish|subscribe SETTINGS` with the settings of `JoinSettings` as JSON.
 """

@@ -1,6 +1,6 @@
-"""A robot's side of the contract: a node that answers whatever the tests ask, in a process of its own.
+"""The peer of the contract tests: a node in its own process that answers their requests.
 
-`peer.py ADAPTER DOMAIN [TYPE_PATH…]` says "ready" and stays until its input ends.
+`peer.py ADAPTER DOMAIN [TYPE_PATH…]` writes "ready" and runs until its input ends.
 """
 
 import asyncio

@@ -1,7 +1,7 @@
-"""The server's side of the rosbridge protocol, over whoever is connected: a peer for our client of it.
+"""A rosbridge server that connects its clients, as a peer for our client.
 
-PyPI has no rosbridge server, so this one speaks the published protocol (version 2, with the actions that
-ROS 2 added) between its clients. Each client is a node; a genuine server would show all of them as its own.
+PyPI has no rosbridge server, so this one implements the published protocol (version 2, with the actions of
+ROS 2). Each client is a node; a genuine server would list all of them as one node.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ ROSAPI = "/rosapi/"
 
 
 class Client:
-    """One who is connected, and what it has said it does."""
+    """A connected client and its topics, services and actions."""
 
     def __init__(self, name: str, socket: ServerConnection) -> None:
         self.name = name
@@ -41,7 +41,7 @@ class Client:
 
 
 class RosbridgeServer:
-    """Passes operations on between clients; `ros1` says how types are written."""
+    """Forwards operations between clients; `ros1` selects the format of type names."""
 
     def __init__(self, *, ros1: bool = False) -> None:
         self.ros1 = ros1
@@ -162,9 +162,9 @@ class RosbridgeServer:
                 return {"nodes": [one.name for one in self._clients]}
             case "node_details":
                 (one,) = (one for one in self._clients if one.name == given["node"])
-                felt = [f"{action}/_action/feedback" for action in one.actions]
+                feedback = [f"{action}/_action/feedback" for action in one.actions]
                 return {
-                    "publishing": [*one.publishing, *felt],
+                    "publishing": [*one.publishing, *feedback],
                     "subscribing": list(one.subscribing),
                     "services": list(one.services),
                 }

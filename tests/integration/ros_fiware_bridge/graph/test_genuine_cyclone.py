@@ -55,7 +55,7 @@ async def test_a_service_and_an_action_of_a_genuine_node_are_called(graph: RosGr
         ended = await (await action.send_goal({"order": 6}, timeout_s=120)).result(120)
         assert ended.status is GoalStatus.SUCCEEDED
         assert ended.result["sequence"].tolist() == [0, 1, 1, 2, 3, 5]
-        # What is called so must not be shown as a fault either.
+        # A callable server must not be reported as a problem.
         assert graph.problems() == []
 
 
@@ -64,7 +64,7 @@ async def test_the_hash_of_the_service_is_accepted_as_well(graph: RosGraph, doma
         assert (await graph.call("/trigger", TRIGGER, {}, 20))["success"]
 
 
-async def test_another_definition_is_refused_and_both_hashes_of_ours_are_named(
+async def test_another_definition_is_refused_and_both_our_hashes_are_named(
     graph: RosGraph, domain_id: int
 ) -> None:
     with genuine(domain_id, "0" * 64):
@@ -75,7 +75,9 @@ async def test_another_definition_is_refused_and_both_hashes_of_ours_are_named(
         assert OF_SERVICE in str(error.value)
 
 
-async def test_our_own_endpoints_publish_what_genuine_ones_do(graph: RosGraph, store: TypeStore) -> None:
+async def test_our_endpoints_publish_the_same_hashes_as_genuine_ones(
+    graph: RosGraph, store: TypeStore
+) -> None:
     async def answer(_: dict[str, Any]) -> dict[str, Any]:
         return {"success": True}
 
@@ -83,8 +85,8 @@ async def test_our_own_endpoints_publish_what_genuine_ones_do(graph: RosGraph, s
     assert await graph.call("/ours", TRIGGER, {}, 20)
 
     def published() -> dict[tuple[str, bool], str | None]:
-        picture = graph._node.discovery.picture()  # type: ignore[attr-defined]  # no port shows it
-        return {(one.topic, one.writes): one.type_hash for one in picture.endpoints if "/ours" in one.topic}
+        snapshot = graph._node.discovery.snapshot()  # type: ignore[attr-defined]  # no port shows it
+        return {(one.topic, one.writes): one.type_hash for one in snapshot.endpoints if "/ours" in one.topic}
 
     await true(lambda: len(published()) == 4)
     assert published() == {

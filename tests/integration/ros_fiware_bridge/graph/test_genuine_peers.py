@@ -38,16 +38,16 @@ async def graph(store: TypeStore, domain_id: int) -> AsyncIterator[RosGraph]:
     await opened.close()
 
 
-async def test_a_genuine_node_hears_us_and_is_heard(graph: RosGraph) -> None:
+async def test_messages_pass_to_and_from_a_genuine_node(graph: RosGraph) -> None:
     got: list[Any] = []
     await graph.subscribe("/echo", JOINTS, got.append)
-    said = await graph.publisher("/say", JOINTS)
-    assert await said.matched(20)
+    publisher = await graph.publisher("/say", JOINTS)
+    assert await publisher.matched(20)
     message = {"header": {"frame_id": "Grüße"}, "name": ["a", "bc"], "position": [0.5, -1.5]}
 
     async def say() -> None:
         while not got:
-            said.publish(message)
+            publisher.publish(message)
             await asyncio.sleep(0.2)
 
     await asyncio.wait_for(say(), 20)
@@ -56,7 +56,7 @@ async def test_a_genuine_node_hears_us_and_is_heard(graph: RosGraph) -> None:
     assert got[0].value("header.frame_id") == "Grüße"
 
 
-async def test_what_a_genuine_node_latched_or_sends_best_effort_is_heard(graph: RosGraph) -> None:
+async def test_latched_and_best_effort_messages_of_a_genuine_node_are_received(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/cell/greeting", "std_msgs/msg/String", got.put_nowait, LATCHED)
     assert (await asyncio.wait_for(got.get(), 20)).message == {"data": "welcome"}
@@ -64,9 +64,7 @@ async def test_what_a_genuine_node_latched_or_sends_best_effort_is_heard(graph: 
     assert (await asyncio.wait_for(got.get(), 20)).message == {"data": 0.5}
 
 
-async def test_a_genuine_node_is_seen_with_its_hashes_and_quality_of_service(
-    graph: RosGraph, store: TypeStore
-) -> None:
+async def test_a_genuine_node_is_listed_with_its_hashes_and_qos(graph: RosGraph, store: TypeStore) -> None:
     await true(lambda: "/cell/peer" in {one.full_name for one in graph.nodes()})
     for name, type_name in (("/echo", JOINTS), ("/image", "sensor_msgs/msg/Image")):
         (topic,) = (one for one in graph.topics() if one.name == name)
@@ -80,7 +78,7 @@ async def test_a_genuine_node_is_seen_with_its_hashes_and_quality_of_service(
     assert [type(one) for one in graph.problems()] == [IncompatibleQos]
 
 
-async def test_a_service_that_fast_dds_carries_is_refused_before_anything_is_sent(graph: RosGraph) -> None:
+async def test_a_call_to_fast_dds_is_refused_before_anything_is_sent(graph: RosGraph) -> None:
     await true(lambda: "/repeat" in {one.name for one in graph.services()})
     (service,) = (one for one in graph.services() if one.name == "/repeat")
     if service.vendors != ("fastdds",):
@@ -90,7 +88,7 @@ async def test_a_service_that_fast_dds_carries_is_refused_before_anything_is_sen
     assert not any(one.clients for one in graph.services() if one.name == "/repeat")
 
 
-async def test_a_genuine_node_sees_us_as_a_node_with_topics_and_hashes(
+async def test_a_genuine_node_lists_our_node_with_topics_and_hashes(
     graph: RosGraph, store: TypeStore, domain_id: int
 ) -> None:
     await graph.publisher("~/state", "std_msgs/msg/String", LATCHED)
@@ -111,14 +109,12 @@ async def test_a_genuine_node_sees_us_as_a_node_with_topics_and_hashes(
         await other.close()
 
 
-async def test_a_check_names_the_services_and_actions_that_fast_dds_carries(
-    graph: RosGraph, store: TypeStore
-) -> None:
+async def test_check_reports_services_and_actions_on_fast_dds(graph: RosGraph, store: TypeStore) -> None:
     mapping = """
 services: {repeat: {service: /repeat, type: rcl_interfaces/ListParameters, task: a, resource: Device:r}}
 actions: {count: {action: /fibonacci, type: test_msgs/Fibonacci, task: b, resource: Device:r}}
 """
     await true(lambda: "/repeat" in {one.name for one in graph.services()} and graph.actions())
-    said = list(explaining.against(plan.make(parse(mapping), store, "demo"), graph))
-    assert [one.partition(":")[0] for one in said] == ["repeat", "count"]
-    assert all("serves it with fastdds, whose services cannot be reached" in one for one in said)
+    described = list(explaining.against(plan.make(parse(mapping), store, "demo"), graph))
+    assert [one.partition(":")[0] for one in described] == ["repeat", "count"]
+    assert all("serves it with fastdds, whose services cannot be reached" in one for one in described)

@@ -32,12 +32,12 @@ def genuine() -> TypeStore:
     return TypeStore(shares())
 
 
-def test_every_definition_is_read_and_hashed_as_the_installed_ros_does(genuine: TypeStore) -> None:
+def test_definitions_have_the_hashes_of_the_installed_ros(genuine: TypeStore) -> None:
     compared = 0
     for share in shares():
         for file in share.rglob("*.json"):
-            told = json.loads(file.read_text())
-            for one in told.get("type_hashes", []) if isinstance(told, dict) else []:
+            described = json.loads(file.read_text())
+            for one in described.get("type_hashes", []) if isinstance(described, dict) else []:
                 try:
                     assert genuine.hash(one["type_name"]) == one["hash_string"], one["type_name"]
                 except UnsupportedType:
@@ -47,7 +47,7 @@ def test_every_definition_is_read_and_hashed_as_the_installed_ros_does(genuine: 
     assert compared
 
 
-def test_what_we_ship_is_what_is_installed(genuine: TypeStore) -> None:
+def test_shipped_definitions_equal_the_installed_ones(genuine: TypeStore) -> None:
     ours = TypeStore()
     both = set(ours.type_names()) & {name for name in genuine.type_names() if "/msg/" in name}
     assert "sensor_msgs/msg/JointState" in both
@@ -64,7 +64,7 @@ def interface(type_name: str) -> Any:
         return None
 
 
-def test_every_message_has_the_bytes_and_defaults_of_the_installed_ros(genuine: TypeStore) -> None:
+def test_messages_have_the_bytes_and_defaults_of_the_installed_ros(genuine: TypeStore) -> None:
     serialization = pytest.importorskip("rclpy.serialization")
     compared = 0
     for name in genuine.type_names():

@@ -1,4 +1,4 @@
-"""Definitions are learned from a genuine node, which no adapter of ours is part of."""
+"""Definitions are retrieved from a genuine node, which does not use our adapters."""
 
 import asyncio
 import os
@@ -47,9 +47,7 @@ def robot(domain_id: int) -> Iterator[None]:
                 process.kill()
 
 
-async def test_what_a_node_publishes_is_read_with_the_definitions_that_it_gives(
-    domain_id: int, tmp_path: Path
-) -> None:
+async def test_a_message_is_decoded_with_definitions_of_its_node(domain_id: int, tmp_path: Path) -> None:
     settings = JoinSettings(node="bridge", domain_id=domain_id, interfaces=("127.0.0.1",))
     graph = await join(TypeStore(), settings)
     try:
@@ -63,7 +61,7 @@ async def test_what_a_node_publishes_is_read_with_the_definitions_that_it_gives(
         await true(is_named, 30)
         learned = await learning.learn(graph, "/nested", 30)
         assert set(learned) == {"test_msgs/msg/Nested.msg", "test_msgs/msg/BasicTypes.msg"}
-        with pytest.raises(GraphError, match="/nothing cannot be learned: nobody is on it"):
+        with pytest.raises(GraphError, match="/nothing cannot be retrieved: no node uses it"):
             await learning.learn(graph, "/nothing")
     finally:
         await graph.close()

@@ -43,12 +43,12 @@ async def test_services_and_actions_on_fast_dds_are_called(graph: RosGraph) -> N
     assert service.vendors == ("fastdds",)
     assert await repeated(graph, "ab", 2, 30) == ["ab", "ab"]
     action = await graph.action_client("/fibonacci", "test_msgs/action/Fibonacci")
-    told: list[Any] = []
-    goal = await action.send_goal({"order": 6}, on_feedback=told.append, timeout_s=120)
+    feedback: list[Any] = []
+    goal = await action.send_goal({"order": 6}, on_feedback=feedback.append, timeout_s=120)
     ended = await goal.result(30)
     assert ended.status is GoalStatus.SUCCEEDED
     assert ended.result["sequence"].tolist() == [0, 1, 1, 2, 3, 5]
-    await true(lambda: told)
+    await true(lambda: feedback)
     await action.close()
 
 
@@ -58,11 +58,11 @@ async def test_a_service_of_ours_answers_a_client_on_fast_dds(graph: RosGraph) -
 
     served = await graph.serve("/ours", TRIGGER, answer)
     got: asyncio.Queue[Any] = asyncio.Queue()
-    heard = await graph.subscribe("/asked", "std_msgs/msg/String", got.put_nowait)
+    subscription = await graph.subscribe("/asked", "std_msgs/msg/String", got.put_nowait)
     ask = await graph.publisher("/ask", "std_msgs/msg/String")
-    assert await heard.matched(60)
+    assert await subscription.matched(60)
     assert await ask.matched(60)
-    # Its first call may end before the service has moved to its middleware.
+    # The first call may end before the service has moved to the middleware of the client.
     for _ in range(10):
         ask.publish({"data": "/ours"})
         if (await asyncio.wait_for(got.get(), 60)).message == {"data": "here"}:
@@ -83,7 +83,7 @@ async def test_a_service_on_cyclone_dds_is_called_without_rclpy(store: TypeStore
         await graph.close()
 
 
-async def test_only_one_side_serves_at_a_time(graph: RosGraph, store: TypeStore, domain_id: int) -> None:
+async def test_one_side_serves_at_a_time(graph: RosGraph, store: TypeStore, domain_id: int) -> None:
     asked = 0
 
     async def count(_: dict[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""A robot in another network, in network namespaces of their own that the test makes and removes.
+"""A robot in another network, in network namespaces that the test creates and removes.
 
-A cable (a veth pair without multicast) joins two namespaces: the bridge is in one, the robot in the other.
+A veth pair without multicast connects two namespaces: one with the bridge, one with the robot.
 """
 
 import json
@@ -24,7 +24,7 @@ pytest.importorskip("cyclonedds")
 pytestmark = pytest.mark.slow
 
 PRUNED_AFTER_S = 35
-"""Cyclone forgets after 30 s an address that has never answered, unless it is told not to."""
+"""By default Cyclone prunes an address that has never answered after 30 s."""
 
 
 def ip(*words: str) -> None:
@@ -80,7 +80,7 @@ def network() -> Iterator[Network]:
 
 
 class Node:
-    """A `network_node.py` in a namespace, and the lines that it has written."""
+    """A `network_node.py` in a namespace, and its output."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._lines: queue.Queue[str] = queue.Queue()
@@ -130,7 +130,7 @@ def node(namespace: str, role: str, **settings: Any) -> Iterator[Node]:
                 process.kill()
 
 
-def test_a_robot_that_multicast_does_not_reach_is_found_by_its_address(network: Network) -> None:
+def test_a_robot_out_of_multicast_range_is_found_by_its_address(network: Network) -> None:
     with (
         node(network.robot, "publish", interfaces=[network.robot_interface]),
         node(network.bridge, "subscribe", peers=[network.robot_address]) as bridge,
@@ -145,13 +145,13 @@ def test_a_robot_that_starts_long_after_the_bridge_is_found(network: Network) ->
             assert bridge.writes("from the robot", 60.0)
 
 
-def test_nodes_of_one_machine_find_each_other_without_any_setting(network: Network) -> None:
+def test_nodes_of_one_machine_find_each_other_by_default(network: Network) -> None:
     with node(network.bridge, "publish"), node(network.bridge, "subscribe") as bridge:
         assert bridge.writes("from the robot")
 
 
-def test_without_the_address_it_is_not_found(network: Network) -> None:
-    # Else the other tests would prove nothing.
+def test_a_robot_out_of_multicast_range_is_not_found_without_its_address(network: Network) -> None:
+    # Control: without it the other tests prove nothing.
     with (
         node(network.robot, "publish", interfaces=[network.robot_interface]),
         node(network.bridge, "subscribe") as bridge,

@@ -1,4 +1,4 @@
-"""What the port promises, as far as the rosbridge protocol carries it, between two clients of one server."""
+"""The port over the rosbridge protocol, between two clients of one server."""
 
 import asyncio
 import json
@@ -62,14 +62,16 @@ async def robot(server: RosbridgeServer) -> AsyncIterator[RosGraph]:
         yield opened
 
 
-async def test_a_message_comes_as_it_was_sent(graph: RosGraph, robot: RosGraph) -> None:
+async def test_a_message_is_received_unchanged(graph: RosGraph, robot: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
-    heard = await graph.subscribe("/joints", JOINTS, got.put_nowait)
-    said = await robot.publisher("/joints", JOINTS)
-    assert await heard.matched(10)
-    assert await said.matched(10)
+    subscription = await graph.subscribe("/joints", JOINTS, got.put_nowait)
+    publisher = await robot.publisher("/joints", JOINTS)
+    assert await subscription.matched(10)
+    assert await publisher.matched(10)
     stamp = {"sec": 12, "nanosec": 34}
-    said.publish({"header": {"stamp": stamp, "frame_id": "Grüße"}, "name": ["a", "b"], "position": [0.5, -1]})
+    publisher.publish(
+        {"header": {"stamp": stamp, "frame_id": "Grüße"}, "name": ["a", "b"], "position": [0.5, -1]}
+    )
     received = await asyncio.wait_for(got.get(), 10)
     assert received.value("header.stamp") == stamp
     assert received.value("header.frame_id") == "Grüße"
@@ -77,28 +79,28 @@ async def test_a_message_comes_as_it_was_sent(graph: RosGraph, robot: RosGraph) 
     assert isinstance(received.message["position"], np.ndarray)
     assert received.message["position"].tolist() == [0.5, -1.0]
     assert received.ours is None
-    assert (heard.received, heard.refused, said.published) == (1, 0, 1)
+    assert (subscription.received, subscription.refused, publisher.published) == (1, 0, 1)
 
 
-async def test_octets_come_as_octets(graph: RosGraph, robot: RosGraph) -> None:
+async def test_octets_are_received_unchanged(graph: RosGraph, robot: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
-    heard = await graph.subscribe("/image", "sensor_msgs/msg/Image", got.put_nowait)
-    said = await robot.publisher("/image", "sensor_msgs/msg/Image")
-    assert await heard.matched(10)
-    said.publish({"data": bytes(range(256))})
+    subscription = await graph.subscribe("/image", "sensor_msgs/msg/Image", got.put_nowait)
+    publisher = await robot.publisher("/image", "sensor_msgs/msg/Image")
+    assert await subscription.matched(10)
+    publisher.publish({"data": bytes(range(256))})
     assert (await asyncio.wait_for(got.get(), 10)).message["data"] == bytes(range(256))
 
 
-async def test_what_was_latched_is_given_to_who_comes_late(graph: RosGraph, robot: RosGraph) -> None:
-    said = await robot.publisher("/greeting", "std_msgs/msg/String", LATCHED)
-    said.publish({"data": "welcome"})
+async def test_a_late_subscriber_receives_the_latched_message(graph: RosGraph, robot: RosGraph) -> None:
+    publisher = await robot.publisher("/greeting", "std_msgs/msg/String", LATCHED)
+    publisher.publish({"data": "welcome"})
     await asyncio.sleep(0)
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/greeting", "std_msgs/msg/String", got.put_nowait, LATCHED)
     assert (await asyncio.wait_for(got.get(), 10)).message == {"data": "welcome"}
 
 
-async def test_services_answer_both_ways_and_say_why_not(graph: RosGraph, robot: RosGraph) -> None:
+async def test_services_answer_or_return_the_reason(graph: RosGraph, robot: RosGraph) -> None:
     async def set_to(request: dict[str, Any]) -> dict[str, Any]:
         if request["data"]:
             raise RuntimeError("it is stuck")
@@ -142,16 +144,18 @@ async def fibonacci(goal: ServedGoal) -> dict[str, Any]:
     return {"sequence": numbers}
 
 
-async def test_goals_run_end_abort_and_are_cancelled(graph: RosGraph, robot: RosGraph) -> None:
+async def test_goals_succeed_abort_and_are_cancelled(graph: RosGraph, robot: RosGraph) -> None:
     await robot.serve_action("/fibonacci", FIBONACCI, fibonacci)
     action = await graph.action_client("/fibonacci", FIBONACCI)
     assert await action.available(10)
-    told: list[list[int]] = []
-    goal = await action.send_goal({"order": 6}, on_feedback=lambda one: told.append(one["sequence"].tolist()))
+    feedback: list[list[int]] = []
+    goal = await action.send_goal(
+        {"order": 6}, on_feedback=lambda one: feedback.append(one["sequence"].tolist())
+    )
     ended = await goal.result(120)
     assert (ended.status, ended.result["sequence"].tolist()) == (GoalStatus.SUCCEEDED, [0, 1, 1, 2, 3, 5])
     assert goal.status is GoalStatus.SUCCEEDED
-    assert told[-1] == [0, 1, 1, 2, 3, 5]
+    assert feedback[-1] == [0, 1, 1, 2, 3, 5]
     aborted = await (await action.send_goal({"order": 40})).result(120)
     assert (aborted.status, aborted.result["sequence"].tolist()) == (GoalStatus.ABORTED, [0, 1, 1, 2, 3])
     long = await action.send_goal({"order": 80})
@@ -183,75 +187,75 @@ async def test_the_graph_is_read_through_rosapi(graph: RosGraph, robot: RosGraph
     assert not graph.problems()
 
 
-async def test_a_server_that_goes_is_missed_and_everything_is_there_again_when_it_comes_back(
+async def test_everything_is_restored_after_a_restart_of_the_server(
     server: RosbridgeServer, graph: RosGraph, robot: RosGraph
 ) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/word", "std_msgs/msg/String", got.put_nowait)
-    said = await robot.publisher("/word", "std_msgs/msg/String")
-    assert await said.matched(10)
+    publisher = await robot.publisher("/word", "std_msgs/msg/String")
+    assert await publisher.matched(10)
     waiting = asyncio.ensure_future(graph.call("/never", "std_srvs/srv/Trigger", {}, 20))
     await server.stop()
     with pytest.raises(ServiceUnavailable):
         await waiting
     await true(graph.problems)
-    assert "is away" in str(graph.problems()[0])
+    assert "is unavailable" in str(graph.problems()[0])
     await true(robot.problems)
-    with pytest.raises(PublishBlocked, match=r"/word: the rosbridge server at .* is away"):
-        said.publish({"data": "lost"})
+    with pytest.raises(PublishBlocked, match=r"/word: the rosbridge server at .* is unavailable"):
+        publisher.publish({"data": "lost"})
     await server.start()
     await true(lambda: not graph.problems() and not robot.problems())
 
-    async def hear() -> None:
+    async def publish_until_received() -> None:
         while got.empty():
-            said.publish({"data": "back"})
+            publisher.publish({"data": "back"})
             await asyncio.sleep(0.05)
 
-    await asyncio.wait_for(hear(), 15)
+    await asyncio.wait_for(publish_until_received(), 15)
     assert got.get_nowait().message == {"data": "back"}
 
 
-async def test_what_json_has_no_word_for_and_what_is_too_big_is_said(
-    server: RosbridgeServer, robot: RosGraph
-) -> None:
+async def test_nan_and_oversized_messages_are_refused(server: RosbridgeServer, robot: RosGraph) -> None:
     number = await robot.publisher("/number", "std_msgs/msg/Float64")
-    with pytest.raises(BadMessage, match="nan cannot be sent over rosbridge, for JSON has no such number"):
+    with pytest.raises(
+        BadMessage, match="nan cannot be sent over rosbridge, because JSON has no such number"
+    ):
         number.publish({"data": math.nan})
     image = await robot.publisher("/image", "sensor_msgs/msg/Image")
-    async with client(server, "narrow", most_bytes=500_000) as narrow:
+    async with client(server, "narrow", max_message_bytes=500_000) as narrow:
         got: list[Any] = []
-        heard = await narrow.subscribe("/image", "sensor_msgs/msg/Image", got.append)
-        assert await heard.matched(10)
+        subscription = await narrow.subscribe("/image", "sensor_msgs/msg/Image", got.append)
+        assert await subscription.matched(10)
         assert await image.matched(10)
-        image.publish({"data": bytes(6_000_000)})  # so much that not even its parts are kept
-        image.publish({"data": bytes(1_000_000)})  # which is known to be too big once it is there
+        image.publish({"data": bytes(6_000_000)})  # its fragments are discarded
+        image.publish({"data": bytes(1_000_000)})  # refused once it is complete
         image.publish({"data": bytes(1_000)})
         await true(lambda: got)
         assert [one.size_bytes < 2_000 for one in got] == [True]
-        assert heard.refused == 1
-        assert "500000 are allowed" in str(heard.last_error)
+        assert subscription.refused == 1
+        assert "500000 are allowed" in str(subscription.last_error)
         with pytest.raises(MessageTooBig, match="600044 bytes is too big"):
             (await narrow.publisher("/mine", "sensor_msgs/msg/Image")).publish({"data": bytes(600_000)})
 
 
-async def test_what_does_not_fit_is_refused_and_the_link_lives_on(
+async def test_invalid_messages_are_refused_and_the_connection_stays_open(
     server: RosbridgeServer, graph: RosGraph
 ) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
-    heard = await graph.subscribe("/number", "std_msgs/msg/Float64", got.put_nowait)
+    subscription = await graph.subscribe("/number", "std_msgs/msg/Float64", got.put_nowait)
     async with connect(server.url, proxy=None) as odd:
         for message in ({"data": "many"}, {"date": 1}, [1], None, {"data": None}, {"data": 7}):
             await odd.send(json.dumps({"op": "publish", "topic": "/number", "msg": message}))
         assert math.isnan((await asyncio.wait_for(got.get(), 10)).message["data"])
         assert (await asyncio.wait_for(got.get(), 10)).message == {"data": 7.0}
-    assert heard.refused == 4
+    assert subscription.refused == 4
 
 
-async def test_a_graph_of_ros_1_is_spoken_to_in_its_own_words() -> None:
+async def test_ros_1_formats_are_converted() -> None:
     async with running(ros1=True) as server, client(server, "tested") as graph:
         got: asyncio.Queue[Any] = asyncio.Queue()
         await graph.subscribe("/joints", JOINTS, got.put_nowait)
-        said = await graph.publisher("/joints", JOINTS)
+        publisher = await graph.publisher("/joints", JOINTS)
         async with connect(server.url, proxy=None) as robot:
             await robot.send(
                 json.dumps({"op": "subscribe", "topic": "/joints", "type": "sensor_msgs/JointState"})
@@ -264,14 +268,14 @@ async def test_a_graph_of_ros_1_is_spoken_to_in_its_own_words() -> None:
             assert received.value("header.stamp") == {"sec": 5, "nanosec": 6}
             assert received.message["position"].tolist() == [1.5]
             assert json.loads(await asyncio.wait_for(robot.recv(), 10))["msg"] == joints
-            said.publish(received.message)
+            publisher.publish(received.message)
             assert json.loads(await asyncio.wait_for(robot.recv(), 10))["msg"]["header"]["stamp"] == stamp
         await true(lambda: "/joints" in {one.name for one in graph.topics()})
         (topic,) = (one for one in graph.topics() if one.name == "/joints")
         assert topic.type_names == (JOINTS,)
 
 
-async def test_where_no_server_answers_it_is_said_how_to_start_one(free_port: Any) -> None:
+async def test_without_a_server_the_error_explains_how_to_start_one(free_port: Any) -> None:
     asked = JoinSettings(rosbridge_url=f"ws://127.0.0.1:{free_port()}")
     with pytest.raises(AdapterUnavailable, match=r"no rosbridge server answers at ws://.*; start it"):
         await join(TYPES, asked, Adapter.ROSBRIDGE)

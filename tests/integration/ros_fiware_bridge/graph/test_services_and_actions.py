@@ -1,4 +1,4 @@
-"""Services and actions, as every adapter of the port keeps them, between two processes."""
+"""Services and actions of every adapter of the port, between two processes."""
 
 import asyncio
 from typing import Any
@@ -31,7 +31,7 @@ async def test_a_service_answers(graph: RosGraph) -> None:
     assert answers == [[str(n)] * 3 for n in range(12)]
 
 
-async def test_a_service_that_does_not_answer_is_told_apart_from_one_that_is_not_there(
+async def test_a_timeout_and_a_missing_service_raise_different_errors(
     graph: RosGraph,
 ) -> None:
     with pytest.raises(ServiceUnavailable, match="nobody serves /subtract"):
@@ -44,14 +44,14 @@ async def test_a_service_that_does_not_answer_is_told_apart_from_one_that_is_not
     assert await repeated(graph, "a", 2) == ["a", "a"]
 
 
-async def test_a_request_that_does_not_fit_is_never_sent(graph: RosGraph) -> None:
+async def test_an_invalid_request_is_not_sent(graph: RosGraph) -> None:
     with pytest.raises(BadMessage, match=r"ListParameters_Request, depth: 1\.5 is not a whole number"):
         await graph.call("/repeat", REPEAT, {"depth": 1.5})
     with pytest.raises(BadMessage, match='no field "c"'):
         await graph.call("/repeat", REPEAT, {"c": 1})
 
 
-async def test_we_are_asked_and_answer(graph: RosGraph) -> None:
+async def test_our_services_answer_other_nodes(graph: RosGraph) -> None:
     async def answer(request: dict[str, Any]) -> dict[str, Any]:
         assert request == {}
         return {"success": True, "message": "here"}
@@ -62,9 +62,9 @@ async def test_we_are_asked_and_answer(graph: RosGraph) -> None:
     good = await graph.serve("/ours", "std_srvs/srv/Trigger", answer)
     bad = await graph.serve("/failing", "std_srvs/srv/Trigger", fail)
     got: asyncio.Queue[Any] = asyncio.Queue()
-    heard = await graph.subscribe("/asked", "std_msgs/msg/String", got.put_nowait)
+    subscription = await graph.subscribe("/asked", "std_msgs/msg/String", got.put_nowait)
     ask = await graph.publisher("/ask", "std_msgs/msg/String")
-    assert await heard.matched(10)
+    assert await subscription.matched(10)
     assert await ask.matched(10)
     ask.publish({"data": "/ours"})
     assert (await asyncio.wait_for(got.get(), 10)).message == {"data": "here"}
@@ -75,20 +75,20 @@ async def test_we_are_asked_and_answer(graph: RosGraph) -> None:
     assert bad.last_error == "RuntimeError: no"
 
 
-async def test_a_goal_runs_to_its_end_with_feedback(graph: RosGraph) -> None:
+async def test_a_goal_succeeds_with_feedback(graph: RosGraph) -> None:
     action = await graph.action_client("/fibonacci", FIBONACCI)
     assert await action.available(10)
-    told: list[list[int]] = []
+    feedback: list[list[int]] = []
     goal = await action.send_goal(
-        {"order": 6}, on_feedback=lambda one: told.append(one["sequence"].tolist()), timeout_s=120
+        {"order": 6}, on_feedback=lambda one: feedback.append(one["sequence"].tolist()), timeout_s=120
     )
     ended = await goal.result(120)
     assert ended.status is GoalStatus.SUCCEEDED
     assert ended.result["sequence"].tolist() == [0, 1, 1, 2, 3, 5]
     assert goal.status is GoalStatus.SUCCEEDED
     assert len(goal.goal_id) == 16
-    await true(lambda: told)
-    assert told == [[0, 1, 1, 2, 3, 5][: len(one)] for one in told]
+    await true(lambda: feedback)
+    assert feedback == [[0, 1, 1, 2, 3, 5][: len(one)] for one in feedback]
 
 
 async def test_a_goal_is_cancelled(graph: RosGraph) -> None:
@@ -103,7 +103,7 @@ async def test_a_goal_is_cancelled(graph: RosGraph) -> None:
     assert not await goal.cancel(10)
 
 
-async def test_a_goal_is_refused_aborted_and_its_fault_survived(graph: RosGraph) -> None:
+async def test_goals_are_refused_aborted_and_faults_are_survived(graph: RosGraph) -> None:
     action = await graph.action_client("/fibonacci", FIBONACCI)
     with pytest.raises(GoalRefused, match="/fibonacci: the server did not accept the goal"):
         await action.send_goal({"order": 5000}, timeout_s=120)
@@ -117,7 +117,7 @@ async def test_a_goal_is_refused_aborted_and_its_fault_survived(graph: RosGraph)
     ).status is GoalStatus.SUCCEEDED
 
 
-async def test_goals_of_others_are_served(joined: Joined, graph: RosGraph) -> None:
+async def test_our_actions_serve_other_nodes(joined: Joined, graph: RosGraph) -> None:
     async def work(goal: ServedGoal) -> dict[str, Any]:
         goal.feedback({"sequence": [1]})
         await goal.wait_cancel_requested()
@@ -126,8 +126,8 @@ async def test_goals_of_others_are_served(joined: Joined, graph: RosGraph) -> No
     served = await graph.serve_action("work", FIBONACCI, work)
     async with joined(node="other") as other:
         action = await other.action_client("/work", FIBONACCI)
-        told: list[Any] = []
-        goal = await action.send_goal({"order": 1}, on_feedback=told.append, timeout_s=120)
+        feedback: list[Any] = []
+        goal = await action.send_goal({"order": 1}, on_feedback=feedback.append, timeout_s=120)
         await true(lambda: goal.status is GoalStatus.EXECUTING)
         assert await goal.cancel(10)
         assert (await goal.result(120)).result["sequence"].tolist() == [1, 2]
@@ -135,7 +135,7 @@ async def test_goals_of_others_are_served(joined: Joined, graph: RosGraph) -> No
 
 
 @pytest.mark.slow
-async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
+async def test_a_killed_server_fails_the_goal_and_its_successor_is_found(
     joined: Joined, adapter: Adapter, domain_id: int
 ) -> None:
     elsewhere = domain_id + 1
@@ -146,7 +146,7 @@ async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
             waiting = asyncio.ensure_future(goal.result())
             await asyncio.sleep(0.2)
             peer.kill()
-            # DDS gives a program that says nothing ten seconds (ROS 2 Fast DDS: twenty).
+            # DDS detects a silent program after ten seconds (Fast DDS: twenty).
             with pytest.raises(ServiceUnavailable, match=r"the server of .* went away before"):
                 await asyncio.wait_for(waiting, 40)
         with running_peer(adapter, elsewhere):
@@ -155,9 +155,7 @@ async def test_a_server_that_is_killed_is_missed_and_its_successor_found(
 
 
 @pytest.mark.usefixtures("only_cyclone")
-async def test_a_goal_ends_when_another_server_has_taken_the_place_of_its_own(
-    graph: RosGraph, joined: Joined
-) -> None:
+async def test_a_goal_fails_when_another_server_replaces_its_own(graph: RosGraph, joined: Joined) -> None:
     async def work(_: ServedGoal) -> dict[str, Any]:
         await asyncio.Event().wait()
         return {}
@@ -172,7 +170,7 @@ async def test_a_goal_ends_when_another_server_has_taken_the_place_of_its_own(
             await true(
                 lambda: len(next(one for one in graph.actions() if one.name == "/replaced").servers) == 2
             )
-            # It goes as a process does that is killed: its goals are not ended.
+            # Leave like a killed process: goals are not ended.
             first._opened.clear()  # type: ignore[attr-defined]
             await first.close()
             with pytest.raises(ServiceUnavailable, match="went away before it answered"):

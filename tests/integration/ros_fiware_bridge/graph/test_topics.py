@@ -1,4 +1,4 @@
-"""Topics, as every adapter of the port keeps them, between two processes."""
+"""Topics of every adapter of the port, between two processes."""
 
 import asyncio
 import time
@@ -27,18 +27,18 @@ FIBONACCI = "test_msgs/action/Fibonacci"
 pytestmark = pytest.mark.usefixtures("peer")
 
 
-async def test_a_message_goes_out_and_comes_back_as_it_was(graph: RosGraph) -> None:
+async def test_a_message_is_echoed_unchanged(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
-    heard = await graph.subscribe("/echo", JOINTS, got.put_nowait)
-    said = await graph.publisher("/say", JOINTS)
-    assert await heard.matched(10)
-    assert await said.matched(10)
+    subscription = await graph.subscribe("/echo", JOINTS, got.put_nowait)
+    publisher = await graph.publisher("/say", JOINTS)
+    assert await subscription.matched(10)
+    assert await publisher.matched(10)
     message = {
         "header": {"stamp": {"sec": 12, "nanosec": 34}, "frame_id": "Grüße"},
         "name": ["shoulder", "elbow"],
         "position": [0.5, -1.5],
     }
-    said.publish(message)
+    publisher.publish(message)
     received = await asyncio.wait_for(got.get(), 10)
     assert received.topic == "/echo"
     assert received.type_name == JOINTS
@@ -53,10 +53,10 @@ async def test_a_message_goes_out_and_comes_back_as_it_was(graph: RosGraph) -> N
     assert received.sent_at_s is not None
     assert 0 <= received.received_at_s - received.sent_at_s < 10
     assert received.ours in (False, None)
-    assert (heard.received, heard.refused, said.published) == (1, 0, 1)
+    assert (subscription.received, subscription.refused, publisher.published) == (1, 0, 1)
 
 
-async def test_what_a_publisher_latched_is_given_to_who_comes_late(graph: RosGraph) -> None:
+async def test_a_late_subscriber_receives_the_latched_message(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/cell/greeting", "std_msgs/msg/String", got.put_nowait, LATCHED)
     received = await asyncio.wait_for(got.get(), 10)
@@ -66,7 +66,7 @@ async def test_what_a_publisher_latched_is_given_to_who_comes_late(graph: RosGra
 
 
 async def both_know(numbers: list[int], count: Publisher) -> None:
-    """Wait until the peer's publisher has met our subscription too: what it says before is not for us."""
+    """Wait until the publisher of the peer has matched our subscription too."""
     assert await count.matched(10)
     async with asyncio.timeout(120):
         while not numbers:
@@ -76,58 +76,58 @@ async def both_know(numbers: list[int], count: Publisher) -> None:
     numbers.clear()
 
 
-async def test_messages_come_in_order_and_none_is_lost(graph: RosGraph) -> None:
+async def test_messages_arrive_in_order_without_loss(graph: RosGraph) -> None:
     numbers: list[int] = []
     deep = Qos(history=History.KEEP_LAST, depth=1000)
-    heard = await graph.subscribe(
+    subscription = await graph.subscribe(
         "/numbered", "std_msgs/msg/UInt32", lambda got: numbers.append(got.message["data"]), deep
     )
     count = await graph.publisher("/count", "std_msgs/msg/UInt32")
     await both_know(numbers, count)
     count.publish({"data": 200})
     await true(lambda: numbers and numbers[-1] == 199)
-    # What was sent to find out that both know each other may still come before.
+    # Messages of `both_know` may still arrive before.
     assert numbers[-200:] == list(range(200))
-    assert heard.dropped == 0
+    assert subscription.dropped == 0
 
 
-async def test_who_is_too_slow_keeps_the_last_and_is_told_how_many_were_dropped(graph: RosGraph) -> None:
+async def test_a_slow_subscriber_keeps_the_last_messages_and_counts_the_dropped_ones(graph: RosGraph) -> None:
     numbers: list[int] = []
-    heard = await graph.subscribe(
+    subscription = await graph.subscribe(
         "/numbered", "std_msgs/msg/UInt32", lambda got: numbers.append(got.message["data"]), Qos(depth=5)
     )
     count = await graph.publisher("/count", "std_msgs/msg/UInt32")
     await both_know(numbers, count)
-    before = heard.received
+    before = subscription.received
     count.publish({"data": 100})
-    # The loop is busy while they come, as a bridge is that waits for a slow disk.
+    # The loop is blocked while the messages arrive.
     for _ in range(200):
-        if heard.received - before >= 100:
+        if subscription.received - before >= 100:
             break
         time.sleep(0.02)
     numbers.clear()
     await true(lambda: numbers and numbers[-1] == 99)
     assert numbers == [95, 96, 97, 98, 99]
-    assert heard.dropped == 95
+    assert subscription.dropped == 95
 
 
-async def test_best_effort_is_heard_by_best_effort(graph: RosGraph) -> None:
+async def test_best_effort_messages_are_received(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("/noise", "std_msgs/msg/Float32", got.put_nowait, SENSOR_DATA)
     assert (await asyncio.wait_for(got.get(), 10)).message == {"data": 0.5}
 
 
-async def test_quality_of_service_that_does_not_meet_is_named_with_both_sides(graph: RosGraph) -> None:
+async def test_incompatible_qos_is_reported_with_both_sides(graph: RosGraph) -> None:
     got: list[Any] = []
     await graph.subscribe("/noise", "std_msgs/msg/Float32", got.append)
-    # Which node a publisher belongs to is told a moment after the publisher.
+    # The node of a publisher is discovered after the publisher.
     says = "/noise: /cell/peer publishes it with best_effort, volatile, we have reliable, volatile"
     await true(lambda: any(says in str(one) for one in graph.problems()))
     assert [type(one) for one in graph.problems()] == [IncompatibleQos]
     assert not got
 
 
-async def test_the_graph_is_read_with_types_qos_hashes_and_nodes(graph: RosGraph, store: TypeStore) -> None:
+async def test_the_graph_lists_types_qos_hashes_and_nodes(graph: RosGraph, store: TypeStore) -> None:
     await graph.publisher("~/mine", "std_msgs/msg/String")
     await true(lambda: {"/cell/peer", "/tested"} <= {one.full_name for one in graph.nodes()})
     await true(lambda: {"/echo", "/noise", "/tested/mine"} <= {one.name for one in graph.topics()})
@@ -150,7 +150,7 @@ async def test_the_graph_is_read_with_types_qos_hashes_and_nodes(graph: RosGraph
     assert action.type_names == (FIBONACCI,)
 
 
-async def test_what_we_say_ourselves_is_heard_and_known_as_ours(graph: RosGraph) -> None:
+async def test_our_own_messages_are_received_and_marked_as_ours(graph: RosGraph) -> None:
     got: asyncio.Queue[Any] = asyncio.Queue()
     await graph.subscribe("mine", "std_msgs/msg/String", got.put_nowait, LATCHED)
     publisher = await graph.publisher("/mine", "std_msgs/msg/String", LATCHED)
@@ -161,7 +161,9 @@ async def test_what_we_say_ourselves_is_heard_and_known_as_ours(graph: RosGraph)
 
 
 @pytest.mark.usefixtures("only_cyclone")
-async def test_an_own_type_is_carried(joined: Joined, adapter: Any, domain_id: int, tmp_path: Path) -> None:
+async def test_a_custom_type_is_supported(
+    joined: Joined, adapter: Any, domain_id: int, tmp_path: Path
+) -> None:
     folder = part(tmp_path, "string<=8 name\nuint32 count\nfloat64[3] size_m\n")
     with running_peer(adapter, domain_id, folder):
         async with joined(store=TypeStore([folder])) as graph:

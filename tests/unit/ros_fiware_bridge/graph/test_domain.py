@@ -9,7 +9,7 @@ from ros_fiware_bridge.types.type_store import TypeStore
 pytest.importorskip("cyclonedds")
 
 
-def test_without_a_word_both_the_network_and_this_machine_are_reached() -> None:
+def test_by_default_the_network_and_loopback_are_used() -> None:
     first, without_network = DomainSettings().configurations()
     assert 'autodetermine="true"/>' in first
     assert 'address="127.0.0.1" priority="0" multicast="false"/>' in first
@@ -18,7 +18,7 @@ def test_without_a_word_both_the_network_and_this_machine_are_reached() -> None:
         assert '<Peer Address="127.0.0.1"/>' in one
 
 
-def test_interfaces_and_peers_are_taken_and_cannot_break_out_of_their_place() -> None:
+def test_interfaces_and_peers_are_quoted() -> None:
     settings = DomainSettings(
         interfaces=("eth1", "10.0.0.7", "lo"), peers=('192.168.0.9"/><x',), multicast=False
     )
@@ -29,26 +29,26 @@ def test_interfaces_and_peers_are_taken_and_cannot_break_out_of_their_place() ->
 
 
 @pytest.mark.parametrize("number", [-1, 233])
-def test_a_domain_that_does_not_exist_is_named(number: int) -> None:
-    with pytest.raises(AdapterUnavailable, match="a number from 0 to 232"):
+def test_a_domain_id_out_of_range_is_refused(number: int) -> None:
+    with pytest.raises(AdapterUnavailable, match="use a number from 0 to 232"):
         domain.enter(DomainSettings(number))
 
 
-def test_an_interface_that_is_not_there_is_named() -> None:
+def test_a_missing_interface_is_named() -> None:
     with pytest.raises(
         AdapterUnavailable, match="cannot be opened on eth99; check the names of the interfaces"
     ):
         domain.enter(DomainSettings(97, ("eth99",)))
 
 
-async def test_a_node_that_cannot_be_called_so_does_not_join() -> None:
+async def test_an_invalid_node_name_is_refused() -> None:
     with pytest.raises(BadName):
         await join(TypeStore(), JoinSettings(node="the bridge"))
     with pytest.raises(BadName):
         await join(TypeStore(), JoinSettings(namespace="cell"))
 
 
-async def test_two_graphs_share_a_domain_in_one_process_if_they_agree_on_the_network() -> None:
+async def test_graphs_with_equal_network_settings_share_a_domain() -> None:
     settings = JoinSettings(domain_id=99, interfaces=("127.0.0.1",))
     one = await join(TypeStore(), settings)
     other = await join(TypeStore(), settings)

@@ -4,7 +4,7 @@ from ros_fiware_bridge.errors import UnknownQos
 from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Durability, Qos, Reliability
 
 
-def test_profiles_are_named_as_in_ros() -> None:
+def test_profiles_have_the_names_of_ros() -> None:
     assert Qos.named("default") == Qos()
     assert Qos.named("sensor_data") == SENSOR_DATA
     assert str(SENSOR_DATA) == "best_effort, volatile, keep_last 5"
@@ -13,19 +13,21 @@ def test_profiles_are_named_as_in_ros() -> None:
         Qos.named("fast")
 
 
-def test_a_depth_of_nothing_is_refused() -> None:
+def test_a_depth_of_zero_is_refused() -> None:
     with pytest.raises(UnknownQos, match="a depth of 0 keeps nothing"):
         Qos(depth=0)
 
 
 @pytest.mark.parametrize("reliability", Reliability)
 @pytest.mark.parametrize("durability", Durability)
-def test_a_reader_that_wants_least_is_served_by_all(reliability: Reliability, durability: Durability) -> None:
+def test_the_least_demanding_reader_matches_every_writer(
+    reliability: Reliability, durability: Durability
+) -> None:
     assert Qos(Reliability.BEST_EFFORT).unmet(Qos(reliability, durability)) is None
     assert Qos(reliability, durability).unmet(LATCHED) is None
 
 
-def test_what_is_wanted_and_not_offered_is_said() -> None:
+def test_the_reasons_of_a_mismatch_are_listed() -> None:
     assert Qos().unmet(SENSOR_DATA) == "the reader wants reliable, the writer offers best_effort"
     assert LATCHED.unmet(SENSOR_DATA) == (
         "the reader wants reliable, the writer offers best_effort and "

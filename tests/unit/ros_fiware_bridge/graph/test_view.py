@@ -1,6 +1,6 @@
 from ros_fiware_bridge.errors import IncompatibleQos, TypeHashDiffers, VendorNotShared
 from ros_fiware_bridge.graph.cyclone import view
-from ros_fiware_bridge.graph.cyclone.discovery import Known, Picture
+from ros_fiware_bridge.graph.cyclone.discovery import DiscoveredEndpoint, GraphSnapshot
 from ros_fiware_bridge.graph.qos import SENSOR_DATA, Qos
 
 OURS = bytes.fromhex("0110") + bytes(14)
@@ -17,8 +17,8 @@ def end(
     writes: bool,
     qos: Qos = SENSOR_DATA,
     type_hash: str = "RIHS01_1",
-) -> Known:
-    return Known(
+) -> DiscoveredEndpoint:
+    return DiscoveredEndpoint(
         0,
         participant[:4] + topic.encode(),
         participant,
@@ -30,9 +30,9 @@ def end(
     )
 
 
-def test_services_that_fast_dds_carries_are_named_whoever_calls() -> None:
+def test_services_on_fast_dds_are_reported_as_problems() -> None:
     add = "example_interfaces::srv::dds_::AddTwoInts_Request_"
-    picture = Picture(
+    snapshot = GraphSnapshot(
         OURS,
         (
             end(OURS, "rq/addRequest", add, writes=False),
@@ -40,62 +40,64 @@ def test_services_that_fast_dds_carries_are_named_whoever_calls() -> None:
             end(CYCLONE, "rq/addRequest", add, writes=True),
         ),
     )
-    (problem,) = view.problems(picture)
+    (problem,) = view.problems(snapshot)
     assert isinstance(problem, VendorNotShared)
     assert str(problem).startswith("/add: a node calls it with fastdds, whose services cannot be reached")
-    (service,) = view.services(picture)
+    (service,) = view.services(snapshot)
     assert service.type_names == ("example_interfaces/srv/AddTwoInts",)
     assert service.servers == (None,)
     assert service.clients == (None, None)
 
 
-def test_topics_pass_between_vendors() -> None:
-    picture = Picture(OURS, (end(OURS, "rt/a", writes=False), end(FAST, "rt/a", writes=True)))
-    assert view.problems(picture) == []
-    (topic,) = view.topics(picture)
+def test_topics_of_different_vendors_are_compatible() -> None:
+    snapshot = GraphSnapshot(OURS, (end(OURS, "rt/a", writes=False), end(FAST, "rt/a", writes=True)))
+    assert view.problems(snapshot) == []
+    (topic,) = view.topics(snapshot)
     assert topic.publishers[0].vendor == "fastdds"
     assert topic.subscribers[0].ours
 
 
-def test_peers_among_themselves_are_no_problem_of_ours() -> None:
-    picture = Picture(OURS, (end(CYCLONE, "rt/a", writes=False, qos=Qos()), end(FAST, "rt/a", writes=True)))
-    assert view.problems(picture) == []
+def test_mismatches_between_peers_are_ignored() -> None:
+    snapshot = GraphSnapshot(
+        OURS, (end(CYCLONE, "rt/a", writes=False, qos=Qos()), end(FAST, "rt/a", writes=True))
+    )
+    assert view.problems(snapshot) == []
 
 
-def test_quality_hash_and_type_are_compared_in_both_directions() -> None:
+def test_qos_hash_and_type_are_compared() -> None:
     ours = end(OURS, "rt/a", writes=True)
     for theirs, kind, says in (
-        (end(FAST, "rt/a", writes=False, qos=Qos()), IncompatibleQos, "listens to it with reliable"),
+        (end(FAST, "rt/a", writes=False, qos=Qos()), IncompatibleQos, "subscribes to it with reliable"),
         (end(FAST, "rt/a", writes=False, type_hash="RIHS01_2"), TypeHashDiffers, "its hash is RIHS01_2"),
         (
             end(FAST, "rt/a", "std_msgs::msg::dds_::Bool_", writes=False),
             TypeHashDiffers,
-            "listens to std_msgs/msg/Bool, we use std_msgs/msg/String",
+            "subscribes to std_msgs/msg/Bool, we use std_msgs/msg/String",
         ),
     ):
-        (problem,) = view.problems(Picture(OURS, (ours, theirs)))
+        (problem,) = view.problems(GraphSnapshot(OURS, (ours, theirs)))
         assert isinstance(problem, kind)
         assert says in str(problem)
 
 
-def test_a_topic_with_two_types_shows_both() -> None:
-    picture = Picture(
+def test_a_topic_with_two_types_lists_both() -> None:
+    snapshot = GraphSnapshot(
         OURS,
         (end(FAST, "rt/a", writes=True), end(CYCLONE, "rt/a", "std_msgs::msg::dds_::Bool_", writes=True)),
     )
-    assert view.topics(picture)[0].type_names == ("std_msgs/msg/Bool", "std_msgs/msg/String")
+    assert view.topics(snapshot)[0].type_names == ("std_msgs/msg/Bool", "std_msgs/msg/String")
 
 
-def test_actions_are_shown_as_one_thing() -> None:
+def test_the_topics_and_services_of_an_action_are_hidden() -> None:
     goal = "example_interfaces::action::dds_::Fibonacci_SendGoal_Request_"
-    picture = Picture(
+    snapshot = GraphSnapshot(
         OURS,
         (
             end(CYCLONE, "rq/arm/_action/send_goalRequest", goal, writes=False),
             end(CYCLONE, "rt/arm/_action/feedback", writes=True),
         ),
     )
-    (action,) = view.actions(picture)
+    (action,) = view.actions(snapshot)
     assert (action.name, action.type_names) == ("/arm", ("example_interfaces/action/Fibonacci",))
-    assert view.services(picture) == []
-    assert view.topics(picture) == []
+    assert view.services(snapshot) == []
+    assert view.topics(snapshot) == []

@@ -1,14 +1,14 @@
 import pytest
 
 from ros_fiware_bridge.mapping import names, parse
-from ros_fiware_bridge.mapping.document import WrongMapping
+from ros_fiware_bridge.mapping.document import InvalidMapping
 from ros_fiware_bridge.rules import plan
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-def test_a_place_stands_for_one_part_of_a_topic() -> None:
+def test_a_placeholder_matches_one_part_of_a_topic() -> None:
     assert names.topic_pattern("{robot}/odom") == "/{robot}/odom"
-    assert names.places("/{site}/{robot}/odom") == ("site", "robot")
+    assert names.placeholders("/{site}/{robot}/odom") == ("site", "robot")
     found = names.matcher("/{robot}/odom").fullmatch("/amr_1/odom")
     assert found is not None
     assert found.groupdict() == {"robot": "amr_1"}
@@ -19,12 +19,12 @@ def test_a_place_stands_for_one_part_of_a_topic() -> None:
 @pytest.mark.parametrize(
     "wrong", ["/{Robot}/odom", "/{robot/odom", "/{}/odom", "/{robot}//odom", "/{a}/{a}/x"]
 )
-def test_a_pattern_that_is_none_is_refused(wrong: str) -> None:
-    with pytest.raises(ValueError, match=r"topic|place"):
+def test_an_invalid_topic_pattern_is_refused(wrong: str) -> None:
+    with pytest.raises(ValueError, match=r"topic|placeholder"):
         names.topic_pattern(wrong)
 
 
-def test_a_rule_for_many_topics_says_its_type() -> None:
+def test_a_topic_pattern_needs_a_type() -> None:
     text = "ros_to_ngsild: {odom: {topic: '/{robot}/odom', entity: 'Device:{robot}', attributes: {x: pose}}}"
-    with pytest.raises(WrongMapping, match="has places, so say which type it has"):
+    with pytest.raises(InvalidMapping, match="has placeholders; set its type as well"):
         plan.make(parse(text), TypeStore(), "demo")

@@ -1,4 +1,4 @@
-"""Paths: read as they are written, and followed without surprise."""
+"""Paths: parsing and reading."""
 
 import contextlib
 from typing import Any
@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ros_fiware_bridge.mapping import paths
-from ros_fiware_bridge.mapping.paths import Each, Field, Index, NotThere, Path, Where, WrongPath
+from ros_fiware_bridge.mapping.paths import Each, Field, Index, InvalidPath, MissingValue, Path, Where
 
 JOINTS = {
     "header": {"stamp": {"sec": 5, "nanosec": 0}, "frame_id": "base"},
@@ -27,16 +27,16 @@ groups = st.tuples(st.builds(Field, names), st.lists(steps, max_size=2))
 
 
 @given(st.lists(groups, min_size=1, max_size=5), st.booleans())
-def test_a_path_reads_back_as_it_was_written(parts: list[tuple[Field, list[Any]]], over: bool) -> None:
+def test_a_path_round_trips(parts: list[tuple[Field, list[Any]]], over: bool) -> None:
     made: list[Any] = [step for field, more in parts for step in (field, *more)]
     path = Path((*made, Each()) if over else tuple(made))
     assert paths.parse(str(path)) == path
 
 
 @given(st.text(max_size=30))
-def test_whatever_is_written_is_a_path_or_refused_with_the_reason(text: str) -> None:
+def test_any_text_is_a_path_or_refused(text: str) -> None:
     read: str | None = None
-    with contextlib.suppress(WrongPath):
+    with contextlib.suppress(InvalidPath):
         read = str(paths.parse(text))
     assert read in {None, text}
 
@@ -51,7 +51,7 @@ def test_whatever_is_written_is_a_path_or_refused_with_the_reason(text: str) -> 
         (".", TREE, TREE),
     ],
 )
-def test_a_path_leads_to_its_value(path: str, message: Any, value: Any) -> None:
+def test_a_path_reads_its_value(path: str, message: Any, value: Any) -> None:
     assert paths.getter(paths.parse(path))(message) == value
 
 
@@ -60,26 +60,26 @@ def test_a_path_leads_to_its_value(path: str, message: Any, value: Any) -> None:
     [
         ("header.seq", JOINTS, "no header.seq"),
         ("header.stamp.sec.x", JOINTS, "no header.stamp.sec.x"),
-        ("position[2]", JOINTS, r"no position\[2\]: it holds 2"),
-        ("position[name=shoulder]", JOINTS, "nothing there has name shoulder"),
-        ("transforms[child=no].z", TREE, "nothing there has child no"),
+        ("position[2]", JOINTS, r"no position\[2\]: its length is 2"),
+        ("position[name=shoulder]", JOINTS, "no element has name shoulder"),
+        ("transforms[child=no].z", TREE, "no element has child no"),
         ("header[0]", JOINTS, r"no header\[0\]"),
     ],
 )
-def test_what_is_not_there_is_named(path: str, message: Any, why: str) -> None:
-    with pytest.raises(NotThere, match=why):
+def test_a_missing_value_is_named(path: str, message: Any, why: str) -> None:
+    with pytest.raises(MissingValue, match=why):
         paths.getter(paths.parse(path))(message)
 
 
 @pytest.mark.parametrize(
     "text", ["", "a..b", "a.", ".a", "a[-1]", "[0]", "a[]b", "a[][]", "9a", "a b", "a" * 201]
 )
-def test_what_is_no_path_is_refused(text: str) -> None:
-    with pytest.raises(WrongPath):
+def test_an_invalid_path_is_refused(text: str) -> None:
+    with pytest.raises(InvalidPath):
         paths.parse(text)
 
 
-def test_a_path_over_each_element_is_split_there() -> None:
+def test_a_path_with_each_is_split_at_its_element() -> None:
     split = paths.parse("status[].values[key=temp].value").split()
     assert split is not None
     assert list(map(str, split)) == ["status", "values[key=temp].value"]

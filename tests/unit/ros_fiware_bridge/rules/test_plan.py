@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ros_fiware_bridge.mapping import WrongMapping, parse
+from ros_fiware_bridge.mapping import InvalidMapping, parse
 from ros_fiware_bridge.rules import plan
 from ros_fiware_bridge.types.type_store import TypeStore
 
@@ -44,8 +44,8 @@ OUTWARD_MISTAKES = [
     ("geometry_msgs/PoseWithCovariance", "covariance[36]", 7, "holds 36 at most"),
     ("sensor_msgs/JointState", "position[].x", 7, "the rule has no `each: position`"),
     ("sensor_msgs/Image", "data", 7, "large_arrays: true"),
-    ("sensor_msgs/Image", ".", 7, "bytes without a limit"),
-    ("sensor_msgs/PointCloud2", "{field: ., kind: JsonProperty}", 7, "bytes without a limit"),
+    ("sensor_msgs/Image", ".", 7, "bytes without a bound"),
+    ("sensor_msgs/PointCloud2", "{field: ., kind: JsonProperty}", 7, "bytes without a bound"),
     ("sensor_msgs/BatteryState", "{field: voltage, convert: V -> m}", 7, "cannot be converted"),
     ("sensor_msgs/BatteryState", "{field: voltage, convert: V -> vlot}", 7, "pint does not know"),
     ("sensor_msgs/BatteryState", "{field: location, convert: V -> mV}", 7, "only numbers are converted"),
@@ -57,47 +57,49 @@ OUTWARD_MISTAKES = [
 
 
 @pytest.mark.parametrize(("topic_type", "attribute", "line", "why"), OUTWARD_MISTAKES)
-def test_what_cannot_be_taken_from_a_message_is_told_with_its_line(
+def test_an_invalid_source_in_a_message_is_reported_with_its_line(
     topic_type: str, attribute: str, line: int, why: str
 ) -> None:
-    with pytest.raises(WrongMapping, match=re.escape(why)) as told:
+    with pytest.raises(InvalidMapping, match=re.escape(why)) as caught:
         planned(outward(topic_type, attribute))
-    assert [fault.line for fault in told.value.faults] == [line]
+    assert [fault.line for fault in caught.value.faults] == [line]
 
 
 INWARD_MISTAKES = [
     ("std_msgs/String", "data", "{constant: 5}", "5 is not text"),
     ("std_msgs/Int8", "data", "{attribute: c, values: {on: 300}}", "300 does not fit int8"),
     ("std_msgs/Int8", "data", "{text: 'x {c}'}", "text goes into a string"),
-    ("std_msgs/Int8", "dota", "c", 'did you mean "data"?'),
+    ("std_msgs/Int8", "date", "c", 'did you mean "data"?'),
     ("std_msgs/Header", "frame_id", "{now: true}", "not a time"),
     ("geometry_msgs/PoseWithCovariance", "covariance[36]", "c", "holds 36 at most"),
     ("sensor_msgs/JointState", "position[name=a]", "c", "use a number"),
-    ("std_msgs/String", "data", "{constant: x}", "nothing to listen to"),
+    ("std_msgs/String", "data", "{constant: x}", "no attribute to subscribe to"),
 ]
 
 
 @pytest.mark.parametrize(("topic_type", "field", "source", "why"), INWARD_MISTAKES)
-def test_what_cannot_go_into_a_message_is_told(topic_type: str, field: str, source: str, why: str) -> None:
-    with pytest.raises(WrongMapping, match=re.escape(why)) as told:
+def test_an_invalid_target_in_a_message_is_reported(
+    topic_type: str, field: str, source: str, why: str
+) -> None:
+    with pytest.raises(InvalidMapping, match=re.escape(why)) as caught:
         planned(inward(topic_type, field, source))
-    assert told.value.faults[0].line >= 2
+    assert caught.value.faults[0].line >= 2
 
 
-def test_mistakes_of_all_rules_are_told_at_once() -> None:
+def test_the_errors_of_all_rules_are_reported_together() -> None:
     text = outward("std_msgs/String", "dat") + inward("std_msgs/String", "dot", "c").replace("rule", "other")
-    with pytest.raises(WrongMapping) as told:
+    with pytest.raises(InvalidMapping) as caught:
         planned(text)
-    assert [fault.line for fault in told.value.faults] == [7, 14]
+    assert [fault.line for fault in caught.value.faults] == [7, 14]
 
 
-def test_the_type_may_come_from_the_graph() -> None:
+def test_the_graph_may_supply_the_type() -> None:
     text = outward("X", "data").replace("    type: X\n", "")
-    assert planned(text).outward[0].outward is None
-    found = planned(text, t=("std_msgs/msg/String",)).outward[0].outward
+    assert planned(text).ros_to_ngsild[0].extractor is None
+    found = planned(text, t=("std_msgs/msg/String",)).ros_to_ngsild[0].extractor
     assert found is not None
     assert found.type_name == "std_msgs/msg/String"
-    with pytest.raises(WrongMapping, match="say which"):
+    with pytest.raises(InvalidMapping, match="set one of them"):
         planned(text, t=("std_msgs/msg/String", "std_msgs/msg/Bool"))
 
 
@@ -126,28 +128,28 @@ tasks_from_ros:
     task: {definition: confirm, resources: [Person:anna]}
     response: {message: result}
 """
-    with pytest.raises(WrongMapping) as told:
+    with pytest.raises(InvalidMapping) as caught:
         planned(text)
-    whys = {fault.line: fault.why for fault in told.value.faults}
+    whys = {fault.line: fault.why for fault in caught.value.faults}
     assert 'did you mean "data"?' in whys[8]
     assert 'did you mean "message"?' in whys[9]
     assert "not a whole number" in whys[16]
     assert 'no field "percent"' in whys[17]
-    assert 'there is no "result" to answer' in whys[23]
-    assert any("is done by the rule" in why for why in whys.values())
+    assert 'a response has no "result"' in whys[23]
+    assert any("is already mapped by the rule" in why for why in whys.values())
 
 
-def test_types_of_ones_own_are_found_from_where_the_mapping_lies(tmp_path: Path) -> None:
+def test_type_paths_are_relative_to_the_mapping_file(tmp_path: Path) -> None:
     folder = tmp_path / "msgs" / "cell_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Grip.msg").write_text("float32 force\nbool[<=2] fingers\n")
     text = "type_paths: [./msgs]\n" + outward("cell_msgs/Grip", "{field: force, unit_code: NEW}")
     document = parse(text, "cell.yaml", tmp_path)
-    made = plan.make(document, plan.type_store(document), "demo").outward[0].outward
+    made = plan.make(document, plan.type_store(document), "demo").ros_to_ngsild[0].extractor
     assert made is not None
-    assert made.harvest({"force": 2.5, "fingers": [True]}, 0.0).updates[0].values == {"a": 2.5}
+    assert made.extract({"force": 2.5, "fingers": [True]}, 0.0).entities[0].values == {"a": 2.5}
     missing = parse("\ntype_paths: [./nowhere]\n", "cell.yaml", tmp_path)
-    with pytest.raises(WrongMapping, match=r"cell\.yaml:2: type_paths: .*nowhere"):
+    with pytest.raises(InvalidMapping, match=r"cell\.yaml:2: type_paths: .*nowhere"):
         plan.type_store(missing)
 
 
@@ -161,19 +163,19 @@ options = st.sampled_from(["", ", convert: m -> km", ", kind: GeoProperty", ", r
 
 
 @given(st.sampled_from(MESSAGES), paths, options)
-def test_any_path_into_any_message_works_or_is_refused_with_a_line(
+def test_any_path_into_any_message_compiles_or_is_refused_with_its_line(
     type_name: str, path: str, option: str
 ) -> None:
     text = outward(type_name, f"{{field: '{path}'{option}}}")
     lines: list[int] = []
     try:
-        made = planned(text).outward[0].outward
-    except WrongMapping as wrong:
+        made = planned(text).ros_to_ngsild[0].extractor
+    except InvalidMapping as wrong:
         lines = [fault.line for fault in wrong.faults]
     else:
         assert made is not None
-        harvest = made.harvest(TYPES.default(type_name), 1_770_000_000.0)
-        assert harvest.updates or harvest.faults
+        extraction = made.extract(TYPES.default(type_name), 1_770_000_000.0)
+        assert extraction.entities or extraction.errors
         excerpt = TYPES.excerpt(type_name, TYPES.encode(type_name, {}), made.fields)
-        assert made.harvest(excerpt, 1_770_000_000.0) == harvest
+        assert made.extract(excerpt, 1_770_000_000.0) == extraction
     assert all(line == 7 for line in lines)

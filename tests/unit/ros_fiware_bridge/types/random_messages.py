@@ -1,4 +1,4 @@
-"""Random messages of any type, and what they look like once they are read."""
+"""Random messages of any type, and their decoded form."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from ros_fiware_bridge.types.type_store import TypeStore
 
 
 def one(store: TypeStore, kind: FieldType) -> st.SearchStrategy[Any]:
-    """Return what makes random values of `kind`."""
+    """Return a strategy for values of `kind`."""
     if kind.is_message:
         return message_of(store, kind.base)
     if kind.base == "string":
@@ -24,7 +24,7 @@ def one(store: TypeStore, kind: FieldType) -> st.SearchStrategy[Any]:
 
 
 def message_of(store: TypeStore, type_name: str) -> st.SearchStrategy[dict[str, Any]]:
-    """Return what makes random messages of a type that `store` knows."""
+    """Return a strategy for messages of a type that `store` knows."""
     parts = {}
     for field in store.definition(type_name).fields:
         kind = field.type
@@ -40,7 +40,7 @@ def message_of(store: TypeStore, type_name: str) -> st.SearchStrategy[dict[str, 
 
 
 def listed(value: Any) -> Any:
-    """Return a message as it is given, with lists for its arrays."""
+    """Return a message with lists instead of arrays."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, list):

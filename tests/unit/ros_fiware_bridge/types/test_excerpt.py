@@ -68,49 +68,49 @@ def library(store: TypeStore) -> Any:
     return known
 
 
-def ways(store: TypeStore, type_name: str, above: FieldNames = ()) -> Iterator[FieldNames]:
-    """Yield the ways to all fields, those inside of fields too."""
+def field_paths(store: TypeStore, type_name: str, above: FieldNames = ()) -> Iterator[FieldNames]:
+    """Yield the paths to all fields, also to nested ones."""
     yield above
     for field in store.definition(type_name).fields:
         way = (*above, field.name)
         if field.type.is_message and field.type.many is Many.ONE:
-            yield from ways(store, field.type.base, way)
+            yield from field_paths(store, field.type.base, way)
         else:
             yield way
 
 
-def without_the_rest(message: Any, asked: Any) -> Any:
+def selected(message: Any, asked: Any) -> Any:
     if not asked:
         return message
-    return {name: without_the_rest(message[name], below) for name, below in asked.items()}
+    return {name: selected(message[name], below) for name, below in asked.items()}
 
 
-def turned(library: Any, data: bytes, type_name: str) -> bytes:
-    """Return a message with the bytes of its numbers the other way round."""
+def big_endian(library: Any, data: bytes, type_name: str) -> bytes:
+    """Return a message in big-endian byte order."""
     read = library.deserialize_cdr(data, type_name)
     return bytes(library.serialize_cdr(read, type_name, little_endian=False))
 
 
 @given(st.data())
 @settings(max_examples=400, deadline=None)
-def test_an_excerpt_has_what_the_whole_message_has(
+def test_an_excerpt_equals_the_selected_fields_of_the_message(
     store: TypeStore, library: Any, data: st.DataObject
 ) -> None:
     name = data.draw(st.sampled_from(TYPES))
-    asked = data.draw(st.frozensets(st.sampled_from(list(ways(store, name))), min_size=1))
+    asked = data.draw(st.frozensets(st.sampled_from(list(field_paths(store, name))), min_size=1))
     for _ in range(2):
         message = store.encode(name, data.draw(message_of(store, name)))
         if data.draw(st.booleans()) and name in library.fielddefs:
-            message = turned(library, message, name)
+            message = big_endian(library, message, name)
         found = store.excerpt(name, message, asked)
-        assert listed(found) == listed(without_the_rest(store.decode(name, message), wanted(asked)))
+        assert listed(found) == listed(selected(store.decode(name, message), wanted(asked)))
 
 
 @given(st.data())
 @settings(max_examples=200, deadline=None)
-def test_a_message_cut_short_is_refused_whatever_is_asked_for(store: TypeStore, data: st.DataObject) -> None:
+def test_a_truncated_message_is_refused_for_any_selection(store: TypeStore, data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(TYPES))
-    asked = data.draw(st.frozensets(st.sampled_from(list(ways(store, name))), min_size=1))
+    asked = data.draw(st.frozensets(st.sampled_from(list(field_paths(store, name))), min_size=1))
     message = store.encode(name, data.draw(message_of(store, name)))
     cut = message[: data.draw(st.integers(0, len(message)))]
     try:
@@ -124,11 +124,11 @@ def test_a_message_cut_short_is_refused_whatever_is_asked_for(store: TypeStore, 
 
 @given(st.data(), st.binary(max_size=200), st.sampled_from([b"\0\0\0\0", b"\0\1\0\0"]))
 @settings(max_examples=300, deadline=None)
-def test_no_bytes_do_more_than_be_refused(
+def test_random_bytes_are_decoded_or_refused(
     store: TypeStore, data: st.DataObject, body: bytes, header: bytes
 ) -> None:
     name = data.draw(st.sampled_from(TYPES))
-    asked = data.draw(st.frozensets(st.sampled_from(list(ways(store, name))), min_size=1))
+    asked = data.draw(st.frozensets(st.sampled_from(list(field_paths(store, name))), min_size=1))
     try:
         store.excerpt(name, header + body, asked)
     except BadMessage:
@@ -136,29 +136,29 @@ def test_no_bytes_do_more_than_be_refused(
             store.decode(name, header + body)
 
 
-def test_what_is_known_of_the_message_before_is_only_used_for_the_same_bytes(store: TypeStore) -> None:
+def test_the_cache_of_the_last_message_applies_to_equal_bytes_only(store: TypeStore) -> None:
     names = frozenset({("name",), ("position",)})
     for joints in (["a", "b"], ["a", "b"], ["a", "c"], ["a"], [], ["a", "b"]):
         data = store.encode(JOINT_STATE, {"name": joints, "position": [0.5] * len(joints)})
         found = store.excerpt(JOINT_STATE, data, names)
         assert (found["name"], found["position"].tolist()) == (joints, [0.5] * len(joints))
-        found["name"].append("what its reader does with it")
+        found["name"].append("changed by the caller")
         assert store.excerpt(JOINT_STATE, data, frozenset({("position",)}))["position"].size == len(joints)
 
 
-def test_what_follows_a_message_is_let_be(store: TypeStore) -> None:
+def test_bytes_behind_a_message_are_ignored(store: TypeStore) -> None:
     data = store.encode(JOINT_STATE, {"effort": [1.5]}) + b"\x6f\x73\x69" * 5
     assert store.excerpt(JOINT_STATE, data, frozenset({("effort",)}))["effort"].tolist() == [1.5]
 
 
-def test_arrays_of_an_excerpt_cannot_be_written_to(store: TypeStore, library: Any) -> None:
+def test_arrays_of_an_excerpt_are_read_only(store: TypeStore, library: Any) -> None:
     data = store.encode(JOINT_STATE, {"position": [1, 2.5]})
-    for message in (data, turned(library, data, JOINT_STATE)):
+    for message in (data, big_endian(library, data, JOINT_STATE)):
         with pytest.raises(ValueError, match="read-only"):
             store.excerpt(JOINT_STATE, message, frozenset({("position",)}))["position"][0] = 7
 
 
-def test_a_field_below_one_that_is_wanted_is_wanted_with_it() -> None:
+def test_a_selected_field_includes_its_fields() -> None:
     assert wanted([("a", "b", "c"), ("a", "b"), ("a", "d"), ("e",), ("e", "f")]) == {
         "a": {"b": {}, "d": {}},
         "e": {},

@@ -34,11 +34,11 @@ def store() -> TypeStore:
         ("control_msgs/action/FollowJointTrajectory_GetResult", "e3ceb38e3e1867c8dc0f46014df26e90eb93422f"),
     ],
 )
-def test_hashes_are_those_of_genuine_peers(store: TypeStore, type_name: str, begins: str) -> None:
+def test_hashes_equal_those_of_genuine_peers(store: TypeStore, type_name: str, begins: str) -> None:
     assert store.hash(type_name).startswith(f"RIHS01_{begins}")
 
 
-def test_a_char_is_hashed_as_the_uint8_that_it_is(store: TypeStore) -> None:
+def test_a_char_is_hashed_as_uint8(store: TypeStore) -> None:
     # service_msgs/msg/ServiceEventInfo has a char[16], and stands in the hash of every service.
     assert store.hash("service_msgs/msg/ServiceEventInfo").startswith(
         "RIHS01_41bcbbe07a75c9b52bc96bfd5c24d7f0"

@@ -22,7 +22,7 @@ def written(root: Path, text: str, where: str = "cell_msgs/msg/Part.msg") -> Pat
     return file
 
 
-def test_every_type_that_is_known_can_be_sent_with_its_defaults() -> None:
+def test_every_known_type_encodes_its_defaults() -> None:
     for name in store.type_names():
         if "/msg/" in name:
             store.sound(name)
@@ -30,12 +30,12 @@ def test_every_type_that_is_known_can_be_sent_with_its_defaults() -> None:
             assert store.decode(name, store.encode(name, message)).keys() == message.keys()
 
 
-def test_defaults_are_those_of_the_definition() -> None:
+def test_defaults_come_from_the_definition() -> None:
     assert store.default("geometry_msgs/msg/Pose")["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     assert store.default("sensor_msgs/msg/NavSatFix")["status"]["status"] == -2
 
 
-def test_a_default_of_an_own_message_is_kept(tmp_path: Path) -> None:
+def test_a_default_in_a_custom_message_is_used(tmp_path: Path) -> None:
     text = 'string<=8 name "bolt"\nfloat64[] sizes_mm [1.5, 2.0]\nuint8 count 3\nbool loose true\n'
     own = TypeStore([written(tmp_path, text)])
     message = own.default("cell_msgs/msg/Part")
@@ -45,7 +45,7 @@ def test_a_default_of_an_own_message_is_kept(tmp_path: Path) -> None:
     assert message["loose"] is True
 
 
-def test_quotes_in_a_default_are_kept(tmp_path: Path) -> None:
+def test_quotes_in_a_default_are_unescaped(tmp_path: Path) -> None:
     lines = (
         'string a "it\'s"',
         "string b 'it\\'s'",
@@ -58,13 +58,13 @@ def test_quotes_in_a_default_are_kept(tmp_path: Path) -> None:
     assert message == {"a": "it's", "b": "it's", "c": '"so"', "d": ["x", "y"], "e": "bare words"}
 
 
-def test_what_follows_a_message_on_the_wire_is_let_be() -> None:
+def test_bytes_behind_a_message_on_the_wire_are_ignored() -> None:
     # The serializer of Fast DDS hands out the space that it reserved to align empty arrays.
     data = store.encode(JOINT_STATE, {"name": ["a"]})
     assert store.decode(JOINT_STATE, data + b"\x6f\x73\x69" * 5)["name"] == ["a"]
 
 
-def test_octets_are_bytes_and_numbers_are_arrays_that_cannot_be_written_to() -> None:
+def test_octets_are_bytes_and_number_arrays_are_read_only() -> None:
     image = store.decode(
         "sensor_msgs/msg/Image", store.encode("sensor_msgs/msg/Image", {"data": [0, 255, 128]})
     )
@@ -91,42 +91,46 @@ def test_an_empty_message_is_an_empty_dict() -> None:
         (JOINT_STATE, {"name": ["a", 1]}, "name[1]: 1 is not text"),
         (JOINT_STATE, {"position": [0.5, "x"]}, "position[1]: 'x' is not a number"),
         (JOINT_STATE, {"position": [[1.0], [2.0]]}, "position[0]: [1.0] is not a number"),
-        (JOINT_STATE, {"position": {"a": 1}}, "is not a list; float64[] is wanted"),
+        (JOINT_STATE, {"position": {"a": 1}}, "is not a list; float64[] is expected"),
         (
             JOINT_STATE,
             {"header": {"stamp": {"sec": 2**31}}},
             "header.stamp.sec: 2147483648 does not fit int32",
         ),
         (JOINT_STATE, {"header": None}, "header: None is not a message of std_msgs/msg/Header"),
-        ("std_msgs/msg/UInt8", {"data": -1}, "data: -1 does not fit uint8, which goes from 0 to 255"),
-        ("std_msgs/msg/UInt8", {"data": 1.5}, "data: 1.5 is not a whole number; uint8 is wanted"),
+        ("std_msgs/msg/UInt8", {"data": -1}, "data: -1 does not fit uint8, whose range is 0 to 255"),
+        ("std_msgs/msg/UInt8", {"data": 1.5}, "data: 1.5 is not a whole number; uint8 is expected"),
         ("std_msgs/msg/Bool", {"data": 1}, "data: 1 is not true or false"),
-        ("std_msgs/msg/Float32", {"data": 1e300}, "data: 1e+300 is beyond float32"),
-        ("std_msgs/msg/Float32MultiArray", {"data": [0.0, 1e300]}, "data[1]: 1e+300 is beyond float32"),
+        ("std_msgs/msg/Float32", {"data": 1e300}, "data: 1e+300 is out of the range of float32"),
+        (
+            "std_msgs/msg/Float32MultiArray",
+            {"data": [0.0, 1e300]},
+            "data[1]: 1e+300 is out of the range of float32",
+        ),
         ("std_msgs/msg/Int8MultiArray", {"data": [0, 128]}, "data[1]: 128 does not fit int8"),
         ("std_msgs/msg/String", {"data": "a\0b"}, "NUL character"),
         (
             "geometry_msgs/msg/PoseWithCovariance",
             {"covariance": [0.0] * 35},
-            "35 items do not fit float64[36]",
+            "35 elements do not fit float64[36]",
         ),
-        ("std_msgs/msg/Float64", {"data": 10**400}, "beyond float64"),
+        ("std_msgs/msg/Float64", {"data": 10**400}, "out of the range of float64"),
         ("std_msgs/msg/Float64", "text", "'text' is not a message of std_msgs/msg/Float64"),
     ],
 )
-def test_what_does_not_fit_is_named_by_its_path(type_name: str, message: Any, says: str) -> None:
+def test_an_invalid_value_is_named_by_its_path(type_name: str, message: Any, says: str) -> None:
     with pytest.raises(BadMessage) as error:
         store.encode(type_name, message)
     assert says in str(error.value)
 
 
-def test_bounds_are_kept(tmp_path: Path) -> None:
+def test_bounds_are_checked(tmp_path: Path) -> None:
     own = TypeStore([written(tmp_path, "string<=4 name\nint32[<=2] slots\nstring<=3[<=2] tags\n")])
     part = "cell_msgs/msg/Part"
     own.check(part, {"name": "ÄÖ", "slots": [1, 2], "tags": ["abc"]})
     for message, says in [
         ({"name": "ÄÖa"}, "name: 5 bytes of text do not fit string<=4"),
-        ({"slots": [1, 2, 3]}, "slots: 3 items do not fit int32[<=2]; at most 2 are allowed"),
+        ({"slots": [1, 2, 3]}, "slots: 3 elements do not fit int32[<=2]; at most 2 are allowed"),
         ({"tags": ["a", "abcd"]}, "tags[1]: 4 bytes of text do not fit string<=3"),
     ]:
         with pytest.raises(BadMessage) as error:
@@ -134,21 +138,21 @@ def test_bounds_are_kept(tmp_path: Path) -> None:
         assert says in str(error.value)
 
 
-def test_a_field_named_like_a_word_of_python_is_carried(tmp_path: Path) -> None:
+def test_a_field_may_have_the_name_of_a_python_keyword(tmp_path: Path) -> None:
     own = TypeStore([written(tmp_path, "string from\nuint8 class_\nstd_msgs/Header header\n")])
     data = own.encode("cell_msgs/msg/Part", {"from": "bin-1"})
     assert own.decode("cell_msgs/msg/Part", data)["from"] == "bin-1"
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0\xff\xff\xff\x7f", b"\0\7\0\0\0\0\0\0"])
-def test_what_is_not_a_message_is_refused(data: bytes) -> None:
+def test_invalid_data_is_refused(data: bytes) -> None:
     with pytest.raises(BadMessage, match="is not a message of std_msgs/msg/String"):
         store.decode("std_msgs/msg/String", data)
 
 
 @given(st.binary(max_size=200))
 @settings(max_examples=300, deadline=None)
-def test_no_bytes_from_the_network_do_more_than_be_refused(body: bytes) -> None:
+def test_random_bytes_of_the_network_are_decoded_or_refused(body: bytes) -> None:
     for name in (
         "sensor_msgs/msg/JointState",
         "diagnostic_msgs/msg/DiagnosticArray",
@@ -162,7 +166,7 @@ def test_no_bytes_from_the_network_do_more_than_be_refused(body: bytes) -> None:
 
 @given(st.data())
 @settings(max_examples=120, deadline=None)
-def test_a_message_comes_out_as_it_went_in(data: st.DataObject) -> None:
+def test_a_message_round_trips(data: st.DataObject) -> None:
     name = data.draw(
         st.sampled_from(
             [
@@ -180,7 +184,7 @@ def test_a_message_comes_out_as_it_went_in(data: st.DataObject) -> None:
     assert listed(store.decode(name, store.encode(name, message))) == message
 
 
-def test_field_paths_are_checked_and_followed() -> None:
+def test_field_paths_are_checked_and_read() -> None:
     message = store.decode(JOINT_STATE, store.encode(JOINT_STATE, {"position": [0.5], "name": ["a"]}))
     assert store.field(JOINT_STATE, "position[0]").of(message) == 0.5
     assert type(store.field(JOINT_STATE, "position[0]").of(message)) is float
@@ -193,17 +197,17 @@ def test_field_paths_are_checked_and_followed() -> None:
     ("path", "says"),
     [
         ("positions[0]", 'sensor_msgs/msg/JointState has no field "positions"; did you mean "position"?'),
-        ("header.frame_id[0]", "is string, no array; leave the [0] out"),
+        ("header.frame_id[0]", "is string, not an array; remove the [0]"),
         (
             "header.stamp.sec.x",
             "header.stamp.sec of sensor_msgs/msg/JointState is int32, which has no fields",
         ),
-        ("name.x", "name one item, name[0].x"),
+        ("name.x", "name one element, name[0].x"),
         ("position[-1]", "is not a field path"),
         ("", "is not a field path"),
     ],
 )
-def test_a_path_that_leads_nowhere_says_why(path: str, says: str) -> None:
+def test_an_invalid_field_path_gives_the_reason(path: str, says: str) -> None:
     with pytest.raises(UnknownField) as error:
         store.field(JOINT_STATE, path)
     assert says in str(error.value)
@@ -220,17 +224,17 @@ def test_an_index_beyond_a_fixed_array_is_refused() -> None:
         ("sensor_msgs/msg/JointStates", "msg", "did you mean sensor_msgs/msg/JointState?"),
         ("cell_msgs/msg/Part", "msg", "name its .msg file or folder in type_paths"),
         ("JointState", "msg", "write PACKAGE/msg/NAME"),
-        ("std_srvs/srv/Trigger", "msg", "is a service type, but a message type is wanted here"),
-        ("std_msgs/msg/String", "action", "is a message type, but an action type is wanted here"),
+        ("std_srvs/srv/Trigger", "msg", "is a service type, but a message type is expected"),
+        ("std_msgs/msg/String", "action", "is a message type, but an action type is expected"),
     ],
 )
-def test_a_type_that_is_not_there_is_named_with_its_neighbour(name: str, kind: str, says: str) -> None:
+def test_an_unknown_type_is_named_with_the_nearest_one(name: str, kind: str, says: str) -> None:
     with pytest.raises(UnknownType) as error:
         store.resolve(name, kind)
     assert says in str(error.value)
 
 
-def test_a_short_name_is_understood() -> None:
+def test_a_short_type_name_is_resolved() -> None:
     assert store.resolve("sensor_msgs/JointState") == JOINT_STATE
     assert store.resolve("std_srvs/Trigger", "srv") == "std_srvs/srv/Trigger"
 
@@ -246,7 +250,7 @@ def test_a_folder_of_packages_is_read(tmp_path: Path) -> None:
     assert own.resolve("cell_msgs/Fit", "action") == "cell_msgs/action/Fit"
 
 
-def test_an_own_definition_takes_the_place_of_ours(tmp_path: Path) -> None:
+def test_a_custom_definition_replaces_the_built_in_one(tmp_path: Path) -> None:
     file = written(tmp_path, "string name\nfloat64 effort\n", "control_msgs/msg/JointTolerance.msg")
     own = TypeStore([file])
     name = "control_msgs/msg/JointTolerance"
@@ -258,12 +262,12 @@ def test_an_own_definition_takes_the_place_of_ours(tmp_path: Path) -> None:
     ("text", "says"),
     [
         ("float64 length\nflot 64\n", "line 2"),
-        ("float64 length\nfloat64 length\n", 'line 2: the field "length" is there twice'),
+        ("float64 length\nfloat64 length\n", 'line 2: the field "length" is a duplicate'),
         ("float64[0] sizes\n", "line 1"),
         ("float64 length\n---\nbool done\n", "a .msg file has 1 parts"),
     ],
 )
-def test_a_definition_that_cannot_be_read_names_file_and_line(tmp_path: Path, text: str, says: str) -> None:
+def test_an_invalid_definition_is_named_by_file_and_line(tmp_path: Path, text: str, says: str) -> None:
     file = written(tmp_path, text)
     with pytest.raises(BadDefinition) as error:
         TypeStore([file]).definition("cell_msgs/msg/Part")
@@ -271,9 +275,9 @@ def test_a_definition_that_cannot_be_read_names_file_and_line(tmp_path: Path, te
     assert str(file) in str(error.value)
 
 
-def test_what_cannot_be_carried_is_said(tmp_path: Path) -> None:
+def test_unsupported_types_are_refused(tmp_path: Path) -> None:
     wide = TypeStore([written(tmp_path / "a", "wstring name\n")])
-    with pytest.raises(UnsupportedType, match="wstring cannot be carried; use string"):
+    with pytest.raises(UnsupportedType, match="wstring is not supported; use string"):
         wide.sound("cell_msgs/msg/Part")
     endless = TypeStore([written(tmp_path / "b", "Part[] parts\n")])
     with pytest.raises(UnsupportedType, match="contains itself"):
@@ -285,16 +289,16 @@ def test_what_cannot_be_carried_is_said(tmp_path: Path) -> None:
         lost.sound("cell_msgs/msg/Part")
 
 
-def test_a_path_that_holds_no_types_is_said(tmp_path: Path) -> None:
-    with pytest.raises(BadDefinition, match="is not there"):
+def test_a_type_path_without_definitions_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadDefinition, match="does not exist"):
         TypeStore([tmp_path / "nothing"])
-    with pytest.raises(BadDefinition, match="holds no definition"):
+    with pytest.raises(BadDefinition, match="contains no definition"):
         TypeStore([tmp_path])
-    with pytest.raises(BadDefinition, match="is not where a definition lies"):
+    with pytest.raises(BadDefinition, match="is not in a package"):
         TypeStore([written(tmp_path, "bool a\n", "Part.msg")])
 
 
-def test_two_paths_that_disagree_are_said(tmp_path: Path) -> None:
+def test_contradicting_definitions_are_refused(tmp_path: Path) -> None:
     first = written(tmp_path / "a", "bool a\n")
     same = written(tmp_path / "b", "# the same\nbool a\n")
     other = written(tmp_path / "c", "bool b\n")

@@ -1,4 +1,4 @@
-"""Attributes become messages, field by field."""
+"""The message builder: attributes become messages, field by field."""
 
 from typing import Any
 
@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from handover.errors import HandoverError
 from ros_fiware_bridge.mapping import parse
 from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.rules.inward import Incomplete, Inward, Scope
-from ros_fiware_bridge.rules.latest import scope_of
+from ros_fiware_bridge.rules.change_tracker import scope_of
+from ros_fiware_bridge.rules.message_builder import Incomplete, MessageBuilder, Scope
 from ros_fiware_bridge.types.type_store import TypeStore
 
 TYPES = TypeStore()
 
 
-def ready(type_name: str, fields: str) -> Inward:
+def ready(type_name: str, fields: str) -> MessageBuilder:
     text = f"ngsild_to_ros:\n  r: {{entity: Device:d, topic: /t, type: {type_name}, fields: {{{fields}}}}}\n"
-    return plan.make(parse(text), TYPES, "demo").inward[0].inward
+    return plan.make(parse(text), TYPES, "demo").ngsild_to_ros[0].builder
 
 
 ENTITY = {
@@ -76,14 +76,14 @@ def test_a_message_is_filled_from_an_entity(type_name: str, fields: str, made: d
     TYPES.check(inward.type_name, message)
 
 
-def test_a_whole_message_comes_from_an_object() -> None:
+def test_a_whole_message_is_filled_from_an_object() -> None:
     inward = ready("geometry_msgs/Point", "'.': pose")
     assert inward.message(Scope({"pose": {"x": 1.0, "y": 2.0}})) == {"x": 1.0, "y": 2.0}
     with pytest.raises(HandoverError, match="filled from an object"):
         inward.message(Scope({"pose": 3}))
 
 
-def test_what_is_required_must_be_there() -> None:
+def test_a_missing_required_value_raises() -> None:
     inward = ready("std_msgs/String", "data: {attribute: nothing, required: true}")
     with pytest.raises(Incomplete, match="there is no nothing"):
         inward.message(SCOPE)
@@ -97,7 +97,7 @@ json_values = st.recursive(
 
 
 @given(json_values)
-def test_whatever_the_broker_tells_comes_to_a_message_or_a_reason(value: Any) -> None:
+def test_any_value_of_the_broker_gives_a_message_or_an_error(value: Any) -> None:
     inward = ready("std_msgs/Float64", "data: {attribute: v, convert: km/h -> m/s}")
     try:
         message = inward.message(scope_of({"id": "urn:x:y:z", "v": {"value": value}}, 0.0))

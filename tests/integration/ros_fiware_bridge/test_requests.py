@@ -1,4 +1,4 @@
-"""Tasks and changes call services and send goals; and a node of the graph asks for a Task."""
+"""Tasks and changes call services and send goals; a node of the graph requests a Task."""
 
 import asyncio
 import itertools
@@ -21,8 +21,8 @@ _numbers = itertools.count(1)
 
 
 @pytest.fixture(scope="module")
-def at_work(everyday: Shop) -> Shop:
-    return everyday
+def at_work(shared_shop: Shop) -> Shop:
+    return shared_shop
 
 
 def prop(value: Any) -> dict[str, Any]:
@@ -73,7 +73,7 @@ async def test_a_task_calls_a_service(shop: Any) -> None:
         await served.close()
 
 
-async def test_a_task_for_a_service_that_nobody_serves_fails_with_the_reason(shop: Any) -> None:
+async def test_a_task_for_an_unavailable_service_fails_with_the_reason(shop: Any) -> None:
     status, outputs = await end_of(shop, await ask(shop, "reset"))
     assert status == "failed"
     assert "/arm/reset" in outputs["reason"]
@@ -84,7 +84,7 @@ async def test_a_task_for_a_service_that_nobody_serves_fails_with_the_reason(sho
     )
 
 
-async def test_a_task_sends_a_goal_and_tells_how_it_goes(shop: Any) -> None:
+async def test_a_task_sends_a_goal_and_reports_its_feedback(shop: Any) -> None:
     async def count(goal: ServedGoal) -> Message:
         order = goal.request["order"]
         if order > 10:
@@ -111,11 +111,11 @@ async def test_a_task_sends_a_goal_and_tells_how_it_goes(shop: Any) -> None:
 
         task_id = await ask(shop, "count", upTo=7)
 
-        async def told() -> bool:
+        async def has_feedback() -> bool:
             entity = await shop.broker.retrieve(task_id)
             return entity.get("outputParameters", {}).get("value", {}).get("sequence") == [0, 1]
 
-        await shop.until(told, why="the feedback never came")
+        await shop.until(has_feedback, why="the feedback never came")
         await shop.broker.append(task_id, {"requestedStatus": prop("cancelled")})
         status, outputs = await end_of(shop, task_id)
         assert (status, outputs["reason"]) == ("failed", "cancelled")
@@ -123,7 +123,7 @@ async def test_a_task_sends_a_goal_and_tells_how_it_goes(shop: Any) -> None:
         await served.close()
 
 
-async def test_a_goal_that_takes_too_long_is_cancelled_when_its_task_fails(shop: Any) -> None:
+async def test_a_goal_over_its_time_limit_is_cancelled_and_its_task_fails(shop: Any) -> None:
     cancelled = asyncio.Event()
 
     async def count(goal: Any) -> Message:
@@ -135,7 +135,7 @@ async def test_a_goal_that_takes_too_long_is_cancelled_when_its_task_fails(shop:
     try:
         status, outputs = await end_of(shop, await ask(shop, "hasty"))
         assert (status, "did not end within 1" in outputs["reason"]) == ("failed", True)
-        await shop.until(cancelled.is_set, why="the robot goes on")
+        await shop.until(cancelled.is_set, why="the robot continues")
     finally:
         await served.close()
 
@@ -159,7 +159,7 @@ async def test_a_change_of_an_attribute_calls_a_service_once(shop: Any) -> None:
         await served.close()
 
 
-async def test_a_node_asks_for_a_task_and_learns_how_it_ended(shop: Any) -> None:
+async def test_a_node_requests_a_task_and_receives_its_result(shop: Any) -> None:
     answering = asyncio.create_task(
         shop.robot.call("/ask_for_help", "std_srvs/srv/SetBool", {"data": True}, 30.0)
     )
@@ -179,9 +179,7 @@ async def test_a_node_asks_for_a_task_and_learns_how_it_ended(shop: Any) -> None
     assert await answering == {"success": True, "message": f"completed {task['id']}"}
 
 
-async def test_a_goal_that_is_not_to_be_sent_again_is_not_after_a_bridge_was_ended(shop: Any) -> None:
+async def test_a_goal_with_again_false_is_not_sent_after_a_restart(shop: Any) -> None:
     status, outputs = await end_of(shop, await ask(shop, "once", status="inProgress"))
     assert status == "failed"
-    assert outputs["reason"].endswith(
-        "was ended while /arm/count worked on this; such a goal is not sent again"
-    )
+    assert outputs["reason"].endswith("stopped while /arm/count was active; such a goal is not sent again")

@@ -1,4 +1,4 @@
-"""Messages become updates; what is wrong with one attribute costs that attribute alone."""
+"""The entity extractor: messages become states of entities; an error affects one attribute alone."""
 
 import math
 from typing import Any
@@ -11,20 +11,20 @@ from hypothesis import strategies as st
 
 from ros_fiware_bridge.mapping import parse
 from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.rules.outward import Harvest, Outward
+from ros_fiware_bridge.rules.entity_extractor import EntityExtractor, Extraction
 from ros_fiware_bridge.types.type_store import TypeStore
 
 TYPES = TypeStore()
 RECEIVED_S = 1_770_000_000.5
 
 
-def ready(type_name: str, attributes: str, entity: str = "Device:d", **more: str) -> Outward:
+def ready(type_name: str, attributes: str, entity: str = "Device:d", **more: str) -> EntityExtractor:
     extra = "".join(f"    {key}: {value}\n" for key, value in more.items())
     text = (
         f"ros_to_ngsild:\n  rule:\n    topic: /t\n    type: {type_name}\n    entity: {entity}\n{extra}"
         f"    attributes: {attributes}\n"
     )
-    made = plan.make(parse(text), TYPES, "demo").outward[0].outward
+    made = plan.make(parse(text), TYPES, "demo").ros_to_ngsild[0].extractor
     assert made is not None
     return made
 
@@ -34,9 +34,9 @@ def message(type_name: str, **fields: Any) -> dict[str, Any]:
     return {**TYPES.default(f"{package}/msg/{name}"), **fields}
 
 
-def attribute(harvest: Harvest, name: str = "a") -> Any:
-    assert harvest.faults == []
-    return harvest.updates[0].attributes[name]
+def attribute(extraction: Extraction, name: str = "a") -> Any:
+    assert extraction.errors == []
+    return extraction.entities[0].attributes[name]
 
 
 STAMP = {"frame_id": "base", "stamp": {"sec": 1_770_000_000, "nanosec": 250_000_000}}
@@ -45,13 +45,13 @@ JOINTS = message(
 )
 
 
-def test_fields_become_attributes_observed_when_the_header_says() -> None:
+def test_fields_become_attributes_with_the_time_of_the_header() -> None:
     rule = ready(
         "sensor_msgs/JointState",
         "{a: 'position[name=wrist]', deg: {field: 'position[0]', convert: rad -> deg, unit_code: DD}}",
         "Device:{header.frame_id}",
     )
-    update = rule.harvest(JOINTS, RECEIVED_S).updates[0]
+    update = rule.extract(JOINTS, RECEIVED_S).entities[0]
     assert (update.entity_id, update.entity_type) == ("urn:ngsi-ld:Device:demo:base", "Device")
     assert update.attributes == {
         "a": {"type": "Property", "value": 0.5, "observedAt": "2026-02-02T02:40:00.250000Z"},
@@ -72,18 +72,18 @@ def test_fields_become_attributes_observed_when_the_header_says() -> None:
         ("header.stamp", "2026-02-02T02:40:00.250000Z"),
     ],
 )
-def test_when_something_was_observed_is_said_as_wanted(observed_at: str, written: str | None) -> None:
+def test_observed_at_follows_the_rule(observed_at: str, written: str | None) -> None:
     rule = ready("sensor_msgs/JointState", "{a: name}", observed_at=observed_at)
-    assert attribute(rule.harvest(JOINTS, RECEIVED_S)).get("observedAt") == written
+    assert attribute(rule.extract(JOINTS, RECEIVED_S)).get("observedAt") == written
 
 
-def test_a_stamp_that_nobody_set_does_not_count() -> None:
+def test_an_unset_stamp_is_ignored() -> None:
     rule = ready("sensor_msgs/JointState", "{a: name}")
     unset = message("sensor_msgs/JointState")
-    assert attribute(rule.harvest(unset, RECEIVED_S))["observedAt"] == "2026-02-02T02:40:00.500000Z"
+    assert attribute(rule.extract(unset, RECEIVED_S))["observedAt"] == "2026-02-02T02:40:00.500000Z"
 
 
-def test_the_kinds_of_ngsild_are_made() -> None:
+def test_all_kinds_of_ngsild_attributes_are_written() -> None:
     fix = message("sensor_msgs/NavSatFix", header=STAMP, longitude=24.9, latitude=60.2)
     rule = ready(
         "sensor_msgs/NavSatFix",
@@ -91,7 +91,7 @@ def test_the_kinds_of_ngsild_are_made() -> None:
         "JsonProperty}, words: {languages: {en: header.frame_id}}, "
         "link: {object: 'Asset:{header.frame_id}'}, text: {text: 'at {latitude}'}, one: {constant: [pose]}}",
     )
-    made = rule.harvest(fix, RECEIVED_S).updates[0].attributes
+    made = rule.extract(fix, RECEIVED_S).entities[0].attributes
     place = {"type": "Point", "coordinates": [24.9, 60.2]}
     assert (made["a"]["type"], made["a"]["value"]) == ("GeoProperty", place)
     assert made["p"]["value"] == place
@@ -103,76 +103,76 @@ def test_the_kinds_of_ngsild_are_made() -> None:
     assert made["one"]["value"] == ["pose"]
 
 
-def test_metres_become_degrees_where_the_frame_lies() -> None:
+def test_positions_in_metres_become_degrees() -> None:
     rule = ready(
         "geometry_msgs/PointStamped",
         "{a: {field: point, kind: GeoProperty, origin: {longitude: 24.0, latitude: 60.0, turned_deg: 90}}}",
     )
     moved = message("geometry_msgs/PointStamped", point={"x": 111_195.0, "y": 0.0, "z": 0.0})
-    assert attribute(rule.harvest(moved, RECEIVED_S))["value"]["coordinates"] == pytest.approx([24.0, 61.0])
+    assert attribute(rule.extract(moved, RECEIVED_S))["value"]["coordinates"] == pytest.approx([24.0, 61.0])
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_left_out_and_told_or_said_as_wanted(bad: float) -> None:
+def test_nan_is_left_out_and_reported_or_replaced(bad: float) -> None:
     battery = message("sensor_msgs/BatteryState", voltage=bad, percentage=0.5)
-    harvest = ready("sensor_msgs/BatteryState", "{a: voltage, b: percentage}").harvest(battery, RECEIVED_S)
-    assert list(harvest.updates[0].attributes) == ["b"]
-    assert "voltage is" in harvest.faults[0]
-    assert "JSON cannot say" in harvest.faults[0]
+    extraction = ready("sensor_msgs/BatteryState", "{a: voltage, b: percentage}").extract(battery, RECEIVED_S)
+    assert list(extraction.entities[0].attributes) == ["b"]
+    assert "voltage is" in extraction.errors[0]
+    assert "JSON cannot represent" in extraction.errors[0]
     wanted = ready("sensor_msgs/BatteryState", "{a: {field: voltage, nan: unknown}}")
-    assert attribute(wanted.harvest(battery, RECEIVED_S))["value"] == "unknown"
+    assert attribute(wanted.extract(battery, RECEIVED_S))["value"] == "unknown"
     scan = message("sensor_msgs/LaserScan", ranges=np.array([1.0, bad], np.float32))
-    assert ready("sensor_msgs/LaserScan", "{a: ranges}").harvest(scan, RECEIVED_S).updates == []
-    filled = ready("sensor_msgs/LaserScan", "{a: {field: ranges, nan: -1}}").harvest(scan, RECEIVED_S)
+    assert ready("sensor_msgs/LaserScan", "{a: ranges}").extract(scan, RECEIVED_S).entities == []
+    filled = ready("sensor_msgs/LaserScan", "{a: {field: ranges, nan: -1}}").extract(scan, RECEIVED_S)
     assert attribute(filled)["value"] == [1.0, -1]
 
 
-def test_a_large_array_is_refused_unless_it_is_wanted() -> None:
+def test_a_large_array_is_refused_unless_the_rule_allows_it() -> None:
     scan = message("sensor_msgs/LaserScan", ranges=np.zeros(257, np.float32))
-    harvest = ready("sensor_msgs/LaserScan", "{a: ranges, b: angle_min}").harvest(scan, RECEIVED_S)
-    assert list(harvest.updates[0].attributes) == ["b"]
-    assert "ranges holds 257 elements, more than 256 (most_elements)" in harvest.faults[0]
-    more = ready("sensor_msgs/LaserScan", "{a: ranges}", most_elements="257")
-    assert len(attribute(more.harvest(scan, RECEIVED_S))["value"]) == 257
+    extraction = ready("sensor_msgs/LaserScan", "{a: ranges, b: angle_min}").extract(scan, RECEIVED_S)
+    assert list(extraction.entities[0].attributes) == ["b"]
+    assert "ranges holds 257 elements, more than 256 (max_elements)" in extraction.errors[0]
+    more = ready("sensor_msgs/LaserScan", "{a: ranges}", max_elements="257")
+    assert len(attribute(more.extract(scan, RECEIVED_S))["value"]) == 257
     wanted = ready("sensor_msgs/Image", "{a: data}", large_arrays="true")
-    assert attribute(wanted.harvest(message("sensor_msgs/Image", data=b"ab"), RECEIVED_S))["value"] == [
+    assert attribute(wanted.extract(message("sensor_msgs/Image", data=b"ab"), RECEIVED_S))["value"] == [
         97,
         98,
     ]
 
 
-def test_an_entity_that_is_not_named_is_told_of() -> None:
-    harvest = ready("sensor_msgs/JointState", "{a: name}", "Device:{header.frame_id}").harvest(
+def test_a_message_without_its_entity_is_reported() -> None:
+    extraction = ready("sensor_msgs/JointState", "{a: name}", "Device:{header.frame_id}").extract(
         message("sensor_msgs/JointState"), RECEIVED_S
     )
-    assert harvest.updates == []
-    assert "header.frame_id is empty" in harvest.faults[0]
+    assert extraction.entities == []
+    assert "header.frame_id is empty" in extraction.errors[0]
 
 
-def test_values_are_looked_up() -> None:
+def test_values_are_mapped() -> None:
     rule = ready("std_msgs/Int8", "{a: {field: data, values: {0: idle, 1: busy}}}")
-    assert attribute(rule.harvest({"data": 1}, RECEIVED_S))["value"] == "busy"
-    assert "2 is not among the `values`" in rule.harvest({"data": 2}, RECEIVED_S).faults[0]
+    assert attribute(rule.extract({"data": 1}, RECEIVED_S))["value"] == "busy"
+    assert "2 is not among the `values`" in rule.extract({"data": 2}, RECEIVED_S).errors[0]
     else_known = ready("std_msgs/Int8", "{a: {field: data, values: {0: idle}, otherwise: error}}")
-    assert attribute(else_known.harvest({"data": 2}, RECEIVED_S))["value"] == "error"
+    assert attribute(else_known.extract({"data": 2}, RECEIVED_S))["value"] == "error"
 
 
-def test_only_what_a_condition_holds_for_is_written() -> None:
+def test_only_messages_that_meet_the_condition_are_written() -> None:
     rule = ready("std_msgs/Int8", "{a: data}", when="{field: data, above: 1, none_of: [5]}")
-    said = [bool(rule.harvest({"data": number}, RECEIVED_S).updates) for number in (1, 2, 5, 6)]
+    said = [bool(rule.extract({"data": number}, RECEIVED_S).entities) for number in (1, 2, 5, 6)]
     assert said == [False, True, False, True]
 
 
-def test_json_in_text_is_looked_into() -> None:
+def test_paths_lead_into_json_text() -> None:
     rule = ready("std_msgs/String", "{a: data.value}", "'Task:{data.id}'", json_text="[data]")
     text = orjson.dumps({"value": "completed", "id": "t-1"}).decode()
-    update = rule.harvest({"data": text}, RECEIVED_S).updates[0]
+    update = rule.extract({"data": text}, RECEIVED_S).entities[0]
     assert (update.entity_id, update.values) == ("urn:ngsi-ld:Task:demo:t-1", {"a": "completed"})
-    assert "data holds no JSON" in rule.harvest({"data": "completed"}, RECEIVED_S).faults[0]
-    assert "no data.id" in rule.harvest({"data": "{}"}, RECEIVED_S).faults[0]
+    assert "data holds no JSON" in rule.extract({"data": "completed"}, RECEIVED_S).errors[0]
+    assert "no data.id" in rule.extract({"data": "{}"}, RECEIVED_S).errors[0]
 
 
-def test_each_element_is_an_entity_of_its_own() -> None:
+def test_each_element_is_written_to_its_own_entity() -> None:
     rule = ready(
         "tf2_msgs/TFMessage",
         "{a: 'transforms[].transform.translation.x'}",
@@ -182,7 +182,7 @@ def test_each_element_is_an_entity_of_its_own() -> None:
     moved = [
         {**TYPES.default("geometry_msgs/msg/TransformStamped"), "child_frame_id": name} for name in ("p", "q")
     ]
-    ids = [update.entity_id for update in rule.harvest({"transforms": moved}, RECEIVED_S).updates]
+    ids = [update.entity_id for update in rule.extract({"transforms": moved}, RECEIVED_S).entities]
     assert ids == ["urn:ngsi-ld:Asset:demo:p", "urn:ngsi-ld:Asset:demo:q"]
 
 
@@ -195,23 +195,23 @@ ros_to_ngsild:
     alert:
       key: "{status[].hardware_id} {status[].name}"
       about: Device:{status[].hardware_id}
-      standing: {field: "status[].level", none_of: [0]}
+      active: {field: "status[].level", none_of: [0]}
       category: diagnostics
       severity: {field: "status[].level", values: {1: medium, 2: high}, otherwise: low}
       description: "{status[].name}: {status[].message}"
 """
 
 
-def test_an_alert_stands_while_its_condition_holds() -> None:
-    rule = plan.make(parse(DIAGNOSTICS), TYPES, "demo").outward[0].outward
+def test_an_alert_is_active_while_its_condition_holds() -> None:
+    rule = plan.make(parse(DIAGNOSTICS), TYPES, "demo").ros_to_ngsild[0].extractor
     assert rule is not None
     one = TYPES.default("diagnostic_msgs/msg/DiagnosticStatus")
     status = [
         {**one, "level": 2, "hardware_id": "arm", "name": "motor", "message": "hot"},
         {**one, "level": 0, "hardware_id": "arm", "name": "fan"},
     ]
-    alerts = rule.harvest({"header": STAMP, "status": status}, RECEIVED_S).alerts
-    assert [(alert.key, alert.standing, alert.severity) for alert in alerts] == [
+    alerts = rule.extract({"header": STAMP, "status": status}, RECEIVED_S).alerts
+    assert [(alert.key, alert.active, alert.severity) for alert in alerts] == [
         ("arm motor", True, "high"),
         ("arm fan", False, "medium"),
     ]
@@ -222,7 +222,7 @@ numbers = st.floats(width=32) | st.integers(-(2**31), 2**31 - 1).map(float)
 
 
 @given(st.lists(numbers, max_size=300), st.text(max_size=20), st.integers(-(2**31), 2**31 - 1))
-def test_whatever_comes_nothing_is_raised_and_json_can_be_made(
+def test_any_message_gives_json_or_errors_and_never_raises(
     positions: list[float], frame: str, seconds: int
 ) -> None:
     rule = ready(
@@ -236,7 +236,7 @@ def test_whatever_comes_nothing_is_raised_and_json_can_be_made(
         position=np.array(positions, np.float64),
         velocity=np.array(positions[:1], np.float64),
     )
-    harvest = rule.harvest(said, RECEIVED_S)
-    for update in harvest.updates:
+    extraction = rule.extract(said, RECEIVED_S)
+    for update in extraction.entities:
         assert b"null" not in orjson.dumps(dict(update.attributes))
-    assert harvest.faults or harvest.updates
+    assert extraction.errors or extraction.entities

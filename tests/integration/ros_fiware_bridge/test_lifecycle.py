@@ -1,4 +1,4 @@
-"""How the bridge begins and ends: what the broker holds, subscriptions, rules that are switched off."""
+"""Start and shutdown of the bridge: initial state, subscriptions, disabled rules."""
 
 from typing import Any
 
@@ -21,23 +21,23 @@ ngsild_to_ros:
 BELT = "urn:ngsi-ld:Device:demo:belt-1"
 
 
-async def test_what_is_latched_is_there_for_who_comes_late(own_shop: Any) -> None:
+async def test_subscriptions_latched_topics_and_disabled_rules_survive_a_restart(own_shop: Any) -> None:
     shop = own_shop
     shop.cell.start("context_broker")
     values = {"mode": {"type": "Property", "value": "auto"}, "speed": {"type": "Property", "value": 1}}
     await shop.broker.create({"id": BELT, "type": "Device", **values})
     shop.begin(INWARD)
-    await shop.until(lambda: shop.rule("mode")["told"] == 1)
-    _, heard = await shop.listens("/modes/belt_1", "std_msgs/msg/String", LATCHED)
-    await shop.until(lambda: heard == [{"data": "auto"}])
-    assert shop.rule("speed")["told"] == 0, "what is not latched is not said at the start"
+    await shop.until(lambda: shop.rule("mode")["forwarded"] == 1)
+    _, received = await shop.subscribe("/modes/belt_1", "std_msgs/msg/String", LATCHED)
+    await shop.until(lambda: received == [{"data": "auto"}])
+    assert shop.rule("speed")["forwarded"] == 0, "what is not latched is not sent at the start"
 
     assert await _names(shop) == ["ros-bridge-rule-mode", "ros-bridge-rule-speed"]
     assert shop.post("/rules/speed/disable").json()["enabled"] is False
     await shop.until(lambda: _are(shop, ["ros-bridge-rule-mode"]))
     shop.cell.kill("ros_fiware_bridge")
     shop.begin(INWARD.replace("  mode:", "  kind:"))
-    assert shop.rule("speed")["enabled"] is False, "what is switched off stays off"
+    assert shop.rule("speed")["enabled"] is False, "a disabled rule stays disabled"
     assert await _names(shop) == ["ros-bridge-rule-kind"]
     assert shop.post("/rules/speed/enable").json()["enabled"] is True
     await shop.until(lambda: _are(shop, ["ros-bridge-rule-kind", "ros-bridge-rule-speed"]))
@@ -46,7 +46,7 @@ async def test_what_is_latched_is_there_for_who_comes_late(own_shop: Any) -> Non
     process = shop.cell.processes.pop("ros_fiware_bridge")
     process.terminate()
     process.wait(timeout=120)
-    assert await _names(shop) == [], "who ends in good order leaves no subscription behind"
+    assert await _names(shop) == [], "an orderly shutdown deletes the subscriptions"
 
 
 async def _names(shop: Any) -> list[str]:

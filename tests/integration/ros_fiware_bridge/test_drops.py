@@ -1,4 +1,4 @@
-"""What is lost is counted by its cause and raises an Alert; what a rule lets go on purpose does not."""
+"""Dropped messages are counted by cause and raise Alerts; conflated messages do not."""
 
 import asyncio
 import random
@@ -35,7 +35,7 @@ DELAY_S = 0.25
 
 
 class Slow:
-    """A network on which every request of the bridge to the broker takes a while."""
+    """A TCP proxy that delays every request of the bridge to the broker."""
 
     def __init__(self, target: int) -> None:
         self.port = next_free_port()
@@ -78,7 +78,7 @@ def at_work(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
 
 @pytest.fixture
 async def slow(shop: Shop) -> AsyncIterator[Slow]:
-    """The bridge, and the network between it and the broker."""
+    """The proxy between the bridge and the broker."""
     network = Slow(shop.cell.ports["context_broker"])
     async with network.opened():
         await asyncio.to_thread(shop.begin, MAPPING, HANDOVER_BROKER_URL=f"http://127.0.0.1:{network.port}")
@@ -106,72 +106,79 @@ async def rule_becomes(shop: Shop, rule: str, **wanted: Any) -> dict[str, Any]:
     return view
 
 
-async def test_a_reader_keeps_as_many_as_the_buffer(shop: Shop, slow: Slow) -> None:
-    every = await shop.speaks("/every", "std_msgs/msg/Int32", ALL)
+async def test_a_reader_has_the_depth_of_the_buffer(shop: Shop, slow: Slow) -> None:
+    every = await shop.publisher("/every", "std_msgs/msg/Int32", ALL)
     for number in range(900):
         every.publish({"data": number})
-    seen = await rule_becomes(shop, "every", told=900)
-    assert (seen["heard"], seen["dropped"], seen["losses"]) == (900, 0, {})
+    seen = await rule_becomes(shop, "every", forwarded=900)
+    assert (seen["received"], seen["dropped"], seen["droppedByCause"]) == (900, 0, {})
 
 
-async def test_a_reader_that_keeps_too_few_is_told_by_metric_and_alert(shop: Shop, slow: Slow) -> None:
-    few = await shop.speaks("/few", "std_msgs/msg/Int32", ALL)
+async def test_a_reader_overflow_is_counted_and_raises_an_alert(shop: Shop, slow: Slow) -> None:
+    few = await shop.publisher("/few", "std_msgs/msg/Int32", ALL)
     for number in range(200):
         few.publish({"data": number})
 
     def accounted() -> Any:
         seen = shop.rule("few")
-        return seen["told"] + seen["dropped"] == 200 and seen
+        return seen["forwarded"] + seen["dropped"] == 200 and seen
 
     seen = await shop.until(lambda: asyncio.to_thread(accounted), 60.0)
-    assert seen["losses"]["reader_overflow"] > 0
-    assert seen["told"] == seen["heard"]
-    assert metric(shop, "handover_ros_bridge_dropped_total", "few", "reader_overflow") == seen["dropped"]
+    assert seen["droppedByCause"]["reader_overflow"] > 0
+    assert seen["forwarded"] == seen["received"]
+    assert metric(shop, "handover_bridge_messages_dropped_total", "few", "reader_overflow") == seen["dropped"]
 
     async def alerted() -> bool:
-        return f"few: {seen['dropped']} messages came faster" in await alert(shop, "lost-reader_overflow-few")
+        return f"few: {seen['dropped']} messages came faster" in await alert(
+            shop, "dropped-reader_overflow-few"
+        )
 
     await shop.until(alerted, 60.0)
 
 
-async def test_a_broker_that_is_too_slow_is_an_alert_and_what_is_conflated_is_none(
+async def test_a_slow_broker_raises_an_alert_for_drops_and_none_for_conflation(
     shop: Shop, slow: Slow
 ) -> None:
-    said = 150
-    speaker = await shop.speaks("/slow", "std_msgs/msg/Int32", ALL)
+    sent = 150
+    publisher = await shop.publisher("/slow", "std_msgs/msg/Int32", ALL)
     await shop.until(lambda: shop.rule("slow")["publishers"] and shop.rule("newest")["publishers"], 60.0)
     slow.delay_s = DELAY_S
-    for number in range(said):
-        speaker.publish({"data": number})
+    for number in range(sent):
+        publisher.publish({"data": number})
         await asyncio.sleep(0.01)
 
     def accounted() -> bool:
         slow, newest = shop.rule("slow"), shop.rule("newest")
-        return bool(slow["told"] + slow["dropped"] == said and newest["told"] + newest["conflated"] == said)
+        return bool(
+            slow["forwarded"] + slow["dropped"] == sent and newest["forwarded"] + newest["conflated"] == sent
+        )
 
     await shop.until(lambda: asyncio.to_thread(accounted), 60.0)
-    lost = shop.rule("slow")["losses"]
-    assert set(lost) <= {"broker_slow", "reader_overflow"}
-    assert lost["broker_slow"] > 0
-    assert metric(shop, "handover_ros_bridge_dropped_total", "slow", "broker_slow") == lost["broker_slow"]
+    dropped = shop.rule("slow")["droppedByCause"]
+    assert set(dropped) <= {"broker_slow", "reader_overflow"}
+    assert dropped["broker_slow"] > 0
+    assert (
+        metric(shop, "handover_bridge_messages_dropped_total", "slow", "broker_slow")
+        == dropped["broker_slow"]
+    )
 
     async def alerted() -> bool:
-        return "because the broker takes them too slowly" in await alert(shop, "lost-broker_slow-slow")
+        return "because the broker accepts them too slowly" in await alert(shop, "dropped-broker_slow-slow")
 
     await shop.until(alerted, 60.0)
-    assert shop.rule("newest")["losses"] == {}
+    assert shop.rule("newest")["droppedByCause"] == {}
     assert not await alert(shop, "newest")
-    assert await shop.value("urn:ngsi-ld:Device:demo:newest", "n") == said - 1
+    assert await shop.value("urn:ngsi-ld:Device:demo:newest", "n") == sent - 1
 
 
-async def test_told_counts_only_what_the_broker_has_taken(shop: Shop, slow: Slow) -> None:
-    every = await shop.speaks("/every", "std_msgs/msg/Int32", ALL)
+async def test_forwarded_counts_only_accepted_updates(shop: Shop, slow: Slow) -> None:
+    every = await shop.publisher("/every", "std_msgs/msg/Int32", ALL)
     shop.cell.kill("context_broker")
     try:
         for number in range(20):
             every.publish({"data": number})
-        await rule_becomes(shop, "every", heard=20)
-        assert shop.rule("every")["told"] == 0
+        await rule_becomes(shop, "every", received=20)
+        assert shop.rule("every")["forwarded"] == 0
     finally:
         await asyncio.to_thread(shop.cell.start, "context_broker", within_s=90.0)
-    await rule_becomes(shop, "every", told=20, dropped=0)
+    await rule_becomes(shop, "every", forwarded=20, dropped=0)

@@ -1,6 +1,6 @@
-"""Pace: how often an entity is written, and whether what is heard of it is worth writing.
+"""Decides which states of entities are written: limits the rate, and suppresses unchanged values.
 
-Pure: the time (seconds, any clock that only goes forward) is given to it.
+Pure: the caller passes the time (seconds, any monotonic clock).
 """
 
 import math
@@ -13,16 +13,16 @@ from ros_fiware_bridge.mapping.values import DeadBand
 
 
 @dataclass(slots=True)
-class _Told:
+class _Written:
     at_s: float
     values: Mapping[str, Any]
 
 
-class Pace:
-    """What one rule has last told of each of its entities; it remembers `most_entities` of them.
+class UpdateFilter:
+    """The last written values of each entity of one rule, for at most `max_entities` entities.
 
-    `dead_bands` are by attribute; with `on_change`, or as soon as there is one, an entity is only written
-    when something has changed, by more than its dead band if it has one.
+    `dead_bands` are by attribute. With `on_change`, or with any dead band, an entity is written only after a
+    change, which must exceed the dead band of its attribute.
     """
 
     def __init__(
@@ -32,45 +32,45 @@ class Pace:
         on_change: bool = False,
         dead_bands: Mapping[str, DeadBand] | None = None,
         at_least_every_s: float | None = None,
-        most_entities: int = 1000,
+        max_entities: int = 1000,
     ) -> None:
         self._every_s = every_s
         self._dead_bands = dict(dead_bands or {})
         self._only_changes = on_change or bool(self._dead_bands)
         self._at_least_every_s = math.inf if at_least_every_s is None else at_least_every_s
-        self._most = most_entities
-        self._told: OrderedDict[str, _Told] = OrderedDict()
+        self._max_entities = max_entities
+        self._written: OrderedDict[str, _Written] = OrderedDict()
 
-    def waits_s(self, entity_id: str, now_s: float) -> float:
-        """Return how long the entity must not be written yet; 0 if it may be now."""
-        told = self._told.get(entity_id)
-        return 0.0 if told is None else max(told.at_s + self._every_s - now_s, 0.0)
+    def wait_s(self, entity_id: str, now_s: float) -> float:
+        """Return how long the entity must not be written yet; 0 if it may be written now."""
+        last = self._written.get(entity_id)
+        return 0.0 if last is None else max(last.at_s + self._every_s - now_s, 0.0)
 
-    def is_news(self, entity_id: str, values: Mapping[str, Any], now_s: float) -> bool:
-        """Say whether `values` are worth writing, as far as what has been told goes."""
-        told = self._told.get(entity_id)
-        if told is None or not self._only_changes or now_s - told.at_s >= self._at_least_every_s:
+    def is_change(self, entity_id: str, values: Mapping[str, Any], now_s: float) -> bool:
+        """Return whether `values` must be written, given the last written ones."""
+        last = self._written.get(entity_id)
+        if last is None or not self._only_changes or now_s - last.at_s >= self._at_least_every_s:
             return True
-        if values.keys() != told.values.keys():
+        if values.keys() != last.values.keys():
             return True
         return any(
-            differs(told.values[name], value, self._dead_bands.get(name)) for name, value in values.items()
+            differs(last.values[name], value, self._dead_bands.get(name)) for name, value in values.items()
         )
 
-    def told(self, entity_id: str, values: Mapping[str, Any], now_s: float) -> None:
-        """Take notice that `values` are on their way to the broker."""
-        self._told[entity_id] = _Told(now_s, values)
-        self._told.move_to_end(entity_id)
-        while len(self._told) > self._most:
-            self._told.popitem(last=False)
+    def record(self, entity_id: str, values: Mapping[str, Any], now_s: float) -> None:
+        """Record that `values` are being written."""
+        self._written[entity_id] = _Written(now_s, values)
+        self._written.move_to_end(entity_id)
+        while len(self._written) > self._max_entities:
+            self._written.popitem(last=False)
 
     def forget(self, entity_id: str) -> None:
-        """Take notice that the broker does not have what was told."""
-        self._told.pop(entity_id, None)
+        """Forget the last written values: the broker does not have them."""
+        self._written.pop(entity_id, None)
 
 
 def differs(before: Any, now: Any, band: DeadBand | None = None) -> bool:
-    """Say whether `now` is another value than `before`: for numbers, by more than `band`."""
+    """Return whether the values differ: for numbers, by more than `band`."""
     if isinstance(before, list) and isinstance(now, list):
         return before != now and (band is None or _lists_differ(before, now, band))
     if isinstance(before, dict) and isinstance(now, dict):
@@ -89,7 +89,7 @@ def _lists_differ(before: list[Any], now: list[Any], band: DeadBand) -> bool:
     if len(before) != len(now):
         return True
     if band.relative is None and {*map(type, before), *map(type, now)} == {float}:
-        limit = band.absolute or 0.0  # the common case, of joints a thousand times a second
+        limit = band.absolute or 0.0  # the common case: joints, a thousand times a second
         return any(abs(new - old) > limit for old, new in zip(before, now, strict=True))
     return any(differs(old, new, band) for old, new in zip(before, now, strict=True))
 

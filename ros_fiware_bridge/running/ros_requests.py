@@ -1,10 +1,11 @@
-"""Asking: a Task, or an attribute that changes, calls a service or sends a goal to an action of the graph."""
+"""Requests to the ROS graph: a Task or a changed attribute calls a service or sends a goal to an action."""
 
 import asyncio
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from handover.broker import BrokerClient
@@ -18,22 +19,22 @@ from ros_fiware_bridge.graph.port import Goal, GoalStatus, Message, RosGraph
 from ros_fiware_bridge.mapping import paths
 from ros_fiware_bridge.mapping.model import ActionGoal, Change, ServiceCall
 from ros_fiware_bridge.rules.attributes import MadeAttribute
-from ros_fiware_bridge.rules.inward import Scope
-from ros_fiware_bridge.rules.outbox import Letter
-from ros_fiware_bridge.rules.outward import SURVIVED
-from ros_fiware_bridge.rules.plan import PlannedAsk
+from ros_fiware_bridge.rules.entity_extractor import MESSAGE_ERRORS
+from ros_fiware_bridge.rules.message_builder import Scope
+from ros_fiware_bridge.rules.outbox import Update
+from ros_fiware_bridge.rules.plan import PlannedRequest
 from ros_fiware_bridge.running.listener import Listener
-from ros_fiware_bridge.running.tally import Tally
+from ros_fiware_bridge.running.rule_stats import RuleStats
 
 log = get_logger(__name__)
 
 OnFeedback = Callable[[Mapping[str, Any]], None]
-MOST_WAITING = 16
-CANCEL_WITHIN_S = 5.0
+MAX_QUEUED = 16
+CANCEL_TIMEOUT_S = 5.0
 
 
-class NoSuccess(HandoverError):
-    """A service or an action has answered, and the answer is no; `outputs` are what it told all the same."""
+class RequestFailed(HandoverError):
+    """A service or an action reported failure; `outputs` are the outputs that it returned all the same."""
 
     def __init__(self, why: str, outputs: Mapping[str, Any]) -> None:
         super().__init__(why)
@@ -41,17 +42,17 @@ class NoSuccess(HandoverError):
 
 
 @dataclass
-class Asking:
-    """A rule that asks the graph for something."""
+class RosRequest:
+    """A rule that calls a service or sends a goal; see `execute`."""
 
-    planned: PlannedAsk
-    tally: Tally
+    planned: PlannedRequest
+    stats: RuleStats
     graph: RosGraph
 
-    async def ask(self, scope: Scope, on_feedback: OnFeedback, job: Job | None = None) -> dict[str, Any]:
-        """Ask, and return the outputs. Raises `NoSuccess`, `TaskCancelled`, or another `HandoverError`."""
+    async def execute(self, scope: Scope, on_feedback: OnFeedback, job: Job | None = None) -> dict[str, Any]:
+        """Return the outputs. Raises `RequestFailed`, `TaskCancelled`, or another `HandoverError`."""
         clock = asyncio.get_running_loop().time
-        self.tally.hear(clock())
+        self.stats.count_received(clock())
         try:
             request = self.planned.request.message(scope)
             rule = self.planned.rule
@@ -62,10 +63,10 @@ class Asking:
                 outputs = await self._goal(rule, request, on_feedback, job)
         except TaskCancelled:
             raise
-        except SURVIVED as error:
-            self.tally.fault(str(error), clock())
+        except MESSAGE_ERRORS as error:
+            self.stats.record_error(str(error), clock())
             raise error if isinstance(error, HandoverError) else HandoverError(str(error)) from error
-        self.tally.tell(clock(), outputs)
+        self.stats.count_forwarded(clock(), outputs)
         return outputs
 
     async def _goal(
@@ -74,23 +75,25 @@ class Asking:
         client = await self.graph.action_client(rule.action, rule.type)
         try:
             goal = await client.send_goal(
-                request, on_feedback=lambda told: self._feed_back(told, on_feedback), timeout_s=rule.timeout_s
+                request,
+                on_feedback=lambda feedback: self._feed_back(feedback, on_feedback),
+                timeout_s=rule.timeout_s,
             )
             result = asyncio.ensure_future(goal.result(rule.result_timeout_s))
-            steering = asyncio.create_task(_cancelled_by(job, goal)) if job is not None else None
+            canceller = asyncio.create_task(_cancel_with_task(job, goal)) if job is not None else None
             try:
                 ended = await result
             except asyncio.CancelledError:
-                with suppress(HandoverError, TimeoutError):  # the bridge ends; so does what it began
+                with suppress(HandoverError, TimeoutError):  # the bridge stops, and so must the goal
                     await goal.cancel(1.0)
                 raise
-            except HandoverError:  # the Task fails, so the robot must not go on with it
+            except HandoverError:  # the Task fails, so the robot must not continue
                 with suppress(HandoverError, TimeoutError):
-                    await goal.cancel(CANCEL_WITHIN_S)
+                    await goal.cancel(CANCEL_TIMEOUT_S)
                 raise
             finally:
-                if steering is not None:
-                    steering.cancel()
+                if canceller is not None:
+                    canceller.cancel()
                 result.cancel()
             outputs = self._outputs(ended.result, rule, ended.status)
             if ended.status is GoalStatus.CANCELED:
@@ -108,13 +111,13 @@ class Asking:
         if status is GoalStatus.CANCELED:
             return outputs
         if status not in {None, GoalStatus.SUCCEEDED}:
-            raise NoSuccess(f"{what} gave up{_because(message)}", outputs)
+            raise RequestFailed(f"{what} gave up{_reason(message)}", outputs)
         if rule.success is not None and paths.getter(rule.success)(answer) is not True:
-            raise NoSuccess(f"{what} did not succeed{_because(message)}", outputs)
+            raise RequestFailed(f"{what} did not succeed{_reason(message)}", outputs)
         return outputs
 
-    def _feed_back(self, told: Message, on_feedback: OnFeedback) -> None:
-        if made := self._made(self.planned.feedback, told):
+    def _feed_back(self, feedback: Message, on_feedback: OnFeedback) -> None:
+        if made := self._made(self.planned.feedback, feedback):
             on_feedback(made)
 
     def _made(self, attributes: tuple[MadeAttribute, ...], answer: Message) -> dict[str, Any]:
@@ -122,48 +125,48 @@ class Asking:
         for attribute in attributes:
             try:
                 made[attribute.name] = attribute.make(answer)
-            except SURVIVED as error:
-                self.tally.fault(f"{attribute.name}: {error}", asyncio.get_running_loop().time())
+            except MESSAGE_ERRORS as error:
+                self.stats.record_error(f"{attribute.name}: {error}", asyncio.get_running_loop().time())
         return made
 
 
-async def _cancelled_by(job: Job, goal: Goal) -> None:
-    """Cancel the goal once the Task is not wanted any more; asked again until the goal has ended."""
+async def _cancel_with_task(job: Job, goal: Goal) -> None:
+    """Cancel the goal when the Task is cancelled; repeat the request until the goal has ended."""
     while job.requested_action is not RequestedAction.CANCEL:
         await job.changed()
     while True:
         try:
-            if await goal.cancel(CANCEL_WITHIN_S):
+            if await goal.cancel(CANCEL_TIMEOUT_S):
                 return
         except HandoverError as error:
-            log.warning("a goal could not be cancelled yet", task=job.task.id, error=str(error))
+            log.warning("cancelling a goal failed, retrying", task=job.task.id, error=str(error))
         await asyncio.sleep(1.0)
 
 
-def _because(message: str) -> str:
+def _reason(message: str) -> str:
     return f": {message}" if message else ""
 
 
-class TaskAsking(Performer):
-    """Performs the Tasks for which a rule asks the graph for something."""
+class RosTaskPerformer(Performer):
+    """Performs the Tasks that a rule maps to a service or an action."""
 
     def __init__(self, name: str, settings: Settings, broker: BrokerClient, *, notify_url: str) -> None:
         super().__init__(name, settings, broker, notify_url=notify_url)
-        self._askings: dict[tuple[str, str], Asking] = {}
+        self._requests: dict[tuple[str, str], RosRequest] = {}
 
-    def add(self, asking: Asking) -> None:
-        """Have one more kind of Task performed."""
-        planned = asking.planned
+    def add(self, request: RosRequest) -> None:
+        """Perform the Tasks of one more rule."""
+        planned = request.planned
         assert planned.resource is not None and planned.rule.task is not None  # noqa: S101, PT018 - a Task's rule
-        self._askings[planned.resource, planned.rule.task] = asking
+        self._requests[planned.resource, planned.rule.task] = request
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
-        """Do what the Task asks, by the rule for it; return what was answered."""
+        """Perform the Task by its rule; return the outputs."""
         named = job.parameters.get("operation")
         operation = str(named) if named is not None else job.task.is_defined_by.object.rsplit(":", 1)[-1]
-        asking = self._askings.get((job.resource, operation))
-        if asking is None:
-            known = ", ".join(task for resource, task in self._askings if resource == job.resource)
+        request = self._requests.get((job.resource, operation))
+        if request is None:
+            known = ", ".join(task for resource, task in self._requests if resource == job.resource)
             raise TaskFailed(
                 message(
                     "ros.no_rule_for_operation",
@@ -173,37 +176,37 @@ class TaskAsking(Performer):
                     known=known,
                 )
             )
-        if not asking.tally.enabled:
+        if not request.stats.enabled:
             raise TaskFailed(
                 message(
                     "ros.rule_disabled",
                     'the rule "{rule}" of the ROS bridge is switched off',
-                    rule=asking.tally.name,
+                    rule=request.stats.name,
                 )
             )
-        rule = asking.planned.rule
+        rule = request.planned.rule
         if job.resumed and isinstance(rule, ActionGoal) and not rule.again:
             raise TaskFailed(
                 message(
                     "ros.goal_interrupted",
-                    "the ROS bridge was ended while {action} worked on this; such a goal is not sent again",
+                    "the ROS bridge stopped while {action} was active; such a goal is not sent again",
                     action=rule.action,
                 )
             )
         loop = asyncio.get_running_loop()
-        chores: set[asyncio.Task[None]] = set()
+        tasks: set[asyncio.Task[None]] = set()
 
-        def on_feedback(told: Mapping[str, Any]) -> None:
-            others = {name: value for name, value in told.items() if name != "progress"}
-            chore = loop.create_task(job.progress(_fraction(told.get("progress")), **others))
-            chores.add(chore)
-            chore.add_done_callback(chores.discard)
+        def on_feedback(feedback: Mapping[str, Any]) -> None:
+            others = {name: value for name, value in feedback.items() if name != "progress"}
+            task = loop.create_task(job.progress(_fraction(feedback.get("progress")), **others))
+            tasks.add(task)
+            task.add_done_callback(tasks.discard)
 
         await job.checkpoint()
         scope = Scope({**job.parameters, "taskId": job.task.id, "id": job.task.id.rsplit(":", 1)[-1]})
         try:
-            return await asking.ask(scope, on_feedback, job)
-        except NoSuccess as no:
+            return await request.execute(scope, on_feedback, job)
+        except RequestFailed as no:
             raise TaskFailed(text_of(no), **no.outputs) from no
         except TaskCancelled:
             raise
@@ -211,72 +214,72 @@ class TaskAsking(Performer):
             raise TaskFailed(text_of(error)) from error
 
 
-def _fraction(told: Any) -> float:
-    return float(told) if isinstance(told, int | float) else 0.0
+def _fraction(progress: Any) -> float:
+    return float(progress) if isinstance(progress, int | float) else 0.0
 
 
-class ChangeAsking:
-    """Asks the graph whenever an attribute changes: one after another, the oldest giving way to many.
+class ChangeTrigger:
+    """Sends a request whenever an attribute changes: one at a time; a full queue drops the oldest.
 
-    `failing` is called with why a call failed, and with None once one has succeeded.
+    `on_result` is called with the reason of a failed request, and with None after one that succeeded.
     """
 
     def __init__(
-        self, asking: Asking, put: Callable[[Letter], None], failing: Callable[[str | None], None]
+        self, request: RosRequest, put: Callable[[Update], None], on_result: Callable[[str | None], None]
     ) -> None:
-        change = asking.planned.rule.when
+        change = request.planned.rule.when
         assert change is not None  # noqa: S101 - a rule of changes
-        assert asking.planned.selector is not None  # noqa: S101
-        self.asking = asking
+        assert request.planned.selector is not None  # noqa: S101
+        self.request = request
         self._change: Change = change
         self._put = put
-        self._failing = failing
-        self._waiting: deque[Scope] = deque()
-        self._something = asyncio.Event()
+        self._on_result = on_result
+        self._queue: deque[Scope] = deque()
+        self._has_pending = asyncio.Event()
         self.listener = Listener(
-            asking.planned.name,
-            asking.planned.selector,
+            request.planned.name,
+            request.planned.selector,
             {change.attribute},
             self._take,
             at_start=False,
-            complain=lambda why: asking.tally.fault(why, asyncio.get_running_loop().time()),
+            on_error=lambda why: request.stats.record_error(why, asyncio.get_running_loop().time()),
         )
 
-    async def keep(self) -> None:
-        """Work through what waits until cancelled."""
+    async def run(self) -> None:
+        """Send the queued requests until cancelled."""
         while True:
-            while not self._waiting:
-                self._something.clear()
-                await self._something.wait()
-            scope = self._waiting.popleft()
+            while not self._queue:
+                self._has_pending.clear()
+                await self._has_pending.wait()
+            scope = self._queue.popleft()
             try:
-                outputs = await self.asking.ask(scope, lambda told, scope=scope: self._write(scope, told))  # type: ignore[misc]  # mypy does not see the default
-            except NoSuccess as no:
+                outputs = await self.request.execute(scope, partial(self._write, scope))
+            except RequestFailed as no:
                 outputs = dict(no.outputs)
-                self._failing(f"{scope.values['entityId']}: {no}")
+                self._on_result(f"{scope.values['entityId']}: {no}")
             except (HandoverError, TaskCancelled) as error:
-                log.info("call for a changed attribute failed", rule=self.asking.tally.name, why=str(error))
-                self._failing(f"{scope.values['entityId']}: {error}")
+                log.info("call for a changed attribute failed", rule=self.request.stats.name, why=str(error))
+                self._on_result(f"{scope.values['entityId']}: {error}")
                 continue
             else:
-                self._failing(None)
+                self._on_result(None)
             self._write(scope, outputs)
 
     def _take(self, _: Mapping[str, Any], scope: Scope) -> None:
         wanted = "equals" in self._change.model_fields_set
         if wanted and scope.values.get(self._change.attribute) != self._change.equals:
             return
-        if len(self._waiting) >= MOST_WAITING:
-            self._waiting.popleft()
-            self.asking.tally.lose("queue_full")
-        self._waiting.append(scope)
-        self._something.set()
+        if len(self._queue) >= MAX_QUEUED:
+            self._queue.popleft()
+            self.request.stats.count_dropped("queue_full")
+        self._queue.append(scope)
+        self._has_pending.set()
 
     def _write(self, scope: Scope, outputs: Mapping[str, Any]) -> None:
-        made = {one.name: one for one in (*self.asking.planned.outputs, *self.asking.planned.feedback)}
+        made = {one.name: one for one in (*self.request.planned.outputs, *self.request.planned.feedback)}
         attributes = {
             name: made[name].written(value, None) for name, value in outputs.items() if name in made
         }
         if attributes:
             entity_id, kind = str(scope.values["entityId"]), str(scope.values["type"])
-            self._put(Letter(self.asking.tally.name, entity_id, kind, attributes, create=False))
+            self._put(Update(self.request.stats.name, entity_id, kind, attributes, create=False))

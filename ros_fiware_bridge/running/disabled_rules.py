@@ -1,4 +1,4 @@
-"""Memory: which rules somebody has switched off; it survives a power cut."""
+"""The names of the rules that a user has disabled, in a file; a power cut does not damage it."""
 
 import os
 from collections.abc import Iterable
@@ -10,14 +10,14 @@ from handover.errors import Problem, UsageError
 from handover.messages import message
 
 
-class Memory:
-    """One small file, replaced as a whole."""
+class DisabledRules:
+    """One small JSON file, replaced atomically."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def load(self) -> frozenset[str]:
-        """Return the names of the rules that are off. Raises `UsageError` when the file is damaged."""
+        """Return the names of the disabled rules. Raises `UsageError` if the file is damaged."""
         try:
             written = orjson.loads(self._path.read_bytes())
             return frozenset(str(name) for name in written["off"])
@@ -25,12 +25,12 @@ class Memory:
             return frozenset()
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UsageError(
-                f"the memory of the ROS bridge, {self._path}, cannot be read ({error}); "
-                "delete it to begin with all rules on"
+                f"the disabled rules of the ROS bridge, {self._path}, cannot be read ({error}); "
+                "delete the file to start with all rules enabled"
             ) from None
 
     def save(self, off: Iterable[str]) -> None:
-        """Write which rules are off; it is there, as a whole, once this returns. Raises `Problem`."""
+        """Replace the file; it is on the disk when this returns. Raises `Problem`."""
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             new = self._path.with_suffix(".new")
@@ -54,7 +54,7 @@ class Memory:
 
 
 def _sync_folder(folder: Path) -> None:
-    if not hasattr(os, "O_DIRECTORY"):  # where a folder cannot be opened, as on Windows
+    if not hasattr(os, "O_DIRECTORY"):  # Windows cannot open a directory
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:

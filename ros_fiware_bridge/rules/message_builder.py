@@ -1,6 +1,6 @@
-"""Inward: attributes, parameters or an answer become a message of the ROS graph, field by field.
+"""Builds a message of the ROS graph from attributes, parameters or a response, field by field.
 
-What no rule fills takes its default from the message definition.
+Fields without a source have the default of the message definition.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,28 +14,28 @@ from datamodels.times import parse
 from handover.errors import HandoverError
 from ros_fiware_bridge.errors import BadMessage
 from ros_fiware_bridge.mapping import paths
-from ros_fiware_bridge.mapping.paths import Field, Index, NotThere, Path, Where
+from ros_fiware_bridge.mapping.paths import Field, Index, MissingValue, Path, Where
 from ros_fiware_bridge.mapping.values import Source
 from ros_fiware_bridge.rules import conversion
-from ros_fiware_bridge.rules.definitions import TIME, Anatomy, Definitions, Leads, WrongRule
-from ros_fiware_bridge.rules.outward import Say, Telling
+from ros_fiware_bridge.rules.entity_extractor import ErrorScope, ReportError
+from ros_fiware_bridge.rules.message_schema import TIME, Definitions, InvalidRule, MessageSchema, PathTarget
 from ros_fiware_bridge.types.definition import FLOATS, FieldType, Many
 
 
 class Checked(Definitions, Protocol):
-    """Definitions that also know whether a message fits."""
+    """Definitions that also check messages; see `TypeStore`."""
 
     def check(self, type_name: str, message: Mapping[str, Any]) -> None:
-        """Raise `BadMessage` unless `message` could be sent."""
+        """Raise `BadMessage` unless `message` can be sent."""
 
 
 class Incomplete(HandoverError):
-    """Something that a rule requires is not there (yet), so nothing is said."""
+    """A value that a rule requires is missing, so no message is sent."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What fields are filled from: values by name, and when each was observed (ISO 8601)."""
+    """The values that fields are filled from, by name, and when each was observed (ISO 8601)."""
 
     values: Mapping[str, Any]
     observed: Mapping[str, str] = field(default_factory=dict)
@@ -46,8 +46,8 @@ Fill = Callable[[Scope], Any]
 _NOTHING = object()
 
 
-class Inward:
-    """The fields of a message of `type_name`, and what each is filled from, made ready."""
+class MessageBuilder:
+    """Builds messages of `type_name`; the source of each field is compiled once."""
 
     def __init__(
         self,
@@ -55,23 +55,23 @@ class Inward:
         fields: Mapping[Path, Source],
         definitions: Checked,
         settings: Mapping[str, str],
-        say: Say,
+        report: ReportError,
     ) -> None:
         self.type_name = type_name
         self._definitions = definitions
         self._fills: list[tuple[tuple[_Step, ...], Fill]] = []
-        anatomy = Anatomy(definitions, type_name)
+        schema = MessageSchema(definitions, type_name)
         for path, source in fields.items():
-            with Telling(say, (str(path),)):
-                leads = anatomy.leads(path)
-                steps = tuple(self._steps(path, anatomy))
-                self._fills.append((steps, _filled(path, source, leads, settings)))
+            with ErrorScope(report, (str(path),)):
+                target = schema.target(path)
+                steps = tuple(self._steps(path, schema))
+                self._fills.append((steps, _filled(path, source, target, settings)))
                 self._try_constants(steps, source)
 
     def message(self, scope: Scope) -> dict[str, Any]:
-        """Return the message.
+        """Return the message as a dict.
 
-        Raises `Incomplete`, or another `HandoverError` or ValueError when a value cannot be taken.
+        Raises `Incomplete`, or another `HandoverError` or ValueError for a value that does not fit.
         """
         made: dict[str, Any] = {}
         for steps, fill in self._fills:
@@ -80,19 +80,19 @@ class Inward:
                 continue
             if not steps:
                 if not isinstance(value, Mapping):
-                    raise NotThere(f"a whole message is filled from an object, not from {value!r:.60}")
+                    raise MissingValue(f"a whole message is filled from an object, not from {value!r:.60}")
                 made = {**made, **value}
             else:
                 _put(made, steps, value)
         return made
 
-    def _steps(self, path: Path, anatomy: Anatomy) -> "list[_Step]":
+    def _steps(self, path: Path, schema: MessageSchema) -> "list[_Step]":
         steps: list[_Step] = []
         for place, step in enumerate(path.steps):
             if not isinstance(step, Field | Index):
-                raise WrongRule(f"{path}: what is filled is named without {step}; use a number, as in [0]")
-            here = anatomy.leads(Path(path.steps[: place + 1])).type
-            assert here is not None  # noqa: S101 - no JSON text is written into
+                raise InvalidRule(f"{path}: what is filled is named without {step}; use a number, as in [0]")
+            here = schema.target(Path(path.steps[: place + 1])).type
+            assert here is not None  # noqa: S101 - fields of JSON text cannot be set
             following = path.steps[place + 1] if place + 1 < len(path.steps) else None
             key: str | int = step.name if isinstance(step, Field) else step.place
             filler = _empty(here.item) if isinstance(following, Index) else None
@@ -101,7 +101,7 @@ class Inward:
         return steps
 
     def _try_constants(self, steps: "tuple[_Step, ...]", source: Source) -> None:
-        """Refuse what could never be sent: a constant, a default or a mapped value that does not fit."""
+        """Refuse a constant, default or mapped value that can never be sent."""
         given = [source.constant] if "constant" in source.model_fields_set else []
         given += [source.default] if "default" in source.model_fields_set else []
         given += [value for value in (source.values or {}).values() if value is not None]
@@ -115,12 +115,12 @@ class Inward:
             try:
                 self._definitions.check(self.type_name, made)
             except BadMessage as error:
-                raise WrongRule(str(error)) from None
+                raise InvalidRule(str(error)) from None
 
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """One step to where a value is put; `filler` makes elements of the array there, of `size` if fixed."""
+    """One step to the field that is set; `filler` creates elements of its array, `size` of them if fixed."""
 
     key: str | int
     filler: Callable[[], Any] | None
@@ -153,17 +153,17 @@ def _empty(one: FieldType) -> Callable[[], Any]:
     return float if one.base in FLOATS else int
 
 
-def _filled(path: Path, source: Source, leads: Leads, settings: Mapping[str, str]) -> Fill:
-    found = _found(path, source, leads, settings)
+def _filled(path: Path, source: Source, target: PathTarget, settings: Mapping[str, str]) -> Fill:
+    found = _found(path, source, target, settings)
     convert = conversion.compiled(source)
     default = source.default if "default" in source.model_fields_set else _NOTHING
-    if source.convert is not None and not leads.is_number and leads.type != FieldType("string"):
-        raise WrongRule(f"{path} is {leads}, and only numbers are converted")
+    if source.convert is not None and not target.is_number and target.type != FieldType("string"):
+        raise InvalidRule(f"{path} is {target}, and only numbers are converted")
 
     def fill(scope: Scope) -> Any:
         try:
             value = found(scope)
-        except NotThere:
+        except MissingValue:
             value = None
         if value is None:
             if source.required:
@@ -174,30 +174,30 @@ def _filled(path: Path, source: Source, leads: Leads, settings: Mapping[str, str
     return fill
 
 
-def _found(path: Path, source: Source, leads: Leads, settings: Mapping[str, str]) -> Fill:
+def _found(path: Path, source: Source, target: PathTarget, settings: Mapping[str, str]) -> Fill:
     if source.attribute is not None:
         return _by_path(source.attribute)
     if (name := source.name) is not None:
         return lambda scope: scope.values.get(name)
     if source.observed_at is not None or source.now:
-        return _moment(path, source, leads)
+        return _moment(path, source, target)
     if source.text is not None or source.json_of is not None or source.json_fields is not None:
-        return _words(path, source, leads, settings)
+        return _words(path, source, target, settings)
     constant = source.constant
     return lambda _: constant
 
 
-def _moment(path: Path, source: Source, leads: Leads) -> Fill:
-    if not leads.is_message(TIME):
-        raise WrongRule(f"{path} is {leads}, not a time ({TIME})")
+def _moment(path: Path, source: Source, target: PathTarget) -> Fill:
+    if not target.is_message(TIME):
+        raise InvalidRule(f"{path} is {target}, not a time ({TIME})")
     if (observed := source.observed_at) is not None:
         return lambda scope: _time_of(scope.observed.get(observed))
     return lambda scope: _time(scope.now_s)
 
 
-def _words(path: Path, source: Source, leads: Leads, settings: Mapping[str, str]) -> Fill:
-    if not leads.is_text:
-        raise WrongRule(f"{path} is {leads}, and text goes into a string")
+def _words(path: Path, source: Source, target: PathTarget, settings: Mapping[str, str]) -> Fill:
+    if not target.is_text:
+        raise InvalidRule(f"{path} is {target}, and text goes into a string")
     if source.text is not None:
         return source.text.with_settings(settings).filler(_by_path)
     if source.json_fields is not None:
@@ -209,7 +209,7 @@ def _words(path: Path, source: Source, leads: Leads, settings: Mapping[str, str]
 
 def _by_path(path: Path) -> Fill:
     if any(not isinstance(step, Field | Index | Where) for step in path.steps):
-        raise WrongRule(f"{path}: here nothing is gone through element by element; drop the []")
+        raise InvalidRule(f"{path}: here nothing is gone through element by element; drop the []")
     find = paths.getter(path)
     return lambda scope: find(scope.values)
 
@@ -217,7 +217,7 @@ def _by_path(path: Path) -> Fill:
 def _or_none(find: Fill, scope: Scope) -> Any:
     try:
         return find(scope)
-    except NotThere:
+    except MissingValue:
         return None
 
 

@@ -1,4 +1,4 @@
-"""Where a path leads in the definition of a message: checked once, before anything runs."""
+"""Message definitions as a rule sees them: the type that a path target to, checked before anything runs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,26 +15,26 @@ HEADER = "std_msgs/msg/Header"
 Find = Callable[[Path], Getter]
 
 
-class WrongRule(ValueError):
-    """A rule cannot work as it is written; the message names the rule and the way out."""
+class InvalidRule(ValueError):
+    """A rule cannot work as it is written; the text names the rule and the way out."""
 
 
 class Definitions(Protocol):
-    """Whoever knows the definitions of message types."""
+    """Provides the definitions of message types; see `TypeStore`."""
 
     def definition(self, type_name: str) -> Definition:
         """Return the definition of a message type. Raises `UnknownType`."""
 
 
 @dataclass(frozen=True, slots=True)
-class Leads:
-    """What a path leads to: a field's type; None where it leads into JSON text, of which nothing is known."""
+class PathTarget:
+    """The target of a path: a field's type, or None inside JSON text, where no type is known."""
 
     type: FieldType | None
 
     @property
     def is_number(self) -> bool:
-        """Say whether it may be one number."""
+        """Return whether it may be one number."""
         return self.type is None or (
             self.type.many is Many.ONE
             and not self.type.is_message
@@ -43,21 +43,21 @@ class Leads:
 
     @property
     def is_text(self) -> bool:
-        """Say whether it may be text."""
+        """Return whether it may be text."""
         return self.type is None or (self.type.many is Many.ONE and self.type.base == "string")
 
     def is_message(self, type_name: str) -> bool:
-        """Say whether it may be a message of this type."""
+        """Return whether it may be a message of this type."""
         return self.type is None or (self.type.many is Many.ONE and self.type.base == type_name)
 
     def __str__(self) -> str:
         return "JSON" if self.type is None else str(self.type)
 
 
-class Anatomy:
-    """The inside of a message of `type_name`, as a rule looks at it.
+class MessageSchema:
+    """The fields of a message type, for the paths of one rule.
 
-    `each` is the array whose elements the rule goes through; `json_text` are fields that hold JSON.
+    `each` is the array that the rule iterates over; `json_text` are fields that hold JSON.
     """
 
     def __init__(
@@ -73,40 +73,42 @@ class Anatomy:
         self._json_text: frozenset[Path] = frozenset()
         self._looked_at: set[FieldNames] = set()
         for path in json_text:
-            if not (found := self._plainly(path)).is_text:
-                raise WrongRule(f"{path} is {found}, and only text (string) can hold JSON")
+            if not (found := self._resolve(path)).is_text:
+                raise InvalidRule(f"{path} is {found}, and only text (string) can hold JSON")
         self._json_text = frozenset(json_text)
-        through = self._plainly(each).type if each is not None else None
+        through = self._resolve(each).type if each is not None else None
         if through is not None and through.many is Many.ONE:
-            raise WrongRule(f"{each} is one {through}; `each` is for arrays, so drop it and its []")
+            raise InvalidRule(f"{each} is one {through}; `each` is for arrays, so drop it and its []")
 
-    def leads(self, path: Path) -> Leads:
-        """Return what `path` leads to. Raises `WrongRule` when it leads nowhere."""
+    def target(self, path: Path) -> PathTarget:
+        """Return the target of `path`. Raises `InvalidRule` if there is none."""
         split = path.split()
         if split is None:
-            return self._plainly(path)
+            return self._resolve(path)
         if split[0] != self.each:
             meant = f"`each` is {self.each}" if self.each else f"the rule has no `each: {split[0]}`"
-            raise WrongRule(f"{path} goes over each element of {split[0]}, but {meant}")
-        found = self._plainly(split[0]).type
-        return Leads(None) if found is None else self._walk(split[1], found.item, path)
+            raise InvalidRule(f"{path} goes over each element of {split[0]}, but {meant}")
+        found = self._resolve(split[0]).type
+        return PathTarget(None) if found is None else self._walk(split[1], found.item, path)
 
     @property
     def fields(self) -> frozenset[FieldNames]:
-        """Return what of a message is looked at; `()` is the whole message."""
+        """Return the fields that the rule reads; `()` is the whole message."""
         return frozenset(self._looked_at)
 
     def require_time(self, path: Path) -> None:
-        """Raise `WrongRule` unless `path` leads to a time."""
-        if not (found := self.leads(path)).is_message(TIME):
-            raise WrongRule(f"{path} is {found}, not a time ({TIME}); name one, or write received or none")
+        """Raise `InvalidRule` unless `path` is a time field."""
+        if not (found := self.target(path)).is_message(TIME):
+            raise InvalidRule(
+                f"{path} is {found}, not a time ({TIME}); name a time field, or write received or none"
+            )
 
     def find(self, path: Path) -> Getter:
-        """Return the function that follows `path`.
+        """Return the function that reads the value at `path`.
 
-        With `each`, what it is given is a pair: the message and the element; else the message.
+        With `each` its argument is the pair of message and element, else the message.
         """
-        self.leads(path)
+        self.target(path)
         split = path.split()
         if self.each is None:
             return getter(path)
@@ -121,56 +123,56 @@ class Anatomy:
         return self._definitions.definition(type_name)
 
     def has_stamp(self) -> bool:
-        """Say whether the message has a header."""
+        """Return whether the message has a header."""
         header = self._definitions.definition(self._top.base).field("header")
         return header is not None and header.type == FieldType(HEADER)
 
-    def _plainly(self, path: Path) -> Leads:
+    def _resolve(self, path: Path) -> PathTarget:
         return self._walk(path, self._top, path)
 
-    def _walk(self, path: Path, start: FieldType, whole: Path) -> Leads:
+    def _walk(self, path: Path, start: FieldType, whole: Path) -> PathTarget:
         here, holder = start, None
         if start == self._top:
             self._looked_at.add(_names(path.steps))
         for place, step in enumerate(path.steps):
             if Path(path.steps[:place]) in self._json_text:
-                return Leads(None)
+                return PathTarget(None)
             so_far = str(Path(path.steps[:place])) if place else "the message"
             if isinstance(step, Field):
                 holder = self._definition_of(here, so_far, step.name)
                 here = _field_of(holder, step.name, so_far)
             elif isinstance(step, Each):
-                raise WrongRule(f"{whole} goes over [] where the rule has no `each`")
+                raise InvalidRule(f"{whole} goes over [] where the rule has no `each`")
             else:
                 if isinstance(step, Where) and start == self._top and not here.is_message:
                     self._looked_at.add((*_names(path.steps[: place - 1]), step.key))
                 here, holder = self._element(here, holder, step, so_far), None
-        return Leads(None if path in self._json_text else here)
+        return PathTarget(None if path in self._json_text else here)
 
     def _definition_of(self, here: FieldType, so_far: str, name: str) -> Definition:
         if here.many is not Many.ONE:
-            raise WrongRule(
+            raise InvalidRule(
                 f"{so_far} is an array ({here}) and has no field {name}; choose an element, as {so_far}[0]"
             )
         if not here.is_message:
-            raise WrongRule(f"{so_far} is {here} and has no field {name}")
+            raise InvalidRule(f"{so_far} is {here} and has no field {name}")
         return self._definitions.definition(here.base)
 
     def _element(
         self, here: FieldType, holder: Definition | None, step: Index | Where, so_far: str
     ) -> FieldType:
         if here.many is Many.ONE:
-            raise WrongRule(f"{so_far} is {here}, not an array, and has no element {step}")
+            raise InvalidRule(f"{so_far} is {here}, not an array, and has no element {step}")
         if isinstance(step, Index):
             if here.size and step.place >= here.size:
-                raise WrongRule(f"{so_far} holds {here.size} at most ({here}), so there is no {step}")
+                raise InvalidRule(f"{so_far} holds {here.size} at most ({here}), so there is no {step}")
             return here.item
         if here.is_message:
             _field_of(self._definitions.definition(here.base), step.key, f"each of {so_far}")
         else:
             names = _field_of(holder, step.key, "the message") if holder else None
             if names is None or names.many is Many.ONE:
-                raise WrongRule(
+                raise InvalidRule(
                     f"{so_far}{step} looks for {step.wanted} in the array {step.key} beside {so_far}, "
                     "and there is no such array"
                 )
@@ -178,7 +180,7 @@ class Anatomy:
 
 
 def _names(steps: Sequence[Step]) -> FieldNames:
-    """Return the fields that the way leads through before it comes to an array."""
+    """Return the fields of a path up to its first array."""
     names: list[str] = []
     for step in steps:
         if not isinstance(step, Field):
@@ -194,4 +196,4 @@ def _field_of(definition: Definition, name: str, so_far: str) -> FieldType:
     names = [field.name for field in definition.fields]
     close = get_close_matches(name, names, n=1)
     meant = f'did you mean "{close[0]}"?' if close else f"it has {', '.join(names) or 'no fields'}"
-    raise WrongRule(f'{so_far} ({definition.type_name}) has no field "{name}"; {meant}')
+    raise InvalidRule(f'{so_far} ({definition.type_name}) has no field "{name}"; {meant}')

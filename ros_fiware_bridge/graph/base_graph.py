@@ -1,4 +1,4 @@
-"""A member of a graph: what every way to a ROS graph keeps of its node, its names and what it has opened."""
+"""The base class of the adapters: names, types and open endpoints of a graph."""
 
 from typing import Any
 
@@ -8,8 +8,8 @@ from ros_fiware_bridge.graph.joining import JoinSettings
 from ros_fiware_bridge.types.type_store import TypeStore
 
 
-class Member:
-    """What the adapters have in common; they do the rest of `port.RosGraph`."""
+class BaseGraph:
+    """The common part of the adapters; subclasses implement `port.RosGraph`."""
 
     def __init__(self, store: TypeStore, settings: JoinSettings) -> None:
         self.store = store
@@ -29,22 +29,22 @@ class Member:
             self.store.sound(f"{full}{part}")
         return full
 
-    def _keep(self, opened: Any) -> None:
+    def _register(self, opened: Any) -> None:
         self._opened[id(opened)] = opened
 
-    def _gone(self, opened: Any) -> None:
+    def _unregister(self, opened: Any) -> None:
         self._opened.pop(id(opened), None)
 
     async def _close_all(self) -> None:
-        """Close what is open, the last first: it stands on what was opened before it."""
+        """Close everything that is open, in reverse order: later endpoints may use earlier ones."""
         for opened in reversed(list(self._opened.values())):
             await opened.close()
 
 
-def require_fit(where: str, size: int, most_bytes: int) -> None:
-    """Raise `MessageTooBig` for a message of `size` bytes that is to go to `where`."""
-    if size > most_bytes:
+def require_fit(where: str, size: int, max_message_bytes: int) -> None:
+    """Raise `MessageTooBig` if a message of `size` bytes for `where` is over the limit."""
+    if size > max_message_bytes:
         raise MessageTooBig(
-            f"{where}: a message of {size} bytes is too big, {most_bytes} are allowed; "
-            "raise the limit if it is meant"
+            f"{where}: a message of {size} bytes is too big, {max_message_bytes} are allowed; "
+            "raise the limit if such messages are expected"
         )

@@ -1,4 +1,4 @@
-"""Incoming: one rule from entities to a topic at work."""
+"""Forwards entities of the broker to a topic, by one rule."""
 
 import asyncio
 from collections.abc import Mapping
@@ -7,56 +7,56 @@ from typing import Any
 from handover.errors import HandoverError
 from handover.telemetry import get_logger
 from ros_fiware_bridge.graph.port import Publisher, RosGraph
-from ros_fiware_bridge.rules.inward import Incomplete, Scope
-from ros_fiware_bridge.rules.pace import Pace
-from ros_fiware_bridge.rules.plan import PlannedInward
+from ros_fiware_bridge.rules.message_builder import Incomplete, Scope
+from ros_fiware_bridge.rules.plan import PlannedNgsildToRos
+from ros_fiware_bridge.rules.update_filter import UpdateFilter
 from ros_fiware_bridge.running.listener import Listener
-from ros_fiware_bridge.running.tally import Tally
+from ros_fiware_bridge.running.rule_stats import RuleStats
 
 log = get_logger(__name__)
 
-MOST_TOPICS = 64
-MATCHED_WITHIN_S = 2.0
+MAX_TOPICS = 64
+MATCH_TIMEOUT_S = 2.0
 
 
-class Incoming:
-    """A rule at work while it is `start`ed; what its `listener` passes on is published."""
+class EntityForwarder:
+    """Publishes the changes that its `listener` passes on, between `start` and `stop`."""
 
     def __init__(
-        self, planned: PlannedInward, tally: Tally, graph: RosGraph, settings: Mapping[str, str]
+        self, planned: PlannedNgsildToRos, stats: RuleStats, graph: RosGraph, settings: Mapping[str, str]
     ) -> None:
         self.planned = planned
-        self.tally = tally
+        self.stats = stats
         self.publishers: dict[str, Publisher] = {}
         self._graph = graph
         self._topic = planned.rule.topic.with_settings(settings)
         self._clock = asyncio.get_running_loop().time
-        self._pace = Pace(every_s=planned.rule.every_ms / 1000)
+        self._filter = UpdateFilter(every_s=planned.rule.every_ms / 1000)
         self._held: dict[str, Scope] = {}
         self._timers: dict[str, asyncio.TimerHandle] = {}
-        self._chores: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
         self.listener = Listener(
             planned.name,
             planned.selector,
             planned.rule.attributes,
             self._take,
             at_start=planned.at_start,
-            complain=lambda why: tally.fault(why, self._clock()),
+            on_error=lambda why: stats.record_error(why, self._clock()),
         )
 
     async def start(self) -> None:
-        """Be there for readers, where the topic does not depend on the entity. Raises `GraphError`."""
+        """Create the publisher, if the topic does not depend on the entity. Raises `GraphError`."""
         self.listener.enabled = True
         if self._topic.constant is not None:
             await self._publisher(self._topic.constant)
 
     async def stop(self) -> None:
-        """Say nothing any more."""
+        """Close all publishers."""
         self.listener.enabled = False
         for timer in self._timers.values():
             timer.cancel()
-        for chore in self._chores:
-            chore.cancel()
+        for task in self._tasks:
+            task.cancel()
         self._timers.clear()
         self._held.clear()
         publishers, self.publishers = self.publishers, {}
@@ -65,58 +65,58 @@ class Incoming:
 
     def _take(self, _: Mapping[str, Any], scope: Scope) -> None:
         now_s = self._clock()
-        self.tally.hear(now_s)
+        self.stats.count_received(now_s)
         entity_id = str(scope.values["entityId"])
-        if (wait_s := self._pace.waits_s(entity_id, now_s)) > 0:
+        if (wait_s := self._filter.wait_s(entity_id, now_s)) > 0:
             self._held[entity_id] = scope
             if entity_id not in self._timers:
                 loop = asyncio.get_running_loop()
                 self._timers[entity_id] = loop.call_later(wait_s, self._due, entity_id)
             return
-        self._say(entity_id, scope, now_s)
+        self._forward(entity_id, scope, now_s)
 
     def _due(self, entity_id: str) -> None:
         del self._timers[entity_id]
-        self._say(entity_id, self._held.pop(entity_id), self._clock())
+        self._forward(entity_id, self._held.pop(entity_id), self._clock())
 
-    def _say(self, entity_id: str, scope: Scope, now_s: float) -> None:
-        self._pace.told(entity_id, {}, now_s)
+    def _forward(self, entity_id: str, scope: Scope, now_s: float) -> None:
+        self._filter.record(entity_id, {}, now_s)
         try:
-            message = self.planned.inward.message(scope)
+            message = self.planned.builder.message(scope)
             topic = self._topic.filler(lambda path: lambda _: _name_part(str(scope.values[str(path)])))(None)
         except Incomplete as error:
-            log.debug("an entity is not complete yet", rule=self.tally.name, entity=entity_id, why=str(error))
+            log.debug("entity not complete yet", rule=self.stats.name, entity=entity_id, reason=str(error))
         except (HandoverError, ValueError, TypeError, ArithmeticError, LookupError) as error:
-            self.tally.fault(f"{entity_id}: {error}", now_s)
+            self.stats.record_error(f"{entity_id}: {error}", now_s)
         else:
             if (publisher := self.publishers.get(topic)) is not None:
                 self._publish(publisher, message)
                 return
-            chore = asyncio.get_running_loop().create_task(self._publish_anew(topic, message))
-            self._chores.add(chore)
-            chore.add_done_callback(self._chores.discard)
+            task = asyncio.get_running_loop().create_task(self._publish_on_new(topic, message))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
 
-    async def _publish_anew(self, topic: str, message: dict[str, Any]) -> None:
+    async def _publish_on_new(self, topic: str, message: dict[str, Any]) -> None:
         try:
             publisher = await self._publisher(topic)
-            await publisher.matched(MATCHED_WITHIN_S)  # who is there may need a moment to find us
+            await publisher.matched(MATCH_TIMEOUT_S)  # existing subscribers need a moment to discover it
             self._publish(publisher, message)
         except HandoverError as error:
-            self.tally.fault(f"{topic}: {error}", self._clock())
+            self.stats.record_error(f"{topic}: {error}", self._clock())
 
     def _publish(self, publisher: Publisher, message: dict[str, Any]) -> None:
         try:
             publisher.publish(message)
         except HandoverError as error:
-            self.tally.fault(f"{publisher.topic}: {error}", self._clock())
+            self.stats.record_error(f"{publisher.topic}: {error}", self._clock())
         else:
-            self.tally.tell(self._clock(), message)
+            self.stats.count_forwarded(self._clock(), message)
 
     async def _publisher(self, topic: str) -> Publisher:
         if topic not in self.publishers:
-            if len(self.publishers) >= MOST_TOPICS:
+            if len(self.publishers) >= MAX_TOPICS:
                 raise HandoverError(
-                    f"this would be topic {MOST_TOPICS + 1} of one rule; choose fewer entities, or one topic"
+                    f"a rule uses at most {MAX_TOPICS} topics; select fewer entities, or one topic"
                 )
             rule = self.planned
             self.publishers[topic] = await self._graph.publisher(topic, rule.rule.type, rule.qos)
@@ -124,6 +124,6 @@ class Incoming:
 
 
 def _name_part(text: str) -> str:
-    """Return `text` as it may stand in the name of a topic."""
+    """Return `text` as a valid part of a topic name."""
     plain = "".join(char if char.isascii() and char.isalnum() else "_" for char in text)
     return f"_{plain}" if plain[:1].isdigit() else plain

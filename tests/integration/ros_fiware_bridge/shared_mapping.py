@@ -1,4 +1,4 @@
-"""The mapping of an everyday shop, whose broker and bridge the tests of several modules share."""
+"""The mapping of the broker and bridge that several test modules share."""
 
 BOTH_WAYS = """
 ros_to_ngsild:
@@ -44,7 +44,7 @@ ngsild_to_ros:
       data: {attribute: speed, convert: km/h -> m/s}
 """
 
-ASKING = """
+REQUESTS = """
 services:
   reset:
     service: /arm/reset

@@ -1,7 +1,7 @@
-"""Forms: messages as rosbridge writes them in JSON, and as the port gives them.
+"""Converts messages between the JSON of rosbridge and the form of the port.
 
-Octets are base64 there; a number that is none is null. ROS 1 calls the parts of a time `secs` and `nsecs`,
-numbers its headers (`seq`), and writes types without their kind.
+JSON has octets as base64, and null for NaN. ROS 1 has `secs` and `nsecs` in times, a `seq` number in headers,
+and types without their kind.
 """
 
 import base64
@@ -19,30 +19,30 @@ _TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Durat
 _HEADER = "std_msgs/msg/Header"
 
 
-class Forms:
-    """Makes the one of the other; `ros1` is whether the graph behind the server is one of ROS 1."""
+class JsonCodec:
+    """Converts the messages of one connection; `ros1` is whether the graph is one of ROS 1."""
 
     def __init__(self, store: TypeStore, *, ros1: bool = False) -> None:
         self.store = store
         self.ros1 = ros1
 
     def type_name(self, type_name: str) -> str:
-        """Return a type as the server calls it, `std_msgs/String` in ROS 1."""
+        """Return the name of a type on the server, `std_msgs/String` for ROS 1."""
         package, _, name = type_name.split("/")
         return f"{package}/{name}" if self.ros1 else type_name
 
     def to_json(self, type_name: str, message: Message) -> tuple[dict[str, Any], int]:
-        """Return `message` as JSON has it, whole, and its size on the wire in bytes. Raises `BadMessage`."""
+        """Return the complete `message` as JSON, and its CDR size in bytes. Raises `BadMessage`."""
         data = self.store.encode(type_name, message)
         made: dict[str, Any] = self._out(FieldType(type_name), self.store.decode(type_name, data), type_name)
         return made, len(data)
 
     def from_json(self, type_name: str, values: Any) -> bytes:
-        """Return what came as CDR. Raises `BadMessage`."""
+        """Return a received message as CDR. Raises `BadMessage`."""
         return self.store.encode(type_name, self._in(FieldType(type_name), values))
 
     def message(self, type_name: str, values: Any) -> Message:
-        """Return what came as the port gives messages. Raises `BadMessage`."""
+        """Return a received message as a dict. Raises `BadMessage`."""
         return self.store.decode(type_name, self.from_json(type_name, values))
 
     def _out(self, kind: FieldType, value: Any, where: str) -> Any:
@@ -59,7 +59,7 @@ class Forms:
         if kind.base in FLOATS:
             if not math.isfinite(value):
                 raise BadMessage(
-                    f"{where}: {value} cannot be sent over rosbridge, for JSON has no such number"
+                    f"{where}: {value} cannot be sent over rosbridge, because JSON has no such number"
                 )
             return float(value)
         return value.item() if hasattr(value, "item") else value
@@ -69,7 +69,7 @@ class Forms:
             try:
                 return base64.b64decode(value, validate=True)
             except (binascii.Error, ValueError) as error:
-                raise BadMessage(f"octets are not written in base64: {error}") from None
+                raise BadMessage(f"octets are not valid base64: {error}") from None
         if kind.many is not Many.ONE:
             return [self._in(kind.item, one) for one in value] if isinstance(value, list) else value
         if kind.base in FLOATS and value is None:

@@ -1,4 +1,4 @@
-"""Offering: a service that the bridge serves; with it a node of the graph asks for a Task."""
+"""A service that the bridge serves on the graph: a node calls it to request a Task."""
 
 import asyncio
 import uuid
@@ -18,25 +18,25 @@ from ros_fiware_bridge.mapping import paths
 from ros_fiware_bridge.mapping.templates import Template
 from ros_fiware_bridge.mapping.values import Source
 from ros_fiware_bridge.rules import conversion
-from ros_fiware_bridge.rules.definitions import Leads
-from ros_fiware_bridge.rules.inward import Scope
+from ros_fiware_bridge.rules.entity_extractor import MESSAGE_ERRORS
 from ros_fiware_bridge.rules.json_values import JsonValues
-from ros_fiware_bridge.rules.outward import SURVIVED
-from ros_fiware_bridge.rules.plan import Plan, PlannedOffer
-from ros_fiware_bridge.running.tally import Tally
+from ros_fiware_bridge.rules.message_builder import Scope
+from ros_fiware_bridge.rules.message_schema import PathTarget
+from ros_fiware_bridge.rules.plan import Plan, PlannedServedService
+from ros_fiware_bridge.running.rule_stats import RuleStats
 
 log = get_logger(__name__)
 
-LOOK_EVERY_S = 0.25
+POLL_INTERVAL_S = 0.25
 
 
-class Offering:
-    """A rule at work while it is `start`ed."""
+class ServedService:
+    """Serves the service of one rule between `start` and `stop`."""
 
     def __init__(
         self,
-        planned: PlannedOffer,
-        tally: Tally,
+        planned: PlannedServedService,
+        stats: RuleStats,
         graph: RosGraph,
         broker: BrokerClient,
         *,
@@ -44,45 +44,45 @@ class Offering:
         plan: Plan,
     ) -> None:
         self.planned = planned
-        self.tally = tally
+        self.stats = stats
         self._graph = graph
         self._broker = broker
         self._settings = settings
-        self._places = plan.settings
+        self._placeholders = plan.settings
         self._to_json = JsonValues(plan.definitions, 10_000, large_arrays=False)
         self._served: Served | None = None
 
     async def start(self) -> None:
-        """Serve. Raises `GraphError`."""
+        """Start serving. Raises `GraphError`."""
         if self._served is None:
             rule = self.planned.rule
             self._served = await self._graph.serve(rule.service, rule.type, self._answer)
 
     async def stop(self) -> None:
-        """Serve no more."""
+        """Stop serving."""
         if self._served is not None:
             served, self._served = self._served, None
             await served.close()
 
     async def _answer(self, request: Message) -> Message:
         clock = asyncio.get_running_loop().time
-        self.tally.hear(clock())
+        self.stats.count_received(clock())
         task_id = self._settings.entity_id("Task", f"{self.planned.name}-{uuid.uuid4().hex[:12]}")
         answer: dict[str, Any] = {"id": task_id, "accepted": False, "completed": False}
         try:
             await self._broker.create(self._task(task_id, request))
             answer |= {"accepted": True, "status": TaskStatus.PENDING.value}
-            self.tally.tell(clock(), {"task": task_id})
+            self.stats.count_forwarded(clock(), {"task": task_id})
             if self.planned.rule.answer == "finished":
-                answer |= await self._end_of(task_id)
-        except SURVIVED as error:
-            self.tally.fault(str(error), clock())
+                answer |= await self._result_of(task_id)
+        except MESSAGE_ERRORS as error:
+            self.stats.record_error(str(error), clock())
             answer["reason"] = str(error)
         values = {name: value for name, value in answer.items() if value is not None}
         try:
             return self.planned.response.message(Scope(values))
-        except SURVIVED as error:
-            self.tally.fault(f"the answer cannot be made: {error}", clock())
+        except MESSAGE_ERRORS as error:
+            self.stats.record_error(f"the response cannot be built: {error}", clock())
             return {}
 
     def _task(self, task_id: str, request: Message) -> Task:
@@ -111,7 +111,7 @@ class Offering:
     def _value(self, source: Source, request: Message) -> Any:
         if source.attribute is not None:
             value = paths.getter(source.attribute)(request)
-            value = self._to_json.maker(Leads(None), str(source.attribute))(value)
+            value = self._to_json.maker(PathTarget(None), str(source.attribute))(value)
         elif source.text is not None:
             value = self._filled(source.text, request)
         else:
@@ -120,21 +120,21 @@ class Offering:
         return value if convert is None else convert(value)
 
     def _filled(self, template: Template, request: Mapping[str, Any]) -> str:
-        filler = template.with_settings(self._places).filler(paths.getter)
+        filler = template.with_settings(self._placeholders).filler(paths.getter)
         return filler(request)
 
-    async def _end_of(self, task_id: str) -> dict[str, Any]:
-        """Wait for the end of the Task and return what there is to answer."""
+    async def _result_of(self, task_id: str) -> dict[str, Any]:
+        """Wait until the Task has finished and return its part of the response."""
         try:
             async with asyncio.timeout(self.planned.rule.timeout_s):
                 while True:
-                    task = await self._look(task_id)
+                    task = await self._retrieve(task_id)
                     if task is not None and task.status.value in FINISHED:
                         break
-                    await asyncio.sleep(LOOK_EVERY_S)
+                    await asyncio.sleep(POLL_INTERVAL_S)
         except TimeoutError:
             raise HandoverError(
-                f"{task_id} was not finished within {self.planned.rule.timeout_s:g} s; it goes on"
+                f"{task_id} was not finished within {self.planned.rule.timeout_s:g} s; it continues"
             ) from None
         outputs = dict(task.output_parameters.value) if task.output_parameters is not None else {}
         done = task.status.value is TaskStatus.COMPLETED
@@ -145,11 +145,11 @@ class Offering:
             "reason": None if done else str(outputs.get("reason", "failed")),
         }
 
-    async def _look(self, task_id: str) -> Task | None:
+    async def _retrieve(self, task_id: str) -> Task | None:
         try:
             return await self._broker.get(task_id, Task)
         except BrokerUnavailable as error:
-            log.info("the broker cannot be asked for a Task", task=task_id, error=str(error))
+            log.info("retrieving a Task failed, retrying", task=task_id, error=str(error))
             return None
         except BrokerError as error:
-            raise HandoverError(f"{task_id} is gone: {error}") from None
+            raise HandoverError(f"{task_id} cannot be retrieved: {error}") from None

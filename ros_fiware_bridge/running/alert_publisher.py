@@ -1,4 +1,4 @@
-"""The alert desk: has Alerts raised and cleared in the broker, each state once, however often it is said."""
+"""Raises and clears Alerts in the broker; a repeated state is written once."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -9,20 +9,20 @@ from handover.alerts import PRIORITIES, alert_id, clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
 from handover.settings import Settings
-from ros_fiware_bridge.rules.outward import AlertNews
+from ros_fiware_bridge.rules.entity_extractor import AlertState
 
-MOST_KEYS = 5000
+MAX_KEYS = 5000
 
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    standing: bool
+    active: bool
     severity: str
     description: str
 
 
-class AlertDesk:
-    """Works through news of Alerts while `keep` runs; of each key only the newest waits."""
+class AlertPublisher:
+    """Writes states of Alerts while `run` runs; of each key only the newest state waits."""
 
     def __init__(self, broker: BrokerClient, settings: Settings) -> None:
         self._broker = broker
@@ -30,40 +30,42 @@ class AlertDesk:
         self._known: OrderedDict[str, _State] = OrderedDict()
         self._writer = LatestValueWriter()
 
-    def announce(self, rule: str, news: AlertNews) -> None:
-        """Take news that the rule `rule` has; nothing happens if it is known."""
-        key = f"{rule} {news.key}"
-        state = _State(news.standing, news.severity, news.description if news.standing else "")
+    def publish(self, rule: str, alert_state: AlertState) -> None:
+        """Queue a state of the rule `rule`, unless it is the last known one."""
+        key = f"{rule} {alert_state.key}"
+        state = _State(
+            alert_state.active, alert_state.severity, alert_state.description if alert_state.active else ""
+        )
         if self._known.get(key) == state:
             return
         self._known[key] = state
         self._known.move_to_end(key)
-        self._writer.put(key, partial(self._write, key, news))
-        while len(self._known) > MOST_KEYS:
+        self._writer.put(key, partial(self._write, key, alert_state))
+        while len(self._known) > MAX_KEYS:
             self._known.popitem(last=False)
 
-    async def keep(self) -> None:
-        """Work until cancelled."""
+    async def run(self) -> None:
+        """Write until cancelled."""
         await self._writer.run()
 
-    async def _write(self, key: str, news: AlertNews) -> None:
-        if not news.standing:
+    async def _write(self, key: str, alert_state: AlertState) -> None:
+        if not alert_state.active:
             await clear_alert(self._broker, self._settings, key=key)
             return
         await raise_alert(
             self._broker,
             self._settings,
             key=key,
-            source=news.about,
-            category=news.category,
-            sub_category=news.sub_category,
-            severity=news.severity,
-            description=news.description,
+            source=alert_state.about,
+            category=alert_state.category,
+            sub_category=alert_state.sub_category,
+            severity=alert_state.severity,
+            description=alert_state.description,
         )
         written = {
-            "severity": news.severity,
-            "priority": PRIORITIES[Severity(news.severity)].value,
-            "description": news.description,
+            "severity": alert_state.severity,
+            "priority": PRIORITIES[Severity(alert_state.severity)].value,
+            "description": alert_state.description,
         }
         await self._broker.append(
             alert_id(self._settings, key),

@@ -1,4 +1,4 @@
-"""What a rule looks at of a message is enough for it: it makes the same of an excerpt as of all of it."""
+"""The fields that a rule reads are sufficient: it extracts the same from an excerpt as from the message."""
 
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ros_fiware_bridge.mapping import load, parse
 from ros_fiware_bridge.mapping.document import SHIPPED
 from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.rules.outward import Outward
+from ros_fiware_bridge.rules.entity_extractor import EntityExtractor
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.unit.ros_fiware_bridge.types.random_messages import message_of
 
@@ -65,13 +65,13 @@ ros_to_ngsild:
 """
 
 
-def rules() -> dict[str, Outward]:
+def rules() -> dict[str, EntityExtractor]:
     documents = {"own": parse(RULES), **{file.stem: load(Path(file.stem)) for file in SHIPPED.glob("*.yaml")}}
     return {
-        f"{name} {one.name}": one.outward
+        f"{name} {one.name}": one.extractor
         for name, document in documents.items()
-        for one in plan.make(document, TYPES, "demo").outward
-        if one.outward is not None
+        for one in plan.make(document, TYPES, "demo").ros_to_ngsild
+        if one.extractor is not None
     }
 
 
@@ -80,13 +80,13 @@ READY = rules()
 
 @given(st.data())
 @settings(max_examples=300, deadline=None)
-def test_an_excerpt_comes_to_the_same_as_the_message(data: st.DataObject) -> None:
+def test_an_excerpt_and_the_whole_message_extract_the_same(data: st.DataObject) -> None:
     rule = READY[data.draw(st.sampled_from(sorted(READY)))]
     given_message: Any = data.draw(message_of(TYPES, rule.type_name))
     encoded = TYPES.encode(rule.type_name, given_message)
-    whole = rule.harvest(TYPES.decode(rule.type_name, encoded), 1_770_000_000.0)
+    whole = rule.extract(TYPES.decode(rule.type_name, encoded), 1_770_000_000.0)
     excerpt = TYPES.excerpt(rule.type_name, encoded, rule.fields)
-    assert rule.harvest(excerpt, 1_770_000_000.0) == whole
+    assert rule.extract(excerpt, 1_770_000_000.0) == whole
 
 
 @pytest.mark.parametrize(
@@ -98,5 +98,5 @@ def test_an_excerpt_comes_to_the_same_as_the_message(data: st.DataObject) -> Non
         ("own inside", {("pose", "pose", "position"), ("pose", "covariance"), ("child_frame_id",)}),
     ],
 )
-def test_a_rule_looks_at_what_it_names_and_when_it_was(name: str, fields: set[tuple[str, ...]]) -> None:
+def test_a_rule_reads_the_fields_of_its_paths_and_the_stamp(name: str, fields: set[tuple[str, ...]]) -> None:
     assert READY[name].fields == fields
