@@ -46,7 +46,7 @@ class DisabledRules:
                 "Not kept",
                 message(
                     "ros.not_kept",
-                    "{path} cannot be written: {error}; make room for it",
+                    "{path} cannot be written: {error}; free disk space",
                     path=str(self._path),
                     error=error.strerror,
                 ),

@@ -170,7 +170,7 @@ class RosTaskPerformer(Performer):
             raise TaskFailed(
                 message(
                     "ros.no_rule_for_operation",
-                    'no rule of the ROS bridge does "{operation}" for {resource}; they do {known}',
+                    'the ROS bridge has no rule for "{operation}" of {resource}; it has rules for {known}',
                     operation=operation,
                     resource=job.resource,
                     known=known,

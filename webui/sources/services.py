@@ -38,8 +38,8 @@ COUNTED: Final[Mapping[str, Mapping[str, str]]] = {
         "scans": "handover_trajectory_tool_scans_total",
     },
     ROS_BRIDGE: {
-        "heard": "handover_ros_bridge_heard_total",
-        "told": "handover_ros_bridge_told_total",
+        "received": "handover_bridge_messages_received_total",
+        "forwarded": "handover_bridge_messages_forwarded_total",
     },
 }
 """What is counted of a service, by the word that the page has for it, and the counters that count it."""

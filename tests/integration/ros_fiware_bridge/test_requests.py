@@ -80,7 +80,7 @@ async def test_a_task_for_an_unavailable_service_fails_with_the_reason(shop: Any
     status, outputs = await end_of(shop, await ask(shop, "dance"))
     assert (
         outputs["reason"]
-        == f'no rule of the ROS bridge does "dance" for {ARM}; they do reset, count, hasty, once'
+        == f'the ROS bridge has no rule for "dance" of {ARM}; it has rules for reset, count, hasty, once'
     )
 
 

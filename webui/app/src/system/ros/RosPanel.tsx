@@ -48,7 +48,7 @@ function Rule({ rule, heads, isFirst, turn }: RuleProps) {
   const { t, i18n } = useTranslation("system");
   const [name = "", state = "", rates = "", value = "", error = "", act = ""] = heads;
   const stands = standing(rule);
-  const trouble = rule.lastError ?? rule.lastUnread ?? null;
+  const trouble = rule.lastError ?? rule.lastUnreadable ?? null;
   return (
     <Row isFirst={isFirst}>
       <Cell head={name}>
@@ -63,12 +63,12 @@ function Rule({ rule, heads, isFirst, turn }: RuleProps) {
       <Cell head={rates}>
         <ul className="ros__rates">
           <li>
-            <span className="ros__rate">{rate(rule.heardPerS, i18n.language)}</span>
-            <span>{t("ros.heard")}</span>
+            <span className="ros__rate">{rate(rule.receivedPerS, i18n.language)}</span>
+            <span>{t("ros.received")}</span>
           </li>
           <li>
-            <span className="ros__rate">{rate(rule.toldPerS, i18n.language)}</span>
-            <span>{t("ros.told")}</span>
+            <span className="ros__rate">{rate(rule.forwardedPerS, i18n.language)}</span>
+            <span>{t("ros.forwarded")}</span>
           </li>
         </ul>
         {rule.dropped > 0 && <p className="rows__why">{t("ros.dropped", { count: rule.dropped })}</p>}

@@ -8,10 +8,10 @@ const rule: RuleView = {
   from: "/battery_state",
   to: "Device:{header.frame_id}",
   type: "sensor_msgs/msg/BatteryState",
-  heard: 0,
-  heardPerS: 0,
-  told: 0,
-  toldPerS: 0,
+  received: 0,
+  receivedPerS: 0,
+  forwarded: 0,
+  forwardedPerS: 0,
   dropped: 0,
   lastValue: null,
   lastError: null,
@@ -20,16 +20,16 @@ const rule: RuleView = {
 
 describe("standing", () => {
   it("is off when it is switched off, whatever else there is", () => {
-    expect(standing({ ...rule, enabled: false, heard: 7, publishers: 1 })).toBe("off");
+    expect(standing({ ...rule, enabled: false, received: 7, publishers: 1 })).toBe("off");
   });
 
   it("is silent when nobody speaks on the topic it listens to", () => {
-    expect(standing({ ...rule, publishers: 0, heard: 7 })).toBe("silent");
+    expect(standing({ ...rule, publishers: 0, received: 7 })).toBe("silent");
   });
 
   it("waits until something has come, and works from then on", () => {
     expect(standing(rule)).toBe("waits");
-    expect(standing({ ...rule, publishers: 1, heard: 1 })).toBe("works");
+    expect(standing({ ...rule, publishers: 1, received: 1 })).toBe("works");
   });
 });
 

@@ -12,17 +12,17 @@ export interface RuleView {
   from: string;
   to: string;
   type: string | null;
-  heard: number;
-  heardPerS: number;
-  told: number;
-  toldPerS: number;
+  received: number;
+  receivedPerS: number;
+  forwarded: number;
+  forwardedPerS: number;
   dropped: number;
   lastValue: unknown;
   lastError: string | null;
   lastErrorAt: string | null;
   /** Of a rule that listens to a topic: how many speak on it, and what could not be read. */
   publishers?: number;
-  lastUnread?: string | null;
+  lastUnreadable?: string | null;
 }
 
 export interface Rules {
@@ -42,8 +42,8 @@ export function useRules(): Rules {
     const leaving = new AbortController();
     const ask = () => {
       callService<RuleView[]>("ros-bridge", "rules", { signal: leaving.signal }).then(
-        (told) => {
-          setRules(told);
+        (received) => {
+          setRules(received);
           setFailure(null);
         },
         (error: unknown) => {
@@ -83,5 +83,5 @@ export type Standing = "off" | "silent" | "works" | "waits";
 export function standing(rule: RuleView): Standing {
   if (!rule.enabled) return "off";
   if (rule.publishers === 0) return "silent";
-  return rule.heard > 0 ? "works" : "waits";
+  return rule.received > 0 ? "works" : "waits";
 }
