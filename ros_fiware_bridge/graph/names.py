@@ -15,12 +15,10 @@ def node_name(name: str) -> str:
     """Return `name` if it is a valid node name.
 
     Raises:
-        BadName: it has characters other than letters, digits and underscores, or begins with a digit.
+        BadName: it has characters other than A-Z, a-z, 0-9 and _, or begins with a digit.
     """
     if not _NODE.fullmatch(name):
-        raise BadName(
-            f'"{name}" cannot be the name of a node; use letters, digits and underscores, no digit first'
-        )
+        raise BadName(f'"{name}" cannot be the name of a node; use A-Z, a-z, 0-9 and _, no digit first')
     return name
 
 
@@ -45,7 +43,7 @@ def full_name(name: str, inside: str, node: str) -> str:
     """
     if not _NAME.fullmatch(name) or "__" in name:
         raise BadName(
-            f'"{name}" cannot be a ROS name; use letters, digits and single underscores, / between the '
+            f'"{name}" cannot be a ROS name; use A-Z, a-z, 0-9 and single underscores, / between the '
             "parts, and no digit at the start of a part"
         )
     base = inside.rstrip("/")

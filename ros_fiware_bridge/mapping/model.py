@@ -38,7 +38,7 @@ _RULE_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 def _rule_name(name: Any) -> str:
     if not _RULE_NAME.fullmatch(str(name)):
-        raise ValueError(f'"{name}" is not a rule name; use lower-case letters, digits, - and _')
+        raise ValueError(f'"{name}" is not a rule name; use a-z, 0-9, - and _')
     return str(name)
 
 

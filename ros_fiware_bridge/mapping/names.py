@@ -14,7 +14,7 @@ def topic(text: str) -> str:
     """Return the full name of a topic, service or action: `odom` is `/odom`. Raises ValueError."""
     if not _TOPIC.fullmatch(text) or "__" in text or len(text) > MAX_NAME_LENGTH:
         raise ValueError(
-            f'"{text}" is not a name of a topic, service or action; use letters, digits '
+            f'"{text}" is not a name of a topic, service or action; use A-Z, a-z, 0-9 '
             "and _, no digit first, and / between the parts, as in /ur10/joint_states"
         )
     return text if text.startswith("/") else f"/{text}"

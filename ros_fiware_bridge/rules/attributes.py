@@ -1,4 +1,4 @@
-"""Attributes: how each is made of a message, ready before the first message comes."""
+"""Compiles the attributes of a rule into functions of a message."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ from ros_fiware_bridge.types.definition import Many
 Make = Callable[[Any], Any]
 
 EARTH_M_PER_DEG = 111_195.0
-"""Along a meridian, of a sphere of 6 371 km."""
+"""Along a meridian of a sphere with a radius of 6371 km."""
 _VALUE_MEMBER = {
     "Property": "value",
     "GeoProperty": "value",
@@ -28,12 +28,12 @@ _VALUE_MEMBER = {
 
 
 class InvalidPosition(HandoverError):
-    """A message tells no place on earth."""
+    """A message has no valid position on earth."""
 
 
 @dataclass(frozen=True, slots=True)
 class MadeAttribute:
-    """One attribute of a rule: `make` gives its value from a message (or message and element)."""
+    """A compiled attribute: `make` returns its value from a message (or message and element)."""
 
     name: str
     kind: str
@@ -42,7 +42,7 @@ class MadeAttribute:
     dead_band: DeadBand | None = None
 
     def written(self, value: Any, observed_at: str | None) -> dict[str, Any]:
-        """Return it as NGSI-LD has it (normalized)."""
+        """Return the attribute as NGSI-LD (normalized)."""
         written = {"type": self.kind, _VALUE_MEMBER[self.kind]: value}
         if observed_at is not None:
             written["observedAt"] = observed_at
@@ -53,7 +53,7 @@ class MadeAttribute:
 
 @dataclass(frozen=True, slots=True)
 class CompileContext:
-    """What the attributes of one rule are made of: the message, and places such as `factory`."""
+    """The context of the attributes of one rule: the message type, and values such as `factory`."""
 
     schema: MessageSchema
     values: JsonValues
@@ -63,7 +63,7 @@ class CompileContext:
 def compiled(
     name: str, attribute: Attribute, context: CompileContext, dead_band: DeadBand | None = None
 ) -> MadeAttribute:
-    """Return `attribute` ready to be made of messages. Raises `InvalidRule`."""
+    """Return `attribute` compiled for messages. Raises `InvalidRule`."""
     schema, values, settings = context.schema, context.values, context.settings
     kind = attribute.known_kind
     if kind == "GeoProperty":
@@ -78,12 +78,12 @@ def compiled(
     if convert is not None:
         _require_convertible(attribute, schema)
         unconverted, converted = make, convert
-        make = lambda scope: converted(unconverted(scope))  # noqa: E731 - one step more
+        make = lambda scope: converted(unconverted(scope))  # noqa: E731 - a composition
     return MadeAttribute(name, kind, make, attribute.unit_code, attribute.dead_band or dead_band)
 
 
 def entity_id(template: Template, schema: MessageSchema, settings: Mapping[str, str]) -> Callable[[Any], str]:
-    """Return the function that makes an entity id of a message. Raises `InvalidRule`."""
+    """Return the function from a message to an entity id. Raises `InvalidRule`."""
 
     def safe(path: Path) -> Getter:
         find = schema.find(path)
@@ -116,7 +116,7 @@ def _value(
         return lambda scope: [make(scope) for make in makes]
     constant = attribute.constant
     if constant is None:
-        raise InvalidRule("`constant` is empty; NGSI-LD has no attribute without a value")
+        raise InvalidRule("`constant` is empty; an NGSI-LD attribute needs a value")
     return lambda _: constant
 
 
@@ -124,7 +124,7 @@ def _languages(attribute: Attribute, schema: MessageSchema, values: JsonValues) 
     if attribute.languages is None:
         constant = attribute.constant
         if not isinstance(constant, dict):
-            raise InvalidRule("a LanguageProperty is words by language, such as {en: open, fi: auki}")
+            raise InvalidRule("a LanguageProperty needs text by language, such as {en: open, fi: auki}")
         return lambda _: constant
     made: dict[str, Make] = {}
     for language, path in attribute.languages.items():
@@ -136,7 +136,7 @@ def _languages(attribute: Attribute, schema: MessageSchema, values: JsonValues) 
 
 def _link(attribute: Attribute, schema: MessageSchema, settings: Mapping[str, str]) -> Make:
     if attribute.object is None:
-        raise InvalidRule("a Relationship is made of `object`, such as Device:{header.frame_id}")
+        raise InvalidRule("a Relationship needs `object`, such as Device:{header.frame_id}")
     written = str(attribute.object)
     kind, _, rest = written.partition(":")
     if kind == "urn":
@@ -145,7 +145,7 @@ def _link(attribute: Attribute, schema: MessageSchema, settings: Mapping[str, st
         first, *others = attribute.object.parts
         template = Template((f"urn:ngsi-ld:{kind}:{settings['factory']}{str(first)[len(kind) :]}", *others))
     else:
-        raise InvalidRule(f'"{written}" is no entity; write Type:id, such as Device:{{header.frame_id}}')
+        raise InvalidRule(f'"{written}" is not an entity; write Type:id, such as Device:{{header.frame_id}}')
     return entity_id(template, schema, settings)
 
 
@@ -156,7 +156,7 @@ def _place(attribute: Attribute, schema: MessageSchema) -> Make:
     if attribute.point is not None:
         for path in attribute.point:
             if not (target := schema.target(path)).is_number:
-                raise InvalidRule(f"{path} is {target}; a point is made of numbers")
+                raise InvalidRule(f"{path} is {target}; a point needs numbers")
         finds = [schema.find(path) for path in attribute.point]
         if attribute.origin is not None:
             return _from_metres(lambda scope: [find(scope) for find in finds], attribute.origin)
@@ -169,15 +169,15 @@ def _place(attribute: Attribute, schema: MessageSchema) -> Make:
     names = _coordinates(found.base, schema) if found.many is Many.ONE and found.is_message else None
     if names is None:
         raise InvalidRule(
-            f"{attribute.field} is {found}; a GeoProperty is made of a message with longitude and latitude, "
+            f"{attribute.field} is {found}; a GeoProperty needs a message with longitude and latitude, "
             "or with x and y in metres (and an `origin`), or of a `point` of two paths"
         )
     if names[0] == "longitude":
         return lambda scope: _point([find(scope)[name] for name in names])
     if attribute.origin is None:
         raise InvalidRule(
-            f"{attribute.field} is {found}, in metres of its frame, and a GeoProperty is in degrees; say "
-            "where the frame lies (origin: {longitude: …, latitude: …}), or map it as a Property"
+            f"{attribute.field} is {found}, in metres of its frame, but a GeoProperty is in degrees; set "
+            "the position of the frame (origin: {longitude: …, latitude: …}), or map it as a Property"
         )
     return _from_metres(lambda scope: [find(scope)[name] for name in names], attribute.origin)
 
@@ -191,7 +191,7 @@ def _coordinates(type_name: str, schema: MessageSchema) -> tuple[str, ...] | Non
 
 
 def _from_metres(place: Make, origin: Origin) -> Make:
-    """Return the place on the plane that touches the earth at `origin`; good to some kilometres."""
+    """Return the position on the tangent plane at `origin`; accurate within some kilometres of it."""
     turned = math.radians(origin.turned_deg)
     cosine, sine = math.cos(turned), math.sin(turned)
     per_longitude = EARTH_M_PER_DEG * math.cos(math.radians(origin.latitude))
@@ -208,7 +208,7 @@ def _from_metres(place: Make, origin: Origin) -> Make:
 def _point(coordinates: list[Any]) -> dict[str, Any]:
     numbers = [float(one) for one in coordinates]
     if not all(map(math.isfinite, numbers)) or abs(numbers[0]) > 180 or abs(numbers[1]) > 90:
-        raise InvalidPosition(f"longitude {numbers[0]} and latitude {numbers[1]} are no place on earth")
+        raise InvalidPosition(f"longitude {numbers[0]} and latitude {numbers[1]} are not a position on earth")
     return {"type": "Point", "coordinates": [round(numbers[0], 9), round(numbers[1], 9), *numbers[2:]]}
 
 
@@ -217,7 +217,7 @@ def _require_convertible(attribute: Attribute, schema: MessageSchema) -> None:
         return
     found = schema.target(attribute.field).type
     if found is not None and (found.is_message or found.base in {"string", "bool"}):
-        raise InvalidRule(f"{attribute.field} is {found}, and only numbers are converted and rounded")
+        raise InvalidRule(f"{attribute.field} is {found}, but only numbers are converted and rounded")
 
 
 def _then(first: Make, second: Make) -> Make:

@@ -1,7 +1,7 @@
-"""Conversion: what is done to a value on its way, made ready before anything runs.
+"""Compiles conversions of values: units, mapped values and rounding.
 
-A conversion of units is a factor and an offset (every one that pint knows of physical units is, but for the
-logarithmic ones, which are refused).
+A conversion of units is a factor and an offset. That holds for all units of pint except logarithmic ones,
+which are refused.
 """
 
 import math
@@ -17,15 +17,15 @@ Convert = Callable[[Any], Any]
 
 
 class UnmappedValue(HandoverError):
-    """A value came that `values` does not have, and there is no `otherwise`."""
+    """`values` does not contain a value, and there is no `otherwise`."""
 
 
 class NotNumeric(HandoverError):
-    """Something that is to be computed with is no number."""
+    """A value to compute with is not a number."""
 
 
 def compiled(conversion: Conversion) -> Convert | None:
-    """Return the function that does what `conversion` says; None if it does nothing. Raises `InvalidRule`."""
+    """Return the function for `conversion`; None if it changes nothing. Raises `InvalidRule`."""
     if conversion.values is not None:
         return _lookup(conversion)
     steps: list[Convert] = []
@@ -41,7 +41,7 @@ def compiled(conversion: Conversion) -> Convert | None:
         if isinstance(value, bool) or not isinstance(value, int | float):
             if isinstance(value, list):
                 return [convert(one) for one in value]
-            raise NotNumeric(f"{value!r:.80} is no number, and only numbers are converted and rounded")
+            raise NotNumeric(f"{value!r:.80} is not a number; only numbers are converted and rounded")
         for step in steps:
             value = step(value)
         return value
@@ -67,7 +67,7 @@ def affine(given: str, wanted: str) -> tuple[float, float]:
         at_0, at_1, at_2 = math.inf, 0.0, 0.0
     factor = at_1 - at_0
     if not math.isclose(at_2, at_0 + 2 * factor, rel_tol=1e-9, abs_tol=1e-12) or not math.isfinite(at_2):
-        raise InvalidRule(f'"{given} -> {wanted}" is no factor with an offset; let the sender compute it')
+        raise InvalidRule(f'"{given} -> {wanted}" is not a factor with an offset; convert in the sender')
     return factor, at_0
 
 
@@ -90,7 +90,7 @@ def _lookup(conversion: Conversion) -> Convert:
             if has_otherwise:
                 return otherwise
             raise UnmappedValue(
-                f"{value!r:.80} is not among the `values` {known:.200}; add it, or say `otherwise`"
+                f"{value!r:.80} is not among the `values` {known:.200}; add it, or add `otherwise`"
             ) from None
 
     return look_up

@@ -169,7 +169,11 @@ class Listeners:
             raise Problem(
                 404,
                 "No such rule",
-                message("ros.no_such_listening_rule", 'no rule "{rule}" reads entities of the broker', rule=rule),
+                message(
+                    "ros.no_such_listening_rule",
+                    'no rule "{rule}" reads entities of the broker',
+                    rule=rule,
+                ),
             )
         try:
             await listener.read(notified, self._receiver)

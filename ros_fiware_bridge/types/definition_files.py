@@ -54,12 +54,11 @@ def _named(file: Path) -> str:
         )
     if not _PACKAGE.fullmatch(package):
         raise BadDefinition(
-            f'{file}: "{package}" cannot be a ROS package; use lower-case characters, digits '
-            "and single underscores"
+            f'{file}: "{package}" cannot be a ROS package; use a-z, digits and single underscores'
         )
     if not _NAME.fullmatch(file.stem):
         raise BadDefinition(
-            f'{file}: "{file.stem}" cannot be a ROS type; use a capital first, then characters and digits'
+            f'{file}: "{file.stem}" cannot be a ROS type; use a capital first, then A-Z, a-z and 0-9'
         )
     return f"{package}/{kind}/{file.stem}"
 

@@ -139,6 +139,7 @@ async def test_a_value_is_not_sent_back_to_its_side(shop: Any) -> None:
     await shop.until(lambda: len(received) == 3)
     publisher.publish({"data": 0.75})
     await shop.becomes(VALVE, "opening", 0.75)
+    await shop.until(lambda: len(received) == 4)
     sent = [round(message["data"], 3) for message in received]
     assert sent == [0.25, 0.1, 0.5, 0.75]
     assert shop.rule("valve-to-ros")["forwarded"] == 2, "what came from the graph was sent back to it"
