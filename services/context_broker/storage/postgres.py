@@ -306,7 +306,6 @@ class PostgresDatabase:
                 self.lost = f"another broker has written {self.name}; this one has to load it again"
             self._require_ownership(is_locked=is_locked)
             self._require_version(connection)
-            assert row is not None  # noqa: S101 - else `lost` is set, which _require_ownership has raised
         except (psycopg.Error, NotStored) as error:
             if connection is not None:
                 connection.close()
