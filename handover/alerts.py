@@ -1,8 +1,8 @@
 """Raise and clear Alerts; the states follow ISA-18.2.
 
-An Alert has a key of its own kind ("glove-1 silent"), from which its id follows. Raising it again while it
-is active changes nothing. Clearing it writes `validTo` and the state `returnedToNormal`. Raising it after
-that makes it `new` again, without the earlier acknowledgement; a shelving that has not ended still applies.
+The id of an Alert is derived from its key, such as "glove-1 silent". Raising an active Alert again changes
+nothing. Clearing it writes `validTo` and the state `returnedToNormal`. Raising it after that makes it `new`
+again, without the earlier acknowledgement; a shelving that has not ended still applies.
 """
 
 import re
@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from datamodels.entities import Alert, AlertPriority, AlertState, DataModelError, Severity
 from datamodels.times import iso
+from handover.alert_catalogue import AlertType
 from handover.broker import AlreadyExists, BrokerClient, NotFound
 from handover.messages import with_code
 from handover.settings import Settings
@@ -24,26 +25,24 @@ PRIORITIES: Final[Mapping[Severity, AlertPriority]] = {
     Severity.HIGH: AlertPriority.HIGH,
     Severity.CRITICAL: AlertPriority.CRITICAL,
 }
-"""The priority of an Alert that states only its severity."""
+"""The priority of an Alert for which none is given."""
 
 _NOT_IN_IDS = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
 def alert_id(settings: Settings, key: str) -> str:
-    """Return the id of the Alert that `key` stands for."""
+    """Return the id of the Alert with `key`."""
     return settings.entity_id("Alert", _NOT_IN_IDS.sub("-", key).strip("-"))
 
 
 async def raise_alert(
     broker: BrokerClient,
     settings: Settings,
+    alert_type: AlertType,
     *,
     key: str,
     source: str,
-    category: str,
     description: str,
-    sub_category: str | None = None,
-    severity: Severity | str = Severity.HIGH,
     priority: AlertPriority | str | None = None,
 ) -> str:
     """Raise the Alert of `key` about the entity `source` and return its id; do nothing while it is active.
@@ -51,17 +50,17 @@ async def raise_alert(
     Without `priority` the severity determines it. A `description` that is a `Message` keeps its code.
     """
     now = datetime.now(UTC)
-    said = with_code("description", description)
+    described = with_code("description", description)
     values = {
         "id": alert_id(settings, key),
-        "category": category,
-        "sub_category": sub_category,
-        "severity": severity,
-        "priority": priority or PRIORITIES[Severity(severity)],
+        "category": alert_type.category,
+        "sub_category": alert_type.sub_category,
+        "severity": alert_type.severity,
+        "priority": priority or PRIORITIES[alert_type.severity],
         "alert_state": AlertState.NEW,
-        "description": said["description"],
-        "description_code": said.get("descriptionCode"),
-        "description_parameters": said.get("descriptionParameters"),
+        "description": described["description"],
+        "description_code": described.get("descriptionCode"),
+        "description_parameters": described.get("descriptionParameters"),
         "date_issued": now,
         "valid_from": now,
         "alert_source": source,
@@ -79,7 +78,7 @@ async def raise_alert(
 
 
 def _remaining_shelving(earlier: Mapping[str, Any], now: datetime) -> Mapping[str, Any]:
-    """Return the attributes that keep an Alert shelved which was shelved for longer than it was active."""
+    """Return the attributes of a shelving that has not ended; none if there is no such shelving."""
     with suppress(DataModelError):
         until = Alert.from_ngsild(earlier).shelved_until
         if until is not None and until.value > now:
@@ -89,13 +88,13 @@ def _remaining_shelving(earlier: Mapping[str, Any], now: datetime) -> Mapping[st
 
 
 async def clear_alert(broker: BrokerClient, settings: Settings, *, key: str) -> None:
-    """Return the Alert of `key` to normal; do nothing if it was never raised or is over already."""
+    """Return the Alert of `key` to normal; do nothing if it is not active."""
     entity_id = alert_id(settings, key)
     try:
-        standing = await broker.retrieve(entity_id)
+        active = await broker.retrieve(entity_id)
     except NotFound:
         return
-    if "validTo" not in standing:
+    if "validTo" not in active:
         now = iso(datetime.now(UTC))
         normal = {"type": "Property", "value": AlertState.RETURNED_TO_NORMAL.value, "observedAt": now}
         over = {"type": "Property", "value": {"@type": "DateTime", "@value": now}}

@@ -4,6 +4,7 @@ Either way a committed transaction survives `kill -9` and a power cut.
 """
 
 import sqlite3
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 
 from handover.errors import UsageError
-from handover.sqlite_files import prepare_own
+from handover.sqlite_files import prepare_own, stamp_of, unreleased_format
 
 
 def connect(
@@ -58,7 +59,14 @@ def connect(
 
 
 def _prepare(file: Path, setting: str) -> None:
-    """Raise `UsageError` if a file of ours is damaged, or cannot be used; nothing is written to it then."""
+    """Raise `UsageError` if a file of ours is damaged, unreleased or not usable; it is not changed then."""
+    with suppress(sqlite3.Error):  # a damaged file is reported below
+        if (unreleased := unreleased_format(file)) is not None:
+            raise UsageError(
+                f"the database {file} has {unreleased}, which was never released and which this release does "
+                f"not read; move {file.name} and {stamp_of(file).name} to another folder, or name another "
+                f"database with {setting}"
+            )
     try:
         prepare_own(file)
     except UsageError as error:

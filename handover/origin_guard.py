@@ -29,7 +29,7 @@ OPEN_BY_ANY_NAME: Final = frozenset({"/healthz", "/readyz", "/metrics", "/contex
 """What platforms and brokers read, by whatever name they know us."""
 MAX_REMEMBERED_HOSTS: Final = 1000
 
-REFUSED = Counter("handover_http_refused_total", "Requests refused by their head", ["reason"])
+REFUSED = Counter("handover_http_requests_refused_total", "Requests refused by their head", ["reason"])
 
 _READS: Final = frozenset({"GET", "HEAD"})
 _HOST: Final = re.compile(r"^(\[[0-9A-Fa-f:.]+\]|[^:\[\]/@\s]+)(?::(\d{1,5}))?$")

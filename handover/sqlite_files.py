@@ -16,6 +16,8 @@ from typing import Final
 
 from handover.errors import UsageError
 
+UNRELEASED_SUFFIX: Final = "_schema"
+"""Formats before the first release recorded their version in a table `<component>_schema`."""
 START_CHECK_S: Final = 1.0
 """How long a start waits for the integrity check at most; `handover check` completes it."""
 _STEPS: Final = 20_000
@@ -116,16 +118,34 @@ def prepare_own(path: Path) -> None:
         raise UsageError(damage(fault))
     if not path.exists():
         _make_stamped(path)
-    stamp = _stamp_of(path)
+    stamp = stamp_of(path)
     if not stamp.exists():
         with closing(sqlite3.connect(path, timeout=5)) as database:
             number = _number_in(database) or _stamped(database)
         _replace(stamp, f"{number:08x}\n")
 
 
+def unreleased_format(path: Path) -> str | None:
+    """Return which format that was never released a database of ours has; None for any other file.
+
+    The file is opened read-only. Raises `sqlite3.Error` if it cannot be read.
+    """
+    if not path.exists():
+        return None
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=5)) as database:
+        for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"):
+            if not str(name).endswith(UNRELEASED_SUFFIX):
+                continue
+            columns = [column[1] for column in database.execute(f'PRAGMA table_info("{name}")')]
+            if columns == ["version"]:
+                (version,) = database.execute(f'SELECT max(version) FROM "{name}"').fetchone()  # noqa: S608
+                return f"format {version} of {str(name).removesuffix(UNRELEASED_SUFFIX)}"
+    return None
+
+
 def fault_of_stamp(path: Path) -> str | None:
     """Return what is wrong by what the stamp beside a database says; None if nothing, or if there is none."""
-    stamp = _stamp_of(path)
+    stamp = stamp_of(path)
     if not stamp.exists():
         return None
     if not path.exists():
@@ -140,7 +160,8 @@ def fault_of_stamp(path: Path) -> str | None:
     return None
 
 
-def _stamp_of(path: Path) -> Path:
+def stamp_of(path: Path) -> Path:
+    """Return the file beside a database that holds the number of its header."""
     return path.with_name(f"{path.name}.stamp")
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from datamodels.states import Severity
+from handover.alert_catalogue import AlertType
 from handover.alerts import PRIORITIES, alert_id, clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.latest_value_writer import LatestValueWriter
@@ -55,11 +56,9 @@ class AlertPublisher:
         await raise_alert(
             self._broker,
             self._settings,
+            AlertType(alert_state.category, alert_state.sub_category, Severity(alert_state.severity)),
             key=key,
             source=alert_state.about,
-            category=alert_state.category,
-            sub_category=alert_state.sub_category,
-            severity=alert_state.severity,
             description=alert_state.description,
         )
         written = {

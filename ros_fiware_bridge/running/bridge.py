@@ -7,6 +7,7 @@ from contextlib import AsyncExitStack, suppress
 from functools import partial
 from typing import Any, Self
 
+from handover.alert_catalogue import ROS_PROBLEM
 from handover.broker import BrokerClient, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.messages import message
@@ -435,8 +436,9 @@ class Bridge:
 
     def _alert(self, key: str, description: str, *, active: bool) -> None:
         source = self.settings.entity_id("Device", self.name)
-        alert_state = AlertState(key, source, active, "ros", description, severity="medium")
-        self.alerts.publish(self.name, alert_state)
+        severity = ROS_PROBLEM.severity.value
+        state = AlertState(key, source, active, ROS_PROBLEM.category, description, severity=severity)
+        self.alerts.publish(self.name, state)
 
     def _start_task(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)

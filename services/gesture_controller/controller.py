@@ -6,6 +6,7 @@ from contextlib import AsyncExitStack
 from typing import Any, Self
 
 from datamodels.states import Outcome
+from handover import alert_catalogue
 from handover.alerts import clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.database import connect
@@ -207,11 +208,9 @@ class Controller(Performer):
             lambda: raise_alert(
                 self.broker,
                 self.settings,
+                alert_catalogue.UNKNOWN_GESTURE,
                 key=f"{task_id.rsplit(':', 1)[-1]} cannot be shown",
                 source=task_id,
-                category="process",
-                sub_category="unknownGesture",
-                severity="medium",
                 description=reason,
             ),
         )
@@ -225,11 +224,9 @@ class Controller(Performer):
                 lambda: raise_alert(
                     self.broker,
                     self.settings,
+                    alert_catalogue.SPECIFICATIONS_UNAVAILABLE,
                     key=key,
                     source=self.settings.entity_id("Device", "specification-database"),
-                    category="process",
-                    sub_category="specificationDatabaseAway",
-                    severity="medium",
                     description=message(
                         "alert.specifications_away",
                         "{detail}. Only Tasks that say all themselves can be shown",
@@ -261,11 +258,9 @@ class Controller(Performer):
             lambda: raise_alert(
                 self.broker,
                 self.settings,
+                alert_catalogue.GLOVE_SILENT,
                 key=_silence_key(glove),
                 source=self._devices.id_of(glove),
-                category="device",
-                sub_category="gloveSilent",
-                severity="high",
                 description=description,
             ),
         )
@@ -293,11 +288,9 @@ class Controller(Performer):
             lambda: raise_alert(
                 self.broker,
                 self.settings,
+                alert_catalogue.CALIBRATION_NEEDED,
                 key=_fit_key(glove),
                 source=self._devices.id_of(glove),
-                category="device",
-                sub_category="calibrationNeeded",
-                severity="medium",
                 description=description,
             ),
         )

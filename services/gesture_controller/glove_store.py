@@ -15,7 +15,7 @@ from sqlalchemy import Connection, Engine, Row, delete, insert, select
 
 from datamodels.times import iso
 from handover.errors import UsageError
-from handover.tables import bring_forward
+from handover.migrations import migrate
 from handover.telemetry import get_logger
 from services.gesture_controller.admission import TokenStore
 from services.gesture_controller.people import tables
@@ -67,13 +67,7 @@ class GloveStore:
 
     def load(self) -> dict[str, StoredGlove]:
         """Return all stored gloves by name; raise `UsageError` for an old file that cannot be read."""
-        bring_forward(
-            self._engine,
-            tables.tables,
-            room="controller_people",
-            version=tables.VERSION,
-            steps=tables.STEPS,
-        )
+        migrate(self._engine, tables.tables, component="controller_people", version=tables.VERSION)
         self._take_over_files()
         with self._engine.connect() as connection:
             rows = connection.execute(select(tables.gloves).order_by(tables.gloves.c.name)).all()

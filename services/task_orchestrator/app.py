@@ -1,4 +1,4 @@
-"""The doors: deploy a definition, start a process, look at it, cancel it; and the bell the broker rings."""
+"""REST interface: deploy definitions; start, read, cancel and retry processes; receive notifications."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -42,7 +42,7 @@ SHIPPED = Path(__file__).parent / "processes"
 
 
 class ProcessStart(BaseModel):
-    """What it takes to start a process."""
+    """A request to start a process."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -50,31 +50,31 @@ class ProcessStart(BaseModel):
     version: int | None = Field(None, description="a version of it; the latest if absent")
     parameters: dict[str, Any] = Field(default_factory=dict, description="its parameters")
     key: str | None = Field(
-        None, pattern=r"^[^\x00]{1,200}$", description="the same key never starts a second process"
+        None, pattern=r"^[^\x00]{1,200}$", description="a second request with the same key starts no process"
     )
 
 
 Name = Annotated[str, Field(pattern=r"^[^\x00]*[^\x00\s][^\x00]*$", max_length=200)]
 
 
-class Cancelling(BaseModel):
-    """Who cancels a process, if that is known."""
+class CancelRequest(BaseModel):
+    """A request to cancel a process."""
 
     model_config = ConfigDict(extra="forbid")
 
-    by: Name | None = Field(None, description="who cancels it")
+    by: Name | None = Field(None, description="the person who cancels it")
 
 
-class Retrying(BaseModel):
-    """Who has a failed Task done anew."""
+class RetryRequest(BaseModel):
+    """A request to retry a failed Task."""
 
     model_config = ConfigDict(extra="forbid")
 
-    by: Name = Field(description="who wants it")
+    by: Name = Field(description="the person who retries it")
 
 
-class Orchestration:
-    """What the routes share: the orchestrator and its reconciler, while the service is up."""
+class Components:
+    """The components of the service; the routes share them."""
 
     def __init__(self, settings: OrchestratorSettings) -> None:
         self.settings = settings
@@ -84,8 +84,8 @@ class Orchestration:
         self.archiver = Archiver(self.orchestrator, self.broker)
 
     @asynccontextmanager
-    async def at_work(self, _: FastAPI) -> AsyncIterator[None]:
-        """Deploy what is at hand and work until the service ends."""
+    async def lifespan(self, _: FastAPI) -> AsyncIterator[None]:
+        """Deploy the definitions of the folders and run until the service ends."""
         async with self.broker, self.orchestrator:
             await self._deploy_folder(SHIPPED)
             if self.settings.process_dir is not None:
@@ -95,31 +95,31 @@ class Orchestration:
 
     async def _deploy_folder(self, folder: Path) -> None:
         if not await asyncio.to_thread(folder.is_dir):
-            log.warning("there is no such folder of BPMN files", folder=str(folder))
+            log.warning("folder of BPMN files not found", folder=str(folder))
         for file in await asyncio.to_thread(lambda: sorted(folder.glob("*.bpmn"))):
             try:
                 xml = await asyncio.to_thread(file.read_bytes)
                 deployment = await self.orchestrator.deploy(xml, only_if_never_seen=True)
             except BadBpmn as bad:
                 faults = [str(fault) for fault in bad.faults]
-                log.warning("BPMN file cannot be deployed", file=str(file), faults=faults)
+                log.warning("BPMN file not deployed", file=str(file), faults=faults)
             except OSError as error:
-                log.warning("BPMN file cannot be read", file=str(file), error=str(error))
+                log.warning("BPMN file not readable", file=str(file), error=str(error))
             else:
-                log.info("definition at hand", name=deployment.name, version=deployment.version)
+                log.info("definition deployed", name=deployment.name, version=deployment.version)
 
     async def check_database(self) -> None:
-        """Return if the database answers."""
+        """Raise an exception if the database does not answer."""
         await self.orchestrator.on_disk(self.orchestrator.store.probe)
 
 
 def make_app(settings: OrchestratorSettings) -> FastAPI:
-    """Return the service; nothing is opened before its lifespan begins."""
-    at = Orchestration(settings)
+    """Return the application; its lifespan opens the connections."""
+    at = Components(settings)
     app = create_app(
         "Task orchestrator",
         description="Runs BPMN processes: each activity becomes a Task for a person or a robot.",
-        lifespan=at.at_work,
+        lifespan=at.lifespan,
         checks={
             "database": at.check_database,
             "broker": at.broker.probe,
@@ -132,15 +132,15 @@ def make_app(settings: OrchestratorSettings) -> FastAPI:
 
     @app.post("/notifications", status_code=204, tags=["notifications"])
     async def notify(request: Request) -> Response:
-        """Read the Tasks that have changed from the broker; answered when what that says is on disk."""
-        await at.reconciler.take_notification(request)
+        """Read the changed Tasks from the broker; the response is sent when their changes are stored."""
+        await at.reconciler.receive_notification(request)
         return Response(status_code=204)
 
     return app
 
 
 def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
-    library = orchestrator.library
+    registry = orchestrator.registry
 
     @app.post("/definitions", status_code=201, tags=["definitions"])
     @accepts(*XML_TYPES)
@@ -148,53 +148,53 @@ def _add_definitions(app: FastAPI, orchestrator: Orchestrator) -> None:
     async def deploy(request: Request, *, dry: bool = False) -> JSONResponse:
         """Deploy a BPMN file (the body is the XML): 201 for a new version, 200 if it is deployed already.
 
-        With `dry` nothing is deployed: 200 if it could be, and the version it would be.
+        With `dry` nothing is deployed: 200 with the version that the deployment would have.
         """
         body = await _body(request)
         if dry:
-            return JSONResponse(await orchestrator.try_out(body), 200)
+            return JSONResponse(await orchestrator.check_deployment(body), 200)
         deployment = await orchestrator.deploy(body)
-        view = definition_view(library, library.record(deployment.name, deployment.version))
+        view = definition_view(registry, registry.record(deployment.name, deployment.version))
         return JSONResponse(view, 201 if deployment.created else 200)
 
     @app.get("/definitions", tags=["definitions"])
     async def definitions() -> list[dict[str, Any]]:
         """Return the latest version of every definition."""
-        latest = library.latest()
+        latest = registry.latest()
         for record in latest:
-            await library.prepare(record)
-        return [definition_view(library, record) for record in latest]
+            await registry.prepare(record)
+        return [definition_view(registry, record) for record in latest]
 
     @app.get("/definitions/{name}", tags=["definitions"])
     async def definition(name: str, version: int | None = None) -> dict[str, Any]:
         """Return a definition with its activities."""
-        record = library.record(name, version)
-        await library.prepare(record)
-        activities = activity_views(library.plan(record).definition)
-        return {**definition_view(library, record), "activities": activities}
+        record = registry.record(name, version)
+        await registry.prepare(record)
+        activities = activity_views(registry.plan(record).definition)
+        return {**definition_view(registry, record), "activities": activities}
 
     @app.get("/definitions/{name}/statistics", tags=["definitions"])
     async def statistics(name: str, version: int | None = None) -> dict[str, Any]:
-        """Return what became of all processes of a version (the latest if none is named), by activity."""
-        record = library.record(name, version)
+        """Return the statistics of all processes of a version (default: the latest), by activity."""
+        record = registry.record(name, version)
         counts = await orchestrator.on_disk(orchestrator.store.counts, record.name, record.version)
         return statistics_view(record, counts)
 
     @app.get("/definitions/{name}/bpmn", tags=["definitions"])
     async def bpmn(name: str, version: int | None = None) -> Response:
         """Return the BPMN file as it was deployed."""
-        return Response(library.record(name, version).xml, media_type="application/xml")
+        return Response(registry.record(name, version).xml, media_type="application/xml")
 
 
-def _add_processes(app: FastAPI, at: Orchestration) -> None:
+def _add_processes(app: FastAPI, at: Components) -> None:
     orchestrator, settings = at.orchestrator, at.settings
-    store, library = orchestrator.store, orchestrator.library
+    store, registry = orchestrator.store, orchestrator.registry
 
     @app.post("/processes", status_code=201, tags=["processes"])
     @max_body(MAX_PARAMETERS_BYTES)
     async def start(body: ProcessStart) -> JSONResponse:
         """Start a process: 201, or 200 if the same key has started it before."""
-        process_id, created = await orchestrator.begin(
+        process_id, created = await orchestrator.start(
             body.definition, body.parameters, version=body.version, key=body.key
         )
         view = await _process(process_id)
@@ -210,12 +210,15 @@ def _add_processes(app: FastAPI, at: Orchestration) -> None:
             str | None, Query(max_length=200, description="a part of the business key or of the id")
         ] = None,
         involves: Annotated[
-            str | None, Query(max_length=300, description="a person or a resource: those with a Task for it")
+            str | None,
+            Query(max_length=300, description="the URN of a person or resource that a Task involves"),
         ] = None,
-        before: Annotated[str | None, Query(description="a process: those started before it")] = None,
+        before: Annotated[
+            str | None, Query(description="the id of a process: return those started before it")
+        ] = None,
         limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     ) -> list[dict[str, Any]]:
-        """Return processes, the latest first; the last one's id as `before` gives the next page."""
+        """Return processes, the latest first; `before` with the id of the last one returns the next page."""
         wanted = status.value if status is not None else None
         mark = _plain(before) if before is not None else None
         records = await orchestrator.on_disk(
@@ -229,29 +232,31 @@ def _add_processes(app: FastAPI, at: Orchestration) -> None:
                 limit=limit,
             )
         )
-        return [process_summary(settings, library, record) for record in records]
+        return [process_summary(settings, registry, record) for record in records]
 
     @app.get("/statistics", tags=["processes"])
     async def statistics(
-        since: Annotated[AwareDatetime, Query(description="those that ended at this moment or later")],
+        since: Annotated[
+            AwareDatetime, Query(description="count processes that ended at this time or later")
+        ],
     ) -> dict[str, Any]:
-        """Return how many processes run, how many ended since a moment and how, and their median duration."""
+        """Return the number of running and ended processes since a time, and their median duration."""
         return period_view(await orchestrator.on_disk(store.counts_since, since.astimezone(UTC)))
 
     @app.get("/processes/{process_id}", tags=["processes"])
     async def process(process_id: str) -> dict[str, Any]:
-        """Return a process with its variables, its Tasks, where it waits and what may come next."""
+        """Return a process with its variables, its Tasks, its waiting elements and its next activities."""
         return await _process(process_id)
 
     @app.post("/processes/{process_id}/cancel", tags=["processes"])
-    async def cancel(process_id: str, body: Cancelling | None = None) -> dict[str, Any]:
-        """Cancel a process and the Tasks it has handed out."""
+    async def cancel(process_id: str, body: CancelRequest | None = None) -> dict[str, Any]:
+        """Cancel a process and its Tasks."""
         await orchestrator.cancel(_plain(process_id), body.by.strip() if body and body.by else None)
         return await _process(process_id)
 
     @app.post("/processes/{process_id}/tasks/{task_id}/retry", tags=["processes"])
-    async def retry(process_id: str, task_id: str, body: Retrying) -> dict[str, Any]:
-        """Have the failed Task that has ended a process done anew, as a new Task; the process goes on."""
+    async def retry(process_id: str, task_id: str, body: RetryRequest) -> dict[str, Any]:
+        """Post the failed Task that has ended a process again, as a new Task; the process continues."""
         await orchestrator.retry(_plain(process_id), settings.entity_id("Task", task_id), body.by.strip())
         return await _process(process_id)
 
@@ -263,8 +268,8 @@ def _add_processes(app: FastAPI, at: Orchestration) -> None:
                 "No such process",
                 message("process.unknown", 'there is no process "{process_id}"', process_id=process_id),
             )
-        await library.prepare(library.record(seen[0].definition, seen[0].version))
-        return process_view(settings, library, *seen)
+        await registry.prepare(registry.record(seen[0].definition, seen[0].version))
+        return process_view(settings, registry, *seen)
 
     def _plain(process_id: str) -> str:
         return process_id.removeprefix(settings.entity_id("Process", ""))

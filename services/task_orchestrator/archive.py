@@ -24,6 +24,7 @@ from prometheus_client import Counter
 from sqlalchemy.exc import SQLAlchemyError
 
 from datamodels.entities import TaskStatus
+from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError
 from handover.errors import Problem
 from handover.resync import Resync
@@ -33,7 +34,7 @@ from services.task_orchestrator.orchestrator import Orchestrator
 
 log = get_logger(__name__)
 
-ARCHIVED_AT_ONCE = 10
+MAX_GROUP = 10
 PAUSE_S = 0.5
 """Between two groups of processes: 20 a second at most."""
 MAX_ARCHIVE_EVERY_S = 60.0
@@ -60,21 +61,20 @@ class Archiver:
         self._broker = broker
         self._settings = orchestrator.settings
         self._retention = timedelta(hours=self._settings.retention_h)
-        self._checks = Resync(self._check_well, CHECK_EVERY_ROUNDS * self._settings.reconcile_s)
+        self._checks = Resync(self._try_check, CHECK_EVERY_ROUNDS * self._settings.reconcile_s)
         self._check_all_at = 0.0
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks = BackgroundTasks("archiver")
 
     async def __aenter__(self) -> "Archiver":
         self._orchestrator.on_unowned = self._checks.request
-        self._tasks = [asyncio.create_task(self._checks.run())]
+        await self._tasks.__aenter__()
+        self._tasks.start(self._checks.run)
         if self._retention:
-            self._tasks.append(asyncio.create_task(self._keep_archiving()))
+            self._tasks.start(self._archive_forever)
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._tasks.__aexit__()
 
     async def archive(self) -> int:
         """Archive some of the processes that ended long enough ago.
@@ -83,14 +83,14 @@ class Archiver:
         """
         orchestrator = self._orchestrator
         ended_before = orchestrator.clock() - self._retention
-        ended = await orchestrator.on_disk(orchestrator.store.to_archive, ended_before, ARCHIVED_AT_ONCE)
+        ended = await orchestrator.on_disk(orchestrator.store.to_archive, ended_before, MAX_GROUP)
         if not ended:
             return 0
         archived = await orchestrator.archive(ended)
         ARCHIVED.inc(len(archived))
         log.info("processes archived", processes=archived)
         urns = [self._settings.entity_id("Process", process) for process in archived]
-        while any(orchestrator.outbox.on_its_way(urn) for urn in urns):  # noqa: ASYNC110 - paces the deletion
+        while any(orchestrator.outbox.is_pending(urn) for urn in urns):  # noqa: ASYNC110 - paces the deletion
             await asyncio.sleep(PAUSE_S)
         return len(archived)
 
@@ -99,11 +99,11 @@ class Archiver:
         orchestrator, store = self._orchestrator, self._orchestrator.store
         shown = await self._broker.query(type="Task", q=UNFINISHED)
         tasks = [str(entity["id"]) for entity in shown]
-        unowned = [task for task in tasks if orchestrator.floor.owner(task) is None]
+        unowned = [task for task in tasks if orchestrator.active_processes.owner(task) is None]
         processes = [
             process
             for entity in await self._broker.query(type="Process", q=UNFINISHED)
-            if (process := self._process(entity)) not in orchestrator.floor.processes
+            if (process := self._process(entity)) not in orchestrator.active_processes.processes
         ]
         ended_tasks = await orchestrator.on_disk(store.ended_tasks, unowned)
         ended_processes = await orchestrator.on_disk(store.ended_processes, processes)
@@ -130,15 +130,15 @@ class Archiver:
         archived = await orchestrator.on_disk(orchestrator.store.archived, tasks, list(processes))
         wrong: dict[str, list[str]] = {}
         for found, process in archived.items():
-            if not orchestrator.outbox.on_its_way(self._settings.entity_id("Process", process)):
+            if not orchestrator.outbox.is_pending(self._settings.entity_id("Process", process)):
                 wrong.setdefault(process, []).append(processes.get(found, found))
         count = sum(len(ids) for ids in wrong.values())
         if count:
             REAPPEARED.labels("deleted").inc(count)
             log.warning("archived entities are in the broker again and are deleted", count=count)
             some = list(wrong.items())
-            for start in range(0, len(some), ARCHIVED_AT_ONCE):
-                await orchestrator.delete_archived(dict(some[start : start + ARCHIVED_AT_ONCE]))
+            for start in range(0, len(some), MAX_GROUP):
+                await orchestrator.delete_archived(dict(some[start : start + MAX_GROUP]))
                 await asyncio.sleep(PAUSE_S)
         return count
 
@@ -146,7 +146,7 @@ class Archiver:
         """Return the id of the process that an entity stands for, without what makes it a URN."""
         return str(entity["id"]).removeprefix(self._settings.entity_id("Process", ""))
 
-    async def _keep_archiving(self) -> None:
+    async def _archive_forever(self) -> None:
         every_s = min(self._retention.total_seconds() / 4, MAX_ARCHIVE_EVERY_S)
         while True:
             count = 0
@@ -156,7 +156,7 @@ class Archiver:
                 log.warning("processes could not be archived yet", error=str(error))
             await asyncio.sleep(PAUSE_S if count else max(every_s, PAUSE_S))
 
-    async def _check_well(self) -> bool:
+    async def _try_check(self) -> bool:
         clock = asyncio.get_running_loop().time
         try:
             wrong = await self.check_unfinished()

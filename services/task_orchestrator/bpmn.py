@@ -1,7 +1,7 @@
-"""BPMN: a file is read, and everything wrong with it is said at once, with element, line and rule.
+"""BPMN: reads a file and reports all its faults at once, with element, line and rule.
 
-What we do not support is refused by name rather than ignored: a process must never do less than its
-drawing promises. Entities, DOCTYPEs and network access are off, so a hostile file costs nothing.
+Unsupported elements are refused by name, not ignored: a process never does less than its model. XML entities,
+DOCTYPEs and network access are disabled, so a hostile file has no effect.
 """
 
 import re
@@ -56,12 +56,12 @@ _EVENTS = frozenset(_TRIGGERS)
 
 
 def read_bpmn(xml: bytes) -> Definition:
-    """Return the process that the BPMN file `xml` defines; raise `BadBpmn` with all that is wrong."""
+    """Return the process of the BPMN file `xml`; raise `BadBpmn` with all faults."""
     return _Reading(_tree(xml), xml).definition()
 
 
 def bare_process(definition: Definition, prefix: str) -> etree._Element:
-    """Return the process alone, without drawing and lanes; `prefix` goes before the ids of its nodes."""
+    """Return the process without diagram and lanes; `prefix` is added to the ids of its nodes."""
     root = etree.fromstring(definition.xml, _parser())
     for child in list(root):
         if child.tag != qualified("error") and child.get("id") != definition.name:
@@ -150,7 +150,7 @@ def _tree(xml: bytes) -> etree._Element:
 
 
 class _Reading:
-    """One pass over a file: what was found, and what was found wrong."""
+    """One pass over a file, with its elements and faults."""
 
     def __init__(self, root: etree._Element, xml: bytes) -> None:
         self.root = root
@@ -225,7 +225,7 @@ class _Reading:
         if not _ID.fullmatch(found):
             self.found.fault(
                 element,
-                f"{local(element)} needs an id of letters, digits, - _ . (at most 64)",
+                f"{local(element)} needs an id of A-Z, a-z, 0-9, - _ . (at most 64 characters)",
             )
         elif found in self.ids:
             self.found.fault(element, f'the id "{found}" is used twice')

@@ -1,4 +1,4 @@
-"""Rules of flow: where tokens may go. Each fault names the element and what to draw instead."""
+"""Rules of sequence flows. Each fault names the element and the correction."""
 
 from collections.abc import Iterator, Mapping
 
@@ -23,7 +23,7 @@ Leading = Mapping[str, list[Flow]]
 def faults_of_flow(
     process: str, nodes: Mapping[str, Node], flows: Mapping[str, Flow], line: int
 ) -> list[Fault]:
-    """Return what is wrong with how the `nodes` of `process`, which begins in `line`, are connected."""
+    """Return the faults of the connections between the `nodes` of `process`, which begins in `line`."""
     if len(nodes) > MAX_NODES:
         return [
             Fault(
@@ -31,7 +31,7 @@ def faults_of_flow(
                 line,
                 message(
                     "bpmn.too_many_nodes",
-                    "a process has at most {limit} nodes, not {nodes}; cut it in two",
+                    "a process has at most {limit} nodes, not {nodes}; split it",
                     limit=MAX_NODES,
                     nodes=len(nodes),
                 ),
@@ -39,7 +39,7 @@ def faults_of_flow(
         ]
     if len(flows) > MAX_FLOWS:
         rule = f"a process has at most {MAX_FLOWS} sequence flows, not {len(flows)}"
-        return [Fault(process, line, message("bpmn.cut_in_two", "{rule}; cut it in two", rule=rule))]
+        return [Fault(process, line, message("bpmn.cut_in_two", "{rule}; split it", rule=rule))]
     incoming: dict[str, list[Flow]] = {name: [] for name in nodes}
     outgoing: dict[str, list[Flow]] = {name: [] for name in nodes}
     for flow in flows.values():
@@ -258,8 +258,8 @@ def _waiting_for_themselves(
         reached = _reached(nodes, outgoing, without=node.id)
         for flow in incoming[node.id]:
             if flow.source not in reached:
-                rule = "only comes after the gateway itself, so it would wait for ever"
-                way_out = "put an exclusive gateway before it, where the loop comes back"
+                rule = "comes only after the gateway itself, so the gateway would never continue"
+                way_out = "put an exclusive gateway before it, where the loop returns"
                 yield Fault(
                     node.id,
                     node.line,
@@ -274,14 +274,14 @@ def _waiting_for_themselves(
 
 
 def _reached(nodes: Mapping[str, Node], outgoing: Leading, *, without: str | None = None) -> set[str]:
-    """Return the nodes that a token can get to from the start event, not passing through `without`."""
+    """Return the nodes that a token can reach from the start event without passing `without`."""
     reached: set[str] = set()
-    ahead = [node.id for node in nodes.values() if node.kind is Kind.START]
-    while ahead:
-        here = ahead.pop()
+    stack = [node.id for node in nodes.values() if node.kind is Kind.START]
+    while stack:
+        here = stack.pop()
         if here in reached or here == without:
             continue
         reached.add(here)
-        ahead += [flow.target for flow in outgoing[here]]
-        ahead += [node.id for node in nodes.values() if node.attached_to == here]
+        stack += [flow.target for flow in outgoing[here]]
+        stack += [node.id for node in nodes.values() if node.attached_to == here]
     return reached

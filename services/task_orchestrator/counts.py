@@ -1,7 +1,7 @@
-"""Counts: how often each activity was done, how often it failed, and how long it took.
+"""Counts: how often each activity was completed or failed, and its duration.
 
-What was called back counts as neither. Only what was completed says how long an activity takes, from its
-Task being handed out to its end, waiting for somebody to take it up included.
+Cancelled Tasks count as neither. The duration is that of completed Tasks, from creation to end, including the
+time until a performer accepted the Task.
 """
 
 import statistics
@@ -19,7 +19,7 @@ from services.task_orchestrator.schema import processes, tasks
 
 @dataclass(frozen=True, slots=True)
 class ElementCount:
-    """What became of the Tasks of one activity."""
+    """The counts of the Tasks of one activity."""
 
     running: int = 0
     completed: int = 0
@@ -30,7 +30,7 @@ class ElementCount:
 
 @dataclass(frozen=True, slots=True)
 class VersionCount:
-    """What became of the processes of one version of a definition, and of their Tasks."""
+    """The counts of the processes of one version of a definition, and of their Tasks."""
 
     running: int
     completed: int
@@ -40,7 +40,7 @@ class VersionCount:
 
 @dataclass(frozen=True, slots=True)
 class PeriodCount:
-    """What became of the processes that ended in a period; `running` are those that have not ended."""
+    """The counts of the processes that ended in a period; `running` have not ended."""
 
     running: int
     completed: int
@@ -49,7 +49,7 @@ class PeriodCount:
 
 
 def count_elements(listed: Iterable[TaskRecord]) -> dict[str, ElementCount]:
-    """Return the counts of the Tasks `listed`, those of one process, by activity."""
+    """Return the counts of the Tasks of one process, by activity."""
     by_element: dict[str, list[TaskRecord]] = {}
     for task in listed:
         by_element.setdefault(task.element, []).append(task)
@@ -70,7 +70,7 @@ def _count(of_element: list[TaskRecord]) -> ElementCount:
 
 
 def count_version(connection: Connection, definition: str, version: int) -> VersionCount:
-    """Return the counts of all processes of a version; the database does the counting."""
+    """Return the counts of all processes of a version, computed by the database."""
     of_version = and_(processes.c.definition == definition, processes.c.version == version)
     rows = connection.execute(
         select(processes.c.status, func.count()).where(of_version).group_by(processes.c.status)
@@ -82,7 +82,7 @@ def count_version(connection: Connection, definition: str, version: int) -> Vers
 
 
 def count_period(connection: Connection, since: str) -> PeriodCount:
-    """Return the counts of processes that ended at `since` (as the tables have it) or later."""
+    """Return the counts of processes that ended at `since` (in the format of the tables) or later."""
     running = connection.scalar(select(func.count()).where(processes.c.ended_at.is_(None))) or 0
     ended = connection.execute(
         select(processes.c.status, processes.c.started_at, processes.c.ended_at).where(
@@ -106,9 +106,9 @@ def _elements(connection: Connection, of_version: ColumnElement[bool]) -> dict[s
     counts = (
         select(
             tasks.c.element,
-            _how_many(and_(~completed, ~failed, kept)).label("running"),
-            _how_many(completed).label("completed"),
-            _how_many(and_(failed, kept)).label("failed"),
+            _count_if(and_(~completed, ~failed, kept)).label("running"),
+            _count_if(completed).label("completed"),
+            _count_if(and_(failed, kept)).label("failed"),
         )
         .select_from(ours)
         .where(of_version)
@@ -119,8 +119,8 @@ def _elements(connection: Connection, of_version: ColumnElement[bool]) -> dict[s
             tasks.c.element,
             tasks.c.took_ms,
             func.count().over(partition_by=tasks.c.element).label("times"),
-            _place(tasks.c.took_ms, tasks.c.id).label("place"),
-            _place(tasks.c.ended_at.desc(), tasks.c.id.desc()).label("since"),
+            _row_number(tasks.c.took_ms, tasks.c.id).label("place"),
+            _row_number(tasks.c.ended_at.desc(), tasks.c.id.desc()).label("since"),
         )
         .select_from(ours)
         .where(of_version, completed, tasks.c.took_ms.is_not(None))
@@ -145,10 +145,10 @@ def _elements(connection: Connection, of_version: ColumnElement[bool]) -> dict[s
     }
 
 
-def _place(*order: ColumnElement[Any]) -> ColumnElement[int]:
-    """Return the place of a Task among those of its activity, from 1."""
+def _row_number(*order: ColumnElement[Any]) -> ColumnElement[int]:
+    """Return the row number of a Task among those of its activity, from 1."""
     return func.row_number().over(partition_by=tasks.c.element, order_by=order)
 
 
-def _how_many(condition: ColumnElement[bool]) -> ColumnElement[int]:
+def _count_if(condition: ColumnElement[bool]) -> ColumnElement[int]:
     return func.sum(case((condition, 1), else_=0))

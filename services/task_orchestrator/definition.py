@@ -1,7 +1,7 @@
-"""Definition: what a BPMN file says, once it has been read and found right.
+"""Definition: the content of a valid BPMN file.
 
-The drawing becomes activities with what our extension elements say about them: which TaskDefinition, who
-and what is involved, where, with which parameters, and what becomes of the result.
+An activity has the attributes of our extension elements: TaskDefinition, involved resources, places,
+parameters and the use of its results.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ MAX_FAULTS_LISTED = 100
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing wrong with a BPMN file: at which element (or none), in which line, and the rule."""
+    """A fault of a BPMN file: element (if any), line and rule."""
 
     element: str | None
     line: int | None
@@ -33,7 +33,7 @@ class Fault:
 
 
 class BadBpmn(Problem):
-    """A BPMN file cannot be deployed; `faults` say all that is wrong with it."""
+    """A BPMN file cannot be deployed; `faults` are all its faults."""
 
     def __init__(self, faults: list[Fault]) -> None:
         listed = [
@@ -49,19 +49,19 @@ class BadBpmn(Problem):
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A value that stands in the file, or an expression over the process variables that gives it."""
+    """A literal value, or an expression over the process variables."""
 
     literal: Any = None
     expression: Expression | None = None
 
     def value(self, variables: Mapping[str, Any]) -> Any:
-        """Return the value; raise `ExpressionError` if a variable it needs is missing or does not fit."""
+        """Return the value; raise `ExpressionError` if a variable is missing or has the wrong type."""
         return self.literal if self.expression is None else self.expression.value(variables)
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where an activity happens, and what the place is for it (`source`, `target`, …)."""
+    """A place of an activity and its function (`source`, `target`, …)."""
 
     location: Given
     function: str | None = None
@@ -69,7 +69,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Activity:
-    """A step of the process that a person or a robot does: it becomes a Task each time it is reached."""
+    """A step of the process for a person or a robot; it creates a Task each time it is reached."""
 
     id: str
     name: str
@@ -83,10 +83,10 @@ class Activity:
     outputs: Mapping[str, str]
     """Process variable -> name in the Task's outputParameters; if empty, all go to `variable`."""
     handles_outcomes: bool = False
-    """Whether the drawing decides what follows from another outcome than `ok`; else the Task fails."""
+    """Whether the model handles other outcomes than `ok`; otherwise the Task fails."""
 
     def unhandled(self, outputs: Mapping[str, Any]) -> Message | None:
-        """Return why a completed Task counts as failed: an outcome that the drawing does not handle."""
+        """Return why a completed Task counts as failed (an unhandled outcome); None if it does not."""
         outcome = outputs.get("outcome")
         if self.handles_outcomes or outcome is None or outcome == Outcome.OK:
             return None
@@ -95,13 +95,13 @@ class Activity:
 
     @property
     def variable(self) -> str:
-        """Return the variable that holds all outputParameters when no outputs are named."""
+        """Return the variable for all outputParameters when no outputs are named."""
         return variable_of(self.id)
 
     def results(self, outputs: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the process variables that the Task's `outputs` give; what it did not report is null.
+        """Return the process variables from the Task's `outputs`; missing ones are null.
 
-        Where outcomes are handled there is one: a performer that knows of none has answered `ok`.
+        If outcomes are handled and the performer reported none, the outcome is `ok`.
         """
         if self.handles_outcomes:
             outputs = {"outcome": Outcome.OK.value, **outputs}
@@ -112,7 +112,7 @@ class Activity:
 
 @dataclass(frozen=True, slots=True)
 class ProcessParameter:
-    """A parameter that a process can be started with."""
+    """A parameter of a process."""
 
     name: str
     required: bool
@@ -120,7 +120,7 @@ class ProcessParameter:
 
 
 class Kind(Enum):
-    """What sort of element a node is; the value is its BPMN name."""
+    """The kind of a node; the value is its BPMN name."""
 
     START = "startEvent"
     END = "endEvent"
@@ -143,7 +143,7 @@ GATEWAYS = CHOICES | {Kind.PARALLEL}
 
 
 class Trigger(Enum):
-    """What an event waits for or does; the value is its BPMN name."""
+    """The trigger of an event; the value is its BPMN name."""
 
     NONE = "none"
     TIMER = "timerEventDefinition"
@@ -153,7 +153,7 @@ class Trigger(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A flow node as drawn."""
+    """A flow node."""
 
     id: str
     line: int
@@ -168,7 +168,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """A sequence flow as drawn."""
+    """A sequence flow."""
 
     id: str
     line: int
@@ -184,7 +184,7 @@ class Definition:
     name: str
     title: str
     label: str | None
-    """The version its author gave it, if any."""
+    """The version label of the author, if any."""
     description: str | None
     parameters: Mapping[str, ProcessParameter]
     activities: Mapping[str, Activity]
@@ -193,7 +193,7 @@ class Definition:
     xml: bytes
 
     def arguments(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the variables that a process starts with, defaults filled in.
+        """Return the initial variables of a process, including defaults.
 
         Raises `Problem` 422 when one is missing or unknown.
         """
@@ -206,7 +206,7 @@ class Definition:
                 "Unknown parameter",
                 message(
                     "process.unknown_parameter",
-                    '"{unknown}" is none of those of {definition}: {known}',
+                    '"{unknown}" is no parameter of {definition}; its parameters are: {known}',
                     unknown=unknown[0],
                     definition=self.name,
                     known=known,

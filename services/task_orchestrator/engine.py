@@ -1,8 +1,8 @@
-"""Engine: a process as it runs, token by token. Only this, `spiff.py` and `joins.py` know SpiffWorkflow.
+"""Engine: executes a process, token by token. Only this module, `spiff.py` and `joins.py` use SpiffWorkflow.
 
-A `Plan` is made of a definition once; each `Run` of it is told what came of its activities and what time it
-is, and answers which activities are open. No Python of a BPMN file is ever evaluated: SpiffWorkflow's script
-engine is replaced by our expression language.
+A `Plan` is built from a definition once. Each `Run` of it gets the results of its activities and the time,
+and returns the open activities. Python in a BPMN file is never evaluated: our expression language replaces
+the script engine of SpiffWorkflow.
 """
 
 import logging
@@ -30,27 +30,27 @@ from handover.messages import message, text_of
 from services.task_orchestrator.bpmn import bare_process
 from services.task_orchestrator.definition import Definition, Kind, Trigger
 from services.task_orchestrator.expressions import ExpressionError
-from services.task_orchestrator.joins import InclusiveJoin, path_to, tell_taken, together
+from services.task_orchestrator.joins import InclusiveJoin, merge_variables, path_to
 from services.task_orchestrator.spiff import Parser, Scripts, Timer
 
 for _chatty in ("spiff.task", "spiff.workflow"):
-    logging.getLogger(_chatty).setLevel(logging.WARNING)  # unset, it lists every token for each line
+    logging.getLogger(_chatty).setLevel(logging.WARNING)  # by default it lists every token for each log line
 
 MAX_STEPS = 300
-"""Gateways and scripts passed without waiting for anything; more of them is a loop that never waits."""
+"""Gateways and scripts that a token may pass without waiting; more are an endless loop."""
 MAX_BYTES = 4 * 1024 * 1024
-"""Size of a run as it is kept; the variables are most of it."""
+"""Size of a serialized run; the variables are most of it."""
 PRUNE_ABOVE = 60
-SNAPSHOT_VERSION = 2
+SNAPSHOT_VERSION = 1
 
 
 class RunFailed(HandoverError):
-    """A process cannot go on; the text says at which element and why."""
+    """A process cannot continue; the text names the element and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """An activity that a token has reached: `visit` counts from 1, `variables` are as the token sees them."""
+    """An activity that a token has reached: `visit` counts from 1, `variables` are those of the token."""
 
     token: str
     element: str
@@ -59,16 +59,16 @@ class Open:
 
 
 _OURS = "at."
-"""Before the ids of elements, so that one called "Start" is not taken for SpiffWorkflow's own."""
+"""Prefix of the ids of elements; it avoids collisions with SpiffWorkflow's own element "Start"."""
 
 
 def _element(token: Token) -> str:
-    """Return the id of the element at which `token` is; SpiffWorkflow's own keep their names."""
+    """Return the id of the element of `token`; elements of SpiffWorkflow keep their names."""
     return str(token.task_spec.name).removeprefix(_OURS)
 
 
 class Plan:
-    """A definition made ready to run. Raises `RunFailed` if SpiffWorkflow cannot make anything of it."""
+    """A definition that can be executed. Raises `RunFailed` if SpiffWorkflow cannot read it."""
 
     def __init__(self, definition: Definition) -> None:
         self.definition = definition
@@ -80,7 +80,7 @@ class Plan:
             raise RunFailed(
                 message(
                     "process.not_executable",
-                    "the engine cannot run this drawing: {error}",
+                    "the engine cannot execute this model: {error}",
                     error=text_of(error),
                 )
             ) from error
@@ -90,7 +90,7 @@ class Plan:
                 spec.event_definition = Timer(node.id, spec.event_definition.expression)
 
     def start(self, variables: Mapping[str, Any], now: datetime) -> "Run":
-        """Return a new run with `variables`, gone as far as it can at `now`."""
+        """Return a new run with `variables`, advanced as far as possible at `now`."""
         workflow = BpmnWorkflow(self.spec, script_engine=Scripts(now))
         workflow.task_tree.data = dict(variables)
         run = Run(self, workflow, {}, {})
@@ -98,13 +98,13 @@ class Plan:
         return run
 
     def resume(self, snapshot: bytes) -> "Run":
-        """Return the run that `snapshot` was taken of."""
+        """Return the run of a `snapshot`; raise `RunFailed` if another release has written it."""
         kept = orjson.loads(snapshot)
-        if kept["version"] not in {1, SNAPSHOT_VERSION}:
+        if kept["version"] != SNAPSHOT_VERSION:
             raise RunFailed(
                 message(
                     "process.unknown_state_version",
-                    "a run kept in version {version} cannot be read by this release",
+                    "this release cannot read a run of the format {version}",
                     version=kept["version"],
                 )
             )
@@ -114,8 +114,6 @@ class Plan:
             _restore(workflow, row)
         workflow.task_tree = workflow.tasks[UUID(kept["tokens"][0]["id"])]
         workflow.last_task = workflow.tasks.get(UUID(kept["last"])) if kept["last"] else None
-        if kept["version"] == 1:
-            tell_taken(workflow)
         workflow.completed, workflow.data = kept["completed"], kept["data"]
         return Run(
             self, workflow, kept["visits"], {token: tuple(open_) for token, open_ in kept["open"].items()}
@@ -123,7 +121,7 @@ class Plan:
 
 
 class Run:
-    """One process on its way. Not for several threads at once."""
+    """The execution of one process. Not thread-safe."""
 
     def __init__(
         self, plan: Plan, workflow: BpmnWorkflow, visits: dict[str, int], seen: dict[str, tuple[str, int]]
@@ -135,36 +133,36 @@ class Run:
 
     @property
     def completed(self) -> bool:
-        """Say whether every token has come to an end."""
+        """Return whether all tokens have ended."""
         return bool(self._workflow.is_completed())
 
     def variables(self) -> dict[str, Any]:
-        """Return the process variables as the furthest token sees them; at the end, all of them."""
+        """Return the process variables of the most advanced token; at the end, all of them."""
         if self.completed:
             return dict(self._workflow.data)
-        return together(self._live())
+        return merge_variables(self._live())
 
     def open(self) -> tuple[Open, ...]:
-        """Return the activities that wait for whoever does them, in the order they were reached."""
+        """Return the open activities, in the order in which they were reached."""
         return tuple(
             Open(token, element, visit, self._workflow.tasks[UUID(token)].data)
             for token, (element, visit) in self._seen.items()
         )
 
     def waiting(self) -> tuple[str, ...]:
-        """Return the ids of the elements at which tokens wait, timers included."""
+        """Return the ids of the elements at which tokens wait, including timers."""
         names = {_element(token) for token in self._live()}
         return tuple(name for name in self.plan.definition.nodes if name in names)
 
     def next_due(self) -> datetime | None:
-        """Return when the next timer is due, if one runs."""
+        """Return when the next timer is due; None without one."""
         moments = [
             token.internal_data.get("due") for token in self._live() if token.state == TaskState.WAITING
         ]
         return min((datetime.fromisoformat(moment) for moment in moments if moment), default=None)
 
     def complete(self, token: str, results: Mapping[str, Any], now: datetime) -> None:
-        """Go on after the activity of `token`, with its `results` as process variables."""
+        """Complete the activity of `token`, with its `results` as process variables."""
         activity = self._token(token)
         activity.data.update(results)
         with _failures(_element(activity)):
@@ -172,9 +170,9 @@ class Run:
         self.advance(now)
 
     def fail(self, token: str, error: Mapping[str, Any], now: datetime) -> bool:
-        """Go on at the error boundary event that catches `error` (its `code` may be None).
+        """Continue at the error boundary event that catches `error` (its `code` may be None).
 
-        Returns False, and nothing moves, when there is none. The variable `error` tells the handler more.
+        Returns False without a change when there is none. The process variable `error` holds the details.
         """
         activity = self._token(token)
         catcher = _catcher(activity, error.get("code"))
@@ -189,20 +187,20 @@ class Run:
         return True
 
     def is_open(self, token: str) -> bool:
-        """Say whether the activity of `token` waits for whoever does it."""
+        """Return whether the activity of `token` is open."""
         return token in self._seen
 
     def visit_again(self, token: str) -> Open:
-        """Count another visit of the activity that `token` waits at: it is to be done anew."""
+        """Count another visit of the activity of `token`, which is to be repeated."""
         element, _ = self._seen[token]
         self._visits[element] += 1
         self._seen[token] = (element, self._visits[element])
         return Open(token, element, self._visits[element], self._token(token).data)
 
     def restart_timers(self, now: datetime) -> None:
-        """Let the timers at the border of open activities start anew at `now`: those are begun anew.
+        """Restart the boundary timers of open activities at `now`, since the activities are repeated.
 
-        Timers elsewhere have gone on meanwhile; raise `RunFailed` if what follows from one cannot be.
+        Other timers have continued meanwhile. Raises `RunFailed` if one of them cannot be processed.
         """
         for token in self._live():
             if isinstance(token.task_spec, BoundaryEvent) and token.state == TaskState.WAITING:
@@ -210,7 +208,7 @@ class Run:
         self.advance(now)
 
     def advance(self, now: datetime) -> None:
-        """Let every token go as far as it can at `now`; raise `RunFailed` if one cannot go on."""
+        """Advance every token as far as possible at `now`; raise `RunFailed` if one cannot continue."""
         self._workflow.script_engine.now = now
         self._prune()
         self._refresh_timers()
@@ -230,11 +228,11 @@ class Run:
                 if token.state == TaskState.READY:
                     self._step(token)
             self._refresh_timers()
-            self._look_at_joins()
-        self._take_note()
+            self._update_joins()
+        self._record_open()
 
     def snapshot(self) -> bytes:
-        """Return the run as bytes; raise `RunFailed` if its variables have grown beyond measure."""
+        """Return the serialized run; raise `RunFailed` if its variables are too large."""
         workflow = self._workflow
         content = {
             "version": SNAPSHOT_VERSION,
@@ -282,8 +280,8 @@ class Run:
         with _failures("a timer"):
             self._workflow.refresh_timers()
 
-    def _look_at_joins(self) -> None:
-        """Have inclusive gateways look again whether anybody is still to come."""
+    def _update_joins(self) -> None:
+        """Have inclusive gateways check again whether another token can arrive."""
         for token in self._workflow.get_tasks(state=TaskState.WAITING):
             if isinstance(token.task_spec, InclusiveJoin):
                 with _failures(_element(token)):
@@ -296,7 +294,7 @@ class Run:
             if token.has_state(TaskState.READY | TaskState.WAITING | TaskState.STARTED)
         ]
 
-    def _take_note(self) -> None:
+    def _record_open(self) -> None:
         ready = {
             str(token.id): _element(token)
             for token in self._workflow.get_tasks(state=TaskState.READY)
@@ -309,7 +307,7 @@ class Run:
                 self._seen[token] = (element, self._visits[element])
 
     def _prune(self) -> None:
-        """Forget the steps that no live token can look back on, so that loops cost the same for ever."""
+        """Delete the steps that no active token refers to, so that the cost of a loop stays constant."""
         tasks, root, live = self._workflow.tasks, self._workflow.task_tree, self._live()
         if len(tasks) <= PRUNE_ABOVE or not live:
             return
@@ -331,7 +329,7 @@ class Run:
 
 @contextmanager
 def _failures(element: str) -> Iterator[None]:
-    """Turn whatever goes wrong inside into `RunFailed` that names the element."""
+    """Convert any exception inside into a `RunFailed` that names the element."""
     try:
         yield
     except (SpiffWorkflowException, ExpressionError, ValueError) as error:
@@ -341,7 +339,7 @@ def _failures(element: str) -> Iterator[None]:
 
 
 def _catcher(activity: Token, code: Any) -> Token | None:
-    """Return the error boundary event of `activity` for `code`: the one that names it, else any."""
+    """Return the error boundary event of `activity` for `code`: one with that code, else one without."""
     if activity.parent is None or not isinstance(activity.parent.task_spec, BoundaryEventSplit):
         return None
     catchers = {
@@ -355,12 +353,12 @@ def _catcher(activity: Token, code: Any) -> Token | None:
 
 
 def _under(tasks: Mapping[UUID, Token], first: Token) -> Iterator[Token]:
-    """Yield the tokens so that each comes after the one it came from."""
-    ahead = [first]
-    while ahead:
-        token = ahead.pop()
+    """Yield the tokens, each after its parent."""
+    stack = [first]
+    while stack:
+        token = stack.pop()
         yield token
-        ahead.extend(tasks[child] for child in reversed(token._children))
+        stack.extend(tasks[child] for child in reversed(token._children))
 
 
 def _kept(token: Token) -> dict[str, Any]:

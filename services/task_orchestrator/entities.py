@@ -1,4 +1,4 @@
-"""Entities: how definitions, processes and Tasks are told to the broker (normalized NGSI-LD)."""
+"""Entities: definitions, processes and Tasks as normalized NGSI-LD."""
 
 from collections.abc import Iterable, Mapping
 from datetime import datetime
@@ -15,7 +15,7 @@ Entity = dict[str, Any]
 
 
 def resource_id(settings: Settings, reference: str) -> str:
-    """Return the URN of `Device:glove-1`; a URN stays as it is."""
+    """Return the URN of a reference such as `Device:glove-1`; a URN is returned unchanged."""
     if reference.startswith("urn:"):
         return reference
     kind, _, name = reference.partition(":")
@@ -23,7 +23,7 @@ def resource_id(settings: Settings, reference: str) -> str:
 
 
 def definition_entities(settings: Settings, definition: Definition, version: int, url: str) -> list[Entity]:
-    """Return the ProcessDefinition and the TaskDefinitions of its activities; `url` leads to the BPMN."""
+    """Return the ProcessDefinition and the TaskDefinitions of its activities; `url` is that of the file."""
     process_definition = settings.entity_id("ProcessDefinition", definition.name)
     process: Entity = {
         "id": process_definition,
@@ -38,7 +38,9 @@ def definition_entities(settings: Settings, definition: Definition, version: int
     for activity in definition.activities.values():
         entity = _task_definition(settings, activity, process_definition)
         known = tasks.setdefault(entity["id"], entity)
-        if not activity.handles_outcomes:  # one that does not handle them decides for all of this definition
+        if (
+            not activity.handles_outcomes
+        ):  # one activity that does not handle outcomes decides for the whole TaskDefinition
             known.pop("handlesOutcomes", None)
     return [process, *tasks.values()]
 
@@ -72,7 +74,7 @@ def process_entity(
     tasks: Iterable[str],
     outputs: Mapping[str, Any] | None,
 ) -> Entity:
-    """Return the Process; `at` is when its status was seen to be so."""
+    """Return the Process; `at` is the `observedAt` of its status."""
     entity: Entity = {
         "id": settings.entity_id("Process", process_id),
         "type": "Process",
@@ -100,9 +102,9 @@ def task_entity(
     at: datetime,
     deadline: datetime,
 ) -> Entity:
-    """Return the Task, `pending`, of `activity` as the process variables have it at this moment.
+    """Return the `pending` Task of `activity` with the present process variables.
 
-    Raises `ExpressionError` when a variable is missing, `ValueError` when a resource is none.
+    Raises `ExpressionError` when a variable is missing, `ValueError` when a reference is invalid.
     """
     entity: Entity = {
         "id": task_id,
@@ -146,12 +148,12 @@ def _link(settings: Settings, reference: Any, activity: Activity) -> Entity:
 
 
 def cancel_request(at: datetime) -> Entity:
-    """Return the attribute that asks for a Task to be cancelled."""
+    """Return the attribute that requests the cancellation of a Task."""
     return {"requestedStatus": {**_property(RequestedStatus.CANCELLED.value), "observedAt": iso(at)}}
 
 
 def final_attributes(task: TaskRecord) -> Entity:
-    """Return the attributes that say how a Task has ended, as the orchestrator has recorded it."""
+    """Return the final attributes of a Task as the orchestrator has recorded them."""
     at = task.observed_at or task.ended_at or task.created_at
     return {
         "status": status_property(task.status, at),
@@ -160,12 +162,12 @@ def final_attributes(task: TaskRecord) -> Entity:
 
 
 def status_property(status: TaskStatus, at: datetime) -> Entity:
-    """Return `status` as seen `at` a moment."""
+    """Return `status` as a Property with `observedAt`."""
     return {**_property(status.value), "observedAt": iso(at)}
 
 
 def outputs_property(outputs: Mapping[str, Any], at: datetime) -> Entity:
-    """Return outputParameters; what is null is left out, since NGSI-LD has no null."""
+    """Return outputParameters without null values, since NGSI-LD has no null."""
     return {
         **_property({name: value for name, value in outputs.items() if value is not None}),
         "observedAt": iso(at),

@@ -1,8 +1,8 @@
-"""Expressions: what a gateway asks and what a parameter is filled with, in a small language of its own.
+"""Expressions: the language of conditions, parameters and scripts in a BPMN file.
 
-It reads like Python but is none: names of process variables, `.` and `[]` into them, comparisons, `and`,
-`or`, `not`, arithmetic, `in`, `a if b else c`, literals and a few pure functions. Nothing else exists, so a
-BPMN file from anywhere can do no harm. Values are those of JSON.
+It is a small subset of Python: process variables, access by `.` and `[]`, comparisons, `and`, `or`, `not`,
+arithmetic, `in`, `a if b else c`, literals and a few pure functions. It has nothing else, so an untrusted
+BPMN file is harmless. Values are those of JSON.
 """
 
 import ast
@@ -30,13 +30,13 @@ Variables = Mapping[str, Json]
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """An expression that has been read and found harmless."""
+    """An expression that was parsed and validated."""
 
     text: str
     _tree: ast.expr
 
     def value(self, variables: Variables) -> Json:
-        """Return its value; raise `ExpressionError` if a variable is missing or does not fit."""
+        """Return its value; raise `ExpressionError` if a variable is missing or has the wrong type."""
         try:
             return within_limits(_evaluate(self._tree, variables))
         except ExpressionError as error:
@@ -45,7 +45,7 @@ class Expression:
 
 @lru_cache(maxsize=4096)
 def read(text: str) -> Expression:
-    """Return the expression that `text` says; raise `ExpressionError` if it is none."""
+    """Return the expression `text`; raise `ExpressionError` if it is invalid."""
     stripped = text.strip()
     return Expression(stripped, parse(stripped))
 

@@ -1,12 +1,12 @@
-"""Our extension elements: what a drawing says about the Task that an activity becomes.
+"""Our extension elements: the attributes of the Task that an activity creates.
 
 <handover:task definition="pick" deadline="PT2M">
   <handover:involves resource="Device:ur10-1"/>
   <handover:parameter name="pose" expression="scan.pose"/>
 </handover:task>
 
-With handlesOutcomes="true" a Task that a person answers with another outcome than `ok` is completed, and the
-drawing goes on with its `outcome`; without it, such a Task fails.
+With handlesOutcomes="true" a Task with another outcome than `ok` is completed, and the process continues with
+the variable `outcome`; otherwise such a Task fails.
 """
 
 import re
@@ -44,13 +44,13 @@ _ATTRIBUTES: Mapping[str, frozenset[str]] = {
 
 
 class Findings:
-    """What was found wrong so far."""
+    """The faults that were found."""
 
     def __init__(self) -> None:
         self.faults: list[Fault] = []
 
     def fault(self, element: etree._Element, message: str) -> None:
-        """Note that `element` breaks a rule; it is named by its own id or that of the element around it."""
+        """Add a fault of `element`, which is named by its id or that of its parent."""
         owner: etree._Element | None = element
         while owner is not None and owner.get("id") is None:
             owner = owner.getparent()
@@ -58,23 +58,23 @@ class Findings:
 
 
 def is_reference(text: object) -> bool:
-    """Say whether `text` names an entity: `Device:glove-1` or a whole URN."""
+    """Return whether `text` refers to an entity: `Device:glove-1` or a URN."""
     return isinstance(text, str) and bool(_SHORT.fullmatch(text) or _URN.fullmatch(text))
 
 
 def read_activity(element: etree._Element, lane: str | None, found: Findings) -> Activity | None:
-    """Return what `element` says about its Task, or None with a fault noted if it says nothing."""
+    """Return the activity of `element`; None, with a fault, if it has no extension element."""
     extension = _extension(element, "task", found)
     if extension is None:
         found.fault(element, 'an activity needs <handover:task definition="…"> in its extensionElements')
         return None
     definition = extension.get("definition") or ""
     if not _NAME.fullmatch(definition):
-        found.fault(extension, f'definition="{definition}" is no name; use letters, digits, - _ .')
+        found.fault(extension, f'definition="{definition}" is not a name; use A-Z, a-z, 0-9, - _ .')
     parts = _parts(extension, {"involves", "happensAt", "parameter", "output"}, found)
     involves = tuple(_reference(part, "resource", found) for part in parts["involves"])
     if not involves:
-        found.fault(element, 'nobody does it: add <handover:involves resource="Device:…"/>')
+        found.fault(element, 'no performer: add <handover:involves resource="Device:…"/>')
     element_id = element.get("id") or ""
     outputs = _outputs(parts["output"], found)
     if not outputs and not is_variable_name(variable_of(element_id)):

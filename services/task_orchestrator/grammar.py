@@ -1,6 +1,6 @@
-"""Grammar: which texts are expressions of ours. Whatever is not named here does not exist in the language.
+"""Grammar: the elements of the expression language. An element that is not listed here is refused.
 
-The text is parsed, never compiled: no Python code ever comes of it.
+The text is parsed, but never compiled to Python code.
 """
 
 import ast
@@ -17,10 +17,10 @@ MAX_CHARACTERS = 1000
 MAX_NODES = 200
 MAX_DEPTH = 30
 MAX_ITEMS = 10_000
-"""Items and characters of a value that an expression may build."""
+"""Items and characters of a value that an expression may create."""
 
 MAX_NUMBER = 2**53
-"""Beyond it JSON numbers lose whole units."""
+"""Larger JSON numbers lose integer precision."""
 
 CONSTANTS: Mapping[str, Json] = {"true": True, "false": False, "null": None}
 ARGUMENTS: Mapping[str, range] = {
@@ -30,7 +30,7 @@ ARGUMENTS: Mapping[str, range] = {
     "min": range(1, 100),
     "max": range(1, 100),
 }
-"""What may be called, and with how many arguments; `defined(name)` is the one beside these."""
+"""The functions and their numbers of arguments; `defined(name)` is handled separately."""
 
 _RESERVED = frozenset({*CONSTANTS, *ARGUMENTS, "True", "False", "None", "and", "or", "not", "in", "is", "if"})
 _RESERVED |= frozenset({"else", "defined", "lambda", "for", "while", "import", "from", "def", "class", "del"})
@@ -45,11 +45,11 @@ _PLAIN = (
 
 
 class ExpressionError(HandoverError):
-    """An expression cannot be read, or cannot be evaluated with the variables there are."""
+    """An expression is invalid, or cannot be evaluated with the present variables."""
 
 
 def parse(text: str) -> ast.expr:
-    """Return the tree of `text`; raise `ExpressionError` if it is no expression of our language."""
+    """Return the syntax tree of `text`; raise `ExpressionError` if it is no expression."""
     if not text:
         raise ExpressionError("an expression is empty")
     if len(text) > MAX_CHARACTERS:
@@ -70,12 +70,12 @@ def parse(text: str) -> ast.expr:
 
 
 def is_variable_name(name: str) -> bool:
-    """Say whether `name` can be a process variable."""
+    """Return whether `name` can be the name of a process variable."""
     return name.isidentifier() and name.isascii() and len(name) <= 100 and name not in _RESERVED
 
 
 def within_limits(value: Json) -> Json:
-    """Return `value` if it is JSON of a bearable size; raise `ExpressionError` if not."""
+    """Return `value` if it is JSON within the limits; raise `ExpressionError` if not."""
     left = MAX_ITEMS
     heap = [(value, 0)]
     while heap:
@@ -105,7 +105,7 @@ def _check_text(text: str) -> None:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise ExpressionError("a text has half a character (a lone surrogate)") from None
+        raise ExpressionError("a text has a lone surrogate") from None
 
 
 def _check(tree: ast.expr) -> None:
@@ -147,12 +147,12 @@ def _check_call(node: ast.Call) -> None:
         raise ExpressionError(f"only these functions can be called: {allowed}")
     if name == "defined":
         if len(node.args) != 1 or not isinstance(node.args[0], ast.Name):
-            raise ExpressionError("defined() asks for one variable by its name")
+            raise ExpressionError("defined() has one argument, the name of a variable")
     elif name is not None and len(node.args) not in ARGUMENTS[name]:
         raise ExpressionError(f"{name}() cannot take {len(node.args)} arguments")
 
 
 def in_words(node: ast.AST) -> str:
-    """Return the kind of `node` as a person would say it."""
+    """Return a readable name of the kind of `node`."""
     name = type(node).__name__
     return "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in name).strip()

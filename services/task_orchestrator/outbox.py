@@ -1,163 +1,177 @@
-"""Outbox: what was decided is told to the broker, right after it was written down and until it has arrived.
+"""Outbox: changes that are stored in the database are written to the broker until it accepts them.
 
-Messages of one stream (one process) go in order, streams side by side. While the broker is away they wait;
-what it refuses for good is reported back. A message may arrive twice, after a crash: none does harm then.
+Messages of one stream (one process) are delivered in order, streams in parallel. While the broker is
+unavailable they wait. A message that the broker refuses is reported to the orchestrator. After a crash a
+message may be delivered twice; every kind of message is idempotent.
 """
 
 import asyncio
-import random
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
+from typing import Self
 
 from prometheus_client import Counter, Gauge
 
+from datamodels.states import Severity
+from handover.alert_catalogue import AlertType
 from handover.alerts import clear_alert, raise_alert
+from handover.background_tasks import BackgroundTasks
 from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.errors import Problem
 from handover.messages import message_in
+from handover.retry import MAX_DELAY_S, Backoff
 from handover.settings import Settings
 from handover.telemetry import get_logger
-from services.task_orchestrator.records import Message, Saying
+from services.task_orchestrator.records import Message, MessageKind
 
 log = get_logger(__name__)
 
-FIRST_RETRY_S, LAST_RETRY_S = 0.05, 2.0
+INITIAL_RETRY_S = 0.05
 
-WAITING = Gauge("handover_orchestrator_outbox_messages", "Messages that the broker has not got yet")
-REFUSED = Counter("handover_orchestrator_refused_total", "Messages that the broker refused", ["saying"])
+PENDING = Gauge("handover_orchestrator_outbox_messages", "Messages that the broker has not accepted yet")
+REJECTED = Counter(
+    "handover_orchestrator_outbox_rejected_total", "Messages that the broker rejected, by kind", ["kind"]
+)
 
-Refused = Callable[[Message, str], Awaitable[None]]
+OnRejected = Callable[[Message, str], Awaitable[None]]
 
 
 class Outbox:
-    """Delivers messages; `refused` is awaited for each that the broker will never take."""
+    """Delivers messages; an asynchronous context manager.
 
-    def __init__(self, settings: Settings, broker: BrokerClient, refused: Refused) -> None:
+    `on_rejected` is awaited for each message that the broker rejects; it raises `Problem` if that cannot be
+    stored. Leaving the context stops the delivery; messages that were not delivered stay in the database.
+    """
+
+    def __init__(self, settings: Settings, broker: BrokerClient, on_rejected: OnRejected) -> None:
         self._settings = settings
         self._broker = broker
-        self._refused = refused
+        self._on_rejected = on_rejected
         self._streams: dict[str, deque[Message]] = {}
-        self._couriers: dict[str, asyncio.Task[None]] = {}
+        self._tasks = BackgroundTasks("outbox")
         self._delivered: list[int] = []
-        self._on_its_way: dict[str, int] = {}
-        self._try_again = asyncio.Event()
-        self.something_delivered = asyncio.Event()
+        self._pending: dict[str, int] = {}
+        self._retry_now = asyncio.Event()
+        self.has_delivered = asyncio.Event()
+
+    async def __aenter__(self) -> Self:
+        await self._tasks.__aenter__()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._tasks.__aexit__()
 
     def send(self, messages: Iterable[Message]) -> None:
-        """Deliver `messages`, which are in the database already, from now on."""
+        """Deliver `messages`, which are stored in the database, from now on."""
         for message in messages:
-            self._streams.setdefault(message.stream, deque()).append(message)
-            self._on_its_way[message.subject] = self._on_its_way.get(message.subject, 0) + 1
-            WAITING.inc()
-            if message.stream not in self._couriers:
-                courier = asyncio.create_task(self._deliver_stream(message.stream))
-                self._couriers[message.stream] = courier
+            self._pending[message.subject] = self._pending.get(message.subject, 0) + 1
+            PENDING.inc()
+            if message.stream in self._streams:
+                self._streams[message.stream].append(message)
+            else:
+                self._streams[message.stream] = deque([message])
+                self._tasks.start(self._deliver_stream, message.stream)
 
-    def on_its_way(self, subject: str) -> bool:
-        """Say whether something about the entity `subject` has not arrived yet."""
-        return subject in self._on_its_way
+    def is_pending(self, subject: str) -> bool:
+        """Return whether a message about the entity `subject` was not delivered yet."""
+        return subject in self._pending
 
     def take_delivered(self) -> list[int]:
-        """Return the numbers of messages that have arrived since the last call, to be struck off."""
+        """Return the numbers of the messages that were delivered since the last call, to delete them."""
         delivered, self._delivered = self._delivered, []
-        self.something_delivered.clear()
+        self.has_delivered.clear()
         return delivered
 
-    def put_back(self, delivered: list[int]) -> None:
-        """Take back what `take_delivered` gave: it could not be struck off."""
+    def restore_delivered(self, delivered: list[int]) -> None:
+        """Undo `take_delivered`: the messages could not be deleted."""
         self._delivered += delivered
         if delivered:
-            self.something_delivered.set()
+            self.has_delivered.set()
 
-    def broker_is_back(self) -> None:
-        """Try at once what waits for the broker."""
-        self._try_again.set()
-        self._try_again = asyncio.Event()
-
-    async def close(self) -> None:
-        """Stop delivering; what has not arrived stays in the database."""
-        couriers = list(self._couriers.values())
-        for courier in couriers:
-            courier.cancel()
-        await asyncio.gather(*couriers, return_exceptions=True)
+    def retry_now(self) -> None:
+        """Retry what waits: the broker is available again."""
+        self._retry_now.set()
+        self._retry_now = asyncio.Event()
 
     async def _deliver_stream(self, stream: str) -> None:
         messages = self._streams[stream]
-        try:
-            while messages:
-                try:
-                    await self._deliver(messages[0])
-                except Exception:
-                    REFUSED.labels(messages[0].saying).inc()
-                    log.exception("a message cannot be told", subject=messages[0].subject)
-                self._arrived(messages.popleft())
-        finally:
-            del self._couriers[stream]
+        while messages:
+            try:
+                await self._deliver(messages[0])
+            except Exception:
+                REJECTED.labels(messages[0].kind).inc()
+                log.exception("message dropped", subject=messages[0].subject)
+            self._mark_delivered(messages.popleft())
         del self._streams[stream]
 
     async def _deliver(self, message: Message) -> None:
-        retry_s = FIRST_RETRY_S
+        backoff = Backoff(INITIAL_RETRY_S, MAX_DELAY_S)
         while True:
             try:
-                await self._tell(message)
+                await self._write(message)
             except BrokerUnavailable as error:
-                log.warning("broker away, message waits", subject=message.subject, error=str(error))
-                await self._pause(retry_s * random.uniform(0.8, 1.2))  # noqa: S311 - jitter
-                retry_s = min(2 * retry_s, LAST_RETRY_S)
+                log.warning("broker unavailable, message waits", subject=message.subject, error=str(error))
+                await self._wait(backoff.next_delay_s())
             except BrokerError as error:
-                if await self._report(message, error):
+                if await self._report_rejected(message, error):
                     return
-                await self._pause(LAST_RETRY_S)
+                await self._wait(MAX_DELAY_S)
             else:
                 return
 
-    async def _report(self, message: Message, error: BrokerError) -> bool:
-        """Report that the broker refused `message`; return whether the report could be written down."""
-        REFUSED.labels(message.saying).inc()
-        log.error("broker refused", subject=message.subject, saying=message.saying, error=str(error))
+    async def _report_rejected(self, message: Message, error: BrokerError) -> bool:
+        """Report that the broker rejected `message`; return whether the report was stored."""
+        REJECTED.labels(message.kind).inc()
+        log.error("message rejected", subject=message.subject, kind=message.kind, error=str(error))
         try:
-            await self._refused(message, str(error))
+            await self._on_rejected(message, str(error))
         except Problem as problem:
-            log.warning("the refusal could not be written down yet", error=str(problem))
+            log.warning("rejection not stored yet", error=str(problem))
             return False
         return True
 
-    async def _tell(self, message: Message) -> None:
-        match message.saying:
-            case Saying.CREATE:
+    async def _write(self, message: Message) -> None:
+        match message.kind:
+            case MessageKind.CREATE:
                 try:
                     await self._broker.create(message.body)
                 except AlreadyExists:
-                    log.debug("already there", subject=message.subject)
-            case Saying.UPSERT:
+                    log.debug("entity exists", subject=message.subject)
+            case MessageKind.UPSERT:
                 await self._broker.upsert(message.body)
-            case Saying.APPEND:
+            case MessageKind.APPEND:
                 try:
                     await self._broker.append(message.subject, message.body)
                 except NotFound:
-                    log.warning("no longer there", subject=message.subject)
-            case Saying.DELETE:
+                    log.warning("entity does not exist", subject=message.subject)
+            case MessageKind.DELETE:
                 await self._broker.delete_batch(message.body)
-            case Saying.RAISE:
-                alert = {k: v for k, v in message.body.items() if not k.startswith("description")}
-                said = message_in(message.body, "description") or ""
-                await raise_alert(self._broker, self._settings, description=said, **alert)
-            case Saying.CLEAR:
+            case MessageKind.RAISE:
+                body = message.body
+                await raise_alert(
+                    self._broker,
+                    self._settings,
+                    AlertType(body["category"], body["sub_category"], Severity(body["severity"])),
+                    key=body["key"],
+                    source=body["source"],
+                    description=message_in(body, "description") or "",
+                )
+            case MessageKind.CLEAR:
                 await clear_alert(self._broker, self._settings, **message.body)
 
-    def _arrived(self, message: Message) -> None:
-        WAITING.dec()
+    def _mark_delivered(self, message: Message) -> None:
+        PENDING.dec()
         self._delivered.append(message.seq)
-        left = self._on_its_way[message.subject] - 1
+        left = self._pending[message.subject] - 1
         if left:
-            self._on_its_way[message.subject] = left
+            self._pending[message.subject] = left
         else:
-            del self._on_its_way[message.subject]
-        self.something_delivered.set()
+            del self._pending[message.subject]
+        self.has_delivered.set()
 
-    async def _pause(self, seconds: float) -> None:
+    async def _wait(self, seconds: float) -> None:
         try:
             async with asyncio.timeout(seconds):
-                await self._try_again.wait()
+                await self._retry_now.wait()
         except TimeoutError:
             return

@@ -1,7 +1,7 @@
-"""Reconcile: notifications are hints, so the broker is asked how our Tasks stand, again and again.
+"""Reconciliation of the Tasks with the broker, and the clock of timers and deadlines.
 
-At start, after a broken link, and every few seconds with jitter. The clock that makes timers and deadlines
-happen is kept here too.
+Notifications are hints. So the broker is queried for the open Tasks at start, after a lost connection, and
+every few seconds.
 """
 
 import asyncio
@@ -9,6 +9,7 @@ from typing import Any
 
 from fastapi import Request
 
+from handover.background_tasks import BackgroundTasks
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
 from handover.errors import HandoverError, Problem
 from handover.notifications import NotificationReceiver
@@ -19,104 +20,106 @@ from services.task_orchestrator.orchestrator import Orchestrator
 
 log = get_logger(__name__)
 
-ASKED_AT_ONCE = 40
-LOOK_AGAIN_S = 60.0
-"""The clock of the machine may be set: never trust a longer wait."""
+MAX_QUERIED_TASKS = 40
+MAX_TIMER_WAIT_S = 60.0
+"""The system clock may be changed, so a longer wait is not exact."""
 
 
 class Reconciler:
-    """Keeps what the orchestrator knows and what the broker holds the same."""
+    """Keeps the orchestrator consistent with the broker; an asynchronous context manager."""
 
     def __init__(self, orchestrator: Orchestrator, broker: BrokerClient) -> None:
         self._orchestrator = orchestrator
         self._broker = broker
         self._settings = orchestrator.settings
         self._receiver = NotificationReceiver("task-orchestrator", self._settings, broker)
-        self._resync = Resync(self._ask_well, self._settings.reconcile_s)
-        self._introduced = self._away = False
-        self._chores: list[asyncio.Task[None]] = []
+        self._resync = Resync(self._try_reconcile, self._settings.reconcile_s)
+        self._registered = self._was_unavailable = False
+        self._tasks = BackgroundTasks("reconciler")
 
     async def __aenter__(self) -> "Reconciler":
         self._receiver.require_key()
-        self._chores = [asyncio.create_task(self._resync.run()), asyncio.create_task(self._keep_time())]
+        await self._tasks.__aenter__()
+        self._tasks.start(self._resync.run)
+        self._tasks.start(self._run_timers)
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        for chore in self._chores:
-            chore.cancel()
-        await asyncio.gather(*self._chores, return_exceptions=True)
+        await self._tasks.__aexit__()
 
     async def probe(self) -> None:
-        """Return when news of Tasks would reach us; raise if the subscription is not in place."""
-        if not self._introduced:
-            raise Problem(503, "Not subscribed", "the broker has not taken the subscription yet")
+        """Raise `Problem` 503 while the subscription to Tasks is missing."""
+        if not self._registered:
+            raise Problem(503, "Not subscribed", "the broker has not accepted the subscription yet")
 
-    async def ask(self) -> None:
-        """Ask the broker once how our unfinished Tasks stand, and take in what it says."""
+    async def reconcile(self) -> None:
+        """Query the broker once for the open Tasks and apply their state."""
         await self._orchestrator.recover()
-        if not self._introduced:
-            await self._introduce()
+        if not self._registered:
+            await self._register()
         awaited = self._orchestrator.awaited()
-        for start in range(0, len(awaited), ASKED_AT_ONCE):
-            asked = awaited[start : start + ASKED_AT_ONCE]
-            entities = await self._broker.query(type="Task", id=asked)
-            await self._orchestrator.hear(entities)
-            gone = set(asked).difference(str(entity.get("id")) for entity in entities)
+        for start in range(0, len(awaited), MAX_QUERIED_TASKS):
+            ids = awaited[start : start + MAX_QUERIED_TASKS]
+            entities = await self._broker.query(type="Task", id=ids)
+            await self._orchestrator.receive(entities)
+            gone = set(ids).difference(str(entity.get("id")) for entity in entities)
             if gone:
-                log.warning("the broker does not have tasks of ours", tasks=sorted(gone))
-                self._introduced = False
+                log.warning("tasks missing in the broker", tasks=sorted(gone))
+                self._registered = False
                 await self._orchestrator.missing(gone)
 
-    async def take_notification(self, request: Request) -> None:
-        """Read the Tasks that a notification says have changed from the broker, and take in what that says.
+    async def receive_notification(self, request: Request) -> None:
+        """Read the changed Tasks of a notification from the broker and apply them.
 
-        Raises `Problem` if the notification is refused, or if what the broker says cannot be written.
+        Raises `Problem` if the notification is refused, or if the changes cannot be stored.
         """
-        news = self._orchestrator.news_in(await self._receiver.receive(request))
+        changed = self._orchestrator.changed_tasks(await self._receiver.receive(request))
         try:
-            entities = await self._receiver.read("Task", [task.id for task in news])
+            entities = await self._receiver.read("Task", [task.id for task in changed])
         except BrokerError as error:
-            log.warning("cannot read tasks that have changed", error=str(error))
+            log.warning("changed tasks not read", error=str(error))
             self._resync.request()
             return
-        await self._orchestrator.hear(entities)
+        await self._orchestrator.receive(entities)
 
-    async def _introduce(self) -> None:
-        """Make sure that the broker notifies us and knows our definitions: it may have lost them."""
+    async def _register(self) -> None:
+        """Create the subscription and the definitions in the broker, which may have lost them."""
         await self._broker.ensure_subscription(self._subscription())
-        library = self._orchestrator.library
-        for record in library.latest():
+        registry = self._orchestrator.registry
+        for record in registry.latest():
             try:
-                await self._broker.upsert(library.entities(record))
+                await self._broker.upsert(registry.entities(record))
             except BrokerUnavailable:
                 raise
             except HandoverError as error:
-                log.warning("a definition cannot be told", definition=record.name, error=str(error))
-        self._introduced = True
+                log.warning("definition not written to the broker", definition=record.name, error=str(error))
+        self._registered = True
 
-    async def _ask_well(self) -> bool:
+    async def _try_reconcile(self) -> bool:
         try:
-            await self.ask()
+            await self.reconcile()
         except BrokerError as error:
-            log.warning("cannot ask the broker", error=str(error))
-            self._away, self._introduced = True, False
+            log.warning("tasks not reconciled", error=str(error))
+            self._was_unavailable, self._registered = True, False
             return False
         except Problem as problem:
-            log.warning("what the broker said could not be taken in", error=str(problem))
+            log.warning("state of tasks not stored", error=str(problem))
             return False
-        if self._away:
-            self._orchestrator.outbox.broker_is_back()
-            self._away = False
+        if self._was_unavailable:
+            self._orchestrator.outbox.retry_now()
+            self._was_unavailable = False
         return True
 
-    async def _keep_time(self) -> None:
+    async def _run_timers(self) -> None:
         orchestrator = self._orchestrator
         while True:
             orchestrator.due_changed.clear()
             due = orchestrator.next_due()
-            wait_s = None if due is None else (due - orchestrator.clock()).total_seconds()
+            wait_s: float | None = None
+            if due is not None:
+                wait_s = min(max((due - orchestrator.clock()).total_seconds(), 0.0), MAX_TIMER_WAIT_S)
             try:
-                async with asyncio.timeout(None if wait_s is None else min(max(wait_s, 0.0), LOOK_AGAIN_S)):
+                async with asyncio.timeout(wait_s):
                     await orchestrator.due_changed.wait()
             except TimeoutError:
                 await self._tick()
@@ -125,7 +128,7 @@ class Reconciler:
         try:
             await self._orchestrator.tick()
         except Problem as problem:
-            log.warning("what is due could not be done yet", error=str(problem))
+            log.warning("due timers not processed yet", error=str(problem))
             await asyncio.sleep(MAX_DELAY_S)
 
     def _subscription(self) -> dict[str, Any]:

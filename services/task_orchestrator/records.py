@@ -1,8 +1,7 @@
-"""Records: what the orchestrator keeps of definitions, processes and Tasks, and what one step changes.
+"""Records: the stored state of definitions, processes and Tasks, and the changes of one step.
 
-A `Step` gathers everything that must become true at once: the news taken in, the process moved on, the
-Tasks and timers that follow, and what the broker is to be told. It is written in one transaction or not at
-all.
+A `Step` collects all changes of one transaction: received changes of Tasks, the state of processes, new Tasks
+and timers, and the messages to the broker. Either all are written or none.
 """
 
 from collections.abc import Mapping
@@ -29,7 +28,7 @@ class DefinitionRecord:
 
 
 class ActKind(StrEnum):
-    """What somebody did with a process."""
+    """An action of a person on a process."""
 
     CANCEL = "cancel"
     RETRY = "retry"
@@ -37,7 +36,7 @@ class ActKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Act:
-    """Something a person did with a process: who (if told), what, when, and with which Task."""
+    """An action of a person on a process: who (if known), what, when, and on which Task."""
 
     at: datetime
     act: ActKind
@@ -47,10 +46,10 @@ class Act:
 
 @dataclass(frozen=True, slots=True)
 class ProcessRecord:
-    """A process as it is kept.
+    """The stored state of a process.
 
-    `state` is the engine's. It goes when the process has ended, unless a failed Task, `failed_by`, was the
-    end of it: then somebody may retry that.
+    `state` is the serialized state of the engine. It is deleted at the end of the process, unless the Task
+    `failed_by` has ended it: that Task may be retried.
     """
 
     id: str
@@ -69,12 +68,12 @@ class ProcessRecord:
     failed_by: str | None = None
     acts: tuple[Act, ...] = ()
     archived_at: datetime | None = None
-    """When the deletion of its entities from the broker was decided; None while they belong there."""
+    """When the deletion of its entities from the broker was decided; None before."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskRecord:
-    """A Task of ours as last heard of; `entity` is as it was posted."""
+    """The last known state of a Task of the orchestrator; `entity` is as it was posted."""
 
     id: str
     process: str
@@ -95,12 +94,12 @@ class TaskRecord:
 
     @property
     def finished(self) -> bool:
-        """Say whether it is completed or failed."""
+        """Return whether it is completed or failed."""
         return self.status in FINISHED
 
     @property
     def took_ms(self) -> int | None:
-        """Return how long it took from being handed out to its end."""
+        """Return the time from its creation to its end."""
         if self.ended_at is None:
             return None
         return round((self.ended_at - self.created_at).total_seconds() * 1000)
@@ -112,17 +111,17 @@ class TaskRecord:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """News of a Task that was taken in: its `nth`, counted from 1. The inbox keeps each once."""
+    """A change of the status of a Task, the `nth` from 1; the inbox stores each once."""
 
     task: str
     nth: int
     status: TaskStatus
     observed_at: datetime | None
-    heard_at: datetime
+    received_at: datetime
 
 
-class Saying(StrEnum):
-    """What the broker, or whoever reads Alerts, is to be told; every one may be told twice."""
+class MessageKind(StrEnum):
+    """The kinds of writes to the broker; each is idempotent."""
 
     CREATE = "create"
     UPSERT = "upsert"
@@ -134,11 +133,11 @@ class Saying(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A line of the outbox. Messages of one `stream` are told in the order of `seq`."""
+    """A message of the outbox; messages of one `stream` are delivered in the order of `seq`."""
 
     seq: int
     stream: str
-    saying: Saying
+    kind: MessageKind
     subject: str
     body: Any
 
@@ -153,7 +152,7 @@ class TimerKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Timer:
-    """Something of a process that is due at a moment; `subject` is a Task's id, or empty."""
+    """A moment at which a process has to act; `subject` is the id of a Task, or empty."""
 
     kind: TimerKind
     subject: str
@@ -162,7 +161,7 @@ class Timer:
 
 @dataclass
 class Step:
-    """All that one transaction writes."""
+    """The changes of one transaction."""
 
     next_seq: int
     definitions: list[DefinitionRecord] = field(default_factory=list)
@@ -171,7 +170,7 @@ class Step:
     new: set[str] = field(default_factory=set)
     """Ids of processes and Tasks that are not in the database yet."""
     touched: set[str] = field(default_factory=set)
-    """Processes that were, or were to be, moved."""
+    """Processes that were changed, or whose change failed."""
     ended: set[str] = field(default_factory=set)
     """Processes that have ended in this step."""
     moves: list[Move] = field(default_factory=list)
@@ -181,11 +180,11 @@ class Step:
     archived: list[ProcessRecord] = field(default_factory=list)
     """Ended processes, as read from the database, that get `archived_at` now."""
 
-    def say(self, stream: str, saying: Saying, subject: str, body: Any) -> None:
+    def enqueue(self, stream: str, kind: MessageKind, subject: str, body: Any) -> None:
         """Put a message into the outbox."""
-        self.messages.append(Message(self.next_seq, stream, saying, subject, body))
+        self.messages.append(Message(self.next_seq, stream, kind, subject, body))
         self.next_seq += 1
 
     def __bool__(self) -> bool:
-        """Say whether there is anything to write."""
+        """Return whether there is anything to write."""
         return bool(self.definitions or self.processes or self.tasks or self.messages or self.delivered)

@@ -1,6 +1,6 @@
-"""Retry: which processes may go on again after they have failed, and from where.
+"""Retry: whether a failed process can continue, and in which state.
 
-Only a failed Task leaves a process in a state from which it can: nobody knows how far another failure got.
+Only a process that a failed Task has ended can be retried: after another failure its state is unknown.
 """
 
 from collections.abc import Collection
@@ -13,7 +13,7 @@ from services.task_orchestrator.records import ProcessRecord
 
 
 def run_to_retry(plan: Plan, record: ProcessRecord, composed: Collection[str], task_id: str) -> Run:
-    """Return the run of `record` as it was before the Task `task_id` failed and ended it.
+    """Return the run of `record` before the Task `task_id` failed and ended it.
 
     `composed` are the ids of all its Tasks. Raises `Problem` 404 if the Task is none of them, 409 with the
     reason if it cannot be retried.
@@ -32,10 +32,10 @@ def run_to_retry(plan: Plan, record: ProcessRecord, composed: Collection[str], t
     if record.status is not TaskStatus.FAILED:
         raise _refusal(f"{record.id} is {record.status}, and only a failed process can be retried")
     if record.failed_by is None or record.state is None:
-        why = f"{record.id} has not ended by a failed Task that can be retried ({record.reason})"
+        why = f"{record.id} was not ended by a failed Task that can be retried ({record.reason})"
         raise _refusal(f"{why}; start a new process")
     if record.failed_by != task_id:
-        raise _refusal(f"{record.id} has ended by another Task; retry {record.failed_by}")
+        raise _refusal(f"another Task has ended {record.id}; retry {record.failed_by}")
     try:
         return plan.resume(record.state)
     except RunFailed as failure:

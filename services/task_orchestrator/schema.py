@@ -1,17 +1,9 @@
-"""Schema: the tables of the orchestrator, and how those of an earlier release become today's.
-
-A database is brought forward in one transaction, and a SQLite file is copied beside itself before. One that a
-later release has written is left alone.
-"""
-
-from collections.abc import Mapping
-from datetime import datetime
+"""Schema: the tables of the orchestrator. `handover.migrations` creates and migrates them."""
 
 from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
-    Connection,
     Engine,
     Index,
     Integer,
@@ -20,14 +12,11 @@ from sqlalchemy import (
     String,
     Table,
     Text,
-    select,
-    update,
 )
-from sqlalchemy.schema import CreateIndex
 
-from handover.tables import Step, bring_forward
+from handover import migrations
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 1
 
 _meta = MetaData()
 definitions = Table(
@@ -63,7 +52,7 @@ processes = Table(
     Column("reason_message", Text),
     Index("orchestrator_processes_started", "started_at", "id"),
     Index("orchestrator_processes_definition", "definition", "version"),
-    # A list of one status or definition is read in its order, however many processes are kept.
+    # These keep lists of one status or definition fast, independent of the number of stored processes.
     Index("orchestrator_processes_status_started", "status", "started_at", "id"),
     Index("orchestrator_processes_definition_started", "definition", "started_at", "id"),
     Index("orchestrator_processes_ended", "ended_at"),
@@ -98,14 +87,14 @@ inbox = Table(
     Column("nth", Integer, primary_key=True),
     Column("status", String(20), nullable=False),
     Column("observed_at", String(40)),
-    Column("heard_at", String(40), nullable=False),
+    Column("received_at", String(40), nullable=False),
 )
 outbox = Table(
     "orchestrator_outbox",
     _meta,
     Column("seq", BigInteger, primary_key=True, autoincrement=False),
     Column("stream", String(100), nullable=False),
-    Column("saying", String(10), nullable=False),
+    Column("kind", String(10), nullable=False),
     Column("subject", String(300), nullable=False),
     Column("body", Text, nullable=False),
 )
@@ -121,48 +110,8 @@ timers = Table(
 
 
 def migrate(engine: Engine) -> None:
-    """Bring the tables to the version of this release; raise `UsageError` if they are of a later one."""
-    bring_forward(engine, _meta, room="orchestrator", version=SCHEMA_VERSION, steps=_MIGRATIONS)
+    """Bring the tables to the version of this release.
 
-
-def _keep_what_a_retry_needs(connection: Connection) -> None:
-    """1 to 2: who failed a process, what people did, how long Tasks took, and lists that come in pages.
-
-    Processes that failed before were not kept so that they could go on; they stay as they are.
+    Raises `UsageError` if they are of a later release, or of a format that was never released.
     """
-    for table, column, kind in (
-        (processes, "failed_by", "VARCHAR(300)"),
-        (processes, "acts", "TEXT DEFAULT '[]' NOT NULL"),
-        (tasks, "took_ms", "BIGINT"),
-    ):
-        connection.exec_driver_sql(f"ALTER TABLE {table.name} ADD COLUMN {column} {kind}")
-    for index in processes.indexes:
-        if index.name in {"orchestrator_processes_started", "orchestrator_processes_definition"}:
-            connection.execute(CreateIndex(index))
-    ended = select(tasks.c.id, tasks.c.created_at, tasks.c.ended_at).where(tasks.c.ended_at.is_not(None))
-    for row in connection.execute(ended).all():
-        took = datetime.fromisoformat(row.ended_at) - datetime.fromisoformat(row.created_at)
-        took_ms = round(took.total_seconds() * 1000)
-        connection.execute(update(tasks).where(tasks.c.id == row.id).values(took_ms=took_ms))
-
-
-def _add_archive(connection: Connection) -> None:
-    """2 to 3: which processes were archived, codes of reasons, and indexes for lists of many processes."""
-    connection.exec_driver_sql(f"ALTER TABLE {processes.name} ADD COLUMN archived_at VARCHAR(40)")
-    connection.exec_driver_sql(f"ALTER TABLE {processes.name} ADD COLUMN reason_message TEXT")
-    for index in sorted((*processes.indexes, *tasks.indexes), key=lambda index: str(index.name)):
-        if index.name in _INDEXES_OF_VERSION_3:
-            connection.execute(CreateIndex(index))
-
-
-_INDEXES_OF_VERSION_3 = frozenset(
-    {
-        "orchestrator_processes_status_started",
-        "orchestrator_processes_definition_started",
-        "orchestrator_processes_ended",
-        "orchestrator_processes_to_archive",
-        "orchestrator_tasks_unfinished",
-    }
-)
-_MIGRATIONS: Mapping[int, Step] = {1: _keep_what_a_retry_needs, 2: _add_archive}
-"""From version n to n + 1."""
+    migrations.migrate(engine, _meta, component="orchestrator", version=SCHEMA_VERSION)

@@ -8,7 +8,7 @@ from handover.settings import Settings
 
 
 class OrchestratorSettings(Settings):
-    """What the orchestrator adds to the settings that all share."""
+    """The settings of the orchestrator, in addition to the common ones."""
 
     orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
     orchestrator_url: str | None = Field(
@@ -18,16 +18,16 @@ class OrchestratorSettings(Settings):
     task_deadline_s: float = Field(
         300.0,
         gt=0,
-        description="a Task nobody takes up for so long raises an Alert, unless the BPMN says more",
+        description="an Alert is raised for a Task that is not accepted within this time; "
+        "a deadline in the BPMN file replaces it",
     )
     cancel_grace_s: float = Field(
-        5.0, ge=0, description="a cancelled Task that nobody has taken up is closed after so long"
+        5.0, ge=0, description="a cancelled Task that no performer has accepted is closed after this time"
     )
     keep_days: float = Field(
         365.0,
         ge=0,
-        description="a process that ended so many days ago is deleted from the database, with "
-        "all that is known of it; 0: never",
+        description="an ended process is deleted from the database after so many days; 0: never",
     )
 
     @property

@@ -1,4 +1,4 @@
-"""Spiff: SpiffWorkflow taught our rules: our expressions instead of Python, our clock instead of its own."""
+"""Adapters for SpiffWorkflow: our expressions replace Python, and the time of the run replaces its clock."""
 
 from datetime import datetime
 from typing import Any
@@ -21,7 +21,7 @@ from services.task_orchestrator.xml_names import qualified
 
 
 class _Environment(BasePythonScriptEngineEnvironment):  # type: ignore[misc]
-    """Where SpiffWorkflow would evaluate Python, our expressions are evaluated instead."""
+    """Evaluates our expressions where SpiffWorkflow would evaluate Python."""
 
     def evaluate(self, expression: str, context: Any, external_context: Any = None) -> Any:
         del external_context
@@ -35,26 +35,26 @@ class _Environment(BasePythonScriptEngineEnvironment):  # type: ignore[misc]
 
 
 class Scripts(PythonScriptEngine):  # type: ignore[misc]
-    """The script engine of one run, which also knows what time it is."""
+    """The script engine of one run, with the time of the run."""
 
     def __init__(self, now: datetime) -> None:
         super().__init__(_Environment())
         self.now = now
 
     def evaluate(self, task: Token, expression: str, external_context: Any = None) -> Any:
-        """Return the value of `expression` as the token `task` sees the variables."""
+        """Return the value of `expression` with the variables of the token `task`."""
         return self.environment.evaluate(expression, task.data, external_context)
 
     def execute(self, task: Token, script: str, external_context: Any = None) -> Any:
-        """Do what `script` says to the variables of the token `task`."""
+        """Execute `script` on the variables of the token `task`."""
         return self.environment.execute(script, task.data, external_context)
 
 
 class Timer(TimerEventDefinition):  # type: ignore[misc]
-    """A timer that goes by the time the run is told, so that it can be tried and survives a restart."""
+    """A timer that uses the time of the run, so that it can be tested and survives a restart."""
 
     def has_fired(self, my_task: Token) -> bool:
-        """Say whether its moment has come; the first time it is asked, that moment is set."""
+        """Return whether it is due; the first call computes the due time."""
         scripts = my_task.workflow.script_engine
         moment = my_task.internal_data.get("due")
         if moment is None:
@@ -62,7 +62,7 @@ class Timer(TimerEventDefinition):  # type: ignore[misc]
             if not is_time(text):
                 text = scripts.evaluate(my_task, text)
             if not isinstance(text, str):
-                raise ExpressionError(f"`{self.expression}` gives no duration or moment")
+                raise ExpressionError(f"`{self.expression}` yields no duration or moment")
             moment = due_at(text, scripts.now).isoformat()
             my_task.internal_data["due"] = moment
         if datetime.fromisoformat(moment) <= scripts.now:
@@ -70,13 +70,13 @@ class Timer(TimerEventDefinition):  # type: ignore[misc]
         return bool(my_task.internal_data.get("event_fired", False))
 
     def reset(self, my_task: Token) -> None:
-        """Forget its moment: it will be set anew."""
+        """Delete the due time; the next call of `has_fired` computes it again."""
         my_task.internal_data.pop("due", None)
         super().reset(my_task)
 
 
 class Parser(BpmnParser):  # type: ignore[misc]
-    """Every activity waits for whoever does it; that SpiffWorkflow tells them apart does not matter here."""
+    """Reads all kinds of activities alike: each waits for its result."""
 
     OVERRIDE_PARSER_CLASSES = {  # noqa: RUF012
         **{qualified(kind.value): (TaskParser, UserTask) for kind in HANDED_OVER},

@@ -1,7 +1,6 @@
 """Store: definitions, processes, Tasks, inbox, outbox and timers in the database, SQLite or PostgreSQL.
 
-One `write` is one transaction. A process carries a revision, so that two orchestrators on one database
-cannot both move it.
+One `write` is one transaction. The revision of a process detects two orchestrators on one database.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,9 +35,9 @@ from services.task_orchestrator.records import (
     ActKind,
     DefinitionRecord,
     Message,
+    MessageKind,
     Move,
     ProcessRecord,
-    Saying,
     Step,
     TaskRecord,
     Timer,
@@ -57,12 +56,12 @@ _MOMENTS = frozenset(
         "archived_at",
     }
 )
-_AT_ONCE = 500
+_MAX_IDS = 500
 _DOCUMENTS = frozenset({"parameters", "variables", "waiting", "outputs", "entity", "acts"})
 
 
 class Conflict(HandoverError):
-    """Another orchestrator has moved the same process, or taken the same key, in this database."""
+    """Another orchestrator has changed the same process, or used the same key, in this database."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,26 +81,26 @@ class EndedTask:
 
 
 class Store:
-    """What survives. Every method blocks; none may be called from two threads at once."""
+    """Durable state. Every method blocks; only one thread may use it at a time."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
 
     def migrate(self) -> None:
-        """Bring the tables to the version of this release; raise `UsageError` if they are of a later one."""
+        """Bring the tables to the version of this release; raise `UsageError` if that is not possible."""
         schema.migrate(self._engine)
 
     def probe(self) -> None:
-        """Return if the database answers."""
+        """Raise an exception if the database does not answer."""
         with self._engine.connect() as connection:
             connection.execute(select(1))
 
     def close(self) -> None:
-        """Let go of the database."""
+        """Close all connections."""
         self._engine.dispose()
 
     def write(self, step: Step) -> None:
-        """Write all of `step` or nothing; raise `Conflict` if somebody else was faster."""
+        """Write all of `step` or nothing; raise `Conflict` if another orchestrator wrote a process."""
         with self._engine.begin() as connection:
             _write_definitions(connection, step.definitions)
             _write_processes(connection, step)
@@ -115,8 +114,8 @@ class Store:
             if step.delivered:
                 connection.execute(delete(schema.outbox).where(schema.outbox.c.seq.in_(step.delivered)))
 
-    def forget(self, ended_before: datetime, at_most: int, *, archived_only: bool = False) -> int:
-        """Delete processes that ended before, with all that is kept of them; return how many were deleted.
+    def delete_ended(self, ended_before: datetime, at_most: int, *, archived_only: bool = False) -> int:
+        """Delete processes that ended before a time, with their Tasks; return how many were deleted.
 
         With `archived_only` a process stays whose entities may still be in the broker.
         """
@@ -143,7 +142,7 @@ class Store:
         return [DefinitionRecord(**_values(row)) for row in self._rows(statement)]
 
     def processes(self, ids: Sequence[str]) -> list[ProcessRecord]:
-        """Return the processes `ids`, as far as there are such."""
+        """Return those of the processes `ids` that exist."""
         statement = select(schema.processes).where(schema.processes.c.id.in_(ids))
         return [_process(row) for row in self._rows(statement)]
 
@@ -160,10 +159,9 @@ class Store:
     ) -> list[ProcessRecord]:
         """Return processes without the engine's state, the latest first.
 
-        `search` is a part of the business key or of the id, in any case of letters; `involves` the URN of
-        a person or a resource that a Task of the process involves.
-        `before` is a process: only those that were started before it, however many were started since.
-        Raises `Problem` 404 if it is none.
+        `search` is a part of the business key or of the id, case-insensitive; `involves` the URN of a
+        person or a resource that a Task of the process involves. `before` is the id of a process: only those
+        started before it are returned. Raises `Problem` 404 for an unknown one.
         """
         table = schema.processes.c
         statement = select(*_without_state()).order_by(table.started_at.desc(), table.id.desc()).limit(limit)
@@ -206,9 +204,9 @@ class Store:
         return [_process(row) for row in self._rows(statement)]
 
     def to_archive(self, ended_before: datetime, at_most: int) -> list[EndedProcess]:
-        """Return the processes that ended first, before a moment, and are complete: nothing of them is open.
+        """Return the processes that ended first, before a time, and are complete.
 
-        Their Tasks have ended too, and the broker has been told everything about them.
+        All their Tasks have ended, and all their messages were delivered.
         """
         table = schema.processes.c
         statement = (
@@ -259,17 +257,17 @@ class Store:
         return _process(rows[0]) if rows else None
 
     def counts(self, definition: str, version: int) -> VersionCount:
-        """Return what became of the processes of a version of a definition and of their Tasks."""
+        """Return the statistics of a version of a definition."""
         with self._engine.connect() as connection:
             return count_version(connection, definition, version)
 
     def counts_since(self, since: datetime) -> PeriodCount:
-        """Return what became of the processes that ended at `since` or later."""
+        """Return the statistics of the processes that ended at `since` or later."""
         with self._engine.connect() as connection:
             return count_period(connection, _written(since))
 
     def tasks(self, process: str) -> list[TaskRecord]:
-        """Return the Tasks of a process in the order in which they came to be."""
+        """Return the Tasks of a process in the order of their creation."""
         statement = (
             select(schema.tasks)
             .where(schema.tasks.c.process == process)
@@ -278,7 +276,7 @@ class Store:
         return [_task(row) for row in self._rows(statement)]
 
     def moves(self, process: str) -> list[Move]:
-        """Return what was heard of the Tasks of a process, in order."""
+        """Return the changes of the Tasks of a process, in order."""
         statement = (
             select(schema.inbox)
             .join(schema.tasks, schema.tasks.c.id == schema.inbox.c.task)
@@ -291,28 +289,28 @@ class Store:
                 r["nth"],
                 TaskStatus(r["status"]),
                 _moment(r["observed_at"]),
-                _surely(r["heard_at"]),
+                _time(r["received_at"]),
             )
             for r in self._rows(statement)
         ]
 
     def everything(self, process: str) -> tuple[ProcessRecord, list[TaskRecord], list[Move]] | None:
-        """Return a process with its Tasks and what was heard of them; None if there is no such process."""
+        """Return a process with its Tasks and their changes; None if there is no such process."""
         records = self.processes([process])
         return (records[0], self.tasks(process), self.moves(process)) if records else None
 
     def timers(self) -> dict[str, tuple[Timer, ...]]:
-        """Return what is due, by process."""
+        """Return the timers by process."""
         found: dict[str, tuple[Timer, ...]] = {}
         for row in self._rows(select(schema.timers).order_by(schema.timers.c.due)):
-            timer = Timer(TimerKind(row["kind"]), row["subject"], _surely(row["due"]))
+            timer = Timer(TimerKind(row["kind"]), row["subject"], _time(row["due"]))
             found[row["process"]] = (*found.get(row["process"], ()), timer)
         return found
 
     def outbox(self) -> list[Message]:
-        """Return what has not been told yet, in order."""
+        """Return the messages that were not delivered yet, in order."""
         return [
-            Message(r["seq"], r["stream"], Saying(r["saying"]), r["subject"], orjson.loads(r["body"]))
+            Message(r["seq"], r["stream"], MessageKind(r["kind"]), r["subject"], orjson.loads(r["body"]))
             for r in self._rows(select(schema.outbox).order_by(schema.outbox.c.seq))
         ]
 
@@ -343,11 +341,13 @@ def _write_processes(connection: Connection, step: Step) -> None:
             try:
                 connection.execute(insert(schema.processes).values(values))
             except IntegrityError as error:
-                raise Conflict(f"the process {process.id} or its key is there already") from error
+                raise Conflict(f"the process {process.id} or its key exists already") from error
             continue
         mine = (schema.processes.c.id == process.id) & (schema.processes.c.revision == process.revision - 1)
         if connection.execute(update(schema.processes).where(mine).values(values)).rowcount != 1:
-            raise Conflict(f"another orchestrator works on {process.id} in this database; stop one of them")
+            raise Conflict(
+                f"another orchestrator has changed {process.id} in this database; stop one of them"
+            )
 
 
 def _write_archived(connection: Connection, archived: Sequence[ProcessRecord]) -> None:
@@ -357,7 +357,7 @@ def _write_archived(connection: Connection, archived: Sequence[ProcessRecord]) -
         )
         changes = {"archived_at": _written(process.archived_at), "revision": process.revision}
         if connection.execute(update(schema.processes).where(unchanged).values(changes)).rowcount != 1:
-            raise Conflict(f"{process.id} has been changed meanwhile")
+            raise Conflict(f"{process.id} was changed meanwhile")
 
 
 def _without_state() -> list[Column[Any]]:
@@ -366,8 +366,8 @@ def _without_state() -> list[Column[Any]]:
 
 def _in_parts(ids: Sequence[str]) -> Iterator[Sequence[str]]:
     """Yield `ids` in parts: databases limit the parameters of a statement."""
-    for start in range(0, len(ids), _AT_ONCE):
-        yield ids[start : start + _AT_ONCE]
+    for start in range(0, len(ids), _MAX_IDS):
+        yield ids[start : start + _MAX_IDS]
 
 
 def _has_open_tasks() -> ColumnElement[bool]:
@@ -398,12 +398,12 @@ def _row(record: Any) -> dict[str, Any]:
 
 
 def _process_row(process: ProcessRecord) -> dict[str, Any]:
-    """Return the row of a process; the code and parameters of its reason are in a column of their own."""
+    """Return the row of a process; the code and parameters of its reason have a separate column."""
     reason = process.reason
     if not isinstance(reason, MessageText):
         return {**_row(process), "reason_message": None}
-    told = orjson.dumps(with_code("reason", reason)).decode()
-    return {**_row(process), "reason": str(reason), "reason_message": told}
+    coded = orjson.dumps(with_code("reason", reason)).decode()
+    return {**_row(process), "reason": str(reason), "reason_message": coded}
 
 
 def _task_row(task: TaskRecord) -> dict[str, Any]:
@@ -416,10 +416,12 @@ def _message_row(message: Message) -> dict[str, Any]:
 
 def _written(value: Any) -> Any:
     if isinstance(value, datetime):
-        return value.isoformat(timespec="microseconds")  # all the same length: they are ordered as text
+        return value.isoformat(
+            timespec="microseconds"
+        )  # of equal length, so that the order of the texts is the order of the times
     if isinstance(value, Mapping | tuple):
         return orjson.dumps(value).decode()
-    return str(value) if isinstance(value, TaskStatus | TimerKind | Saying) else value
+    return str(value) if isinstance(value, TaskStatus | TimerKind | MessageKind) else value
 
 
 def _values(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -434,11 +436,11 @@ def _values(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def _process(row: Mapping[str, Any]) -> ProcessRecord:
     values = _values(row)
-    told = values.pop("reason_message")
+    coded = values.pop("reason_message")
     return ProcessRecord(
         **{
             **values,
-            "reason": values["reason"] if told is None else message_in(orjson.loads(told), "reason"),
+            "reason": values["reason"] if coded is None else message_in(orjson.loads(coded), "reason"),
             "status": TaskStatus(values["status"]),
             "waiting": tuple(values["waiting"]),
             "acts": tuple(_act(act) for act in values["acts"]),
@@ -447,7 +449,7 @@ def _process(row: Mapping[str, Any]) -> ProcessRecord:
 
 
 def _act(values: Mapping[str, Any]) -> Act:
-    return Act(_surely(values["at"]), ActKind(values["act"]), values["by"], values["task"])
+    return Act(_time(values["at"]), ActKind(values["act"]), values["by"], values["task"])
 
 
 def _task(row: Mapping[str, Any]) -> TaskRecord:
@@ -460,5 +462,5 @@ def _moment(text: str | None) -> datetime | None:
     return None if text is None else datetime.fromisoformat(text)
 
 
-def _surely(text: str) -> datetime:
+def _time(text: str) -> datetime:
     return datetime.fromisoformat(text)

@@ -1,4 +1,4 @@
-"""Views: definitions and processes as people look at them over HTTP."""
+"""Views: definitions and processes as the REST interface returns them."""
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -8,21 +8,21 @@ from datamodels.entities import TaskStatus
 from datamodels.times import iso
 from handover.errors import HandoverError
 from handover.messages import message_in, with_code
-from services.task_orchestrator.ahead import activities_ahead
 from services.task_orchestrator.counts import ElementCount, PeriodCount, VersionCount, count_elements
 from services.task_orchestrator.definition import Activity, Definition
+from services.task_orchestrator.definition_registry import DefinitionRegistry
 from services.task_orchestrator.entities import resource_id
 from services.task_orchestrator.expressions import ExpressionError
 from services.task_orchestrator.extension import is_reference
-from services.task_orchestrator.library import Library
+from services.task_orchestrator.lookahead import upcoming_activities
 from services.task_orchestrator.records import Act, DefinitionRecord, Move, ProcessRecord, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
 
 View = dict[str, Any]
 
 
-def definition_view(library: Library, record: DefinitionRecord) -> View:
-    """Return a version of a definition and the parameters its processes can be started with."""
+def definition_view(registry: DefinitionRegistry, record: DefinitionRecord) -> View:
+    """Return a version of a definition and its parameters."""
     view: View = {
         "name": record.name,
         "version": record.version,
@@ -32,14 +32,14 @@ def definition_view(library: Library, record: DefinitionRecord) -> View:
         "parameters": [],
     }
     try:
-        definition = library.plan(record).definition
+        definition = registry.plan(record).definition
     except HandoverError as error:
         return {**view, "unusable": str(error)}
     return {**view, "parameters": parameter_views(definition)}
 
 
 def parameter_views(definition: Definition) -> list[View]:
-    """Return what a process can be started with."""
+    """Return the parameters of a definition."""
     return [
         {"name": each.name, "required": each.required, "default": each.default}
         for each in definition.parameters.values()
@@ -47,7 +47,7 @@ def parameter_views(definition: Definition) -> list[View]:
 
 
 def activity_views(definition: Definition) -> list[View]:
-    """Return the activities of a definition as drawn."""
+    """Return the activities of a definition."""
     return [
         {
             "id": activity.id,
@@ -61,7 +61,7 @@ def activity_views(definition: Definition) -> list[View]:
 
 
 def statistics_view(record: DefinitionRecord, counts: VersionCount) -> View:
-    """Return what became of all processes of a version."""
+    """Return the statistics of a version."""
     return {
         "name": record.name,
         "version": record.version,
@@ -71,7 +71,7 @@ def statistics_view(record: DefinitionRecord, counts: VersionCount) -> View:
 
 
 def period_view(counts: PeriodCount) -> View:
-    """Return what became of the processes of a period."""
+    """Return the statistics of a period."""
     return {
         "running": counts.running,
         "completed": counts.completed,
@@ -80,14 +80,16 @@ def period_view(counts: PeriodCount) -> View:
     }
 
 
-def process_summary(settings: OrchestratorSettings, library: Library, record: ProcessRecord) -> View:
-    """Return a process in a line."""
+def process_summary(
+    settings: OrchestratorSettings, registry: DefinitionRegistry, record: ProcessRecord
+) -> View:
+    """Return a process as an element of a list."""
     return {
         "id": record.id,
         "entity": settings.entity_id("Process", record.id),
         "definition": record.definition,
         "version": record.version,
-        "title": library.record(record.definition, record.version).title,
+        "title": registry.record(record.definition, record.version).title,
         "key": record.key,
         "status": record.status.value,
         **_reason(record.reason),
@@ -101,20 +103,20 @@ def process_summary(settings: OrchestratorSettings, library: Library, record: Pr
 
 def process_view(
     settings: OrchestratorSettings,
-    library: Library,
+    registry: DefinitionRegistry,
     record: ProcessRecord,
     tasks: Sequence[TaskRecord],
     moves: Sequence[Move],
 ) -> View:
-    """Return all there is to see of a process."""
-    definition = _definition(library, record)
+    """Return a process with all details."""
+    definition = _definition(registry, record)
     history: dict[str, list[Move]] = {}
     for move in moves:
         history.setdefault(move.task, []).append(move)
     counts = count_elements(tasks)
     activities = definition.activities if definition is not None else {}
     return {
-        **process_summary(settings, library, record),
+        **process_summary(settings, registry, record),
         "parameters": record.parameters,
         "variables": record.variables,
         "next": _next(settings, definition, record) if definition is not None else [],
@@ -126,10 +128,10 @@ def process_view(
     }
 
 
-def _definition(library: Library, record: ProcessRecord) -> Definition | None:
-    """Return what a process was drawn as, None if this release cannot read it any more."""
+def _definition(registry: DefinitionRegistry, record: ProcessRecord) -> Definition | None:
+    """Return the definition of a process; None if this release cannot read it."""
     try:
-        return library.plan(library.record(record.definition, record.version)).definition
+        return registry.plan(registry.record(record.definition, record.version)).definition
     except HandoverError:
         return None
 
@@ -143,12 +145,12 @@ def _next(settings: OrchestratorSettings, definition: Definition, record: Proces
             "lane": activity.lane,
             "involves": _involved(settings, activity, record.variables),
         }
-        for activity in activities_ahead(definition, record.waiting, record.variables)
+        for activity in upcoming_activities(definition, record.waiting, record.variables)
     ]
 
 
 def _involved(settings: OrchestratorSettings, activity: Activity, variables: Mapping[str, Any]) -> list[str]:
-    """Return who and what an activity will involve, as far as the variables say so by now."""
+    """Return the resources of an activity that the present variables determine."""
     known = []
     for given in activity.involves:
         try:
@@ -161,8 +163,8 @@ def _involved(settings: OrchestratorSettings, activity: Activity, variables: Map
 
 
 def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move]) -> View:
-    asked: Mapping[str, Any] = task.entity["workParameters"]["value"]
-    told = asked.get("description")
+    parameters: Mapping[str, Any] = task.entity["workParameters"]["value"]
+    described = parameters.get("description")
     outputs = task.outputs or {}
     failed = task.status is TaskStatus.FAILED
     return {
@@ -170,10 +172,10 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
         "element": task.element,
         "name": activity.name if activity is not None else task.element,
         "visit": task.visit,
-        "description": told if isinstance(told, str) else activity and activity.description,
+        "description": described if isinstance(described, str) else activity and activity.description,
         "status": task.status.value,
         "involves": [link["object"] for link in task.entity["involves"]["value"]],
-        "workParameters": asked,
+        "workParameters": parameters,
         "createdAt": iso(task.created_at),
         "deadline": iso(task.deadline),
         "endedAt": _iso(task.ended_at),
@@ -181,7 +183,7 @@ def _task_view(task: TaskRecord, activity: Activity | None, moves: Sequence[Move
         **_reason(message_in(outputs, "reason") if failed else None),
         "outputParameters": task.outputs,
         "history": [
-            {"status": move.status.value, "at": iso(move.observed_at or move.heard_at)} for move in moves
+            {"status": move.status.value, "at": iso(move.observed_at or move.received_at)} for move in moves
         ],
     }
 

@@ -11,8 +11,8 @@ OVERRUNS = Counter(
 MOTION_SECONDS = Counter("handover_trajectory_tool_motion_seconds_total", "Time that robots were in motion")
 SCANS = Counter("handover_trajectory_tool_scans_total", "Scans by whether a part was found", ["found"])
 DROPPED = Counter(
-    "handover_trajectory_tool_dropped_joint_states_total", "Joint states that a slow reader did not get"
+    "handover_trajectory_tool_joint_states_dropped_total", "Joint states that a slow reader did not get"
 )
 UNTOLD = Counter(
-    "handover_trajectory_tool_refused_writes_total", "Writes of the Device that the broker refused"
+    "handover_trajectory_tool_device_writes_rejected_total", "Writes of the Device that the broker refused"
 )

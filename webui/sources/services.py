@@ -26,8 +26,8 @@ COUNTED: Final[Mapping[str, Mapping[str, str]]] = {
         "notifications": 'handover_broker_notifications_total{outcome="delivered"}',
     },
     ORCHESTRATOR: {
-        "steps": "handover_orchestrator_step_seconds_count",
-        "news": "handover_orchestrator_news_total",
+        "steps": "handover_orchestrator_step_duration_seconds_count",
+        "news": "handover_orchestrator_task_changes_total",
     },
     CONTROLLER: {
         "frames": "handover_gesture_controller_frames_total",

@@ -10,7 +10,7 @@ from typing import Any
 import orjson
 from sqlalchemy import Column, Engine, MetaData, Row, String, Table, Text, delete, insert, select
 
-from handover.tables import bring_forward
+from handover.migrations import migrate
 from services.gesture_controller.thresholds import FINGERS
 
 VERSION = 1
@@ -53,7 +53,7 @@ class Logbook:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        bring_forward(engine, _meta, room="controller_logbook", version=VERSION)
+        migrate(engine, _meta, component="controller_logbook", version=VERSION)
 
     def drifts(self) -> dict[Whose, KeptDrift]:
         """Return what is kept of all drifts."""

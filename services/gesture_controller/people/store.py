@@ -6,7 +6,7 @@ from typing import Any
 import orjson
 from sqlalchemy import Connection, Engine, Table, delete, insert, select
 
-from handover.tables import bring_forward
+from handover.migrations import migrate
 from services.gesture_controller.gestures import Shape
 from services.gesture_controller.people import tables
 from services.gesture_controller.people.person import OwnGesture, Person, Sample
@@ -20,7 +20,7 @@ class PeopleStore:
 
     def load(self) -> dict[str, Person]:
         """Return all people by name."""
-        bring_forward(self._engine, tables.tables, room="controller_people", version=tables.VERSION)
+        migrate(self._engine, tables.tables, component="controller_people", version=tables.VERSION)
         with self._engine.connect() as connection:
             titles = {row.name: row.title for row in connection.execute(select(tables.people))}
             commands: dict[str, dict[int, str | None]] = {name: {} for name in titles}

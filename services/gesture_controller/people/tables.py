@@ -1,8 +1,8 @@
 """The tables of people and gloves in the database of the gesture controller."""
 
-from sqlalchemy import Boolean, Column, Connection, Integer, MetaData, String, Table, Text
+from sqlalchemy import Boolean, Column, Integer, MetaData, String, Table, Text
 
-VERSION = 2
+VERSION = 1
 
 tables = MetaData()
 gloves = Table(
@@ -50,11 +50,3 @@ gestures = Table(
     Column("name", String(200), primary_key=True),
     Column("shape", Text, nullable=False),
 )
-
-
-def _add_tokens(connection: Connection) -> None:
-    tokens.create(connection)
-
-
-STEPS = {1: _add_tokens}
-"""By version, what leads to the next one."""

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from sqlalchemy import Column, Engine, Integer, MetaData, String, Table, Text, cast, delete, insert, select
 from sqlalchemy.schema import CreateTable
 
-from handover.tables import bring_forward
+from handover.migrations import migrate
 from services.gesture_controller.specifications.definition import Definition
 
 VERSION = 1
@@ -32,7 +32,7 @@ definitions = Table(
 
 def create(engine: Engine) -> None:
     """Create the table where there is none, and bring an older one forward."""
-    bring_forward(engine, tables, room="specifications", version=VERSION)
+    migrate(engine, tables, component="specifications", version=VERSION)
 
 
 def statement(engine: Engine) -> str:

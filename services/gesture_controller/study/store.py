@@ -28,7 +28,7 @@ from sqlalchemy import (
 from sqlalchemy.exc import IntegrityError
 
 from handover.errors import Problem
-from handover.tables import bring_forward
+from handover.migrations import migrate
 from services.gesture_controller.study.protocol import (
     FINISHED,
     Answer,
@@ -76,7 +76,7 @@ class StudyStore:
 
     def prepare(self) -> None:
         """Create the tables, or bring them forward."""
-        bring_forward(self._engine, _meta, room="study", version=VERSION)
+        migrate(self._engine, _meta, component="study", version=VERSION)
 
     def add(self, session: Session) -> None:
         """Keep a new session; raises `Problem` 409 if its pseudonym is taken in its study."""

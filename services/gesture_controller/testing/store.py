@@ -22,7 +22,7 @@ from sqlalchemy import (
 )
 
 from datamodels.times import iso
-from handover.tables import bring_forward
+from handover.migrations import migrate
 from services.gesture_controller.testing.trials import Outcome, Phase, Plan, Trial, Try
 
 VERSION = 1
@@ -79,7 +79,7 @@ class TestStore:
 
     def prepare(self) -> None:
         """Create the tables, or bring them forward."""
-        bring_forward(self._engine, _meta, room="accuracy", version=VERSION)
+        migrate(self._engine, _meta, component="accuracy", version=VERSION)
 
     def add(self, test: StoredTest) -> None:
         """Keep a new test."""

@@ -79,7 +79,7 @@ async def test_a_broken_database_is_told_of_stops_nothing_and_is_back_by_itself(
 
     async def alerted() -> bool:
         return any(
-            one["subCategory"]["value"] == "specificationDatabaseAway" and "validTo" not in one
+            one["subCategory"]["value"] == "specificationDatabaseUnavailable" and "validTo" not in one
             for one in await bench.alerts()
         )
 

@@ -21,8 +21,8 @@ def of_a_newer_broker(folder: Path) -> Path:
 def of_a_newer_orchestrator(folder: Path) -> Path:
     file = folder / "orchestrator.db"
     with closing(sqlite3.connect(file)) as database:
-        database.execute("CREATE TABLE orchestrator_schema (version INTEGER NOT NULL)")
-        database.execute("INSERT INTO orchestrator_schema VALUES (99)")
+        database.execute("CREATE TABLE orchestrator_version (version INTEGER NOT NULL)")
+        database.execute("INSERT INTO orchestrator_version VALUES (99)")
         database.commit()
     return file
 

@@ -132,7 +132,7 @@ class Cell:
             timeout=120,
         )
 
-    def begin(self, definition: str, **parameters: Any) -> str:
+    def start(self, definition: str, **parameters: Any) -> str:
         """Start a process and return its id."""
         answer = self.api.post("/processes", json={"definition": definition, "parameters": parameters})
         assert answer.status_code == 201, answer.text

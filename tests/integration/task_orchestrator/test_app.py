@@ -352,7 +352,7 @@ async def test_the_same_key_never_starts_a_second_process(
     [
         ({"definition": "nothing"}, 404, "bin-picking"),
         ({"definition": "p", "version": 9}, 404, "versions 1 to 1"),
-        ({"definition": "p", "parameters": {"y": 1}}, 422, '"y" is none of those'),
+        ({"definition": "p", "parameters": {"y": 1}}, 422, '"y" is no parameter of'),
         ({"definition": "p", "parameters": {"open()": 1}}, 422, "cannot be the name"),
         ({"definition": "p", "colour": "red"}, 422, "colour"),
         ({}, 422, "definition"),

@@ -73,7 +73,7 @@ def posted(running: Cell, task: dict[str, Any]) -> None:
 def test_a_finished_process_leaves_the_broker_and_its_history_is_served(archiving: Cell) -> None:
     play(archiving, work_1={"grip": 3})
     deploy(archiving, ONE_STEP)
-    process = archiving.begin("p", order="A-7")
+    process = archiving.start("p", order="A-7")
     before = archiving.ended(process)
     gone(archiving, process)
     after = archiving.look(process)
@@ -91,7 +91,7 @@ def test_a_finished_process_leaves_the_broker_and_its_history_is_served(archivin
 def test_an_archived_process_that_failed_can_be_retried_and_leaves_again(archiving: Cell) -> None:
     play(archiving, work_1={"fails": "the part slipped"}, work_2={"after_s": 30})
     deploy(archiving, ONE_STEP)
-    seen = archiving.ended(archiving.begin("p"))
+    seen = archiving.ended(archiving.start("p"))
     gone(archiving, seen["id"])
     retry(archiving, seen)
     second = eventually(lambda: archiving.tasks(seen["id"]), "the Task of the second visit")
@@ -106,7 +106,7 @@ def test_an_archived_process_that_failed_can_be_retried_and_leaves_again(archivi
 
 def test_what_was_to_be_deleted_when_the_orchestrator_was_killed_is_deleted_after_it(archiving: Cell) -> None:
     deploy(archiving, ONE_STEP)
-    process = archiving.ended(archiving.begin("p"))["id"]
+    process = archiving.ended(archiving.start("p"))["id"]
     settled(archiving, process)
     archiving.broker.kill()
     eventually(lambda: archiving.look(process)["archivedAt"], "the decision to delete")
@@ -122,7 +122,7 @@ def test_killed_at_any_moment_everything_leaves_and_nothing_is_done_twice(archiv
     deploy(archiving, TWO_STEPS)
     processes = []
     for _ in range(5):
-        processes += [archiving.begin("p") for _ in range(3)]
+        processes += [archiving.start("p") for _ in range(3)]
         victim = moments.choice((archiving.orchestrator, archiving.orchestrator, archiving.broker))
         time.sleep(moments.uniform(0, 1.5))  # not a wait: the moment of the power cut
         victim.kill()
@@ -137,7 +137,7 @@ def test_killed_at_any_moment_everything_leaves_and_nothing_is_done_twice(archiv
 def test_a_task_that_is_posted_again_is_not_performed_and_is_deleted(archiving: Cell) -> None:
     play(archiving, work_1={"grip": 3, "after_s": 1.0})
     deploy(archiving, ONE_STEP)
-    process = archiving.begin("p")
+    process = archiving.start("p")
     (task,) = eventually(lambda: archiving.tasks(process), "the Task")
     archiving.ended(process)
     gone(archiving, process)
@@ -180,7 +180,7 @@ def test_a_broker_restored_from_an_old_backup_gets_what_the_orchestrator_has_rec
         play(running, first_1={"grip": 3})
         deploy(running, TWO_STEPS)
         running.performer.kill()
-        process = running.begin("p")
+        process = running.start("p")
         eventually(lambda: running.tasks(process), "the first Task")
         settled(running, process)
         running.broker.stop()

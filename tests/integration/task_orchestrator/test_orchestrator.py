@@ -1,7 +1,6 @@
 """The orchestrator over its database: what could not be written did not happen, in memory either."""
 
 import asyncio
-import sqlite3
 from collections.abc import AsyncIterator
 from datetime import timedelta
 from pathlib import Path
@@ -18,7 +17,6 @@ from services.task_orchestrator.orchestrator import Orchestrator, utc_now
 from services.task_orchestrator.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import ONE_STEP, activity, drawing, end, path, start, timer
 
-FIRST_RELEASE = Path(__file__).parents[2] / "unit/task_orchestrator/schema_v1.sql"
 NOBODY = "http://127.0.0.1:9"
 
 
@@ -58,12 +56,12 @@ def run_sql(settings: OrchestratorSettings, statement: str, **values: Any) -> No
 async def test_what_could_not_be_written_is_taken_back_and_can_be_heard_again(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
-    process, _ = await orchestrator.begin("p", {})
+    process, _ = await orchestrator.start("p", {})
     run_sql(settings, "UPDATE orchestrator_processes SET revision = revision + 1")  # as a second one would
     with pytest.raises(Problem, match="another orchestrator"):
-        await orchestrator.hear([completed(task_of(process))])
-    assert await orchestrator.hear([completed(task_of(process))]) == 1
-    assert process not in orchestrator.floor.processes
+        await orchestrator.receive([completed(task_of(process))])
+    assert await orchestrator.receive([completed(task_of(process))]) == 1
+    assert process not in orchestrator.active_processes.processes
     (record,) = await orchestrator.on_disk(lambda: orchestrator.store.processes([process]))
     assert record.status.value == "completed"
 
@@ -71,29 +69,31 @@ async def test_what_could_not_be_written_is_taken_back_and_can_be_heard_again(
 async def test_one_that_cannot_be_written_does_not_hold_up_the_others(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
-    processes = [(await orchestrator.begin("p", {}))[0] for _ in range(5)]
+    processes = [(await orchestrator.start("p", {}))[0] for _ in range(5)]
     run_sql(
         settings,
-        "INSERT INTO orchestrator_inbox (task, nth, status, heard_at) VALUES (:task, 1, 'assigned', 'then')",
+        "INSERT INTO orchestrator_inbox (task, nth, status, received_at) "
+        "VALUES (:task, 1, 'assigned', 'then')",
         task=task_of(processes[2]),
     )
     answers = await asyncio.gather(
-        *(orchestrator.hear([completed(task_of(process))]) for process in processes), return_exceptions=True
+        *(orchestrator.receive([completed(task_of(process))]) for process in processes),
+        return_exceptions=True,
     )
     assert [answer for answer in answers if not isinstance(answer, Problem)] == [1, 1, 1, 1]
     assert isinstance(answers[2], Problem)
     assert answers[2].status == 503
-    run_sql(settings, "DELETE FROM orchestrator_inbox WHERE heard_at = 'then'")
-    assert await orchestrator.hear([completed(task_of(processes[2]))]) == 1
+    run_sql(settings, "DELETE FROM orchestrator_inbox WHERE received_at = 'then'")
+    assert await orchestrator.receive([completed(task_of(processes[2]))]) == 1
 
 
 @pytest.mark.parametrize("status", [["done"], {"code": 1}, 7, None])
 async def test_a_foreign_task_with_a_status_of_another_type_does_not_keep_out_the_others(
     orchestrator: Orchestrator, status: Any
 ) -> None:
-    process, _ = await orchestrator.begin("p", {})
+    process, _ = await orchestrator.start("p", {})
     foreign = {"id": "urn:x:foreign", "type": "Task", "status": {"type": "Property", "value": status}}
-    assert await orchestrator.hear([foreign, completed(task_of(process))]) == 1
+    assert await orchestrator.receive([foreign, completed(task_of(process))]) == 1
 
 
 async def test_a_process_whose_start_could_not_be_written_does_not_exist(
@@ -101,10 +101,10 @@ async def test_a_process_whose_start_could_not_be_written_does_not_exist(
 ) -> None:
     run_sql(settings, "ALTER TABLE orchestrator_outbox RENAME TO mislaid")
     with pytest.raises(Problem, match="nothing was changed"):
-        await orchestrator.begin("p", {})
+        await orchestrator.start("p", {})
     run_sql(settings, "ALTER TABLE mislaid RENAME TO orchestrator_outbox")
-    await orchestrator.begin("p", {})
-    assert len(orchestrator.floor.processes) == 1
+    await orchestrator.start("p", {})
+    assert len(orchestrator.active_processes.processes) == 1
     assert len(await orchestrator.on_disk(orchestrator.store.page)) == 1
 
 
@@ -115,9 +115,9 @@ def failed(task: str) -> dict[str, Any]:
 
 
 async def test_of_many_who_retry_at_once_one_does(orchestrator: Orchestrator) -> None:
-    process, _ = await orchestrator.begin("p", {})
-    await orchestrator.hear([failed(task_of(process))])
-    assert orchestrator.floor.processes == {}
+    process, _ = await orchestrator.start("p", {})
+    await orchestrator.receive([failed(task_of(process))])
+    assert orchestrator.active_processes.processes == {}
     people = [f"person {n}" for n in range(5)]
     answers = await asyncio.gather(
         *(orchestrator.retry(process, task_of(process), by) for by in people), return_exceptions=True
@@ -125,30 +125,30 @@ async def test_of_many_who_retry_at_once_one_does(orchestrator: Orchestrator) ->
     refused = [answer for answer in answers if isinstance(answer, Problem)]
     assert {problem.status for problem in refused} == {409}
     assert len(refused) == 4
-    assert len(orchestrator.floor.processes[process].tasks) == 1
-    assert len(orchestrator.floor.processes[process].record.acts) == 1
+    assert len(orchestrator.active_processes.processes[process].tasks) == 1
+    assert len(orchestrator.active_processes.processes[process].record.acts) == 1
 
 
 async def test_a_retry_that_could_not_be_written_did_not_happen(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
-    process, _ = await orchestrator.begin("p", {})
-    await orchestrator.hear([failed(task_of(process))])
+    process, _ = await orchestrator.start("p", {})
+    await orchestrator.receive([failed(task_of(process))])
     run_sql(settings, "ALTER TABLE orchestrator_outbox RENAME TO mislaid")
     with pytest.raises(Problem, match="nothing was changed"):
         await orchestrator.retry(process, task_of(process), "Anna")
     run_sql(settings, "ALTER TABLE mislaid RENAME TO orchestrator_outbox")
-    assert orchestrator.floor.processes == {}
+    assert orchestrator.active_processes.processes == {}
     await orchestrator.retry(process, task_of(process), "Anna")
-    assert [act.by for act in orchestrator.floor.processes[process].record.acts] == ["Anna"]
+    assert [act.by for act in orchestrator.active_processes.processes[process].record.acts] == ["Anna"]
 
 
 async def test_a_retry_that_is_refused_leaves_nothing_on_the_floor(orchestrator: Orchestrator) -> None:
-    process, _ = await orchestrator.begin("p", {})
-    await orchestrator.hear([completed(task_of(process))])
+    process, _ = await orchestrator.start("p", {})
+    await orchestrator.receive([completed(task_of(process))])
     with pytest.raises(Problem, match="completed"):
         await orchestrator.retry(process, task_of(process), "Anna")
-    assert orchestrator.floor.processes == {}
+    assert orchestrator.active_processes.processes == {}
 
 
 async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
@@ -157,14 +157,14 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
     async with BrokerClient(settings) as broker:
         async with Orchestrator(settings, broker) as before:
             await before.deploy(drawing(ONE_STEP))
-            ended, _ = await before.begin("p", {})
-            await before.hear([completed(task_of(ended))])
-            running, _ = await before.begin("p", {})
+            ended, _ = await before.start("p", {})
+            await before.receive([completed(task_of(ended))])
+            running, _ = await before.start("p", {})
 
         async def kept(days: float, retention_h: float = 0) -> set[str]:
-            at_work = settings.model_copy(update={"keep_days": days, "retention_h": retention_h})
+            lifespan = settings.model_copy(update={"keep_days": days, "retention_h": retention_h})
             later = utc_now() + timedelta(days=100)
-            async with Orchestrator(at_work, broker, clock=lambda: later) as orchestrator:
+            async with Orchestrator(lifespan, broker, clock=lambda: later) as orchestrator:
                 await orchestrator.on_disk(orchestrator.store.probe)
                 await asyncio.sleep(0)
                 return {record.id for record in await orchestrator.on_disk(orchestrator.store.page)}
@@ -175,31 +175,21 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
         assert await kept(99) == {running}
 
 
-async def test_a_database_of_the_first_release_goes_on(settings: OrchestratorSettings) -> None:
-    connection = sqlite3.connect(settings.data_dir / "orchestrator.db")
-    connection.executescript(FIRST_RELEASE.read_text())
-    connection.close()
-    async with BrokerClient(settings) as broker, Orchestrator(settings, broker) as orchestrator:
-        assert await orchestrator.hear([completed("urn:ngsi-ld:Task:demo:p-running-second-1")]) == 1
-        (record,) = await orchestrator.on_disk(lambda: orchestrator.store.processes(["p-running"]))
-        assert record.status.value == "completed"
-        with pytest.raises(Problem, match="start a new process"):
-            await orchestrator.retry("p-failed", "urn:ngsi-ld:Task:demo:p-failed-second-1", "Anna")
-
-
 async def test_a_hundred_at_once_are_all_moved_and_written(orchestrator: Orchestrator) -> None:
     processes = [
-        answer[0] for answer in await asyncio.gather(*(orchestrator.begin("p", {}) for _ in range(100)))
+        answer[0] for answer in await asyncio.gather(*(orchestrator.start("p", {}) for _ in range(100)))
     ]
-    heard = await asyncio.gather(*(orchestrator.hear([completed(task_of(process))]) for process in processes))
+    heard = await asyncio.gather(
+        *(orchestrator.receive([completed(task_of(process))]) for process in processes)
+    )
     assert heard == [1] * 100
-    assert orchestrator.floor.processes == {}
+    assert orchestrator.active_processes.processes == {}
     records = await orchestrator.on_disk(lambda: orchestrator.store.page(status="completed"))
     assert {record.id for record in records} == set(processes)
 
 
 async def test_the_same_key_at_the_same_moment_starts_one_process(orchestrator: Orchestrator) -> None:
-    answers = await asyncio.gather(*(orchestrator.begin("p", {}, key="k") for _ in range(10)))
+    answers = await asyncio.gather(*(orchestrator.start("p", {}, key="k") for _ in range(10)))
     assert len({process for process, _ in answers}) == 1
     assert sorted(created for _, created in answers) == [False] * 9 + [True]
 
@@ -209,9 +199,9 @@ async def test_parameters_that_cannot_be_kept_are_refused(
     orchestrator: Orchestrator, parameters: dict[str, Any]
 ) -> None:
     with pytest.raises(Problem) as refusal:
-        await orchestrator.begin("p", parameters)
+        await orchestrator.start("p", parameters)
     assert refusal.value.status == 422
-    assert orchestrator.floor.processes == {}
+    assert orchestrator.active_processes.processes == {}
 
 
 async def test_timers_and_their_tasks_are_there_after_a_restart(settings: OrchestratorSettings) -> None:
@@ -221,14 +211,14 @@ async def test_timers_and_their_tasks_are_there_after_a_restart(settings: Orches
     async with BrokerClient(settings) as broker:
         async with Orchestrator(settings, broker, clock=lambda: now) as before:
             await before.deploy(drawing(body))
-            process, _ = await before.begin("p", {})
+            process, _ = await before.start("p", {})
             assert before.next_due() == now + timedelta(hours=1)
         async with Orchestrator(settings, broker, clock=lambda: now + timedelta(minutes=59)) as early:
             await early.tick()
-            assert early.floor.processes[process].tasks == {}
+            assert early.active_processes.processes[process].tasks == {}
         async with Orchestrator(settings, broker, clock=lambda: now + timedelta(hours=1)) as after:
             await after.tick()
-            assert list(after.floor.processes[process].tasks) == [task_of(process)]
+            assert list(after.active_processes.processes[process].tasks) == [task_of(process)]
             (due,) = (await after.on_disk(after.store.timers))[process]
             assert due.subject == task_of(process)
 
@@ -237,9 +227,9 @@ async def test_what_was_not_told_before_a_crash_is_told_after_it(settings: Orche
     async with BrokerClient(settings) as broker:
         async with Orchestrator(settings, broker) as before:
             await before.deploy(drawing(ONE_STEP))
-            process, _ = await before.begin("p", {})
-            untold = await before.on_disk(before.store.outbox)
+            process, _ = await before.start("p", {})
+            pending = await before.on_disk(before.store.outbox)
         async with Orchestrator(settings, broker) as after:
-            assert await after.on_disk(after.store.outbox) == untold
-            assert after.outbox.on_its_way(task_of(process))
+            assert await after.on_disk(after.store.outbox) == pending
+            assert after.outbox.is_pending(task_of(process))
             assert after.awaited() == []

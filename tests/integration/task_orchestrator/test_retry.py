@@ -51,7 +51,7 @@ def retry(running: Cell, seen: dict[str, Any]) -> dict[str, Any]:
 def test_a_retried_process_goes_on_in_the_broker_too_and_its_alert_is_over(running: Cell) -> None:
     play(running, work_1={"fails": "the part slipped"}, work_2={"grip": 3})
     deploy(running, ONE_STEP)
-    seen = running.ended(running.begin("p"))
+    seen = running.ended(running.start("p"))
     assert seen["tasks"][0]["reason"] == "the part slipped"
     eventually(lambda: running.alerts(seen["id"]), "the Alert")
     retry(running, seen)
@@ -77,7 +77,7 @@ def test_killed_between_a_retry_and_its_effect_nothing_is_lost_and_nothing_done_
 ) -> None:
     play(running, a_1={"fails": "no"}, b_1={"after_s": 30})
     deploy(running, BRANCHES)
-    seen = running.ended(running.begin("p"))
+    seen = running.ended(running.start("p"))
     eventually(
         lambda: all(task["endedAt"] for task in running.look(seen["id"])["tasks"]), "b being called back"
     )
@@ -98,7 +98,7 @@ def test_killed_between_a_retry_and_its_effect_nothing_is_lost_and_nothing_done_
 def test_a_branch_that_is_still_being_called_back_is_waited_for(running: Cell) -> None:
     play(running, a_1={"fails": "no", "after_s": 1}, b_1={"after_s": 60})
     deploy(running, BRANCHES)
-    process = running.begin("p")
+    process = running.start("p")
     eventually(lambda: running.look(process)["tasks"][1]["status"] == "inProgress", "b being done")
     seen = running.ended(process)
     retry(running, seen)

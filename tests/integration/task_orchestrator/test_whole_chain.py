@@ -63,7 +63,7 @@ def deploy(running: Cell, body: str) -> None:
 
 def test_bin_picking_goes_the_way_the_results_say(running: Cell) -> None:
     play(running, BIN_PICKING)
-    process = running.begin("bin-picking")
+    process = running.start("bin-picking")
     seen = running.ended(process)
     assert (seen["status"], seen["reason"]) == ("completed", None)
     assert steps(running, process) == STORY
@@ -108,7 +108,7 @@ def test_whoever_is_killed_the_process_ends_and_nothing_is_done_twice(
     dice = random.Random(seed)
     play(running, BIN_PICKING)
     killed = {member.name: member for member in running.members}[victim]
-    process = running.begin("bin-picking")
+    process = running.start("bin-picking")
     for done in (2, 6, 10):
         eventually(lambda done=done: len(steps(running, process)) >= done, f"step {done} (seed {seed})")  # type: ignore[misc]
         time.sleep(dice.uniform(0, 0.05))  # anywhere within a step: that is what is tried here
@@ -125,7 +125,7 @@ def test_many_processes_survive_kills_of_everybody(running: Cell) -> None:
         start() + activity("a") + activity("b") + activity("c") + end() + path("start", "a", "b", "c", "end")
     )
     deploy(running, body)
-    processes = [running.begin("p") for _ in range(15)]
+    processes = [running.start("p") for _ in range(15)]
     for member in (running.orchestrator, running.broker, running.performer, running.orchestrator):
         eventually(lambda: any(steps(running, process) for process in processes), "the first step")
         member.kill()
@@ -138,7 +138,7 @@ def test_many_processes_survive_kills_of_everybody(running: Cell) -> None:
 def test_a_process_started_while_the_broker_is_away_goes_on_when_it_is_back(running: Cell) -> None:
     running.broker.kill()
     deploy(running, ONE_STEP)
-    process = running.begin("p")
+    process = running.start("p")
     assert running.look(process)["waiting"] == ["work"]
     running.broker.start()
     assert running.ended(process)["status"] == "completed"
@@ -147,7 +147,7 @@ def test_a_process_started_while_the_broker_is_away_goes_on_when_it_is_back(runn
 def test_a_pending_task_that_somebody_deletes_is_posted_again(running: Cell) -> None:
     running.performer.kill()
     deploy(running, ONE_STEP)
-    process = running.begin("p")
+    process = running.start("p")
     task = running.look(process)["tasks"][0]["id"]
     eventually(lambda: running.entity(task), "the Task")
     assert running.entities.delete(f"/{task}").status_code == 204
@@ -160,7 +160,7 @@ def test_a_pending_task_that_somebody_deletes_is_posted_again(running: Cell) -> 
 def test_a_cancelled_process_stops_its_performer(running: Cell) -> None:
     play(running, {"work-1": {"after_s": 3}})
     deploy(running, ONE_STEP)
-    process = running.begin("p")
+    process = running.start("p")
     task = running.look(process)["tasks"][0]["id"]
     eventually(lambda: running.look(process)["tasks"][0]["status"] == "inProgress", "the Task being begun")
     assert running.api.post(f"/processes/{process}/cancel").status_code == 200
@@ -175,9 +175,9 @@ def test_a_task_nobody_takes_up_raises_an_alert_that_is_cleared_when_somebody_do
     body = start() + activity("work", attributes='deadline="PT0.3S"') + end() + path("start", "work", "end")
     running.performer.kill()
     deploy(running, body)
-    process = running.begin("p")
+    process = running.start("p")
     (alert,) = eventually(lambda: running.alerts(process), "the Alert")
-    assert alert["subCategory"]["value"] == "notTakenUp"
+    assert alert["subCategory"]["value"] == "taskNotAccepted"
     assert alert["alertSource"]["object"] == running.look(process)["tasks"][0]["id"]
     assert "validTo" not in alert
     running.performer.start()
@@ -189,10 +189,10 @@ def test_a_task_nobody_takes_up_raises_an_alert_that_is_cleared_when_somebody_do
 def test_a_failed_process_raises_an_alert(running: Cell) -> None:
     play(running, {"work-1": {"fails": "the part is not there"}})
     deploy(running, ONE_STEP)
-    seen = running.ended(running.begin("p"))
+    seen = running.ended(running.start("p"))
     assert seen["reason"] == '"work" failed: the part is not there'
     (alert,) = eventually(lambda: running.alerts(seen["id"]), "the Alert")
-    assert alert["category"]["value"] == "processFailed"
+    assert alert["subCategory"]["value"] == "processFailed"
 
 
 def test_a_timer_fires_on_time_though_the_orchestrator_was_dead_meanwhile(running: Cell) -> None:
@@ -204,7 +204,7 @@ def test_a_timer_fires_on_time_though_the_orchestrator_was_dead_meanwhile(runnin
     )
     play(running, {"work-1": {"after_s": 60}})
     deploy(running, ONE_STEP + late)
-    process = running.begin("p")
+    process = running.start("p")
     eventually(lambda: running.look(process)["tasks"][0]["status"] == "inProgress", "the Task being begun")
     running.orchestrator.kill()
     running.orchestrator.start()

@@ -1,12 +1,15 @@
 """Alerts for pages: raised, acknowledged, shelved, returned to normal, one and five hundred."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 import httpx
 import pytest
 
+from datamodels.states import Severity
+from handover.alert_catalogue import GLOVE_SILENT, AlertType
 from handover.alerts import alert_id, clear_alert, raise_alert
 from handover.broker import BrokerClient
 from handover.settings import Settings
@@ -16,6 +19,7 @@ pytestmark = pytest.mark.slow
 
 GLOVE = "urn:ngsi-ld:Device:demo:glove-1"
 MANY = 500
+CHATTER = AlertType("x", None, Severity.HIGH)
 
 
 def foreign(number: int, severity: str = "critical") -> dict[str, Any]:
@@ -48,13 +52,12 @@ async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
     about = {
         "key": "glove-1 silent",
         "source": GLOVE,
-        "category": "device",
         "description": "glove-1 is silent",
     }
     urn = alert_id(settings, "glove-1 silent")
     topic = f"alert/{urn}"
     async with BrokerClient(settings) as broker:
-        await raise_alert(broker, settings, **about)
+        await raise_alert(broker, settings, GLOVE_SILENT, **about)
         viewer.read_until(lambda: topic in viewer.topics)
         assert viewer.topics[topic]["acknowledged"] is None
         assert viewer.topics[topic]["severity"] == "high"
@@ -80,7 +83,7 @@ async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
 
         await clear_alert(broker, settings, key="glove-1 silent")
         viewer.read_until(lambda: viewer.topics[topic]["validTo"])
-        await raise_alert(broker, settings, **about)
+        await raise_alert(broker, settings, GLOVE_SILENT, **about)
         viewer.read_until(lambda: viewer.topics[topic]["validTo"] is None)
         assert viewer.topics[topic]["acknowledged"] is None
         assert viewer.topics[topic]["state"] == "new"
@@ -189,12 +192,11 @@ async def test_an_alert_that_is_shelved_stays_so_when_it_is_raised_again(
 
         async def again() -> dict[str, Any]:
             await clear_alert(broker, settings, key="chatter")
-            await raise_alert(broker, settings, key="chatter", source=GLOVE, category="x", description="x")
+            await raise_alert(broker, settings, CHATTER, key="chatter", source=GLOVE, description="x")
             return await broker.retrieve(urn)
 
-        urn = await raise_alert(
-            broker, settings, key="chatter", source=GLOVE, category="x", description="x", severity="critical"
-        )
+        critical = replace(CHATTER, severity=Severity.CRITICAL)
+        urn = await raise_alert(broker, settings, critical, key="chatter", source=GLOVE, description="x")
         assert (await broker.retrieve(urn))["priority"]["value"] == "critical"
         browser.post("/api/alerts/shelve", json={"alerts": [urn], "by": "Aino", "minutes": 600})
         assert (await again())["alertState"]["value"] == "shelved"

@@ -9,7 +9,6 @@ from sqlalchemy import Engine
 
 from handover.errors import UsageError
 from services.gesture_controller.glove_store import NOBODY, Fit, GloveStore, StoredGlove
-from services.gesture_controller.people import tables
 from services.gesture_controller.people.person import Person
 from services.gesture_controller.thresholds import M2O2P_THRESHOLDS
 
@@ -62,16 +61,3 @@ def test_a_damaged_file_is_named(database: Engine, tmp_path: Path, content: str)
     (tmp_path / "glove-1.json").write_text(content)
     with pytest.raises(UsageError, match=r"glove-1\.json cannot be read .* remove the file"):
         GloveStore(database, tmp_path).load()
-
-
-def test_a_database_of_an_earlier_release_gets_a_place_for_tokens(database: Engine) -> None:
-    store = GloveStore(database)
-    store.load()
-    store.save(StoredGlove("glove-1", "left"))
-    with database.begin() as connection:  # as that release left it
-        tables.tokens.drop(connection)
-        connection.exec_driver_sql("UPDATE controller_people_schema SET version = 1")
-    again = GloveStore(database)
-    assert again.load() == {"glove-1": StoredGlove("glove-1", "left")}
-    again.tokens.save("glove-1", "abc")
-    assert again.tokens.load() == {"glove-1": "abc"}

@@ -12,10 +12,10 @@ from tests.unit.task_orchestrator.drawing import activity, end, flow, gateway, s
 class Block:
     """A piece of a drawing with one way in and one way out."""
 
-    def __init__(self, body: str, first: str, last: str, told: str | None = None) -> None:
+    def __init__(self, body: str, first: str, last: str, last_activity: str | None = None) -> None:
         self.body, self.first, self.last = body, first, last
-        self.told = told
-        """The activity that has always been done last here."""
+        self.last_activity = last_activity
+        """The activity that is always completed last here."""
 
 
 def build(shape: Any, numbers: Iterator[int]) -> Block:
@@ -30,18 +30,26 @@ def build(shape: Any, numbers: Iterator[int]) -> Block:
     if kind == "then":
         (second,) = others
         return Block(
-            first.body + second.body + flow(first.last, second.first), first.first, second.last, second.told
+            first.body + second.body + flow(first.last, second.first),
+            first.first,
+            second.last,
+            second.last_activity,
         )
     if kind == "loop":
-        asked = f"{first.told}.ok" if first.told else "go"
+        condition = f"{first.last_activity}.ok" if first.last_activity else "go"
         body = first.body + gateway(f"{name}_in") + gateway(f"{name}_out", default=f"{name}_out_{name}_done")
         body += gateway(f"{name}_done") + flow(f"{name}_in", first.first) + flow(first.last, f"{name}_out")
-        body += flow(f"{name}_out", f"{name}_in", asked) + flow(f"{name}_out", f"{name}_done")
-        return Block(body, f"{name}_in", f"{name}_done", first.told)
-    gate = {"either": "exclusive", "both": "parallel", "any": "inclusive"}[kind]
+        body += flow(f"{name}_out", f"{name}_in", condition) + flow(f"{name}_out", f"{name}_done")
+        return Block(body, f"{name}_in", f"{name}_done", first.last_activity)
+    gateway_type = {"either": "exclusive", "both": "parallel", "any": "inclusive"}[kind]
     (second,) = others
     default = f"{name}_in_{second.first}" if kind != "both" else None
-    body = first.body + second.body + gateway(f"{name}_in", gate, default) + gateway(f"{name}_out", gate)
+    body = (
+        first.body
+        + second.body
+        + gateway(f"{name}_in", gateway_type, default)
+        + gateway(f"{name}_out", gateway_type)
+    )
     body += flow(f"{name}_in", first.first, "go" if kind != "both" else None)
     body += flow(f"{name}_in", second.first) + flow(first.last, f"{name}_out")
     body += flow(second.last, f"{name}_out")
@@ -62,6 +70,6 @@ SHAPES = st.recursive(
 
 
 def whole(shape: Any) -> str:
-    """Return the body of a process of that shape; its loops go on while `<activity>.ok`."""
+    """Return the body of a process of that shape; its loops repeat while `<activity>.ok`."""
     block = build(shape, count(1))
     return start() + block.body + end() + flow("start", block.first) + flow(block.last, "end")

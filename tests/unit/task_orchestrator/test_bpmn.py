@@ -9,8 +9,8 @@ import services.task_orchestrator
 from services.gesture_controller.gestures import DEFAULT_COMMANDS
 from services.task_orchestrator.bpmn import read_bpmn
 from services.task_orchestrator.definition import MAX_FAULTS_LISTED, BadBpmn, Definition
+from services.task_orchestrator.definition_registry import read_runnable
 from services.task_orchestrator.entities import definition_entities
-from services.task_orchestrator.library import read_runnable
 from services.task_orchestrator.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import (
     ONE_STEP,
@@ -67,7 +67,7 @@ def test_an_activity_says_what_its_task_is() -> None:
     assert work.parameters["target"].value({"scan": {"pose": [1]}}) == [1]
     assert work.results({"found": True, "other": 1}) == {"partFound": True}
     assert work.deadline is not None
-    assert work.deadline.rest.total_seconds() == 300
+    assert work.deadline.nominal_s == 300
 
 
 def test_without_named_outputs_all_of_them_go_to_a_variable_named_after_the_element() -> None:
@@ -167,7 +167,7 @@ WRONG = {
     "nobody involved": (
         start() + '<bpmn:task id="work"><bpmn:extensionElements><handover:task definition="x"/>'
         "</bpmn:extensionElements></bpmn:task>" + end() + path("start", "work", "end"),
-        "nobody does it",
+        "no performer",
     ),
     "no reference": (
         start()
@@ -207,7 +207,7 @@ WRONG = {
         '"not" cannot be a variable',
     ),
     "id twice": (ONE_STEP + activity("work"), 'the id "work" is used twice'),
-    "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of letters"),
+    "bad id": (start("größe") + WORK + end() + path("größe", "work", "end"), "needs an id of A-Z"),
     "call activity": (ONE_STEP + '<bpmn:callActivity id="c"/>', "callActivity is not supported yet"),
     "sub-process": (ONE_STEP + '<bpmn:subProcess id="s"/>', "subProcess is not supported yet"),
     "unknown element": (ONE_STEP + '<bpmn:teleport id="t"/>', "teleport is not supported yet"),
@@ -281,7 +281,7 @@ WRONG = {
         + end()
         + path("start", "g", "work", "g")
         + flow("g", "end"),
-        'its flow "work_g" only comes after the gateway itself',
+        'its flow "work_g" comes only after the gateway itself',
     ),
     "too many nodes": (
         start()
@@ -382,7 +382,7 @@ def test_a_file_that_would_take_long_is_refused_by_its_size() -> None:
         f'<bpmn:sequenceFlow id="f{nth}" sourceRef="start" targetRef="end"/>' for nth in range(1501)
     )
     assert faults(start() + end() + flows) == [
-        'line 1, "p": a process has at most 1500 sequence flows, not 1501; cut it in two'
+        'line 1, "p": a process has at most 1500 sequence flows, not 1501; split it'
     ]
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from services.task_orchestrator.definition_registry import read_runnable
 from services.task_orchestrator.engine import Plan, Run, RunFailed
-from services.task_orchestrator.library import read_runnable
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,

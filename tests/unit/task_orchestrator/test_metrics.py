@@ -50,41 +50,41 @@ def measured() -> tuple[float, float]:
 
 def test_the_time_from_a_held_gesture_to_the_robot_is_measured() -> None:
     count, total = measured()
-    relay = metrics.Relay()
-    relay.follow(moved(confirmed(), NOW))
-    relay.follow(moved(task("pick", TaskStatus.ASSIGNED, ROBOT), NOW + timedelta(seconds=0.1)))
-    relay.follow(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=0.25)))
+    timer = metrics.HandoverTimer()
+    timer.observe(moved(confirmed(), NOW))
+    timer.observe(moved(task("pick", TaskStatus.ASSIGNED, ROBOT), NOW + timedelta(seconds=0.1)))
+    timer.observe(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=0.25)))
     assert measured() == (count + 1, pytest.approx(total + 0.25))
-    relay.follow(moved(task("place", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=9)))
-    assert measured()[0] == count + 1, "the robot's second Task was not set going by a hand"
+    timer.observe(moved(task("place", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=9)))
+    assert measured()[0] == count + 1, "the robot's second Task does not follow a gesture"
 
 
 def test_a_button_on_the_screen_and_a_next_task_for_a_person_are_not_measured() -> None:
     count, _ = measured()
-    relay = metrics.Relay()
-    relay.follow(moved(confirmed(by="screen"), NOW))
-    relay.follow(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=1)))
-    relay.follow(moved(confirmed(), NOW))
-    relay.follow(moved(task("again", TaskStatus.IN_PROGRESS, HAND), NOW + timedelta(seconds=1)))
-    relay.follow(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=2)))
+    timer = metrics.HandoverTimer()
+    timer.observe(moved(confirmed(by="screen"), NOW))
+    timer.observe(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=1)))
+    timer.observe(moved(confirmed(), NOW))
+    timer.observe(moved(task("again", TaskStatus.IN_PROGRESS, HAND), NOW + timedelta(seconds=1)))
+    timer.observe(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=2)))
     assert measured()[0] == count
 
 
 def test_a_clock_that_is_behind_makes_no_negative_time() -> None:
     count, total = measured()
-    relay = metrics.Relay()
-    relay.follow(moved(confirmed(), NOW))
-    relay.follow(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW - timedelta(seconds=1)))
+    timer = metrics.HandoverTimer()
+    timer.observe(moved(confirmed(), NOW))
+    timer.observe(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW - timedelta(seconds=1)))
     assert measured() == (count + 1, total)
 
 
 def test_a_process_that_has_ended_is_forgotten() -> None:
     count, _ = measured()
-    relay = metrics.Relay()
+    timer = metrics.HandoverTimer()
     last = moved(confirmed(), NOW)
     last.ended.add("p-1")
-    relay.follow(last)
-    relay.follow(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=1)))
+    timer.observe(last)
+    timer.observe(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW + timedelta(seconds=1)))
     assert measured()[0] == count
 
 
@@ -94,18 +94,18 @@ def test_open_tasks_are_shown_by_state_and_age() -> None:
         task("b", TaskStatus.PENDING, ROBOT, created_at=NOW - timedelta(seconds=30)),
         task("c", TaskStatus.IN_PROGRESS, HAND, created_at=NOW - timedelta(seconds=5)),
     ]
-    metrics.show_open(lambda: open_tasks, lambda: NOW)
+    metrics.register_open_tasks(lambda: open_tasks, lambda: NOW)
 
     def shown(name: str, status: TaskStatus) -> float | None:
         return REGISTRY.get_sample_value(f"handover_orchestrator_{name}", {"status": status.value})
 
     assert shown("tasks_open", TaskStatus.PENDING) == 2
-    assert shown("task_oldest_seconds", TaskStatus.PENDING) == 90
+    assert shown("oldest_task_age_seconds", TaskStatus.PENDING) == 90
     assert shown("tasks_open", TaskStatus.IN_PROGRESS) == 1
-    assert shown("task_oldest_seconds", TaskStatus.IN_PROGRESS) == 5
+    assert shown("oldest_task_age_seconds", TaskStatus.IN_PROGRESS) == 5
     open_tasks.clear()
     assert shown("tasks_open", TaskStatus.PENDING) == 0
-    assert shown("task_oldest_seconds", TaskStatus.PENDING) == 0
+    assert shown("oldest_task_age_seconds", TaskStatus.PENDING) == 0
 
 
 def test_an_ended_task_is_counted() -> None:
@@ -113,7 +113,7 @@ def test_an_ended_task_is_counted() -> None:
         return REGISTRY.get_sample_value("handover_orchestrator_tasks_total", {"status": "completed"}) or 0
 
     before = ended()
-    relay = metrics.Relay()
-    relay.follow(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW))
-    relay.follow(moved(task("pick", TaskStatus.COMPLETED, ROBOT), NOW))
+    timer = metrics.HandoverTimer()
+    timer.observe(moved(task("pick", TaskStatus.IN_PROGRESS, ROBOT), NOW))
+    timer.observe(moved(task("pick", TaskStatus.COMPLETED, ROBOT), NOW))
     assert ended() == before + 1

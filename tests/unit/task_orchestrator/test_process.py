@@ -6,7 +6,7 @@ import pytest
 
 from datamodels.entities import Task, TaskStatus
 from handover.errors import Problem
-from services.task_orchestrator.records import Saying, TimerKind
+from services.task_orchestrator.records import MessageKind, TimerKind
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,
@@ -19,7 +19,14 @@ from tests.unit.task_orchestrator.drawing import (
     start,
     timer,
 )
-from tests.unit.task_orchestrator.shop_floor import DEFINED_BY, Floor, alerts, created, processes, task_id
+from tests.unit.task_orchestrator.process_driver import (
+    DEFINED_BY,
+    ProcessDriver,
+    alerts,
+    created,
+    processes,
+    task_id,
+)
 
 TWO_STEPS = start() + activity("first") + activity("second") + end() + path("start", "first", "second", "end")
 
@@ -35,8 +42,8 @@ def test_a_task_is_posted_pending_with_all_that_is_asked() -> None:
     body = (
         start() + activity("work", inner, attributes='deadline="PT5M"') + end() + path("start", "work", "end")
     )
-    floor = Floor(body, helper="urn:ngsi-ld:Person:demo:ann", place="table")
-    posted = next(message.body for message in floor.step.messages if message.saying is Saying.CREATE)
+    driver = ProcessDriver(body, helper="urn:ngsi-ld:Person:demo:ann", place="table")
+    posted = next(message.body for message in driver.step.messages if message.kind is MessageKind.CREATE)
     assert posted == {
         "id": task_id("work-1"),
         "type": "Task",
@@ -70,59 +77,59 @@ def test_a_task_is_posted_pending_with_all_that_is_asked() -> None:
 
 
 def test_a_process_says_what_it_is_composed_of_and_how_it_ended() -> None:
-    floor = Floor(TWO_STEPS, bin="bin-1")
-    floor.hear("first-1", "completed", weight=3)
-    assert created(floor.step) == [task_id("second-1")]
-    told = processes(floor.step)[-1]
+    driver = ProcessDriver(TWO_STEPS, bin="bin-1")
+    driver.receive("first-1", "completed", weight=3)
+    assert created(driver.step) == [task_id("second-1")]
+    told = processes(driver.step)[-1]
     assert [link["object"] for link in told["isComposedOf"]["value"]] == [
         task_id("first-1"),
         task_id("second-1"),
     ]
-    floor.hear("second-1", "completed")
-    told = processes(floor.step)[-1]
+    driver.receive("second-1", "completed")
+    told = processes(driver.step)[-1]
     assert told["status"]["value"] == "completed"
     assert told["outputParameters"]["value"] == {"first": {"weight": 3}, "second": {}}
     assert told["workParameters"]["value"] == {"bin": "bin-1"}
-    assert floor.process.over
+    assert driver.process.over
 
 
 def test_an_observer_may_miss_steps_but_never_goes_back() -> None:
-    floor = Floor(TWO_STEPS)
-    floor.after(seconds=5)
-    assert floor.hear("first-1", "inProgress")
-    assert not floor.hear("first-1", "assigned", at=NOW + timedelta(seconds=4))
-    assert not floor.hear("first-1", "pending", at=NOW + timedelta(seconds=9))
-    assert not floor.hear("first-1", "completed", at=NOW)
-    assert not floor.step
-    floor.after(seconds=1)
-    assert floor.hear("first-1", "completed")
+    driver = ProcessDriver(TWO_STEPS)
+    driver.after(seconds=5)
+    assert driver.receive("first-1", "inProgress")
+    assert not driver.receive("first-1", "assigned", at=NOW + timedelta(seconds=4))
+    assert not driver.receive("first-1", "pending", at=NOW + timedelta(seconds=9))
+    assert not driver.receive("first-1", "completed", at=NOW)
+    assert not driver.step
+    driver.after(seconds=1)
+    assert driver.receive("first-1", "completed")
 
 
 def test_a_finished_task_never_reopens() -> None:
-    floor = Floor(TWO_STEPS)
-    assert floor.hear("first-1", "completed")
-    floor.after(seconds=1)
-    assert not floor.hear("first-1", "inProgress")
-    assert not floor.hear("first-1", "failed")
-    assert floor.open == ["second-1"]
+    driver = ProcessDriver(TWO_STEPS)
+    assert driver.receive("first-1", "completed")
+    driver.after(seconds=1)
+    assert not driver.receive("first-1", "inProgress")
+    assert not driver.receive("first-1", "failed")
+    assert driver.open == ["second-1"]
 
 
 def test_news_heard_twice_moves_the_process_once() -> None:
-    floor = Floor(TWO_STEPS)
-    assert floor.hear("first-1", "completed")
-    assert not floor.hear("first-1", "completed")
-    assert floor.process.composed == [task_id("first-1"), task_id("second-1")]
+    driver = ProcessDriver(TWO_STEPS)
+    assert driver.receive("first-1", "completed")
+    assert not driver.receive("first-1", "completed")
+    assert driver.process.composed == [task_id("first-1"), task_id("second-1")]
 
 
 def test_a_failed_task_fails_the_process_with_an_alert() -> None:
-    floor = Floor(ONE_STEP)
-    floor.hear("work-1", "failed", reason="the part slipped")
-    assert floor.process.record.status is TaskStatus.FAILED
-    assert floor.process.record.reason == '"work" failed: the part slipped'
-    (alert,) = alerts(floor.step)
-    assert alert["category"] == "processFailed"
+    driver = ProcessDriver(ONE_STEP)
+    driver.receive("work-1", "failed", reason="the part slipped")
+    assert driver.process.record.status is TaskStatus.FAILED
+    assert driver.process.record.reason == '"work" failed: the part slipped'
+    (alert,) = alerts(driver.step)
+    assert alert["sub_category"] == "processFailed"
     assert alert["source"] == "urn:ngsi-ld:Process:demo:p-1"
-    assert processes(floor.step)[-1]["outputParameters"]["value"] == {
+    assert processes(driver.step)[-1]["outputParameters"]["value"] == {
         "reason": '"work" failed: the part slipped',
         "reasonCode": "process.task_failed",
         "reasonParameters": {"task": "work", "reason": "the part slipped"},
@@ -135,11 +142,11 @@ def test_a_failed_task_with_a_boundary_event_goes_on_without_an_alert() -> None:
         + activity("help")
         + path("oops", "help", "end")
     )
-    floor = Floor(ONE_STEP + caught)
-    floor.hear("work-1", "failed", reason="the part slipped", errorCode=7)
-    assert floor.open == ["help-1"]
-    assert alerts(floor.step) == []
-    assert floor.process.record.variables["error"] == {
+    driver = ProcessDriver(ONE_STEP + caught)
+    driver.receive("work-1", "failed", reason="the part slipped", errorCode=7)
+    assert driver.open == ["help-1"]
+    assert alerts(driver.step) == []
+    assert driver.process.record.variables["error"] == {
         "activity": "work",
         "reason": "the part slipped",
         "code": "7",
@@ -151,117 +158,119 @@ def test_a_process_that_fails_calls_its_other_tasks_back() -> None:
     body += (
         flow("start", "fork") + flow("fork", "a") + flow("fork", "b") + flow("a", "end") + flow("b", "end")
     )
-    floor = Floor(body)
-    floor.hear("a-1", "failed", reason="no")
-    (asked,) = [message for message in floor.step.messages if message.saying is Saying.APPEND]
+    driver = ProcessDriver(body)
+    driver.receive("a-1", "failed", reason="no")
+    (asked,) = [message for message in driver.step.messages if message.kind is MessageKind.APPEND]
     assert asked.subject == task_id("b-1")
     assert asked.body["requestedStatus"]["value"] == "cancelled"
-    assert not floor.process.over
-    floor.after(seconds=1)
-    floor.hear("b-1", "failed", reason="cancelled")
-    assert floor.process.over
+    assert not driver.process.over
+    driver.after(seconds=1)
+    driver.receive("b-1", "failed", reason="cancelled")
+    assert driver.process.over
 
 
 def test_a_cancelled_process_ends_failed_and_calls_its_tasks_back() -> None:
-    floor = Floor(ONE_STEP)
-    floor.process.cancel(None, floor.next_step(), NOW)
-    assert processes(floor.step)[-1]["status"]["value"] == "failed"
-    assert processes(floor.step)[-1]["outputParameters"]["value"] == {"reason": "cancelled"}
-    assert alerts(floor.step) == []
+    driver = ProcessDriver(ONE_STEP)
+    driver.process.cancel(None, driver.next_step(), NOW)
+    assert processes(driver.step)[-1]["status"]["value"] == "failed"
+    assert processes(driver.step)[-1]["outputParameters"]["value"] == {"reason": "cancelled"}
+    assert alerts(driver.step) == []
     with pytest.raises(Problem, match="ended"):
-        floor.process.cancel(None, floor.next_step(), NOW)
+        driver.process.cancel(None, driver.next_step(), NOW)
 
 
 def test_a_cancelled_task_nobody_took_up_is_closed_after_a_grace() -> None:
-    floor = Floor(ONE_STEP)
-    floor.process.cancel(None, floor.next_step(), NOW)
-    assert [timer.kind for timer in floor.process.timers()] == [TimerKind.GRACE]
-    floor.after(seconds=4)
-    floor.tick()
-    assert floor.open == ["work-1"]
-    floor.after(seconds=1)
-    floor.tick()
-    closing = next(message.body for message in floor.step.messages if message.saying is Saying.APPEND)
+    driver = ProcessDriver(ONE_STEP)
+    driver.process.cancel(None, driver.next_step(), NOW)
+    assert [timer.kind for timer in driver.process.timers()] == [TimerKind.GRACE]
+    driver.after(seconds=4)
+    driver.tick()
+    assert driver.open == ["work-1"]
+    driver.after(seconds=1)
+    driver.tick()
+    closing = next(message.body for message in driver.step.messages if message.kind is MessageKind.APPEND)
     assert closing["status"]["value"] == "failed"
     assert closing["outputParameters"]["value"] == {"reason": "cancelled"}
-    assert floor.process.over
+    assert driver.process.over
 
 
 def test_a_cancelled_task_that_was_taken_up_is_left_to_its_performer() -> None:
-    floor = Floor(ONE_STEP)
-    floor.hear("work-1", "inProgress")
-    floor.process.cancel(None, floor.next_step(), NOW)
-    floor.after(hours=1)
-    floor.tick()
-    assert floor.open == ["work-1"]
-    assert floor.process.timers() == ()
+    driver = ProcessDriver(ONE_STEP)
+    driver.receive("work-1", "inProgress")
+    driver.process.cancel(None, driver.next_step(), NOW)
+    driver.after(hours=1)
+    driver.tick()
+    assert driver.open == ["work-1"]
+    assert driver.process.timers() == ()
 
 
 def test_a_task_taken_away_by_a_timer_is_called_back_and_its_late_end_changes_nothing() -> None:
-    floor = Floor(
+    driver = ProcessDriver(
         ONE_STEP + boundary("late", "work", timer("PT1M")) + activity("other") + path("late", "other", "end")
     )
-    floor.after(seconds=60)
-    floor.tick()
-    assert [m.subject for m in floor.step.messages if m.saying is Saying.APPEND] == [task_id("work-1")]
-    assert floor.open == ["other-1", "work-1"]
-    assert floor.hear("work-1", "completed")
-    assert floor.open == ["other-1"]
-    assert floor.process.run is not None
+    driver.after(seconds=60)
+    driver.tick()
+    assert [m.subject for m in driver.step.messages if m.kind is MessageKind.APPEND] == [task_id("work-1")]
+    assert driver.open == ["other-1", "work-1"]
+    assert driver.receive("work-1", "completed")
+    assert driver.open == ["other-1"]
+    assert driver.process.run is not None
 
 
 def test_a_task_nobody_takes_up_raises_one_alert_which_is_cleared_when_it_is() -> None:
-    floor = Floor(ONE_STEP)
-    floor.after(seconds=299)
-    floor.tick()
-    assert alerts(floor.step) == []
-    floor.after(seconds=1)
-    floor.tick()
-    (alert,) = alerts(floor.step)
-    assert alert["sub_category"] == "notTakenUp"
+    driver = ProcessDriver(ONE_STEP)
+    driver.after(seconds=299)
+    driver.tick()
+    assert alerts(driver.step) == []
+    driver.after(seconds=1)
+    driver.tick()
+    (alert,) = alerts(driver.step)
+    assert alert["sub_category"] == "taskNotAccepted"
     assert "Device:demo:glove-1" in alert["description"]
-    floor.after(hours=1)
-    floor.tick()
-    assert alerts(floor.step) == []
-    floor.hear("work-1", "assigned")
-    cleared = [message.body["key"] for message in floor.step.messages if message.saying is Saying.CLEAR]
+    driver.after(hours=1)
+    driver.tick()
+    assert alerts(driver.step) == []
+    driver.receive("work-1", "assigned")
+    cleared = [message.body["key"] for message in driver.step.messages if message.kind is MessageKind.CLEAR]
     assert cleared == [alert["key"]]
-    floor.after(seconds=1)
-    floor.hear("work-1", "inProgress")
-    assert [message for message in floor.step.messages if message.saying is Saying.CLEAR] == []
+    driver.after(seconds=1)
+    driver.receive("work-1", "inProgress")
+    assert [message for message in driver.step.messages if message.kind is MessageKind.CLEAR] == []
 
 
 def test_a_pending_task_the_broker_lost_is_posted_again() -> None:
-    floor = Floor(ONE_STEP)
-    before = next(message.body for message in floor.step.messages if message.saying is Saying.CREATE)
-    floor.process.missing(task_id("work-1"), floor.next_step(), NOW)
-    assert [message.body for message in floor.step.messages if message.saying is Saying.CREATE] == [before]
+    driver = ProcessDriver(ONE_STEP)
+    before = next(message.body for message in driver.step.messages if message.kind is MessageKind.CREATE)
+    driver.process.missing(task_id("work-1"), driver.next_step(), NOW)
+    assert [message.body for message in driver.step.messages if message.kind is MessageKind.CREATE] == [
+        before
+    ]
 
 
 def test_a_begun_task_the_broker_lost_is_not_done_twice_but_told_once() -> None:
-    floor = Floor(ONE_STEP)
-    floor.hear("work-1", "inProgress")
+    driver = ProcessDriver(ONE_STEP)
+    driver.receive("work-1", "inProgress")
     said = []
     for _ in range(4):
-        floor.process.missing(task_id("work-1"), floor.next_step(), NOW)
-        assert created(floor.step) == []
-        said += alerts(floor.step)
-    assert [alert["category"] for alert in said] == ["taskLost"]
-    floor.after(seconds=1)
-    assert floor.hear("work-1", "completed")
+        driver.process.missing(task_id("work-1"), driver.next_step(), NOW)
+        assert created(driver.step) == []
+        said += alerts(driver.step)
+    assert [alert["sub_category"] for alert in said] == ["taskLost"]
+    driver.after(seconds=1)
+    assert driver.receive("work-1", "completed")
 
 
 def test_a_cancelled_task_the_broker_lost_counts_as_closed() -> None:
-    floor = Floor(ONE_STEP)
-    floor.process.cancel(None, floor.next_step(), NOW)
-    floor.process.missing(task_id("work-1"), floor.next_step(), NOW)
-    assert floor.process.over
+    driver = ProcessDriver(ONE_STEP)
+    driver.process.cancel(None, driver.next_step(), NOW)
+    driver.process.missing(task_id("work-1"), driver.next_step(), NOW)
+    assert driver.process.over
 
 
 def test_a_task_the_broker_refuses_counts_as_failed() -> None:
-    floor = Floor(ONE_STEP)
-    floor.process.refused(task_id("work-1"), "no such type", floor.next_step(), NOW)
-    assert floor.process.record.reason == '"work" failed: the broker refused the Task: no such type'
+    driver = ProcessDriver(ONE_STEP)
+    driver.process.reject(task_id("work-1"), "no such type", driver.next_step(), NOW)
+    assert driver.process.record.reason == '"work" failed: the broker rejected the Task: no such type'
 
 
 @pytest.mark.parametrize(
@@ -272,19 +281,21 @@ def test_a_task_the_broker_refuses_counts_as_failed() -> None:
     ],
 )
 def test_what_cannot_be_asked_fails_the_process_by_name(inner: str, reason: str) -> None:
-    floor = Floor(start() + activity("work", inner) + end() + path("start", "work", "end"), colour="red")
-    assert floor.process.record.status is TaskStatus.FAILED
-    assert reason in str(floor.process.record.reason)
-    assert created(floor.step) == []
+    driver = ProcessDriver(
+        start() + activity("work", inner) + end() + path("start", "work", "end"), colour="red"
+    )
+    assert driver.process.record.status is TaskStatus.FAILED
+    assert reason in str(driver.process.record.reason)
+    assert created(driver.step) == []
 
 
 def test_one_step_counts_as_one_revision_however_much_happens_in_it() -> None:
-    floor = Floor(TWO_STEPS)
-    assert floor.process.record.revision == 1
-    step = floor.next_step()
-    floor.process.hear(floor.seen("first-1", "assigned"), step, NOW)
-    floor.process.hear(floor.seen("first-1", "completed"), step, NOW)
-    assert floor.process.record.revision == 2
+    driver = ProcessDriver(TWO_STEPS)
+    assert driver.process.record.revision == 1
+    step = driver.next_step()
+    driver.process.receive(driver.seen("first-1", "assigned"), step, NOW)
+    driver.process.receive(driver.seen("first-1", "completed"), step, NOW)
+    assert driver.process.record.revision == 2
     assert step.processes["p-1"].revision == 2
 
 
@@ -307,31 +318,31 @@ def test_an_activity_that_handles_outcomes_says_so_to_its_performer_and_a_gatewa
         ({"outcome": "ok"}, "move-1"),
         ({}, "move-1"),
     ):
-        floor = Floor(HANDLED)
-        (posted,) = [message.body for message in floor.step.messages if message.saying is Saying.CREATE]
+        driver = ProcessDriver(HANDLED)
+        (posted,) = [message.body for message in driver.step.messages if message.kind is MessageKind.CREATE]
         assert posted["workParameters"]["value"] == {"handlesOutcomes": True}
-        floor.hear("look-1", "completed", **answered)
-        assert floor.open == [follows]
+        driver.receive("look-1", "completed", **answered)
+        assert driver.open == [follows]
 
 
 @pytest.mark.parametrize(("outcome", "said"), [("notGood", "not good"), ("problem", "problem")])
 def test_a_completed_task_with_an_outcome_that_nobody_handles_counts_as_failed(
     outcome: str, said: str
 ) -> None:
-    floor = Floor(TWO_STEPS)
-    floor.hear("first-1", "completed", outcome=outcome, note="oil")
-    assert floor.process.over
-    assert floor.process.record.reason == f'"first" failed: answered "{said}": oil'
-    assert floor.process.record.failed_by == task_id("first-1")
-    assert created(floor.step) == []
+    driver = ProcessDriver(TWO_STEPS)
+    driver.receive("first-1", "completed", outcome=outcome, note="oil")
+    assert driver.process.over
+    assert driver.process.record.reason == f'"first" failed: answered "{said}": oil'
+    assert driver.process.record.failed_by == task_id("first-1")
+    assert created(driver.step) == []
 
 
 @pytest.mark.parametrize("outcome", [["dented", "wet"], {"grade": 3}, 3])
 def test_an_outcome_of_any_type_that_nobody_handles_counts_as_failed(outcome: object) -> None:
-    floor = Floor(TWO_STEPS)
-    floor.hear("first-1", "completed", outcome=outcome)
-    assert floor.process.record.failed_by == task_id("first-1")
-    assert created(floor.step) == []
+    driver = ProcessDriver(TWO_STEPS)
+    driver.receive("first-1", "completed", outcome=outcome)
+    assert driver.process.record.failed_by == task_id("first-1")
+    assert created(driver.step) == []
 
 
 def test_an_error_boundary_catches_an_outcome_by_its_name() -> None:
@@ -347,12 +358,12 @@ def test_an_error_boundary_catches_an_outcome_by_its_name() -> None:
         + path("refused", "repair", "end")
     )
     beside = '<bpmn:error id="no" errorCode="notGood"/>'
-    floor = Floor(body, beside=beside)
-    floor.hear("look-1", "failed", outcome="notGood", reason="notGood", errorCode="notGood")
-    assert floor.open == ["repair-1"]
-    floor = Floor(body, beside=beside)
-    floor.hear("look-1", "failed", outcome="problem", reason="problem", errorCode="problem")
-    assert floor.process.over
+    driver = ProcessDriver(body, beside=beside)
+    driver.receive("look-1", "failed", outcome="notGood", reason="notGood", errorCode="notGood")
+    assert driver.open == ["repair-1"]
+    driver = ProcessDriver(body, beside=beside)
+    driver.receive("look-1", "failed", outcome="problem", reason="problem", errorCode="problem")
+    assert driver.process.over
 
 
 def test_no_said_to_a_task_that_was_called_back_does_not_count_as_done_when_it_is_retried() -> None:
@@ -366,8 +377,8 @@ def test_no_said_to_a_task_that_was_called_back_does_not_count_as_done_when_it_i
         + path("start", "fork", "a", "join", "end")
         + path("fork", "look", "join")
     )
-    floor = Floor(body)
-    floor.hear("a-1", "failed", reason="the part slipped")
-    floor.hear("look-1", "completed", outcome="notGood")
-    floor.process.retry(task_id("a-1"), "Ann", floor.next_step(), floor.now)
-    assert floor.open == ["a-2", "look-2"]
+    driver = ProcessDriver(body)
+    driver.receive("a-1", "failed", reason="the part slipped")
+    driver.receive("look-1", "completed", outcome="notGood")
+    driver.process.retry(task_id("a-1"), "Ann", driver.next_step(), driver.now)
+    assert driver.open == ["a-2", "look-2"]

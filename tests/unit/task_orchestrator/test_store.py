@@ -16,9 +16,9 @@ from services.task_orchestrator.records import (
     Act,
     ActKind,
     DefinitionRecord,
+    MessageKind,
     Move,
     ProcessRecord,
-    Saying,
     Step,
     TaskRecord,
     Timer,
@@ -75,7 +75,7 @@ def first_step() -> Step:
     step = Step(1, processes={"p-1": PROCESS}, tasks={TASK.id: TASK}, new={"p-1", TASK.id})
     step.timers["p-1"] = (Timer(TimerKind.DEADLINE, TASK.id, TASK.deadline),)
     step.definitions.append(DefinitionRecord("p", 1, "d", "Title", None, b"<xml/>", NOW))
-    step.say("p-1", Saying.CREATE, TASK.id, ODD)
+    step.enqueue("p-1", MessageKind.CREATE, TASK.id, ODD)
     return step
 
 
@@ -118,7 +118,7 @@ def test_an_ended_process_with_a_task_that_has_not_is_not_over(store: Store) -> 
 def test_a_step_that_cannot_be_written_leaves_nothing_behind(store: Store, broken: str) -> None:
     store.write(first_step())
     step = Step(2, processes={"p-1": replace(PROCESS, revision=2)}, tasks={TASK.id: TASK.changed(moves=1)})
-    step.say("p-1", Saying.CLEAR, "x", {})
+    step.enqueue("p-1", MessageKind.CLEAR, "x", {})
     step.moves.append(Move(TASK.id, 1, TaskStatus.ASSIGNED, NOW, NOW))
     if broken == "news taken in twice":
         step.moves *= 2
@@ -127,7 +127,7 @@ def test_a_step_that_cannot_be_written_leaves_nothing_behind(store: Store, broke
     else:
         step.processes["p-2"] = replace(PROCESS, id="p-2")
         step.new.add("p-2")
-    with pytest.raises(Exception, match=r"UNIQUE|unique|another orchestrator|there already"):
+    with pytest.raises(Exception, match=r"UNIQUE|unique|another orchestrator|exists already"):
         store.write(step)
     assert store.processes(["p-1", "p-2"]) == [PROCESS]
     assert store.tasks("p-1") == [TASK]
@@ -200,18 +200,18 @@ def test_what_ended_long_ago_is_forgotten_with_all_that_belongs_to_it(store: Sto
     )
     moves = [Move(f"t-{name}", 1, TaskStatus.FAILED, None, then) for name in ("old", "young")]
     store.write(Step(9, delivered=[0], moves=moves))
-    assert store.forget(NOW - timedelta(days=10), 5) == 0
-    assert store.forget(NOW - timedelta(days=8), 5) == 1
+    assert store.delete_ended(NOW - timedelta(days=10), 5) == 0
+    assert store.delete_ended(NOW - timedelta(days=8), 5) == 1
     assert {record.id for record in store.page()} == {"p-busy", "p-young", "p-runs"}
     assert (store.tasks("p-old"), store.moves("p-old")) == ([], [])
     assert (len(store.tasks("p-young")), len(store.moves("p-young"))) == (1, 1)
-    assert store.forget(NOW + timedelta(days=1), 1) == 1
+    assert store.delete_ended(NOW + timedelta(days=1), 1) == 1
     with store._engine.connect() as connection:
         assert connection.execute(text("SELECT count(*) FROM orchestrator_inbox")).scalar() == 0
 
 
 def test_only_a_process_of_which_nothing_is_open_can_be_archived(store: Store) -> None:
-    names = ("p-told", "p-untold", "p-busy", "p-young", "p-archived")
+    names = ("p-told", "p-pending", "p-busy", "p-young", "p-archived")
     ended = {name: NOW + timedelta(minutes=1 if name == "p-young" else 0) for name in names}
     records = [started(name, 0, ended_at=moment) for name, moment in ended.items()]
     records[4] = replace(records[4], archived_at=NOW)
@@ -219,12 +219,12 @@ def test_only_a_process_of_which_nothing_is_open_can_be_archived(store: Store) -
     tasks[2] = replace(tasks[2], ended_at=None)
     kept(store, *records, started("p-runs", 0), tasks=tasks)
     waiting = Step(1)
-    waiting.say("p-untold", Saying.UPSERT, "urn:p-untold", [])
+    waiting.enqueue("p-pending", MessageKind.UPSERT, "urn:p-pending", [])
     store.write(waiting)
     found = store.to_archive(NOW + timedelta(seconds=1), 10)
     assert [(each.process.id, each.tasks) for each in found] == [("p-told", ("t-p-told",))]
     step = Step(2, archived=[replace(found[0].process, archived_at=NOW, revision=2)])
-    step.say("p-told", Saying.DELETE, "urn:p-told", ["t-p-told", "urn:p-told"])
+    step.enqueue("p-told", MessageKind.DELETE, "urn:p-told", ["t-p-told", "urn:p-told"])
     store.write(step)
     assert store.to_archive(NOW + timedelta(seconds=1), 10) == []
     (record,) = store.processes(["p-told"])
@@ -235,12 +235,12 @@ def test_only_a_process_of_which_nothing_is_open_can_be_archived(store: Store) -
     }
     assert {each.task.id: each.archived for each in store.ended_tasks([task.id for task in tasks])} == {
         "t-p-told": True,
-        "t-p-untold": False,
+        "t-p-pending": False,
         "t-p-young": False,
         "t-p-archived": True,
     }
     assert [each.process.id for each in store.ended_processes(["p-runs", "p-young"])] == ["p-young"]
-    assert store.forget(NOW + timedelta(days=1), 10, archived_only=True) == 2
+    assert store.delete_ended(NOW + timedelta(days=1), 10, archived_only=True) == 2
     assert store.processes(["p-told", "p-archived"]) == []
 
 

@@ -36,7 +36,7 @@ class Reader:
 
 
 def dropped() -> float:
-    return REGISTRY.get_sample_value("handover_trajectory_tool_dropped_joint_states_total") or 0.0
+    return REGISTRY.get_sample_value("handover_trajectory_tool_joint_states_dropped_total") or 0.0
 
 
 def test_joints_are_written_as_ros_names_them() -> None:

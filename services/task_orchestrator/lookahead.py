@@ -1,7 +1,8 @@
-"""Ahead: which activities may come next, so that people can get ready for them.
+"""Lookahead: the activities that a process may reach next, so that people can prepare for them.
 
-From where the tokens wait, the drawing is followed through gateways, events and scripts to the next
-activities. What the variables decide already is decided; of what is open, the way forward comes first.
+The model is followed from the waiting tokens through gateways, events and scripts to the next activities.
+Conditions that depend only on known variables are evaluated. Of several open branches, one that leads to an
+end of the process comes first.
 """
 
 from collections.abc import Iterator, Mapping
@@ -12,35 +13,36 @@ from typing import Any
 from services.task_orchestrator.definition import Activity, Definition, Flow, Kind, Node, Trigger, variable_of
 from services.task_orchestrator.expressions import ExpressionError, read
 
-MAX_AHEAD = 8
-"""More than so many possible next activities help nobody."""
+MAX_UPCOMING = 8
+"""A longer list of possible activities is of no use to a person."""
 
 
-def activities_ahead(
+def upcoming_activities(
     definition: Definition, waiting: tuple[str, ...], variables: Mapping[str, Any]
 ) -> tuple[Activity, ...]:
-    """Return the activities that may come after the elements `waiting`, the likeliest first.
+    """Return the activities that may follow the elements `waiting`, the most likely first.
 
-    `variables` are the process variables as they are now; what the waiting activities will set counts as
-    unknown. Events at the border of an activity come last: they are drawn for when things go wrong.
+    `variables` are the present process variables; those that the waiting activities set count as unknown.
+    Boundary events come last: they are modelled for exceptions.
     """
-    drawing = _Drawing(definition)
+    graph = _Graph(definition)
     here = [definition.nodes[name] for name in waiting if name in definition.nodes]
     known = _settled(definition, here, variables)
     found: dict[str, Activity] = {}
     exceptions = [node for node in here if node.kind is Kind.BOUNDARY]
-    exceptions += [each for node in here for each in drawing.borders.get(node.id, ()) if each not in here]
+    for node in here:
+        exceptions += [each for each in graph.boundary_events.get(node.id, ()) if each not in here]
     for node in [*(each for each in here if each.kind is not Kind.BOUNDARY), *exceptions]:
         host = node.attached_to or node.id
-        for name in _Walk(drawing, host, dict(known)).activities_after(node.id):
+        for name in _Walk(graph, host, dict(known)).activities_after(node.id):
             found.setdefault(name, definition.activities[name])
-    return tuple(found.values())[:MAX_AHEAD]
+    return tuple(found.values())[:MAX_UPCOMING]
 
 
 def _settled(definition: Definition, here: list[Node], variables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the variables that will still have their values at the next gateway, whichever token gets there.
+    """Return the variables that keep their values until the next gateway, for every token.
 
-    Tokens side by side see different values: then only what nothing in the drawing ever sets is certain.
+    With parallel tokens only the variables that no element of the model sets are certain.
     """
     setting = here
     if sum(node.kind is not Kind.BOUNDARY for node in here) > 1:
@@ -52,7 +54,7 @@ def _settled(definition: Definition, here: list[Node], variables: Mapping[str, A
 
 
 def _set_by(definition: Definition, node: Node) -> tuple[str, ...]:
-    """Return the variables that will be different once the token leaves `node`."""
+    """Return the variables that change when the token leaves `node`."""
     if node.kind is Kind.BOUNDARY:
         return ("error",)
     activity = definition.activities.get(node.id)
@@ -62,68 +64,68 @@ def _set_by(definition: Definition, node: Node) -> tuple[str, ...]:
 
 
 @dataclass
-class _Drawing:
-    """The drawing as somebody who follows it with a finger sees it."""
+class _Graph:
+    """The flows and boundary events of a definition as a graph."""
 
     definition: Definition
 
     @cached_property
     def leaving(self) -> dict[str, list[Flow]]:
-        """Return the flows that leave each node, in the order they were drawn."""
+        """Return the outgoing flows of each node, in the order of the model."""
         leaving: dict[str, list[Flow]] = {name: [] for name in self.definition.nodes}
         for flow in self.definition.flows.values():
             leaving[flow.source].append(flow)
         return leaving
 
     @cached_property
-    def borders(self) -> dict[str, list[Node]]:
+    def boundary_events(self) -> dict[str, list[Node]]:
         """Return the boundary events of each activity."""
-        borders: dict[str, list[Node]] = {}
+        boundary_events: dict[str, list[Node]] = {}
         for node in self.definition.nodes.values():
             if node.attached_to is not None:
-                borders.setdefault(node.attached_to, []).append(node)
-        return borders
+                boundary_events.setdefault(node.attached_to, []).append(node)
+        return boundary_events
 
     def ends_without(self, avoided: str, first: str) -> bool:
-        """Say whether a token at `first` can get to an end, not by an error, without coming to `avoided`."""
+        """Return whether a token at `first` can reach a regular end without passing `avoided`."""
         seen = {avoided}
-        ahead = [first]
-        while ahead:
-            name = ahead.pop()
+        stack = [first]
+        while stack:
+            name = stack.pop()
             if name in seen:
                 continue
             seen.add(name)
             node = self.definition.nodes[name]
             if node.kind is Kind.END and node.trigger is not Trigger.ERROR:
                 return True
-            ahead += [flow.target for flow in self.leaving[name]]
+            stack += [flow.target for flow in self.leaving[name]]
         return False
 
 
 @dataclass
 class _Walk:
-    """One way through the drawing from the element `host`, with the variables that are `known`."""
+    """A traversal of the graph from the element `host`, with the `known` variables."""
 
-    drawing: _Drawing
+    graph: _Graph
     host: str
     known: dict[str, Any]
     _passed: set[str] = field(default_factory=set)
 
     def activities_after(self, name: str) -> Iterator[str]:
-        """Yield the ids of the activities that are reached first after `name`."""
-        node = self.drawing.definition.nodes[name]
-        for flow in self._ways(node):
+        """Yield the ids of the first activities after `name`."""
+        node = self.graph.definition.nodes[name]
+        for flow in self._outgoing(node):
             target = flow.target
-            if target in self.drawing.definition.activities:
+            if target in self.graph.definition.activities:
                 yield target
             elif target not in self._passed:
                 self._passed.add(target)
                 yield from self.activities_after(target)
 
-    def _ways(self, node: Node) -> list[Flow]:
+    def _outgoing(self, node: Node) -> list[Flow]:
         if node.kind is Kind.SCRIPT:
-            self._forget_what_scripts_set()
-        flows = self.drawing.leaving[node.id]
+            self._forget_variables()
+        flows = self.graph.leaving[node.id]
         if node.kind is Kind.EXCLUSIVE:
             flows = self._possible(flows, node.default)
         elif node.kind is Kind.INCLUSIVE:
@@ -133,13 +135,13 @@ class _Walk:
         return sorted(
             flows,
             key=lambda flow: (
-                not self.drawing.ends_without(self.host, flow.target),
+                not self.graph.ends_without(self.host, flow.target),
                 flow.id != node.default,
             ),
         )
 
     def _possible(self, flows: list[Flow], default: str | None) -> list[Flow]:
-        """Return the flows that an exclusive gateway may still choose: the first that holds is taken."""
+        """Return the flows that an exclusive gateway may take: up to the first whose condition is true."""
         possible = []
         for flow in (flow for flow in flows if flow.id != default):
             holds = self._holds(flow)
@@ -150,7 +152,7 @@ class _Walk:
         return possible + [flow for flow in flows if flow.id == default]
 
     def _holds(self, flow: Flow) -> bool | None:
-        """Say whether the condition of `flow` holds; None if that is not known yet."""
+        """Return whether the condition of `flow` is true; None if that is unknown."""
         if flow.condition is None:
             return None
         try:
@@ -158,6 +160,6 @@ class _Walk:
         except ExpressionError:
             return None
 
-    def _forget_what_scripts_set(self) -> None:
-        """A script on the way changes variables: decide nothing by them, it is not run here."""
+    def _forget_variables(self) -> None:
+        """A script on the path changes variables and is not executed here, so none is known afterwards."""
         self.known.clear()

@@ -1,6 +1,6 @@
-"""Floor: the processes that are under way, whose Tasks are whose, and what is due next.
+"""Active processes: the processes in memory, the owners of their Tasks, and the next due timers.
 
-It is what the database says, held in memory. What could not be written is taken anew from there.
+The database is authoritative. After a failed transaction the affected processes are loaded from it again.
 """
 
 from collections.abc import Awaitable, Callable, Iterable, Iterator
@@ -11,8 +11,8 @@ from prometheus_client import Counter
 
 from handover.errors import HandoverError
 from handover.telemetry import get_logger
-from services.task_orchestrator.library import Library
-from services.task_orchestrator.metrics import Relay
+from services.task_orchestrator.definition_registry import DefinitionRegistry
+from services.task_orchestrator.metrics import HandoverTimer
 from services.task_orchestrator.process import Process
 from services.task_orchestrator.records import ProcessRecord, Step, TaskRecord
 from services.task_orchestrator.settings import OrchestratorSettings
@@ -26,29 +26,29 @@ OnDisk = Callable[..., Awaitable[Any]]
 """Runs a blocking action of the store in the one thread that may."""
 
 
-class Floor:
-    """All processes on which anything can still happen."""
+class ActiveProcesses:
+    """All processes that have not ended, or that have Tasks that have not ended."""
 
     def __init__(
-        self, settings: OrchestratorSettings, library: Library, store: Store, on_disk: OnDisk
+        self, settings: OrchestratorSettings, registry: DefinitionRegistry, store: Store, on_disk: OnDisk
     ) -> None:
         self._settings = settings
-        self._library = library
+        self._registry = registry
         self._store = store
         self._on_disk = on_disk
         self.processes: dict[str, Process] = {}
         self._owners: dict[str, str] = {}
         self._dues: dict[str, datetime] = {}
         self._stale: set[str] = set()
-        self._relay = Relay()
+        self._handover_timer = HandoverTimer()
 
     @property
     def stale(self) -> bool:
-        """Say whether some processes are not as the database has them."""
+        """Return whether some processes differ from the database."""
         return bool(self._stale)
 
     def owner(self, task_id: str) -> Process | None:
-        """Return the process that a Task which has not ended belongs to."""
+        """Return the process of a Task that has not ended."""
         return self.processes.get(self._owners.get(task_id, ""))
 
     def open_tasks(self) -> Iterator[TaskRecord]:
@@ -57,48 +57,48 @@ class Floor:
             yield from process.tasks.values()
 
     def due(self, now: datetime) -> list[Process]:
-        """Return the processes for which something is due."""
+        """Return the processes with a timer that is due."""
         return [self.processes[process_id] for process_id, due in self._dues.items() if due <= now]
 
     def next_due(self) -> datetime | None:
-        """Return when something is due next."""
+        """Return when the next timer is due."""
         return min(self._dues.values(), default=None)
 
-    def mistrust(self, process_ids: Iterable[str]) -> None:
-        """Take these processes for wrong until `refresh`: a step with them was not written."""
+    def mark_stale(self, process_ids: Iterable[str]) -> None:
+        """Mark processes to be loaded again by `refresh`: a step with them was not written."""
         self._stale.update(process_ids)
 
-    async def fill(self) -> None:
-        """Take up everything that is under way."""
+    async def load_unfinished(self) -> None:
+        """Load all unfinished processes."""
         for record in await self._on_disk(self._store.unfinished):
             await self._load(record)
 
     async def refresh(self) -> None:
-        """Take the mistrusted processes anew from the database."""
+        """Load the stale processes from the database."""
         if not self._stale:
             return
         records = await self._on_disk(self._store.processes, sorted(self._stale))
         for process_id in self._stale:
-            self._forget(process_id)
+            self._remove(process_id)
         for record in records:
             await self._load(record)
         self._stale.clear()
 
     async def fetch(self, process_ids: Iterable[str]) -> None:
-        """Take up these processes, even if they are over; `clear` puts those away again."""
+        """Load these processes, even if they are over; `release` removes those again."""
         wanted = [process_id for process_id in process_ids if process_id not in self.processes]
         for record in await self._on_disk(self._store.processes, wanted) if wanted else ():
-            await self._load(record, even_if_over=True)
+            await self._load(record, include_over=True)
 
-    def clear(self, process_ids: Iterable[str]) -> None:
-        """Let go of those of these processes that are over."""
+    def release(self, process_ids: Iterable[str]) -> None:
+        """Remove those of these processes that are over."""
         for process_id in process_ids:
             process = self.processes.get(process_id)
             if process is not None and process.over:
-                self._forget(process_id)
+                self._remove(process_id)
 
-    def settle(self, step: Step) -> None:
-        """After a step: know who owns its Tasks and what is due, and let go of what is over."""
+    def apply(self, step: Step) -> None:
+        """Update owners and timers after a step was written, and remove processes that are over."""
         for task in step.tasks.values():
             self._owners[task.id] = task.process
             if task.finished:
@@ -109,20 +109,20 @@ class Floor:
                 ENDED.labels(record.status.value).inc()
                 log.info("process ended", process=record.id, status=record.status.value, reason=record.reason)
             self._set_due(process)
-        self.clear(step.processes)
-        self._relay.follow(step)
+        self.release(step.processes)
+        self._handover_timer.observe(step)
 
-    async def _load(self, record: ProcessRecord, *, even_if_over: bool = False) -> None:
+    async def _load(self, record: ProcessRecord, *, include_over: bool = False) -> None:
         tasks = await self._on_disk(self._store.tasks, record.id)
         try:
-            definition = self._library.record(record.definition, record.version)
-            await self._library.prepare(definition)
-            plan = self._library.plan(definition)
+            definition = self._registry.record(record.definition, record.version)
+            await self._registry.prepare(definition)
+            plan = self._registry.plan(definition)
             process = Process.resume(self._settings, plan, record, tasks)
         except HandoverError as error:
-            log.critical("a process cannot be resumed", process=record.id, error=str(error))
+            log.critical("process not resumed", process=record.id, error=str(error))
             return
-        if even_if_over or not process.over:
+        if include_over or not process.over:
             self.processes[record.id] = process
             self._owners.update(dict.fromkeys(process.tasks, record.id))
             self._set_due(process)
@@ -132,7 +132,7 @@ class Floor:
         for timer in process.timers()[:1]:
             self._dues[process.record.id] = timer.due
 
-    def _forget(self, process_id: str) -> None:
+    def _remove(self, process_id: str) -> None:
         self._dues.pop(process_id, None)
         process = self.processes.pop(process_id, None)
         for task_id in process.tasks if process is not None else ():

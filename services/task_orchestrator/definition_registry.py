@@ -1,4 +1,4 @@
-"""Library: the deployed definitions, every version of them, since running processes keep theirs."""
+"""Definition registry: all versions of the deployed definitions; a running process keeps its version."""
 
 import asyncio
 import hashlib
@@ -20,14 +20,14 @@ from services.task_orchestrator.settings import OrchestratorSettings
 
 @dataclass(frozen=True, slots=True)
 class Deployment:
-    """What came of deploying a file: `created` is False when it changed nothing."""
+    """The result of a deployment; `created` is False when it changed nothing."""
 
     name: str
     version: int
     created: bool
 
 
-class Library:
+class DefinitionRegistry:
     """All definitions by name and version."""
 
     def __init__(self, settings: OrchestratorSettings) -> None:
@@ -37,7 +37,7 @@ class Library:
         """By the digest of the file."""
 
     def add(self, records: Iterable[DefinitionRecord]) -> None:
-        """Put `records` on the shelf, in the order of their versions."""
+        """Add `records`, in the order of their versions."""
         for record in records:
             self._records.setdefault(record.name, []).append(record)
 
@@ -46,7 +46,7 @@ class Library:
         return [self._records[name][-1] for name in sorted(self._records)]
 
     def record(self, name: str, version: int | None = None) -> DefinitionRecord:
-        """Return a version of a definition, the latest if none is named; `Problem` 404 if there is none."""
+        """Return a version of a definition, by default the latest; raise `Problem` 404 if there is none."""
         versions = self._records.get(name)
         if not versions:
             known = ", ".join(sorted(self._records)) or "none yet"
@@ -77,15 +77,15 @@ class Library:
         return versions[version - 1]
 
     def plan(self, record: DefinitionRecord) -> Plan:
-        """Return `record` made ready to run; on the event loop, `prepare` it first."""
+        """Return the executable plan of `record`; on the event loop, call `prepare` first."""
         if record.digest not in self._plans:
             self._plans[record.digest] = Plan(read_bpmn(record.xml))
         return self._plans[record.digest]
 
     async def prepare(self, record: DefinitionRecord) -> None:
-        """Make `record` ready in a thread, where the largest file takes half a second.
+        """Create the plan of `record` in a thread; the largest file takes half a second.
 
-        One that cannot be made ready stays as it is: `plan` raises the reason.
+        A failure is not raised here: `plan` raises the reason.
         """
         if record.digest in self._plans:
             return
@@ -93,7 +93,7 @@ class Library:
             self._plans[record.digest] = await asyncio.to_thread(lambda: Plan(read_bpmn(record.xml)))
 
     def keep(self, plan: Plan) -> None:
-        """Keep a plan that has been made already."""
+        """Store a plan that exists already."""
         self._plans[_digest(plan.definition.xml)] = plan
 
     def next_version(
@@ -104,9 +104,9 @@ class Library:
         *,
         only_if_never_seen: bool,
     ) -> tuple[DefinitionRecord, bool]:
-        """Return the record that deploying `definition` leads to, and whether it is a new one.
+        """Return the record that a deployment of `definition` results in, and whether it is new.
 
-        `beside` are records that are being deployed in the same step.
+        `beside` are the records of other deployments in the same step.
         """
         versions = [
             *self._records.get(definition.name, []),

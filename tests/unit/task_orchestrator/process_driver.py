@@ -1,21 +1,21 @@
-"""A shop floor for tests: one process, told what performers report; what it decides can be looked at."""
+"""Drives one process in tests with reports of performers; its decisions are in `step`."""
 
 from datetime import datetime, timedelta
 from typing import Any
 
 from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
+from services.task_orchestrator.definition_registry import read_runnable
 from services.task_orchestrator.engine import Plan
-from services.task_orchestrator.library import read_runnable
 from services.task_orchestrator.process import Process
-from services.task_orchestrator.records import ProcessRecord, Saying, Step
+from services.task_orchestrator.records import MessageKind, ProcessRecord, Step
 from services.task_orchestrator.settings import OrchestratorSettings
 from tests.unit.task_orchestrator.drawing import NOW, drawing
 
 DEFINED_BY = {"type": "Relationship", "object": "urn:ngsi-ld:TaskDefinition:demo:work"}
 
 
-class Floor:
+class ProcessDriver:
     """A process and the last step it made."""
 
     def __init__(self, body: str, *, beside: str = "", **parameters: Any) -> None:
@@ -38,7 +38,7 @@ class Floor:
             state=None,
         )
         settings = OrchestratorSettings(_env_file=None)
-        self.process = Process.begin(settings, plan, record, self.step, NOW)
+        self.process = Process.start(settings, plan, record, self.step, NOW)
 
     def next_step(self) -> Step:
         self.step = Step(self.step.next_seq)
@@ -48,8 +48,8 @@ class Floor:
         self.now += timedelta(**time)
         return self.now
 
-    def hear(self, name: str, status: str, *, at: datetime | None = None, **outputs: Any) -> bool:
-        return self.process.hear(self.seen(name, status, at=at, **outputs), self.next_step(), self.now)
+    def receive(self, name: str, status: str, *, at: datetime | None = None, **outputs: Any) -> bool:
+        return self.process.receive(self.seen(name, status, at=at, **outputs), self.next_step(), self.now)
 
     def seen(self, name: str, status: str, *, at: datetime | None = None, **outputs: Any) -> Task:
         return Task.from_ngsild(
@@ -75,16 +75,16 @@ def task_id(name: str) -> str:
 
 
 def created(step: Step) -> list[str]:
-    return [message.subject for message in step.messages if message.saying is Saying.CREATE]
+    return [message.subject for message in step.messages if message.kind is MessageKind.CREATE]
 
 
 def alerts(step: Step) -> list[Any]:
-    return [message.body for message in step.messages if message.saying is Saying.RAISE]
+    return [message.body for message in step.messages if message.kind is MessageKind.RAISE]
 
 
 def processes(step: Step) -> list[Any]:
     return [
         message.body[0]
         for message in step.messages
-        if message.saying is Saying.UPSERT and message.body[0]["type"] == "Process"
+        if message.kind is MessageKind.UPSERT and message.body[0]["type"] == "Process"
     ]

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.task_orchestrator.ahead import MAX_AHEAD, activities_ahead
 from services.task_orchestrator.bpmn import read_bpmn
 from services.task_orchestrator.definition import Definition
 from services.task_orchestrator.engine import Plan
+from services.task_orchestrator.lookahead import MAX_UPCOMING, upcoming_activities
 from tests.unit.task_orchestrator.drawing import (
     NOW,
     ONE_STEP,
@@ -44,7 +44,7 @@ FORK = (
 
 
 def after(definition: Definition, *waiting: str, **variables: Any) -> list[str]:
-    return [each.id for each in activities_ahead(definition, waiting, variables)]
+    return [each.id for each in upcoming_activities(definition, waiting, variables)]
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_a_ring_of_gateways_comes_to_an_end_and_so_does_the_list() -> None:
     body += end() + path("start", "join", "split", "again", "end") + flow("again", "join", "go")
     body += "".join(activity(name) + path("split", name, "end") for name in names)
     definition = read_bpmn(drawing(body))
-    assert after(definition, "start") == names[:MAX_AHEAD]
+    assert after(definition, "start") == names[:MAX_UPCOMING]
 
 
 @settings(max_examples=3 * settings.default.max_examples)
@@ -119,8 +119,8 @@ def test_whatever_is_reached_was_said_to_be_ahead(shape: Any, go: bool, choices:
         if run.completed:
             break
         before = {open_.token for open_ in run.open()}
-        ahead = activities_ahead(plan.definition, run.waiting(), run.variables())
-        assert len({each.id for each in ahead}) == len(ahead) <= MAX_AHEAD
+        ahead = upcoming_activities(plan.definition, run.waiting(), run.variables())
+        assert len({each.id for each in ahead}) == len(ahead) <= MAX_UPCOMING
         done = choices.draw(st.sampled_from(run.open()))
         run.complete(done.token, {done.element: {"ok": choices.draw(st.booleans())}}, NOW)
         reached = {open_.element for open_ in run.open() if open_.token not in before}

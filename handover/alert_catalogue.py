@@ -1,0 +1,124 @@
+"""The Alerts of all services: category, subcategory and severity of each, in one place.
+
+An integrator subscribes to Alerts by category and subcategory, and the page explains the subcategories that
+it knows. `docs/reference/alerts.md` shows the same table. Rules of a ROS mapping define Alerts of their own.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from datamodels.states import Severity
+
+
+class AlertCategory(StrEnum):
+    """The part of the system in which a person has to act."""
+
+    DEVICE = "device"
+    TASK = "task"
+    PROCESS = "process"
+    SYSTEM = "system"
+    ROS = "ros"
+
+
+@dataclass(frozen=True, slots=True)
+class AlertType:
+    """A kind of Alert; `meaning` says when it is raised, and `action` what a person does."""
+
+    category: str
+    sub_category: str | None
+    severity: Severity
+    source: str = ""
+    """The type of the entity that `alertSource` refers to."""
+    meaning: str = ""
+    action: str = ""
+
+
+GLOVE_SILENT: Final = AlertType(
+    AlertCategory.DEVICE,
+    "gloveSilent",
+    Severity.HIGH,
+    "Device",
+    "A glove sends no frames while a Task waits for its wearer; the Task is paused.",
+    "Check that the glove is switched on, charged and in range, or complete the Task on the page.",
+)
+CALIBRATION_NEEDED: Final = AlertType(
+    AlertCategory.DEVICE,
+    "calibrationNeeded",
+    Severity.MEDIUM,
+    "Device",
+    "The values of a glove no longer match its calibration.",
+    "Calibrate the glove on the page *Calibrate*.",
+)
+UNKNOWN_GESTURE: Final = AlertType(
+    AlertCategory.TASK,
+    "unknownGesture",
+    Severity.MEDIUM,
+    "Task",
+    "A Task asks for a gesture or a command that is not configured; the Task has failed.",
+    "Correct the Task's definition or the gestures file.",
+)
+TASK_NOT_ACCEPTED: Final = AlertType(
+    AlertCategory.TASK,
+    "taskNotAccepted",
+    Severity.HIGH,
+    "Task",
+    "No performer accepted a Task before its deadline.",
+    "Start the component that acts for the involved resource, or cancel the process.",
+)
+TASK_LOST: Final = AlertType(
+    AlertCategory.TASK,
+    "taskLost",
+    Severity.HIGH,
+    "Task",
+    "The broker no longer has a Task that a performer had started.",
+    "Check the state of the work, then cancel the process.",
+)
+PROCESS_FAILED: Final = AlertType(
+    AlertCategory.PROCESS,
+    "processFailed",
+    Severity.HIGH,
+    "Process",
+    "A process ended because a Task failed or its model could not be executed.",
+    "Retry the failed Task on the page, or start a new process.",
+)
+SPECIFICATIONS_UNAVAILABLE: Final = AlertType(
+    AlertCategory.SYSTEM,
+    "specificationDatabaseUnavailable",
+    Severity.MEDIUM,
+    "Device",
+    "The specification database does not answer; only Tasks with complete parameters can be shown.",
+    "Start the database, or correct HANDOVER_SPECIFICATION_URL.",
+)
+ROS_PROBLEM: Final = AlertType(
+    AlertCategory.ROS,
+    None,
+    Severity.MEDIUM,
+    "Device",
+    "A rule of the ROS mapping has a problem that lasts, for example a missing topic or type.",
+    "Follow the description of the Alert; it names the rule.",
+)
+
+CATALOGUE: Final = (
+    GLOVE_SILENT,
+    CALIBRATION_NEEDED,
+    UNKNOWN_GESTURE,
+    TASK_NOT_ACCEPTED,
+    TASK_LOST,
+    PROCESS_FAILED,
+    SPECIFICATIONS_UNAVAILABLE,
+    ROS_PROBLEM,
+)
+
+
+def as_markdown() -> str:
+    """Return the catalogue as a table in Markdown."""
+    lines = [
+        "| Category | Subcategory | Severity | alertSource | Raised when | What to do |",
+        "|---|---|---|---|---|---|",
+    ]
+    for one in CATALOGUE:
+        sub_category = f"`{one.sub_category}`" if one.sub_category else "–"
+        cells = (f"`{one.category}`", sub_category, one.severity.value, one.source, one.meaning, one.action)
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"

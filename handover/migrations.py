@@ -1,0 +1,110 @@
+"""Migrations: the tables of a component are created, and brought to the version of this release.
+
+Each component records the version of its tables in a table of its own, `<component>_version`, so that several
+components may share a database. A migration is one transaction, and a SQLite file is copied beforehand. A
+database of a later release, or of a format that was never released, is refused and not changed.
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from sqlalchemy import (
+    Column,
+    Connection,
+    Engine,
+    Integer,
+    MetaData,
+    Table,
+    func,
+    insert,
+    inspect,
+    select,
+    update,
+)
+
+from handover.errors import UsageError
+from handover.sqlite_files import UNRELEASED_SUFFIX
+from handover.telemetry import get_logger
+
+log = get_logger(__name__)
+
+Step = Callable[[Connection], None]
+
+
+def migrate(
+    engine: Engine,
+    tables: MetaData,
+    *,
+    component: str,
+    version: int,
+    steps: Mapping[int, Step] | None = None,
+) -> None:
+    """Bring the `tables` of `component` to `version` in one transaction; create all in a new database.
+
+    `steps[n]` migrates from version n to n + 1. Raises `UsageError` if a later release has written the
+    tables, or if their format was never released.
+    """
+    versions = _version_table(component)
+    before = _version(engine, versions)
+    if before is None:
+        _refuse_unreleased(engine, component)
+    elif before > version:
+        raise UsageError(
+            f"the database of {component} has version {before}, newer than {version}; "
+            "install the newer release or use another database"
+        )
+    if before == version:
+        return
+    if before is not None:
+        copy = _copy_file(engine, f"{component}.v{before}")
+        log.warning("tables migrated", component=component, before=before, after=version, copy=str(copy))
+    with engine.begin() as connection:
+        if engine.dialect.name == "sqlite":
+            connection.exec_driver_sql(
+                "BEGIN IMMEDIATE"
+            )  # the driver begins no transaction for DDL by itself
+        if before is None:
+            versions.create(connection, checkfirst=True)
+            tables.create_all(connection)
+            connection.execute(insert(versions).values(version=version))
+            return
+        connection.execute(select(versions).with_for_update())
+        for step in range(before, version):
+            (steps or {})[step](connection)
+        connection.execute(update(versions).values(version=version))
+
+
+def _refuse_unreleased(engine: Engine, component: str) -> None:
+    if inspect(engine).has_table(f"{component}{UNRELEASED_SUFFIX}"):
+        shown = engine.url.render_as_string(hide_password=True)
+        raise UsageError(
+            f"the tables of {component} in {shown} have a format that was never released, which this release "
+            "does not read; use another database or schema"
+        )
+
+
+def _version_table(component: str) -> Table:
+    return Table(f"{component}_version", MetaData(), Column("version", Integer, nullable=False))
+
+
+def _version(engine: Engine, versions: Table) -> int | None:
+    with engine.connect() as connection:
+        if not inspect(connection).has_table(versions.name):
+            return None
+        return connection.execute(select(func.max(versions.c.version))).scalar()
+
+
+def _copy_file(engine: Engine, label: str) -> Path | None:
+    """Copy a SQLite file to one beside it that ends with `label`; return the path of the copy."""
+    file = engine.url.database if engine.dialect.name == "sqlite" else None
+    if not file or file == ":memory:":
+        return None
+    copy, partial = Path(f"{file}.{label}"), Path(f"{file}.{label}.part")
+    partial.unlink(missing_ok=True)
+    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        connection.exec_driver_sql("VACUUM INTO ?", (str(partial),))
+    with partial.open("rb+") as written:
+        os.fsync(written.fileno())
+    partial.replace(copy)
+    return copy

@@ -1,0 +1,98 @@
+"""Alerts about processes and Tasks; they are put into the outbox with the step that causes them."""
+
+from typing import Any
+
+from handover.alert_catalogue import PROCESS_FAILED, TASK_LOST, TASK_NOT_ACCEPTED, AlertType
+from handover.messages import message, with_code
+from services.task_orchestrator.records import MessageKind, ProcessRecord, Step, TaskRecord
+
+
+def raise_overdue(step: Step, task: TaskRecord) -> None:
+    """Raise the Alert that no performer accepted the Task in time."""
+    involved = ", ".join(link["object"] for link in task.entity["involves"]["value"])
+    _raise(
+        step,
+        task.process,
+        TASK_NOT_ACCEPTED,
+        key=_overdue_key(task),
+        source=task.id,
+        description=message(
+            "alert.task_overdue",
+            "No performer has accepted the Task {task}; it involves {involved}",
+            task=task.id,
+            involved=involved,
+        ),
+    )
+
+
+def clear_overdue(step: Step, task: TaskRecord) -> None:
+    """Clear the Alert: a performer has accepted the Task, or it was cancelled."""
+    step.enqueue(task.process, MessageKind.CLEAR, task.id, {"key": _overdue_key(task)})
+
+
+def raise_lost(step: Step, task: TaskRecord) -> None:
+    """Raise the Alert that the broker no longer has a Task that was started."""
+    _raise(
+        step,
+        task.process,
+        TASK_LOST,
+        key=f"{_short(task)} lost",
+        source=task.id,
+        description=message(
+            "alert.task_lost",
+            "The broker no longer has the Task {task}, which was {status}. Check the state of the work, then "
+            "cancel the process {process}",
+            task=task.id,
+            status=task.status.value,
+            process=task.process,
+        ),
+    )
+
+
+def raise_failed(step: Step, process: ProcessRecord, urn: str) -> None:
+    """Raise the Alert that the process has failed."""
+    _raise(
+        step,
+        process.id,
+        PROCESS_FAILED,
+        key=_failed_key(process),
+        source=urn,
+        description=message(
+            "alert.process_failed",
+            "The process {process} has failed: {reason}",
+            process=process.id,
+            reason=process.reason,
+        ),
+    )
+
+
+def clear_failed(step: Step, process: ProcessRecord, urn: str) -> None:
+    """Clear the Alert: the process continues."""
+    step.enqueue(process.id, MessageKind.CLEAR, urn, {"key": _failed_key(process)})
+
+
+def _raise(
+    step: Step, stream: str, alert_type: AlertType, *, key: str, source: str, description: str
+) -> None:
+    # The outbox stores JSON, in which a message is its text, its code and its parameters.
+    body: dict[str, Any] = {
+        "key": key,
+        "source": source,
+        "category": alert_type.category,
+        "sub_category": alert_type.sub_category,
+        "severity": alert_type.severity.value,
+        **with_code("description", description),
+    }
+    step.enqueue(stream, MessageKind.RAISE, source, body)
+
+
+def _short(task: TaskRecord) -> str:
+    return task.id.rsplit(":", 1)[-1]
+
+
+def _overdue_key(task: TaskRecord) -> str:
+    return f"{_short(task)} not accepted"
+
+
+def _failed_key(process: ProcessRecord) -> str:
+    return f"{process.id} failed"

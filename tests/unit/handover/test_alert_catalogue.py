@@ -1,0 +1,43 @@
+"""The catalogue of Alerts: unique, used, known to the page, and documented."""
+
+import re
+from pathlib import Path
+
+from handover.alert_catalogue import CATALOGUE, AlertCategory, as_markdown
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_every_alert_has_its_own_subcategory_and_a_known_category() -> None:
+    sub_categories = [one.sub_category for one in CATALOGUE]
+    assert len(set(sub_categories)) == len(sub_categories)
+    assert {one.category for one in CATALOGUE} <= set(AlertCategory)
+
+
+def test_the_reference_shows_the_catalogue() -> None:
+    page = (ROOT / "docs" / "reference" / "alerts.md").read_text()
+    assert as_markdown() in page
+
+
+def test_every_alert_is_raised_by_a_service() -> None:
+    sources = [
+        file.read_text()
+        for folder in ("services", "ros_fiware_bridge")
+        for file in (ROOT / folder).rglob("*.py")
+    ]
+    catalogue = (ROOT / "handover" / "alert_catalogue.py").read_text()
+    for name in re.findall(r"^([A-Z_]+): Final = AlertType", catalogue, flags=re.MULTILINE):
+        assert any(re.search(rf"\b{name}\b", source) for source in sources), name
+
+
+def test_no_service_writes_a_category_of_its_own() -> None:
+    for folder in ("services", "ros_fiware_bridge", "webui"):
+        for file in (ROOT / folder).rglob("*.py"):
+            assert not re.search(r'\bAlertType\(\s*"', file.read_text()), file
+
+
+def test_the_page_explains_only_alerts_of_the_catalogue() -> None:
+    source = (ROOT / "webui" / "app" / "src" / "alerts" / "attention.ts").read_text()
+    known = re.search(r"knownKinds = new Set\(\[(.*?)\]\)", source)
+    assert known is not None
+    assert set(re.findall(r'"(\w+)"', known.group(1))) <= {one.sub_category for one in CATALOGUE}
