@@ -23,7 +23,7 @@ def export(process: Mapping[str, Any]) -> bytes:
         ET.SubElement(log, "extension", {"name": name, "prefix": prefix, "uri": uri})
     trace = ET.SubElement(log, "trace")
     _add(trace, "string", "concept:name", process["id"])
-    changes = [(change, task) for task in process["tasks"] for change in task["history"]]
+    changes = [(change, task) for task in process["tasks"] for change in _changes(task)]
     for change, task in sorted(changes, key=lambda one: one[0]["at"]):
         event = ET.SubElement(trace, "event")
         _add(event, "string", "concept:name", task["name"] or task["element"])
@@ -33,6 +33,11 @@ def export(process: Mapping[str, Any]) -> bytes:
         _add(event, "date", "time:timestamp", change["at"])
     ET.indent(log)
     return ET.tostring(log, encoding="utf-8", xml_declaration=True)
+
+
+def _changes(task: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the creation of a Task, then its changes of status."""
+    return [{"status": "pending", "at": task["createdAt"]}, *task["history"]]
 
 
 def _add(parent: ET.Element, kind: str, key: str, value: str) -> None:

@@ -1,0 +1,196 @@
+"""The packages in `examples/` are installed beside Handover and work in the real services."""
+
+import asyncio
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import httpx
+import pytest
+
+from handover.broker import BrokerClient
+from tests.kit.cell import Cell
+from tests.kit.gloves import BENT, STRAIGHT, TcpGlove
+from tests.kit.paths import REPOSITORY
+from tests.kit.ports import next_free_port
+from tests.kit.waiting import scaled, wait_for
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+EXAMPLES = sorted(path.parent for path in (REPOSITORY / "examples").glob("*/pyproject.toml"))
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all examples installed."""
+    folder = tmp_path_factory.mktemp("installed")
+    install = [sys.executable, "-m", "uv", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
+    python = ["--python", sys.executable, "--target", str(folder)]
+    subprocess.run([*install, *python, *map(str, EXAMPLES)], check=True)
+    return folder
+
+
+@pytest.fixture
+def extended_cell(cell: Cell, installed: Path) -> Cell:
+    """A cell whose processes find the installed examples."""
+    cell.extra["PYTHONPATH"] = str(installed)
+    return cell
+
+
+def handover(cell: Cell, *words: str) -> subprocess.Popen[bytes]:
+    """Start the command line in the environment of a cell."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "handover.cli", *words],
+        env=cell.environment,
+        cwd=cell.data_dir,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+    )
+
+
+async def task_ends_as(cell: Cell, task_id: str) -> str:
+    """Wait until a Task has ended, and return its status."""
+    async with BrokerClient(cell.settings) as broker, asyncio.timeout(scaled(60)):
+        while True:
+            task = await broker.retrieve(task_id)
+            if task["status"]["value"] in {"completed", "failed"}:
+                return str(task["status"]["value"])
+            await asyncio.sleep(0.1)
+
+
+async def create_task(cell: Cell, name: str, device: str, **parameters: Any) -> str:
+    """Create a pending Task for a Device and return its id."""
+    task_id = f"urn:ngsi-ld:Task:demo:{name}"
+    device_id = f"urn:ngsi-ld:Device:demo:{device}"
+    async with BrokerClient(cell.settings) as broker:
+        await broker.create(
+            {
+                "id": task_id,
+                "type": "Task",
+                "isDefinedBy": {"type": "Relationship", "object": f"urn:ngsi-ld:TaskDefinition:demo:{name}"},
+                "status": {"type": "Property", "value": "pending", "observedAt": "2026-01-01T12:00:00Z"},
+                "involves": {"type": "Property", "value": [{"type": "Relationship", "object": device_id}]},
+                "workParameters": {"type": "Property", "value": parameters},
+            }
+        )
+    return task_id
+
+
+def test_every_example_has_a_readme_that_the_index_links() -> None:
+    index = (REPOSITORY / "examples" / "README.md").read_text()
+    assert [path.name for path in EXAMPLES if f"({path.name}/README.md)" not in index] == []
+
+
+def test_recognizer_reads_a_glove(extended_cell: Cell) -> None:
+    cell = extended_cell
+    cell.start("context_broker", "gesture_controller")
+    with httpx.Client(base_url=cell.url("gesture_controller"), trust_env=False) as controller:
+        assert "nearest" in controller.get("/recognizers").json()
+        glove = TcpGlove(cell.ports["glove"])
+        hands = {"fist": [[BENT] * 5] * 20, "open": [[STRAIGHT] * 5] * 20}
+        controller.post("/gloves/glove-1/calibration", json=hands).raise_for_status()
+        controller.put("/gloves/glove-1/recognizer", json={"name": "nearest"}).raise_for_status()
+        glove.show("02222", 0.5)
+
+        def recognition() -> Any:
+            return controller.get("/gloves/glove-1/recognition").json()
+
+        wait_for(lambda: recognition()["gesture"] == "Thumbs up", why=lambda: str(recognition()))
+        assert "no finger is further than" in recognition()["why"]
+        glove.close()
+
+
+def test_glove_source_sends_datagrams_as_frames(extended_cell: Cell) -> None:
+    cell = extended_cell
+    cell.start("context_broker", "gesture_controller")
+    port = next_free_port()
+    bridge = handover(cell, "glove", "udp", "--listen", str(port), "--glove", "glove-1")
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def frames() -> int:
+        sender.sendto(b"1700,400,400,400,400", ("127.0.0.1", port))
+        glove = httpx.get(f"{cell.url('gesture_controller')}/gloves/glove-1")
+        return int(glove.json()["frames"]) if glove.is_success else 0
+
+    try:
+        wait_for(lambda: frames() >= 10, 30)
+    finally:
+        sender.close()
+        bridge.terminate()
+        bridge.communicate(timeout=20)
+
+
+async def test_robot_moves_for_a_task(extended_cell: Cell) -> None:
+    cell = extended_cell
+    cell.extra["HANDOVER_ROBOT"] = "steady"
+    cell.start("context_broker", "trajectory_tool")
+    target = [0.1, -1.5, 1.5, -1.5, -1.5, 0.2]
+    task = await create_task(cell, "move", "ur10-1", operation="moveTo", joints=target)
+    assert await task_ends_as(cell, task) == "completed"
+    robot = httpx.get(f"{cell.url('trajectory_tool')}/robots/ur10-1").json()
+    assert robot["joints"]["position"] == pytest.approx(target)
+
+
+def test_exporter_writes_the_history_of_a_process(extended_cell: Cell) -> None:
+    cell = extended_cell
+    cell.start("context_broker", "task_orchestrator")
+    orchestrator = httpx.Client(base_url=cell.url("task_orchestrator"), trust_env=False)
+    process = orchestrator.post("/processes", json={"definition": "bin-picking"}).json()["id"]
+    wait_for(lambda: orchestrator.get(f"/processes/{process}").json()["tasks"])
+    file = cell.data_dir / "log.xes"
+    export = handover(cell, "process", "export", process, "--format", "xes", "--output", str(file))
+    export.communicate(timeout=60)
+    assert export.returncode == 0
+    log = ET.parse(file).getroot()
+    namespace = {"xes": "http://www.xes-standard.org/"}
+    names = [one.get("value") for one in log.findall("xes:trace/xes:event/xes:string", namespace)]
+    assert "Confirm that the cell is clear" in names
+    csv = handover(cell, "process", "export", process)
+    assert b"confirm_clear" in csv.communicate(timeout=60)[0]
+    orchestrator.close()
+
+
+@pytest.fixture
+def lamp(extended_cell: Cell) -> Iterator[Cell]:
+    """A cell in which `handover run lamp` runs."""
+    cell = extended_cell
+    cell.start("context_broker")
+    cell.ports["lamp"] = next_free_port()
+    service = handover(cell, "run", "lamp", "--port", str(cell.ports["lamp"]))
+    try:
+        cell.wait_ready("lamp")
+        yield cell
+    finally:
+        service.terminate()
+        service.communicate(timeout=20)
+
+
+async def test_service_performs_a_task(lamp: Cell) -> None:
+    task = await create_task(lamp, "light", "lamp-1", steps=2)
+    assert await task_ends_as(lamp, task) == "completed"
+
+
+def test_settings_of_an_installed_service_are_listed(extended_cell: Cell) -> None:
+    printed, _ = handover(extended_cell, "settings").communicate(timeout=60)
+    assert "HANDOVER_LAMP_PORT" in printed.decode()
+    assert os.fspath(extended_cell.data_dir) in printed.decode()
+
+
+def test_unknown_robot_is_refused_with_the_names_there_are(extended_cell: Cell) -> None:
+    extended_cell.extra["HANDOVER_ROBOT"] = "stedy"
+    tool = subprocess.run(
+        [sys.executable, "-m", "services.trajectory_tool"],
+        env=extended_cell.environment,
+        cwd=extended_cell.data_dir,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert tool.returncode != 0
+    assert 'there is no robot "stedy"; there are: simulated, ros, steady' in tool.stderr
