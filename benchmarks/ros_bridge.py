@@ -58,7 +58,7 @@ ros_to_ngsild:
     entity: Device:arm-2
     attributes: {jointPositions: {field: position, dead_band: 0.5}}
 ngsild_to_ros:
-  goal: {entity: Device:goal-1, topic: /goal, type: std_msgs/Float64, fields: {data: goal}}
+  goal: {entity: Device:goal-1, topic: /goal, type: std_msgs/Float64, fields: {data: goal}, every_value: true}
 """
 
 

@@ -212,6 +212,8 @@ class NgsildToRos(Part):
     at_start: bool | None = None
     """Whether the state in the broker is published at the start; by default only on latched topics."""
     every_ms: int = Field(0, ge=0, le=86_400_000)
+    every_value: bool = False
+    """Publish the values of notifications as they are, without reading the entity again: none is skipped."""
 
     @property
     def attributes(self) -> tuple[str, ...]:

@@ -41,6 +41,7 @@ class EntityForwarder:
             planned.rule.attributes,
             self._take,
             at_start=planned.at_start,
+            trust_notifications=planned.rule.every_value,
             on_error=lambda why: stats.record_error(why, self._clock()),
         )
 

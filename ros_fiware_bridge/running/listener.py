@@ -32,7 +32,9 @@ Effect = Callable[[Mapping[str, Any], Scope], None]
 class Listener:
     """Watches `attributes` of the entities that `selector` selects, and calls `effect` for each change.
 
-    The state that the broker holds at the start counts as a change only with `at_start`.
+    The state that the broker holds at the start counts as a change only with `at_start`. A notification names
+    the entities to read; with `trust_notifications` its content is passed on instead. Reading costs a query,
+    and of values that change faster than queries are answered only the newest is seen.
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class Listener:
         effect: Effect,
         *,
         at_start: bool,
+        trust_notifications: bool = False,
         on_error: Callable[[str], None],
     ) -> None:
         self.name = name
@@ -54,6 +57,7 @@ class Listener:
         """Called with the reason why the broker refuses the subscription or the query."""
         self._effect = effect
         self._at_start = at_start
+        self._trust_notifications = trust_notifications
         self._began = False
 
     def subscription(self, subscription_id: str, endpoint: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,8 +95,13 @@ class Listener:
     async def read(self, notified: Iterable[Mapping[str, Any]], receiver: NotificationReceiver) -> None:
         """Retrieve the entities of a notification and pass on changes. Raises `BrokerError`.
 
-        The content of the notification itself is not used, since a change may move a robot.
+        The content of the notification itself is used only where the rule says so, since a change may move a
+        robot.
         """
+        if self._trust_notifications:
+            for entity in notified:
+                self.take(entity)
+            return
         ids = ids_of([entity for entity in notified if self._is_chosen(entity)])
         for entity in await receiver.read(self.selector.type, ids, q=self.selector.q):
             self.take(entity)

@@ -42,6 +42,9 @@ ngsild_to_ros:
     type: std_msgs/Float64
     fields:
       data: {attribute: speed, convert: km/h -> m/s}
+  every:
+    {entity: Device:counter-1, topic: /count, type: std_msgs/Int32, fields: {data: count}, every_value: true,
+     qos: {depth: 1000}}
 """
 
 REQUESTS = """

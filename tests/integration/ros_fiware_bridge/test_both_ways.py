@@ -3,9 +3,10 @@
 import math
 from typing import Any
 
+import httpx
 import pytest
 
-from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
+from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Qos
 from tests.integration.ros_fiware_bridge.conftest import Shop
 
 pytestmark = pytest.mark.slow
@@ -93,6 +94,18 @@ async def test_a_topic_pattern_applies_to_every_matching_robot(shop: Any) -> Non
     seen = shop.rule("fleet")
     assert seen["topics"] == ["/amr_1/charge", "/amr_2/charge"]
     assert (seen["from"], seen["publishers"]) == ("/{robot}/charge", 2)
+
+
+async def test_a_rule_for_every_value_skips_none(shop: Any) -> None:
+    _, received = await shop.subscribe("/count", "std_msgs/msg/Int32", Qos(depth=1000))
+    counter = {"id": "urn:ngsi-ld:Device:demo:counter-1", "type": "Device"}
+    for number in range(300):
+        await shop.broker.upsert([{**counter, "count": {"type": "Property", "value": number}}])
+    await shop.until(lambda: len(received) >= 300, 60.0)
+    assert [message["data"] for message in received] == list(range(300))
+    forged = {"data": [{**counter, "count": {"type": "Property", "value": 1000}}]}
+    url = f"{shop.cell.url('ros_fiware_bridge')}/notifications/every"
+    assert httpx.post(url, json=forged, timeout=120).status_code == 403
 
 
 async def test_the_type_of_a_topic_is_taken_from_the_graph(shop: Any) -> None:
