@@ -1,1 +1,1 @@
-"""Outgoing connections: which addresses the broker may connect to, and the HTTP client that does."""
+"""Outgoing connections: the policy for addresses, and the HTTP client."""

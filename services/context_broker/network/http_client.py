@@ -25,35 +25,36 @@ import httptools
 from services.context_broker.network.outbound_policy import AddressRefused, OutboundPolicy
 
 MAX_IDLE: Final = 8
-"""Open connections kept for each address while nothing is sent."""
+"""Idle connections kept open for each address."""
 MAX_ANSWER_BYTES: Final = 256 * 1024
-"""Bytes of an answer that are read before the connection is given up."""
+"""Bytes of a response that are read before the connection is closed."""
 MAX_RESPONSE_BYTES: Final = 32 * 1024 * 1024
-"""The same where the answer matters: a page of a thousand entities of 32 KB."""
+"""The same where the body is needed: a page of a thousand entities of 32 KB."""
 REST_TIMEOUT_S: Final = 1.0
-"""How long the rest of an answer may take after its head, before its connection is closed."""
+"""Timeout for the rest of a response after its head; then the connection is closed."""
 FRESH_S: Final = 1.0
-"""So long after its last answer nobody closes a connection: what must not be sent twice may go over it."""
+"""Idle time up to which a connection is reused for a request that must not be sent twice. Servers close
+idle connections later than that."""
 ON_LOOPBACK: Final = OutboundPolicy()
-"""The policy of a sender that is given none: that of a broker that listens on loopback."""
+"""The default policy: that of a broker that listens on loopback."""
 _INFLATED: Final = frozenset({"gzip", "x-gzip", "deflate"})
 
 
 class SendError(Exception):
-    """The other side could not be reached or did not answer properly."""
+    """The other side could not be reached or sent no valid response."""
 
 
 class ResponseTimeout(SendError):
-    """The other side did not answer in time."""
+    """The other side sent no response in time."""
 
 
 class ResponseTooLarge(SendError):
-    """The other side answered more than is read."""
+    """The response exceeds the limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class HttpResponse:
-    """An answer that was read whole; the names of `headers` are in lower case."""
+    """A whole response; the names of `headers` are in lower case."""
 
     status: int
     headers: dict[str, str]
@@ -62,7 +63,7 @@ class HttpResponse:
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a URL leads: what to connect to, and what to ask there."""
+    """The parts of a URL: what to connect to, and what to request there."""
 
     host: str
     port: int
@@ -73,7 +74,7 @@ class Address:
 
 @lru_cache(maxsize=4096)
 def address(url: str) -> Address:
-    """Return where `url` leads; it has been checked to be an http or https URL."""
+    """Return the parts of `url`, a valid http or https URL."""
     parts = urlsplit(url)
     tls = parts.scheme == "https"
     host = parts.hostname or ""
@@ -82,7 +83,7 @@ def address(url: str) -> Address:
 
 
 class _Connection(asyncio.Protocol):
-    """One connection: a request is written, its answer awaited; one at a time."""
+    """One connection, with one request at a time."""
 
     def __init__(self) -> None:
         self.max_answer_bytes = MAX_ANSWER_BYTES
@@ -96,10 +97,12 @@ class _Connection(asyncio.Protocol):
         self._rest_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self.transport = cast("asyncio.Transport", transport)  # uvloop's is one in all but its class
+        self.transport = cast(
+            "asyncio.Transport", transport
+        )  # uvloop's transport has the interface but not the class
 
     def request(self, data: bytes) -> "asyncio.Future[Any]":
-        """Send a request; the future is the answer: its status, or all of it from one that reads."""
+        """Send a request; the future is the status of the response, in the subclass the whole response."""
         assert self.transport is not None  # noqa: S101 - connected before use
         self._answer = asyncio.get_running_loop().create_future()
         self._parser = httptools.HttpResponseParser(self)
@@ -110,7 +113,7 @@ class _Connection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         if self._parser is None:
-            self.close()  # nobody asked
+            self.close()  # data without a request
             return
         self._received += len(data)
         try:
@@ -139,7 +142,7 @@ class _Connection(asyncio.Protocol):
         self._fail(SendError(why))
 
     def close(self) -> None:
-        """Give the connection up."""
+        """Close the connection."""
         self.reusable = False
         if self._rest_timer is not None:
             self._rest_timer.cancel()
@@ -147,10 +150,10 @@ class _Connection(asyncio.Protocol):
             self.transport.abort()
 
     def release(self, idle: "list[_Connection]") -> None:
-        """Add the connection to the `idle` ones when its answer has been read to its end; close it otherwise.
+        """Add the connection to the `idle` ones once its response is read to the end; close it otherwise.
 
-        A head whose body is still to come has `REST_TIMEOUT_S` for it. Where the answer ends with the
-        connection, our side of it is closed at once, so that the other side need not wait for us.
+        After its head, the rest of a response has `REST_TIMEOUT_S`. If the response ends with the connection,
+        our side is closed at once, so that the other side need not wait for it.
         """
         answer, self._answer = self._answer, None  # an exception in it would refer back to this connection
         has_head = answer is not None and answer.done() and not answer.cancelled()
@@ -188,7 +191,7 @@ class _Connection(asyncio.Protocol):
 
 
 class _ReadingConnection(_Connection):
-    """A connection that keeps what is answered."""
+    """A connection that keeps the body of the response."""
 
     def __init__(self, max_answer_bytes: int) -> None:
         super().__init__()
@@ -198,7 +201,7 @@ class _ReadingConnection(_Connection):
         self._ends_with_the_connection = False
 
     def request(self, data: bytes) -> "asyncio.Future[Any]":
-        """Send a request; the future is the `Reply`."""
+        """Send a request; the future is the `HttpResponse`."""
         self._headers, self._body = {}, []
         self._ends_with_the_connection = False
         return super().request(data)
@@ -209,7 +212,7 @@ class _ReadingConnection(_Connection):
 
     def on_headers_complete(self) -> None:
         assert self._parser is not None  # noqa: S101 - it is what calls this
-        if self._parser.get_status_code() < 200:  # of an interim answer; the headers that count follow
+        if self._parser.get_status_code() < 200:  # headers of an interim response; the final ones follow
             self._headers = {}
         self._ends_with_the_connection = (
             "content-length" not in self._headers and "transfer-encoding" not in self._headers
@@ -232,10 +235,8 @@ class _ReadingConnection(_Connection):
 
 
 class PooledHttpClient:
-    """Posts to many addresses, over connections that are kept open between posts.
-
-    `ca_file` (PEM) names authorities that are trusted besides those the system knows.
-    """
+    """Posts to many addresses over pooled connections. `ca_file` (PEM) names authorities that are trusted
+    besides those of the system."""
 
     def __init__(self, policy: OutboundPolicy = ON_LOOPBACK, ca_file: Path | None = None) -> None:
         self._policy = policy
@@ -245,7 +246,7 @@ class PooledHttpClient:
         self._tls: ssl.SSLContext | None = None
 
     async def post(self, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float) -> int:
-        """Return the status of the answer; raise `SendError` when there is none within `timeout_s`."""
+        """Return the status of the response; raise `SendError` when there is none within `timeout_s`."""
         status: int = await self._send("POST", url, headers, body, timeout_s, may_repeat=True)
         return status
 
@@ -301,14 +302,14 @@ class PooledHttpClient:
             except SendError:
                 if not may_repeat:
                     raise
-                break  # the other side may have closed it while it was idle: once more on a new one
+                break  # the other side may have closed the idle connection: retry once on a new one
         return await self._ask(await self._connect(where), request, idle)
 
     async def _connect(self, where: Address) -> _Connection:
-        """Connect to the first of the host's open addresses that answers.
+        """Connect to the first allowed address of the host that accepts.
 
-        The name is looked up here and the address used as it was checked: a name that leads elsewhere the
-        next moment changes nothing.
+        The name is resolved here and the checked address is used, so that a later change of the name has no
+        effect.
         """
         if where.tls and self._tls is None:
             self._tls = await asyncio.to_thread(tls_context, self._ca_file)
@@ -339,7 +340,8 @@ class PooledHttpClient:
 
 
 class BodyReadingHttpClient(PooledHttpClient):
-    """Asks many addresses anything, and reads what they answer: `max_reply_bytes` of it, also inflated."""
+    """Sends requests to many addresses and reads whole responses, up to `max_response_bytes`, also
+    inflated."""
 
     def __init__(
         self,
@@ -354,9 +356,9 @@ class BodyReadingHttpClient(PooledHttpClient):
     async def request(
         self, method: str, url: str, headers: Iterable[tuple[str, str]], body: bytes, timeout_s: float
     ) -> HttpResponse:
-        """Return the answer, decoded; raise `SendError` when there is none within `timeout_s`.
+        """Return the decoded response; raise `SendError` when there is none within `timeout_s`.
 
-        A POST or PATCH whose fate is not known is not sent again: it may have been carried out.
+        A POST or PATCH with an unknown result is not sent again: it may have been carried out.
         """
         may_repeat = method not in {"POST", "PATCH"}
         reply: HttpResponse = await self._send(method, url, headers, body, timeout_s, may_repeat=may_repeat)
@@ -369,8 +371,8 @@ class BodyReadingHttpClient(PooledHttpClient):
 
 
 def inflate(body: bytes, max_bytes: int) -> bytes:
-    """Return what a body in gzip or zlib format inflates to; stop and raise `TooLarge` beyond `max_bytes`."""
-    inflater = zlib.decompressobj(wbits=zlib.MAX_WBITS | 32)  # 32: by its header, gzip or zlib
+    """Return the inflated body in gzip or zlib format; raise `ResponseTooLarge` beyond `max_bytes`."""
+    inflater = zlib.decompressobj(wbits=zlib.MAX_WBITS | 32)  # 32: detect gzip or zlib by the header
     try:
         text = inflater.decompress(body, max_bytes + 1)
     except zlib.error as error:
@@ -383,7 +385,7 @@ def inflate(body: bytes, max_bytes: int) -> bytes:
 
 
 def tls_context(ca_file: Path | None) -> ssl.SSLContext:
-    """Return a TLS context that checks certificates by the system's authorities and those of `ca_file`."""
+    """Return a TLS context with the system's authorities and those of `ca_file`."""
     context = ssl.create_default_context()
     if ca_file is not None:
         context.load_verify_locations(ca_file)

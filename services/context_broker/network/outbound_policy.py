@@ -1,12 +1,12 @@
-"""The outbound policy: which addresses the broker connects to because a client named them.
+"""The outbound policy: the addresses that the broker connects to when a client names them.
 
-A client names them in subscriptions, registrations, snapshots and @contexts, and so could make the broker
-reach what the client itself cannot. Addresses belong to a kind (`Kind`); a broker that listens on loopback
-refuses a few kinds, one that listens beyond loopback all that are not public. Hosts and networks that
-HANDOVER_BROKER_OUTBOUND_ALLOW names are open in either case.
+Clients name addresses in subscriptions, registrations, snapshots and @contexts, and could make the broker
+reach what they cannot reach themselves. Each address has a kind (`Kind`). A broker that listens on loopback
+refuses a few kinds; one that listens beyond loopback refuses all that are not public. Hosts and networks in
+HANDOVER_BROKER_OUTBOUND_ALLOW are always allowed.
 
-Names are judged by the addresses that they resolve to, and a connection is made to an address that was
-judged, never to the name: a name that resolves to something else a moment later changes nothing.
+Names are checked by the addresses they resolve to, and the connection is made to a checked address, never to
+the name. A name that resolves to another address a moment later has no effect.
 """
 
 import asyncio
@@ -21,14 +21,14 @@ from services.context_broker.model.problems import bad_request_data
 
 SETTING: Final = "HANDOVER_BROKER_OUTBOUND_ALLOW"
 LOOKUP_TIMEOUT_S: Final = 1.0
-"""How long a name is looked up while a client waits for the answer; it is looked up again when used."""
+"""Timeout for resolving a name while a client waits for the response; it is resolved again when used."""
 
 Address = IPv4Address | IPv6Address
 Network = IPv4Network | IPv6Network
 
 
 class Kind(Enum):
-    """What an address is, as it stands in error texts."""
+    """The kind of an address, as in error texts."""
 
     LOOPBACK = "an address of the broker's own machine"
     LINK_LOCAL = "a link-local address"
@@ -67,7 +67,7 @@ _KINDS: Final[tuple[tuple[Kind, tuple[str, ...]], ...]] = (
 _NETWORKS: Final = tuple((kind, ip_network(one)) for kind, listed in _KINDS for one in listed)
 _PUBLIC_IPV6: Final = ip_network("2000::/3")
 _ALWAYS_REFUSED: Final = frozenset({Kind.LINK_LOCAL, Kind.METADATA, Kind.MULTICAST})
-"""Kinds that a broker refuses which listens on loopback alone."""
+"""Kinds that a broker refuses even if it listens on loopback only."""
 
 
 class AddressRefused(Exception):
@@ -76,9 +76,9 @@ class AddressRefused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class OutboundPolicy:
-    """Which addresses are open. `listens_beyond_loopback`: clients elsewhere can choose them, too.
+    """The allowed addresses. `listens_beyond_loopback`: clients on other machines can choose them, too.
 
-    `hosts` (names, in lower case) and `networks` are those that are open whatever kind they are.
+    `hosts` (names, in lower case) and `networks` are allowed whatever their kind is.
     """
 
     listens_beyond_loopback: bool = False
@@ -104,7 +104,7 @@ class OutboundPolicy:
         return cls(not is_loopback(host), frozenset(hosts), tuple(networks))
 
     def fault_of(self, host: str) -> str | None:
-        """Return why `host`, an address, is refused; None if it is open, or a name that must be looked up."""
+        """Return why the address `host` is refused; None if it is allowed, or a name to resolve."""
         address = address_of(host)
         kind = None if address is None else kind_of(address)
         if address is None or kind is None or any(address in one for one in self.networks):
@@ -125,9 +125,9 @@ class OutboundPolicy:
         return any(kind_of(one) in _ALWAYS_REFUSED for one in embedded_in(address))
 
     async def resolved(self, host: str, port: int) -> list[str]:
-        """Return the open addresses of `host`, in the order to try them.
+        """Return the allowed addresses of `host`, in the order to try them.
 
-        Raises `Refused` when all are refused, `OSError` when the name cannot be looked up.
+        Raises `AddressRefused` when all are refused, `OSError` when the name cannot be resolved.
         """
         if address_of(host) is not None:
             found = [host]
@@ -144,7 +144,7 @@ class OutboundPolicy:
         return allowed
 
     async def require_open(self, host: str, what: str) -> None:
-        """Raise a problem (400) if `host` is refused; a name that does not resolve yet may do so later."""
+        """Raise a problem (400) if `host` is refused; a name that does not resolve yet is allowed."""
         try:
             async with asyncio.timeout(LOOKUP_TIMEOUT_S):
                 await self.resolved(host, 0)
@@ -155,7 +155,7 @@ class OutboundPolicy:
 
 
 def address_of(host: str) -> Address | None:
-    """Return the address that `host` is, None for a name; an IPv4-mapped IPv6 address as the IPv4 address."""
+    """Return the address in `host`, None for a name; an IPv4-mapped IPv6 address as the IPv4 address."""
     try:
         address = ip_address(host)
     except ValueError:
@@ -166,7 +166,7 @@ def address_of(host: str) -> Address | None:
 
 @lru_cache(maxsize=4096)
 def kind_of(address: Address) -> Kind | None:
-    """Return what kind of address it is, None for a public one."""
+    """Return the kind of an address, None for a public one."""
     for kind, network in _NETWORKS:
         if address in network:
             return kind
@@ -176,7 +176,7 @@ def kind_of(address: Address) -> Kind | None:
 
 
 def embedded_in(address: Address) -> list[IPv4Address]:
-    """Return the IPv4 addresses that an IPv6 address may stand for (NAT64, 6to4, Teredo, IPv4-compatible)."""
+    """Return the IPv4 addresses embedded in an IPv6 address (NAT64, 6to4, Teredo, IPv4-compatible)."""
     if not isinstance(address, IPv6Address):
         return []
     last = IPv4Address(int(address) & 0xFFFF_FFFF)
@@ -186,7 +186,7 @@ def embedded_in(address: Address) -> list[IPv4Address]:
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether a server that listens on `host` is reached from its own machine only."""
+    """Return whether a server that listens on `host` is reachable from its own machine only."""
     address = address_of(host)
     return host == "localhost" if address is None else address.is_loopback
 

@@ -1,1 +1,1 @@
-"""Moments kept: entities as they were, and the hits of a query as they were."""
+"""Snapshots: results of queries, stored at one moment and queried later."""

@@ -1,4 +1,4 @@
-"""What is in a snapshot: entities as they were, written as those of a tenant of its own, and taken away."""
+"""The content of a snapshot: entities that are written to, and deleted from, a tenant of its own."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,18 +10,18 @@ from services.context_broker.storage.history_archive import END_OF_TIME, Departe
 from services.context_broker.tenants import Tenant
 
 ENTITIES_PER_COMMIT = 2000
-"""Entities in one commit, so that others get their turn."""
+"""Entities in one commit, so that other commits are not delayed."""
 
 
 @dataclass(slots=True)
 class SnapshotContent:
-    """The entities of a snapshot that is being made. What several queries find is kept as found first."""
+    """The entities of a snapshot in creation. Of an entity in several query results the first counts."""
 
     entities: list[Entity] = field(default_factory=list)
     _known: set[str] = field(default_factory=set)
 
     def add(self, found: Iterable[Entity], attributes: frozenset[str] | None) -> None:
-        """Add entities, of each only the `attributes` (IRIs), None for all. They end no more."""
+        """Add entities with the `attributes` (IRIs, None for all). Their expiry is removed."""
         for one in found:
             if one.id not in self._known:
                 self._known.add(one.id)
@@ -29,7 +29,7 @@ class SnapshotContent:
                 self.entities.append(replace(kept, expires_at=None, rendered={}))
 
     def keep_only(self, count: int) -> None:
-        """Take out again all but the first `count` entities."""
+        """Remove all but the first `count` entities."""
         self._known.difference_update(one.id for one in self.entities[count:])
         del self.entities[count:]
 
@@ -48,9 +48,9 @@ async def write_content(inner: Tenant, content: SnapshotContent) -> None:
 
 
 def deletion_entries(inner: Tenant, departed: Sequence[tuple[int, str]]) -> Iterator[Entries]:
-    """Yield what takes all that belongs to a snapshot off the disk.
+    """Yield the commits that delete all documents and entities of a snapshot.
 
-    `departed` are place and id of the entities that are only history there.
+    `departed` are place and id of the entities that have a history only.
     """
     for start in range(0, len(departed), ENTITIES_PER_COMMIT):
         gone_by = departed[start : start + ENTITIES_PER_COMMIT]

@@ -1,4 +1,4 @@
-"""The past in a snapshot: what a temporal query finds, sources included, written as its own past."""
+"""Copies the results of a temporal query, context sources included, into the history of a snapshot."""
 
 from collections.abc import Awaitable, Callable
 from typing import Any, Final
@@ -19,20 +19,20 @@ from services.context_broker.snapshots.snapshot import Status, details
 from services.context_broker.tenants import Tenant
 
 PAGE: Final = 100
-"""Evolutions that are read at once; each may have a thousand instances of every attribute."""
+"""Evolutions in one query; each may have a thousand instances of every attribute."""
 MAX_EVOLUTIONS: Final = 20_000
-"""Evolutions in one snapshot; what goes beyond is left out, and the snapshot is partial."""
+"""Evolutions in one snapshot; any beyond are left out, and the snapshot is partial."""
 EVERYTHING: Final = {
     "type": "Query",
     "temporalQ": {"timerel": "after", "timeAt": "1970-01-01T00:00:00Z", "timeproperty": "createdAt"},
 }
 
 PerformByName = Callable[[str, Exchange], Awaitable[Answer]]
-"""Carries an operation out by its name, sources included."""
+"""Carries out an operation by its name, context sources included."""
 
 
 async def copy_history(perform: PerformByName, exchange: Exchange, inner: Tenant) -> dict[str, Any]:
-    """Copy what a temporal query (the body of `exchange`) finds; return what became of it (clause 5.2.42)."""
+    """Copy the results of a temporal query (the body of `exchange`); return its details (clause 5.2.42)."""
     headers = {name: value for name, value in exchange.headers.items() if name != b"link"}
     writing_headers = {**headers, b"content-type": JSON_LD.encode()}
     found, is_partial = 0, False
@@ -42,7 +42,7 @@ async def copy_history(perform: PerformByName, exchange: Exchange, inner: Tenant
         answer = await perform("queryTemporalBatch", derived(exchange, parameters=parameters, headers=asking))
         if answer.status >= 300:
             return {"resultStatus": Status.FAILURE.value, "problemDetails": orjson.loads(answer.body)}
-        # 206: an evolution has more instances than are told at once; the oldest or newest of them are there.
+        # 206: an evolution has more instances than fit into a response; some are missing
         is_partial |= answer.status == 206 or any(name == b"ngsild-warning" for name, _ in answer.headers)
         page = orjson.loads(answer.body)
         for one in page:

@@ -1,7 +1,20 @@
-"""Operations on snapshots (clauses 5.16, 6.36 to 6.38), and where NGSILD-Snapshot leads (6.3.22).
+"""Operations on snapshots (clauses 5.16, 6.36 to 6.38), and operations inside of them (6.3.22).
 
-What a snapshot holds is written as the content of a tenant of its own, which becomes visible at once. It is
-made (`making.py`) after its creation has been answered, and kept (`keeping.py`) until its end.
+A snapshot stores the results of queries at one moment. How it works:
+
+1. POST snapshots stores the document with the status `preparing` and answers (`operations`).
+2. A background task carries out the queries, context sources included (`snapshot_creation`,
+   `history_copy`).
+3. The results are written as the content of a tenant whose name no header can give (`content`), and become
+   visible all at once.
+4. The status becomes `success`, `partial`, `empty` or `failure`, and the endpoint of the snapshot is notified
+   (`snapshot_store`, `snapshot_notifications`).
+5. A request with NGSILD-Snapshot runs the usual operations on that tenant.
+6. When the snapshot expires, is deleted, or is evicted for a new one, the tenant's content is deleted.
+
+A tenant of its own needs no second implementation of queries, subscriptions or history. Every change of a
+snapshot and its notification are one commit, so that a crash leaves either both or none. A crash during
+creation leaves the status `preparing`; the next start changes it to `failure` and deletes the content.
 """
 
 import time
@@ -43,13 +56,13 @@ from services.context_broker.storage.journal import Journal
 from services.context_broker.tenants import Tenant, Tenants
 
 USE_WRITE_INTERVAL_S: Final = 10.0
-"""How often the time of the last use is written, at most: it is not worth a write for each use."""
+"""Minimum interval between two writes of the time of last use."""
 _DONE: Final = Answer(204)
 _PURGE: Final = frozenset({"q"})
 
 
 class BrokerSnapshots:
-    """Implements `Snapshots`. `carry_out` and `by_name` carry operations out, context sources included."""
+    """Implements `Snapshots`. `carry_out` and `by_name` carry out operations, context sources included."""
 
     def __init__(self, tenants: Tenants, carry_out: CarryOut, by_name: PerformByName) -> None:
         self._tenants = tenants
@@ -58,11 +71,11 @@ class BrokerSnapshots:
 
     @property
     def notifier(self) -> SnapshotNotifier:
-        """Return what is to be told of snapshots."""
+        """Return the notifier of snapshots."""
         return self._snapshots.notifier
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         all_of_them, one, clone = "snapshots", "snapshots/{id}", "snapshots/{id}/clone"
         return (
             Operation("POST", all_of_them, "createSnapshot", "6.36.3.1", self.create),
@@ -74,9 +87,9 @@ class BrokerSnapshots:
         )
 
     def start(self, journal: Journal) -> None:
-        """See to the ends of the snapshots of before, and clear away what a power cut has left of others.
+        """Schedule the expiry of the loaded snapshots, and clean up after a crash.
 
-        What was not told is told now, and that what was being made has failed.
+        Pending notifications are sent, interrupted creations fail, and content without a snapshot is deleted.
         """
         pending = [restored(*stored) for stored in journal.documents(Kind.SNAPSHOT_NOTIFICATION)]
         for notification in sorted(pending, key=lambda one: one.at):
@@ -92,7 +105,7 @@ class BrokerSnapshots:
                 self._snapshots.later(self._snapshots.clear(tenant))
 
     def stop(self) -> None:
-        """Make no more; what is unfinished has failed at the next start."""
+        """Stop all background tasks; unfinished snapshots fail at the next start."""
         self._snapshots.stop()
 
     def restore(self, journal: Journal) -> None:
@@ -108,7 +121,7 @@ class BrokerSnapshots:
         return Answer(answer.status, answer.body, [*answer.headers, (SNAPSHOT_HEADER, named)])
 
     def _inside(self, exchange: Exchange) -> Tenant:
-        """Return the tenant with the content of the snapshot that a request names; raise a problem (404)."""
+        """Return the tenant with the content of the requested snapshot; raise a problem (404)."""
         tenant = exchange.tenant
         found = self._existing(tenant, exchange.headers[SNAPSHOT_HEADER].decode("latin-1").strip())
         found.used()
@@ -126,7 +139,7 @@ class BrokerSnapshots:
         return _created(made)
 
     async def clone(self, exchange: Exchange) -> Answer:
-        """POST snapshots/{id}/clone: a copy that ends, and changes, by itself (clause 5.16.2)."""
+        """POST snapshots/{id}/clone: an independent copy with its own expiry (clause 5.16.2)."""
         original = self._existing(exchange.tenant, exchange.names[0])
         given = require_valid((await exchange.body())[0], has_queries=False)
         queries: dict[str, Any] = {
@@ -142,7 +155,7 @@ class BrokerSnapshots:
         return await _snapshot_answer(exchange, self._existing(exchange.tenant, exchange.names[0]))
 
     async def update(self, exchange: Exchange) -> Answer:
-        """PATCH snapshots/{id}: its priority, its lifetime, and who is told of it."""
+        """PATCH snapshots/{id}: priority, lifetime and notification endpoint."""
         change = require_valid_change((await exchange.body())[0])
         members = {name: value for name, value in change.items() if name not in {"type", "@context"}}
         await self._require_open(exchange.tenant, members)
@@ -165,7 +178,7 @@ class BrokerSnapshots:
         return _DONE
 
     async def purge(self, exchange: Exchange) -> Answer:
-        """DELETE snapshots: those for which q holds (clause 5.16.7)."""
+        """DELETE snapshots: those that match q (clause 5.16.7)."""
         context = await exchange.reader_context()
         wants = purge_filter(exchange.parameter("q"), context)
         async with self._snapshots.lock:

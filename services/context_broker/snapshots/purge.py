@@ -1,4 +1,4 @@
-"""Which snapshots are purged: those for which a query about members of a snapshot holds (clause 5.16.7)."""
+"""Selects the snapshots to purge by a query on their members (clause 5.16.7)."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -13,7 +13,7 @@ from services.context_broker.snapshots.snapshot import MEMBERS, TYPE, Snapshot
 
 
 def purge_filter(q: str | None, context: Context) -> Callable[[Snapshot], bool]:
-    """Return what says of a snapshot whether it is to go; raise a problem (400) for a query that cannot."""
+    """Return a predicate for snapshots to purge; raise a problem (400) for an invalid query."""
     if not q:
         raise bad_request_data("a purge of snapshots has a q, for example q=snapshotPriority<5; add it")
     for name in _names(parse(q)):
@@ -41,7 +41,7 @@ def purge_filter(q: str | None, context: Context) -> Callable[[Snapshot], bool]:
 
 
 def _names(term: Any) -> Iterator[str]:
-    """Yield the attributes that a parsed query asks for."""
+    """Yield the attributes in a parsed query."""
     for part in getattr(term, "terms", ()):
         yield from _names(part)
     path = getattr(term, "path", None)

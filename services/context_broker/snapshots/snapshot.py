@@ -1,8 +1,4 @@
-"""Snapshots: how entities were at one moment, kept apart to be read and played with (5.2.41, 5.5.15).
-
-A snapshot is kept as a tenant of its own that no header can name; what asks for it with NGSILD-Snapshot is
-answered from there by the same rooms. This is what is known of one: its document, and what may be said in it.
-"""
+"""The document of a snapshot: its members, limits and validation (clauses 5.2.41 and 5.5.15)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,14 +23,14 @@ from services.context_broker.model.validation import (
 TYPE: Final = "Snapshot"
 DEFAULT_LIFETIME_S: Final = 86400.0
 MAX_LIFETIME_S: Final = 30 * 86400.0
-"""A snapshot costs as much memory as its entities; nobody's is forgotten for longer than a month."""
+"""A snapshot uses as much memory as its entities, and forgotten ones must not stay forever."""
 MAX_SNAPSHOTS: Final = 64
-"""Snapshots of a tenant; the one of lowest priority, of these the longest unused, gives way to a new one."""
+"""Snapshots of a tenant; a new one evicts the one of lowest priority, among these the longest unused."""
 MAX_ENTITIES: Final = 200_000
 """Entities in one snapshot."""
 DEFAULT_PRIORITY: Final = 5
 MAX_TOTAL_ENTITIES: Final = 1_000_000
-"""Entities in all snapshots of a tenant, after the same rule."""
+"""Entities in all snapshots of a tenant; more evict snapshots by the same rule."""
 PRESENT: Final = "snapshotQueries"
 PAST: Final = "snapshotTemporalQueries"
 QUERIES: Final = (PRESENT, PAST)
@@ -46,7 +42,7 @@ MEMBERS: Final = SETTABLE | {
 
 
 class Status(StrEnum):
-    """How far a snapshot, or one of its queries, has got."""
+    """The progress of a snapshot, or the result of one of its queries."""
 
     PREPARING = "preparing"
     SUCCESS = "success"
@@ -57,7 +53,7 @@ class Status(StrEnum):
 
 @dataclass(slots=True, eq=False)
 class Snapshot:
-    """A snapshot. `document` is what a reader gets and what is kept; `written_s` when it was last written."""
+    """A snapshot. `document` is stored and returned; `written_s` is the time of the last write."""
 
     id: str
     document: dict[str, Any]
@@ -65,25 +61,25 @@ class Snapshot:
 
     @property
     def status(self) -> Status:
-        """Return how far it has got."""
+        """Return the status."""
         return Status(self.document["snapshotStatus"])
 
     @property
     def expires_s(self) -> float:
-        """Return when it ends, in seconds since 1970."""
+        """Return the expiry in seconds since 1970."""
         return moment(self.document["expiresAt"]) or 0.0
 
     def stored(self) -> bytes:
-        """Return it as the journal keeps it."""
+        """Return the document for the journal."""
         return orjson.dumps(self.document)
 
     def changed(self, **members: Any) -> "Snapshot":
-        """Return it with some members changed; None takes one away."""
+        """Return a copy with some members changed; None deletes a member."""
         document = {**self.document, **members, "modifiedAt": timestamp_now()}
         return Snapshot(self.id, {name: value for name, value in document.items() if value is not None})
 
     def failed(self, problem: Problem) -> "Snapshot":
-        """Return it as one that could not be made; the reason stands with each of its queries."""
+        """Return a copy with the status `failure` and the reason at each of its queries."""
         reasons = {
             f"{name}Details": [details(Status.FAILURE, problem) for _ in self.document[name]]
             for name in QUERIES
@@ -92,18 +88,18 @@ class Snapshot:
         return self.changed(snapshotStatus=Status.FAILURE.value, **reasons)
 
     def used(self) -> None:
-        """Note that it is used now."""
+        """Record the time of last use."""
         self.document["lastUsedAt"] = timestamp_now()
 
 
 def restored(body: bytes) -> dict[str, Snapshot]:
-    """Return a snapshot that was kept, by its id."""
+    """Return a stored snapshot by its id."""
     document = orjson.loads(body)
     return {document["id"]: Snapshot(document["id"], document)}
 
 
 def new_snapshot(snapshot_id: str, given: Mapping[str, Any]) -> Snapshot:
-    """Return a snapshot with what was said of it, that is being made from now on."""
+    """Return a new snapshot with the given members and the status `preparing`."""
     now = datetime.now(UTC)
     at = timestamp(now)
     document = {
@@ -121,20 +117,20 @@ def new_snapshot(snapshot_id: str, given: Mapping[str, Any]) -> Snapshot:
 
 
 def expiry_of(start: datetime, lifetime: str | None) -> str:
-    """Return when a snapshot made at `start` ends that is wanted for a time, within the broker's bounds."""
+    """Return the expiry of a snapshot created at `start`, with its lifetime within the broker's limits."""
     wanted_s = DEFAULT_LIFETIME_S if lifetime is None else duration_s(lifetime, '"snapshotLifetime"')
     lasts_s = min(max(wanted_s, 1.0), MAX_LIFETIME_S)
     return timestamp(datetime.fromtimestamp(start.timestamp() + lasts_s, UTC))
 
 
 def require_valid(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
-    """Return a document that makes a snapshot; raise a problem (400) if it cannot."""
+    """Return the document of a new snapshot; raise a problem (400) if it is invalid."""
     if not isinstance(given, Mapping):
         raise bad_request_data(f"a snapshot is a JSON object, not {shown(given)}")
     if given.get("type", TYPE) != TYPE:
         raise bad_request_data(f'the type of a snapshot is "{TYPE}", not {shown(given["type"])}')
     if "id" in given and not require_uri(given["id"], "the snapshot id").isascii():
-        raise bad_request_data("the id of a snapshot stands in headers; use plain characters")
+        raise bad_request_data("the id of a snapshot is used in headers; use ASCII characters")
     allowed = SETTABLE | {"id", "type", "@context"} | (set(QUERIES) if has_queries else set())
     _check_members(given, allowed)
     if has_queries:
@@ -143,7 +139,7 @@ def require_valid(given: Any, *, has_queries: bool) -> Mapping[str, Any]:
 
 
 def require_valid_change(given: Any) -> Mapping[str, Any]:
-    """Return a document that changes a snapshot; raise a problem (400) if it cannot."""
+    """Return the document of a change; raise a problem (400) if it is invalid."""
     if not isinstance(given, Mapping):
         raise bad_request_data(f"a change of a snapshot is a JSON object, not {shown(given)}")
     _check_members(given, SETTABLE | {"@context", "type"})
@@ -151,7 +147,7 @@ def require_valid_change(given: Any) -> Mapping[str, Any]:
 
 
 def details(status: Status, problem: Problem | None = None) -> dict[str, Any]:
-    """Return what became of one query (clause 5.2.42)."""
+    """Return the details of one query (clause 5.2.42)."""
     result: dict[str, Any] = {"resultStatus": status.value}
     if problem is not None:
         result["problemDetails"] = problem.body()
@@ -159,7 +155,7 @@ def details(status: Status, problem: Problem | None = None) -> dict[str, Any]:
 
 
 def status_of(results: list[dict[str, Any]]) -> Status:
-    """Return the status of a snapshot from what became of its queries (clause 5.16.1.4)."""
+    """Return the status of a snapshot with these query results (clause 5.16.1.4)."""
     seen = {one["resultStatus"] for one in results}
     if len(seen) == 1:
         return Status(seen.pop())
@@ -171,7 +167,7 @@ def status_of(results: list[dict[str, Any]]) -> Status:
 def _check_members(given: Mapping[str, Any], allowed: set[str] | frozenset[str]) -> None:
     for name in given:
         if name not in allowed:
-            why = "is for the broker to say" if name in MEMBERS else "is no member of a snapshot"
+            why = "is set by the broker" if name in MEMBERS else "is no member of a snapshot"
             raise bad_request_data(f"{shown(name)} {why}; leave it out")
     priority = given.get("snapshotPriority", DEFAULT_PRIORITY)
     if not isinstance(priority, int) or isinstance(priority, bool) or not 1 <= priority <= 10:

@@ -1,7 +1,7 @@
-"""Making a snapshot: its queries are carried out as any query is, what they find is gathered (5.16.1.4).
+"""Creates snapshots: carries out their queries and collects the results (clause 5.16.1.4).
 
-A snapshot is made after its creation has been answered, and who made it looks at its status until it is no
-longer `preparing`. So whatever goes wrong ends in `failure`, with the reason at each query that it concerns.
+Creation runs after the response to POST snapshots; clients poll the status until it is no longer `preparing`.
+Therefore every failure ends in the status `failure`, with the reason at each query it concerns.
 """
 
 from collections.abc import Awaitable, Mapping
@@ -48,13 +48,13 @@ log = get_logger(__name__)
 _INTERRUPTED: Final = Problem(
     500,
     "Internal error",
-    "the broker ended while it was making this snapshot; delete it, and make it again with POST snapshots",
+    "the broker stopped while it created this snapshot; delete it and create it again with POST snapshots",
     ERRORS + "InternalError",
 )
 
 
 class SnapshotCreator:
-    """Makes snapshots, in their own time."""
+    """Creates snapshots in background tasks."""
 
     def __init__(
         self, tenants: Tenants, snapshots: SnapshotStore, carry_out: CarryOut, by_name: PerformByName
@@ -66,15 +66,15 @@ class SnapshotCreator:
         self._running: set[tuple[str, str]] = set()
 
     def start(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
-        """Begin to carry the queries of a snapshot out; `context` is the @context they were sent with."""
+        """Start to carry out the queries of a snapshot; `context` is the @context they were sent with."""
         self._start(exchange.tenant, made, self._fill(exchange, made, context))
 
     def start_copy(self, exchange: Exchange, original: Snapshot, made: Snapshot) -> None:
-        """Begin to copy what is in another snapshot."""
+        """Start to copy another snapshot."""
         self._start(exchange.tenant, made, self._copy(exchange, original, made))
 
     def fail_interrupted(self) -> None:
-        """Note that what nobody makes any more has failed: the broker that made it has ended."""
+        """Set the status of interrupted creations to `failure`: the process that ran them has ended."""
         for tenant in self._tenants:
             for one in list(self._snapshots.of(tenant).values()):
                 if one.status is Status.PREPARING and (tenant.name, one.id) not in self._running:
@@ -89,31 +89,31 @@ class SnapshotCreator:
     async def _run(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
         try:
             await work
-        except Exception as error:  # whatever it is: who waits for the snapshot must not wait for ever
-            log.exception("a snapshot could not be made", snapshot=made.id)
-            problem = error if isinstance(error, Problem) else went_wrong(error, "making the snapshot")
+        except Exception as error:  # any error must end the status "preparing", for which clients poll
+            log.exception("snapshot creation failed", snapshot=made.id)
+            problem = error if isinstance(error, Problem) else went_wrong(error, "creating the snapshot")
             await self._fail(tenant, made, problem)
         finally:
             self._running.discard((tenant.name, made.id))
 
     async def _fail(self, tenant: Tenant, made: Snapshot, problem: Problem) -> None:
         now = self._snapshots.of(tenant).get(made.id)
-        if now is None:  # it was deleted while it was being made
+        if now is None:  # deleted during its creation
             await self._snapshots.clear(self._tenants.inside(tenant, made.id))
             return
         failed = now.failed(problem)
-        self._snapshots.publish(tenant, failed)  # readers are told even where the disk takes no word of it
+        self._snapshots.publish(tenant, failed)  # readers see the failure even if the disk refuses it
         await self._record_failure(tenant, failed)
 
     async def _record_failure(self, tenant: Tenant, failed: Snapshot) -> None:
-        """Keep it that a snapshot has failed; nothing stays of what was made of it."""
+        """Store the failure of a snapshot and delete its partial content."""
         async with self._snapshots.lock:
             if self._snapshots.of(tenant).get(failed.id) is failed:
                 await self._snapshots.keep(tenant, failed, notify=True)
                 await self._snapshots.clear(self._tenants.inside(tenant, failed.id))
 
     async def _fill(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
-        """Carry the queries out and keep what they find (clause 5.16.1.4)."""
+        """Carry out the queries and store their results (clause 5.16.1.4)."""
         tenant, content = exchange.tenant, SnapshotContent()
         results: dict[str, list[dict[str, Any]]] = {}
         for query in made.document.get(PRESENT, ()):
@@ -146,7 +146,8 @@ class SnapshotCreator:
         await self._finish(tenant, made, results)
 
     async def _write(self, tenant: Tenant, made: Snapshot, content: SnapshotContent) -> None:
-        """Write the entities of a snapshot, and make room for them. Raises a problem (507) if it cannot."""
+        """Write the entities of a snapshot and evict others if needed. Raises a problem (507) if the disk
+        refuses."""
         async with self._snapshots.lock:
             await self._snapshots.evict_for(tenant, made, len(content.entities))
         try:
@@ -160,7 +161,7 @@ class SnapshotCreator:
         status = status_of([one for several in results.values() for one in several])
         async with self._snapshots.lock:
             now = self._snapshots.of(tenant).get(made.id)
-            if now is None:  # it was deleted while it was being made
+            if now is None:  # deleted during its creation
                 await self._snapshots.clear(self._tenants.inside(tenant, made.id))
                 return
             await self._snapshots.keep(
@@ -169,7 +170,7 @@ class SnapshotCreator:
 
 
 def query_exchange(exchange: Exchange, query: Mapping[str, Any], context: Any) -> Exchange:
-    """Return the exchange that carries a query of a snapshot out, in the names of whoever makes it."""
+    """Return the exchange that carries out a query of a snapshot in the names of its creator."""
     headers = {
         name: value for name, value in exchange.headers.items() if name not in {SNAPSHOT_HEADER, b"accept"}
     }
@@ -181,20 +182,20 @@ def query_exchange(exchange: Exchange, query: Mapping[str, Any], context: Any) -
 
 
 async def result_of(query: Awaitable[dict[str, Any]]) -> dict[str, Any]:
-    """Return what became of a query (clause 5.2.42), whatever that is: the others are carried out still."""
+    """Return the details of a query (clause 5.2.42); any failure becomes a result."""
     try:
         return await query
     except Problem as problem:
         return details(Status.FAILURE, problem)
-    except Exception as error:  # as said
-        log.exception("a query of a snapshot failed")
+    except Exception as error:  # a failed query must not stop the others
+        log.exception("snapshot query failed")
         return details(Status.FAILURE, went_wrong(error, "carrying out the query"))
 
 
 async def collect_hits(carry_out: CarryOut, exchange: Exchange, content: SnapshotContent) -> dict[str, Any]:
-    """Add what a query finds to the content; return what became of the query.
+    """Add the results of a query to the content; return the details of the query.
 
-    Of one that fails nothing stays.
+    Nothing is added if it fails.
     """
     before = len(content.entities)
     count = 0

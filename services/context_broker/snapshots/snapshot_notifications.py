@@ -1,7 +1,8 @@
-"""Who wants to know how a snapshot is, is told when it is made, changed or gone (5.3.4 and 5.16.6).
+"""Notifications of created, changed and deleted snapshots (clauses 5.3.4 and 5.16.6).
 
-What is to be told is written in the same commit as what it tells of, and struck out once it is told: a
-restart tells what was not. So an endpoint may be told twice, never not at all.
+A notification is stored in the same commit as the change, and deleted once it is delivered; the next start
+sends the remaining ones. So an endpoint may receive a notification twice, but none is lost. Each endpoint has
+one worker, which sends in order and retries with exponential backoff.
 """
 
 import asyncio
@@ -29,17 +30,17 @@ log = get_logger(__name__)
 INITIAL_BACKOFF_S: Final = 0.5
 MAX_BACKOFF_S: Final = 60.0
 MAX_PENDING: Final = 1000
-"""Notifications that wait for one endpoint; the oldest are given up for newer ones."""
-_TOLD_AS: Final = (
+"""Pending notifications of one endpoint; beyond that the oldest are dropped."""
+_DETAILS_MEMBERS: Final = (
     ("snapshotQueriesDetails", "snapshotQueriesDetails"),
     ("temporalSnapshotQueriesDetails", "snapshotTemporalQueriesDetails"),
 )
-"""Members of a notification, and what they are called in a snapshot (table 5.3.4-1)."""
+"""Members of a notification with their names in a snapshot (table 5.3.4-1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SnapshotNotification:
-    """One notification that is owed; `at` is when it came to be, in seconds since 1970."""
+    """One pending notification; `at` is its time of creation in seconds since 1970."""
 
     tenant: str
     id: str
@@ -50,16 +51,16 @@ class SnapshotNotification:
 
     @property
     def key(self) -> DocumentKey:
-        """Return what it is kept under."""
+        """Return the key of the stored document."""
         return Kind.SNAPSHOT_NOTIFICATION, self.tenant, self.id
 
     def stored(self) -> bytes:
-        """Return it as the journal keeps it."""
+        """Return the document for the journal."""
         return orjson.dumps([self.endpoint, self.headers, self.body.decode(), self.at])
 
 
 def restored(tenant: str, notification_id: str, stored: bytes) -> SnapshotNotification:
-    """Return the notification that `stored` had been."""
+    """Return the notification of a stored document."""
     endpoint, headers, body, at = orjson.loads(stored)
     return SnapshotNotification(
         tenant, notification_id, endpoint, tuple((name, value) for name, value in headers), body.encode(), at
@@ -67,9 +68,9 @@ def restored(tenant: str, notification_id: str, stored: bytes) -> SnapshotNotifi
 
 
 def notification_of(tenant: str, one: Snapshot) -> SnapshotNotification | None:
-    """Return the notification that tells how a snapshot is, None if nobody wants it.
+    """Return the notification of a snapshot's state, None if it has no endpoint.
 
-    Of one that is gone, expiresAt is past.
+    For a deleted snapshot, expiresAt is in the past.
     """
     document = one.document
     if document.get("endpoint") is None:
@@ -81,7 +82,7 @@ def notification_of(tenant: str, one: Snapshot) -> SnapshotNotification | None:
         "notifiedAt": timestamp_now(),
         "snapshotId": one.id,
         **{name: document[name] for name in ("snapshotPriority", "snapshotStatus", "expiresAt")},
-        **{name: document[source] for name, source in _TOLD_AS if source in document},
+        **{name: document[source] for name, source in _DETAILS_MEMBERS if source in document},
     }
     headers = [("Content-Type", "application/json"), *tenant_headers(tenant)]
     headers += [(pair["key"], pair["value"]) for pair in document.get("receiverInfo") or ()]
@@ -91,7 +92,7 @@ def notification_of(tenant: str, one: Snapshot) -> SnapshotNotification | None:
 
 
 class SnapshotNotifier:
-    """All that is to be told of snapshots: to each endpoint one after the other."""
+    """Delivers the notifications of snapshots, to each endpoint in order."""
 
     def __init__(self, tenants: "Tenants") -> None:
         self._tenants = tenants
@@ -99,7 +100,7 @@ class SnapshotNotifier:
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
     def add(self, one: SnapshotNotification) -> None:
-        """Take what is to be told; it is on disk already."""
+        """Add a notification that is already stored."""
         waiting = self._waiting.setdefault(one.endpoint, deque())
         waiting.append(one)
         while len(waiting) > MAX_PENDING:
@@ -107,7 +108,7 @@ class SnapshotNotifier:
         self._ensure_running_worker(one.endpoint)
 
     def stop(self) -> None:
-        """End; what is owed stays on disk."""
+        """Stop; pending notifications stay stored."""
         for task in self._tasks.values():
             task.cancel()
         self._tasks.clear()
@@ -121,7 +122,7 @@ class SnapshotNotifier:
         if self._tasks.get(endpoint) is task:
             del self._tasks[endpoint]
         if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("telling of snapshots failed", endpoint=endpoint, exc_info=error)
+            log.error("snapshot notification worker failed", endpoint=endpoint, exc_info=error)
 
     async def _work(self, endpoint: str) -> None:
         waiting, backoff = self._waiting[endpoint], Backoff(INITIAL_BACKOFF_S, MAX_BACKOFF_S)
@@ -143,17 +144,17 @@ class SnapshotNotifier:
         del self._waiting[endpoint]
 
     async def _send(self, one: SnapshotNotification) -> int | None:
-        """Return what the endpoint answers, None if it does not."""
+        """Return the status of the endpoint's response, None without a response."""
         outbound = self._tenants.outbound
         try:
             return await outbound.sender.post(one.endpoint, one.headers, one.body, outbound.timeout_s)
         except SendError as error:
-            log.info("a snapshot cannot be told of", endpoint=one.endpoint, error=str(error))
+            log.info("snapshot notification failed", endpoint=one.endpoint, error=str(error))
             return None
 
     def _fail(self, one: SnapshotNotification, why: str) -> None:
         DROPPED.labels(why).inc()
-        log.warning("nobody was told of a snapshot", endpoint=one.endpoint, why=why)
+        log.warning("snapshot notification dropped", endpoint=one.endpoint, reason=why)
         self._delete(one)
 
     def _delete(self, one: SnapshotNotification) -> None:

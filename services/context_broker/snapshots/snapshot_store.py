@@ -1,6 +1,6 @@
-"""Keeping snapshots: on disk and in memory until their end, so many of a tenant at most, and told of.
+"""Stores snapshots in memory and on disk until they expire or are evicted.
 
-What is written of a snapshot and what is to be told of it go into one commit.
+A change of a snapshot and its notification are one commit.
 """
 
 import asyncio
@@ -24,7 +24,7 @@ MAX_TIMER_S: Final = 86400.0
 
 
 class SnapshotStore:
-    """Keeps the snapshots of all tenants. Who changes one holds `one_at_a_time`."""
+    """Stores the snapshots of all tenants. A caller that changes one holds `lock`."""
 
     def __init__(self, tenants: Tenants) -> None:
         self._tenants = tenants
@@ -42,19 +42,19 @@ class SnapshotStore:
         self._by_tenant.setdefault(tenant, {}).update(restored(body))
 
     def stop(self) -> None:
-        """End all work on snapshots; what is unfinished has failed at the next start."""
+        """Stop all background tasks; unfinished snapshots fail at the next start."""
         for task in self._tasks:
             task.cancel()
         self.notifier.stop()
 
     def later(self, work: Coroutine[Any, Any, None]) -> None:
-        """Have something done that nobody waits for."""
+        """Run a background task."""
         task: asyncio.Task[None] = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._on_end)
 
     def schedule_expiry(self, tenant: Tenant, one: Snapshot) -> None:
-        """Take a snapshot away when it expires, unless it was changed meanwhile."""
+        """Delete a snapshot when it expires, unless it was changed meanwhile."""
         if self.of(tenant).get(one.id) is not one:
             return
         left_s = one.expires_s - time.time()
@@ -65,7 +65,7 @@ class SnapshotStore:
             self.later(self._end(tenant, one))
 
     async def keep(self, tenant: Tenant, one: Snapshot, *, notify: bool = False) -> None:
-        """Keep a snapshot as it is now. Raises a problem (507) if the disk does not take it."""
+        """Store a snapshot in its current state. Raises a problem (507) if the disk refuses."""
         notification = notification_of(tenant.name, one) if notify else None
         kept = entries(tenant, one)
         if notification is not None:
@@ -76,12 +76,12 @@ class SnapshotStore:
             self.notifier.add(notification)
 
     def publish(self, tenant: Tenant, one: Snapshot) -> None:
-        """Have readers see a snapshot as it is now."""
+        """Make the current state of a snapshot visible to readers."""
         self.of(tenant)[one.id] = one
         self.schedule_expiry(tenant, one)
 
     async def remove(self, tenant: Tenant, one: Snapshot) -> None:
-        """Delete a snapshot and all that belongs to it; who is told of it is told so (clause 5.16.6)."""
+        """Delete a snapshot with its content and notify its endpoint (clause 5.16.6)."""
         gone = Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): None})
         notification = notification_of(tenant.name, one.changed(expiresAt=timestamp_now()))
         if notification is not None:
@@ -93,7 +93,7 @@ class SnapshotStore:
             self.notifier.add(notification)
 
     async def clear(self, inner: Tenant) -> None:
-        """Take all that belongs to a snapshot off the disk."""
+        """Delete the content of a snapshot from the disk."""
         departed = await asyncio.to_thread(lambda: list(inner.notifier.journal.archive.departed(inner.name)))
         for each in deletion_entries(inner, [(place, one) for place, one, _ in departed]):
             await _write(inner, each)
@@ -102,12 +102,12 @@ class SnapshotStore:
         self._tenants.drop(inner.name)
 
     async def evict_for_one(self, tenant: Tenant) -> None:
-        """Take away what is in excess of the snapshots of a tenant, with the one that is to come."""
+        """Evict snapshots so that a tenant can have one more."""
         for one in _by_worth(self.of(tenant).values())[: max(0, len(self.of(tenant)) + 1 - MAX_SNAPSHOTS)]:
             await self.remove(tenant, one)
 
     async def evict_for(self, tenant: Tenant, made: Snapshot, more: int) -> None:
-        """Take away the snapshots that have to go so that there is room for more entities in another."""
+        """Evict snapshots so that another can have so many entities."""
         others = [one for one in _by_worth(self.of(tenant).values()) if one.id != made.id]
         sizes = [len(self._tenants.inside(tenant, one.id).store) for one in others]
         held, gone = more + sum(sizes), 0
@@ -125,16 +125,16 @@ class SnapshotStore:
     def _on_end(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("work on a snapshot failed", exc_info=error)
+            log.error("snapshot task failed", exc_info=error)
 
 
 def entries(tenant: Tenant, one: Snapshot) -> Entries:
-    """Return what keeps a snapshot."""
+    """Return the commit that stores a snapshot."""
     return Entries(documents={(Kind.SNAPSHOT, tenant.name, one.id): one.stored()})
 
 
 def _by_worth(snapshots: Iterable[Snapshot]) -> list[Snapshot]:
-    """Return the snapshots, those first that have to go first when there are too many."""
+    """Return the snapshots in the order of eviction."""
     return sorted(
         snapshots,
         key=lambda one: (one.document["snapshotPriority"], one.document["lastUsedAt"]),

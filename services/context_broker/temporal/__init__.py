@@ -1,1 +1,1 @@
-"""The past: how entities have been, kept, corrected, asked and summed up."""
+"""Temporal evolution of entities: recorded, provided, read and aggregated."""

@@ -1,7 +1,7 @@
-"""Aggregation: what a series of values comes to, period by period (clause 4.5.19 of ETSI GS CIM 009).
+"""Aggregation of series of values by period (clause 4.5.19 of ETSI GS CIM 009).
 
-Numbers take every method; a truth counts as 1 or 0 and a list as its length; texts and dates have a least and
-a greatest; everything else can only be counted.
+Numbers have all methods; a boolean counts as 1 or 0 and a list as its length. Texts and dates have min and
+max. All other values can only be counted.
 """
 
 import math
@@ -16,13 +16,13 @@ from services.context_broker.temporal.durations import MAX_TIME, Duration, writt
 COUNTED_ONLY: Final = frozenset(
     {"Relationship", "ListRelationship", "LanguageProperty", "VocabProperty", "JsonProperty", "GeoProperty"}
 )
-"""Kinds of attributes of which no value is more than another."""
+"""Types of attributes whose values have no order."""
 _MAX_INTEGER: Final = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
 class Aggregation:
-    """What is asked for: methods, and how long each period is."""
+    """The requested methods, and the duration of each period."""
 
     methods: tuple[str, ...]
     period: Duration
@@ -30,7 +30,7 @@ class Aggregation:
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """A piece of time and what was said in it; times in microseconds since 1970."""
+    """A period with its values; times in microseconds since 1970."""
 
     start: int
     end: int
@@ -39,7 +39,7 @@ class Period:
 
 @dataclass(frozen=True, slots=True)
 class Total:
-    """What a period comes to, by method; None where the method means nothing for what was said."""
+    """The aggregated values of a period by method; None where a method does not apply to the values."""
 
     start: int
     end: int
@@ -47,9 +47,10 @@ class Total:
 
 
 def periods(points: Sequence[tuple[int, Any]], duration: Duration, origin: int, end: int) -> list[Period]:
-    """Cut `points` (time and what was said, oldest first) into periods from `origin` on, without empty ones.
+    """Split `points` (time and value, oldest first) into periods from `origin` on; empty periods are left
+    out.
 
-    `end` is where the one period ends that stands for all the time.
+    `end` is the end of the single period that spans all the time (PT0S).
     """
     if not points:
         return []
@@ -67,7 +68,7 @@ def periods(points: Sequence[tuple[int, Any]], duration: Duration, origin: int, 
 
 
 def totals(found: Iterable[Period], kind: str, methods: Iterable[str]) -> list[Total]:
-    """Return what each period comes to."""
+    """Return the aggregated values of each period."""
     wanted = tuple(methods)
     return [
         Total(period.start, period.end, {method: measure(method, kind, period.said) for method in wanted})
@@ -76,7 +77,7 @@ def totals(found: Iterable[Period], kind: str, methods: Iterable[str]) -> list[T
 
 
 def written_totals(found: Iterable[Total], methods: Iterable[str]) -> dict[str, list[list[Any]]]:
-    """Return by method each total with its start and end; without those that have no value."""
+    """Return the aggregated values by method, each with the start and end of its period."""
     result: dict[str, list[list[Any]]] = {method: [] for method in methods}
     for total in found:
         start, end = written_time(total.start), written_time(total.end)
@@ -87,7 +88,7 @@ def written_totals(found: Iterable[Total], methods: Iterable[str]) -> dict[str, 
 
 
 def measure(method: str, kind: str, said: Sequence[Any]) -> Any:
-    """Return what `said` comes to, None if the method means nothing for it. `said` is not empty."""
+    """Return the aggregation of `said` (not empty), None if the method does not apply."""
     if method == "totalCount":
         return len(said)
     if method == "distinctCount":
@@ -118,7 +119,8 @@ def _text(said: Any) -> str | None:
 
 
 def _fitting(number: float) -> float | None:
-    """Return a number as JSON can carry it: whole up to 64 bits, truths as numbers; None if it cannot."""
+    """Return a number as JSON can carry it: integers up to 64 bits, booleans as numbers; None if it
+    cannot."""
     if isinstance(number, int):
         return int(number) if abs(number) <= _MAX_INTEGER else float(number)
     return number if math.isfinite(number) else None
@@ -138,7 +140,7 @@ def _average(numbers: Sequence[float]) -> float:
 
 
 def _deviation(numbers: Sequence[float]) -> float:
-    """Return the standard deviation of all there is; that of a sample one value alone would not have."""
+    """Return the population standard deviation; that of a sample needs two values."""
     mean = _average(numbers)
     return math.sqrt(_sum([(float(one) - mean) * (float(one) - mean) for one in numbers]) / len(numbers))
 
@@ -157,5 +159,5 @@ METHODS: Final[dict[str, Callable[[Sequence[float]], float]]] = {
     "stddev": _deviation,
     "sumsq": _sum_of_squares,
 }
-"""The methods of the standard, with what each makes of numbers."""
+"""The methods of the standard with their functions for numbers."""
 _ORDERED: Final[dict[str, Callable[[Sequence[str]], str]]] = {"min": min, "max": max}

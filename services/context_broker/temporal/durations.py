@@ -1,6 +1,6 @@
-"""Durations as ISO 8601 writes them (`P1M`, `PT15M`), and the periods that a time line is cut into by them.
+"""ISO 8601 durations (`P1M`, `PT15M`), and the periods into which they divide time.
 
-A month is a month of the calendar in UTC, whatever its length; clause 4.5.19 of ETSI GS CIM 009.
+A month is a calendar month in UTC, whatever its length (clause 4.5.19 of ETSI GS CIM 009).
 """
 
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from services.context_broker.model.problems import bad_request_data
 from services.context_broker.model.validation import shown
 
 MICROS: Final = 1_000_000
-"""Microseconds in a second: times here are whole microseconds since 1970."""
+"""Microseconds in a second: times are whole microseconds since 1970."""
 MAX_TIME: Final = 253_402_300_799 * MICROS
-"""The end of the year 9999: the calendar knows nothing after it."""
+"""The end of the year 9999, the last time in the calendar."""
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _DAY: Final = 86_400 * MICROS
@@ -22,18 +22,18 @@ _DAY: Final = 86_400 * MICROS
 
 @dataclass(frozen=True, slots=True)
 class Duration:
-    """Months of the calendar, and microseconds; nothing of both stands for all the time there is."""
+    """Calendar months and microseconds; without both, the duration spans all the time."""
 
     months: int
     micros: int
 
     @property
     def is_everything(self) -> bool:
-        """Say whether one period spans the whole time (PT0S)."""
+        """Return whether one period spans all the time (PT0S)."""
         return not (self.months or self.micros)
 
     def boundary(self, origin: int, count: int) -> int:
-        """Return where period number `count` from `origin` begins, at most `MAX_TIME`."""
+        """Return the start of period number `count` from `origin`, at most `MAX_TIME`."""
         start = origin + count * self.micros
         if self.months:
             try:
@@ -43,7 +43,7 @@ class Duration:
         return min(start, MAX_TIME)
 
     def number(self, origin: int, at: int) -> int:
-        """Return the number of the period from `origin` that `at` lies in; `at` is not before `origin`."""
+        """Return the number of the period from `origin` that contains `at`; `at` is not before `origin`."""
         if not self.months:
             return (at - origin) // self.micros
         longest = self.months * 31 * _DAY + self.micros
@@ -54,7 +54,7 @@ class Duration:
 
 
 def read_duration(given: str, what: str) -> Duration:
-    """Return an ISO 8601 duration; raise a problem (400) that names `what` for anything else."""
+    """Return an ISO 8601 duration; raise a problem (400) that names `what` for invalid text."""
     try:
         duration = parse_duration(given)
     except ValueError:
@@ -66,7 +66,7 @@ def read_duration(given: str, what: str) -> Duration:
 
 
 def written_time(at: int) -> str:
-    """Return a time as NGSI-LD writes it, its fraction only if it has one."""
+    """Return a time as NGSI-LD writes it, with a fraction only if it has one."""
     seconds, micros = divmod(at, MICROS)
     text = (_EPOCH + timedelta(seconds=seconds)).strftime("%Y-%m-%dT%H:%M:%S")
     return f"{text.rjust(19, '0')}.{micros:06}Z" if micros else f"{text.rjust(19, '0')}Z"

@@ -1,7 +1,17 @@
-"""History: each change of an entity, kept in the commit of the change, so that the temporal API can tell it.
+"""History: the changes of entities, recorded for the temporal API.
 
-A change costs one row: the instances of attributes that it wrote, as they are in the entity, and which ones
-it deleted. What an instance is called (its instanceId) is made from where it stands, and need not be kept.
+How it works: each change of an entity adds one row to the history, in the commit of the change itself, so
+that history and entities never differ. The row has the instances of attributes that the change wrote, and the
+type and datasetId of those that it deleted. Unchanged instances are the same objects before and after a
+change, so that finding the written ones compares identities and not values.
+
+The key of a row is the place of the entity and the time of the change (`seq`), made unique per entity. The
+instanceId of an instance is computed from the key and its position in the row and is not stored. For this
+reason deleted instances leave a None in their row: the positions of the others must not change.
+
+Example: an entity at place 7 is created with a and b, then a is written, then b is deleted. The rows are
+`(7, t1) [{a: [1], b: [2]}]`, `(7, t2) [{a: [3]}]` and `(7, t3) [{}, {b: [[Property, null]]}]`. The instanceId
+of a's second value is `urn:ngsi-ld:Instance:7-<t2 in hex>-0`.
 """
 
 import re
@@ -19,44 +29,44 @@ from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.history_archive import DepartedRow, HistoryRow
 
 SCOPE: Final = "scope"
-"""What the scopes of an entity are called among its attributes (whose names are IRIs)."""
+"""The name of the scopes among the attributes of an entity (whose names are IRIs)."""
 DRIFT_S: Final = 1.0
-"""How far the time in a row's key may be from the modifiedAt in it: keys of one instant step aside."""
+"""How far the time in a row's key may be from the modifiedAt in it: keys of one instant must differ."""
 
 _ID: Final = re.compile(r"urn:ngsi-ld:Instance:([0-9a-f]{1,15})-([0-9a-f]{1,15})-([0-9a-f]{1,7})")
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 Deletions = dict[str, list[tuple[str, str | None] | None]]
-"""By attribute: kind and datasetId of each instance that was deleted."""
+"""By attribute: type and datasetId of each deleted instance."""
 
 
 @dataclass(slots=True)
 class Change:
-    """What a row of history tells. What was taken out later is None, so that the others keep their places."""
+    """The content of a row. Instances that were removed later are None, so that positions stay the same."""
 
     attributes: dict[str, list[Instance | None]] = field(default_factory=dict)
     deleted: Deletions = field(default_factory=dict)
     scopes: list[str] | None = None
-    """The scopes after the change, None if it left them alone."""
+    """The scopes after the change, None if it did not change them."""
 
     def stored(self) -> bytes:
-        """Return the change as the journal keeps it; raises `orjson.JSONEncodeError` if nested too deep."""
+        """Return the body of the row; raises `orjson.JSONEncodeError` if nested too deep."""
         if self.scopes is not None:
             return orjson.dumps([self.attributes, self.deleted, self.scopes])
         return orjson.dumps([self.attributes, self.deleted] if self.deleted else [self.attributes])
 
     @classmethod
     def restored(cls, stored: bytes) -> "Change":
-        """Return the change that `stored` had been."""
+        """Return the change in the body of a row."""
         return cls(*orjson.loads(stored))
 
     @staticmethod
     def may_set_scopes(stored: bytes) -> bool:
-        """Say quickly whether `stored` may set scopes: those after a change are last, others have a name."""
+        """Return quickly whether `stored` may set scopes: the scopes after a change are its last member."""
         return stored.endswith(b"]]") or b'"scope":' in stored
 
     def is_empty(self) -> bool:
-        """Say whether nothing is left of it."""
+        """Return whether all instances have been removed."""
         lists: Iterable[list[Any]] = (*self.attributes.values(), *self.deleted.values())
         return self.scopes is None and all(one is None for instances in lists for one in instances)
 
@@ -75,7 +85,7 @@ class Change:
     def instances(self, seq: int) -> Iterator[tuple[str, int, Instance]]:
         """Yield each instance with its attribute (IRI, or `SCOPE`) and its position.
 
-        A deletion is an instance that says `NULL` and has a deletedAt (clauses 4.5.7 and 4.5.8).
+        A deletion is an instance with the value `NULL` and a deletedAt (clauses 4.5.7 and 4.5.8).
         """
         position = 0
         for name, instances in self.attributes.items():
@@ -94,7 +104,7 @@ class Change:
             yield SCOPE, position, _scope_instance(self.scopes, time_of(seq))
 
     def without(self, attribute: str, position: int) -> bool:
-        """Take the instance at `position` out; return whether `attribute` has one there."""
+        """Remove the instance at `position`; return whether `attribute` had one there."""
         lists: list[tuple[str, list[Any]]] = [*self.attributes.items(), *self.deleted.items()]
         for name, instances in lists:
             if position < len(instances):
@@ -109,7 +119,7 @@ class Change:
         return False
 
     def cut(self, attribute: str, concerns: Callable[[str | None], bool]) -> bool:
-        """Take all instances of an attribute with certain datasetIds out; return whether there were any."""
+        """Remove all instances of an attribute with certain datasetIds; return whether there were any."""
         found = False
         instances = self.attributes.get(attribute, [])
         for position, one in enumerate(instances):
@@ -127,7 +137,7 @@ class Change:
         return found
 
     def put(self, position: int, instance: Instance) -> None:
-        """Put another instance in the place of the one at `position`."""
+        """Replace the instance at `position`."""
         for instances in self.attributes.values():
             if position < len(instances):
                 instances[position] = instance
@@ -145,9 +155,9 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Departed:
-    """An entity that is only history: `deleted_at` is None for one that never was a current one.
+    """An entity with a history only: `deleted_at` is None if it never was a current entity.
 
-    `expires_at` is when its past is to be forgotten, None if it ends like that of others (clause 4.22).
+    `expires_at` is when its history expires, None if only retention deletes it (clause 4.22).
     """
 
     types: tuple[str, ...]
@@ -158,23 +168,23 @@ class Departed:
     expires_at: str | None = None
 
     def has_expired_at(self, now_s: float) -> bool:
-        """Say whether its past is to be forgotten."""
+        """Return whether its history has expired."""
         return has_expired(self.expires_at, now_s)
 
     def stored(self) -> bytes:
-        """Return it as the journal keeps it."""
+        """Return the body of the stored row."""
         kept = [self.types, self.scopes, self.created_at, self.modified_at, self.deleted_at]
         return orjson.dumps(kept if self.expires_at is None else [*kept, self.expires_at])
 
     @classmethod
     def restored(cls, stored: bytes) -> "Departed":
-        """Return what `stored` had been."""
+        """Return the entity in the body of a stored row."""
         types, scopes, *times = orjson.loads(stored)
         return cls(tuple(types), tuple(scopes), *times)
 
 
 class Recorder:
-    """Adds to each commit of a change what history keeps of it."""
+    """Adds the history rows to the commits of changes."""
 
     def __init__(self) -> None:
         self._last = 0
@@ -185,7 +195,7 @@ class Recorder:
         one = after or before
         assert one is not None  # noqa: S101 - a change has at least one end
         if after is None or (before is not None and after.modified_at == before.modified_at):
-            at = timestamp_now()  # no two changes of an entity share a key
+            at = timestamp_now()  # two changes of an entity never share a key
         else:
             at = after.modified_at
         if after is None:
@@ -200,13 +210,13 @@ class Recorder:
         """Return the row of a change of the entity at `place`."""
         seq = micros_of(at)
         if seq <= self._last < seq + 1_000_000:
-            seq = self._last + 1  # several changes in one instant, or a clock that is coarse
+            seq = self._last + 1  # several changes in one instant, or a coarse clock
         self._last = seq
         return HistoryRow(place, seq, *change.observed(seq / 1_000_000), 0, change.stored())
 
 
 def change_of(event: Event) -> Change | None:
-    """Return what differs, None if nothing does. What a change did not write is the same object as before."""
+    """Return the difference of a change, None if there is none. Unchanged instances are the same objects."""
     before, after, written = event
     if after is None:
         assert before is not None  # noqa: S101 - a change has at least one end
@@ -257,7 +267,7 @@ def instance_id(place: int, seq: int, position: int) -> str:
 
 
 def place_of(instance: str) -> tuple[int, int, int] | None:
-    """Return place, seq and position that an instanceId was made from, None for what is no id of ours."""
+    """Return place, seq and position in an instanceId, None for one that is not from this broker."""
     found = _ID.fullmatch(instance)
     if found is None:
         return None
@@ -268,7 +278,7 @@ def place_of(instance: str) -> tuple[int, int, int] | None:
 def micros_of(at: str) -> int:
     """Return the microseconds from 1970 to `at`, a date-time in UTC.
 
-    Raises `ValueError` or `TypeError` for what is none.
+    Raises `ValueError` or `TypeError` for anything else.
     """
     since = datetime.fromisoformat(at) - _EPOCH
     return (since.days * 86_400 + since.seconds) * 1_000_000 + since.microseconds
@@ -281,7 +291,7 @@ def time_of(seq: int) -> str:
 
 
 def seq_before(days: float) -> int:
-    """Return the key of a change that was `days` ago."""
+    """Return the key of a change `days` ago."""
     return int((time.time() - days * 86_400) * 1_000_000)
 
 

@@ -1,7 +1,17 @@
-"""The chronicle: how entities have been, read from history and narrowed to what is asked for.
+"""Reads temporal evolutions from the history (clauses 5.7.3 and 5.7.4 of ETSI GS CIM 009).
 
-Everything here runs in a thread of its own, over the database's own connections, so that a long look back
-holds nobody up. What is kept in memory at a time is bounded, however long the history is.
+How it works: rows are read from the database in the order of place and seq, and one evolution at a time is
+assembled from them. Each attribute and datasetId has a `Series`, which keeps the first (or the last N)
+instances within a limit. Where a series exceeds its limit, its edge is the time of the last instance kept;
+the earliest edge of all series is the end of the whole response, so that the response is complete up to one
+time. The client continues from there (206 with Content-Range).
+
+Invariants: memory is bounded by the limits below, however long the history is; instances of one time are all
+kept or all dropped. Everything runs in a thread, on connections of its own, so that a long read delays no
+other request.
+
+Example: the limit is 3, a has instances at 1, 2, 3, 4 and b at 2, 5. The edge of a is 3, so the response has
+a at 1, 2, 3 and b at 2, and ends at 3.
 """
 
 import time
@@ -21,24 +31,24 @@ from services.context_broker.temporal.query import TemporalQuery
 from services.context_broker.temporal.subjects import Subject
 
 MAX_INSTANCES_PER_ATTRIBUTE: Final = 1000
-"""Instances of one attribute (with one datasetId) in an answer; more are asked for with the next request."""
+"""Instances of one attribute (with one datasetId) in a response; the next request continues."""
 MAX_INSTANCES_PER_ANSWER: Final = 20_000
-"""Instances in an answer."""
+"""Instances in a response."""
 MAX_COMPARED_INSTANCES: Final = 50_000
-"""Instances of one attribute that a query by values looks at; so many fit into memory."""
+"""Instances of one attribute that a query by values compares; so many fit into memory."""
 MAX_AGGREGATED_VALUES: Final = 2_000_000
 """Values of one attribute that are aggregated at once."""
 ENTITIES_PER_READ: Final = 100
-"""Entities whose history is read with one question to the database."""
+"""Entities whose history is read with one database query."""
 
 Predicate = Callable[[Entity], bool]
 Scopes = Sequence[str]
 Point = tuple[int, int, Any]
-"""A time in microseconds since 1970, the seq of the change, and an instance or what it says."""
+"""A time in microseconds since 1970, the seq of the change, and an instance or its value."""
 
 
 class Series:
-    """What one attribute, with one datasetId, has said: the first points of it, or the `latest` ones."""
+    """The instances of one attribute with one datasetId: the first ones, or the `latest`."""
 
     __slots__ = ("dataset", "edge", "kind", "latest", "most", "points", "totals")
 
@@ -49,12 +59,12 @@ class Series:
         self.most = most
         self.latest = latest
         self.edge: int | None = None
-        """The time of the last point kept, where there were more."""
+        """The time of the last point kept, if there were more."""
         self.totals: list[Total] = []
-        """What the points come to, period by period, if that was asked for; then the points are gone."""
+        """The aggregated values by period if requested; then the points are dropped."""
 
     def takes(self, at: int) -> bool:
-        """Say whether a point of that time is among those that are kept."""
+        """Return whether a point of that time is within the edge."""
         return self.edge is None or (at >= self.edge if self.latest else at <= self.edge)
 
     def add(self, point: Point) -> None:
@@ -64,7 +74,7 @@ class Series:
             self.trim()
 
     def trim(self) -> None:
-        """Sort by time and keep `most` points, and those of the same time as the last of them."""
+        """Sort by time and keep `most` points, and those with the same time as the last of them."""
         points = self.points
         points.sort(key=_by_time)
         if len(points) <= self.most:
@@ -76,19 +86,19 @@ class Series:
             self.edge = edge
 
     def keep_to(self, edge: int) -> None:
-        """Keep what is not beyond `edge`."""
+        """Keep the points that are not beyond `edge`."""
         latest = self.latest
         self.points = [point for point in self.points if (point[0] >= edge if latest else point[0] <= edge)]
 
 
 @dataclass(slots=True)
 class Evolution:
-    """How a subject has been: by attribute (IRI, or `SCOPE`) a series for each datasetId."""
+    """The evolution of a subject: by attribute (IRI, or `SCOPE`) a series for each datasetId."""
 
     subject: Subject
     series: dict[str, dict[str | None, Series]] = field(default_factory=dict)
     is_hit: bool = False
-    """Whether there is anything of what must be there, in the time asked for."""
+    """Whether there are instances of a required attribute within the time range."""
 
     def all(self) -> Iterator[Series]:
         """Yield every series."""
@@ -96,7 +106,7 @@ class Evolution:
             yield from named.values()
 
     def as_entity(self) -> Entity:
-        """Return an entity that holds all instances at once, for questions to be put to it."""
+        """Return an entity with all instances at once, to which filters can be applied."""
         attributes: dict[str, list[Instance]] = {
             name: [one for series in named.values() for _, _, one in series.points if "deletedAt" not in one]
             for name, named in self.series.items()
@@ -107,10 +117,11 @@ class Evolution:
 
 @dataclass(frozen=True, slots=True)
 class HistoryRequest:
-    """What is asked. `wants` is put to an entity of all its instances; None takes all that have any.
+    """A query of the history. `wants` filters entities with all their instances; None accepts all that have
+    any.
 
-    `shows` says which attributes (IRIs, or `SCOPE`) are told of; one of those that it `requires` must be
-    there (None for any); `datasets` are the wanted instances by datasetId (None for all).
+    `shows` selects attributes (IRIs, or `SCOPE`); `requires` are attributes of which one must be present
+    (None for any); `datasets` selects instances by datasetId (None for all).
     """
 
     query: TemporalQuery
@@ -119,12 +130,12 @@ class HistoryRequest:
     datasets: frozenset[str | None] | None = None
     wants: Predicate | None = None
     scopes: ScopeQuery | None = None
-    """Which scopes a subject must have had at some time of the window."""
+    """Scopes that a subject must have had at some time of the range."""
 
 
 @dataclass(slots=True)
 class EvolutionPage:
-    """What has been found: a page of evolutions, and the time `edge` up to which (or from which) it tells."""
+    """A page of evolutions; they are complete up to (or from) the time `edge`."""
 
     evolutions: list[Evolution] = field(default_factory=list)
     more: bool = False
@@ -133,7 +144,7 @@ class EvolutionPage:
 
 
 def read_evolution(archive: Archive, subject: Subject, request: HistoryRequest) -> EvolutionPage:
-    """Return how one subject has been. Raises `NotStored` when the disk cannot be read."""
+    """Return the evolution of one subject. Raises `NotStored` when the disk cannot be read."""
     (evolution,) = _read(archive, [subject], request)
     found = EvolutionPage([evolution], total=1)
     _finish(found, request)
@@ -149,7 +160,7 @@ def read_evolutions(
     *,
     count: bool,
 ) -> EvolutionPage:
-    """Return how those of `subjects` have been that the question wants, a page of them.
+    """Return a page of the evolutions that match the request.
 
     Raises `NotStored` when the disk cannot be read.
     """
@@ -173,11 +184,11 @@ def read_evolutions(
 
 
 def _in_scope(archive: Archive, run: list[Subject], request: HistoryRequest) -> list[Subject]:
-    """Return those subjects of a run that had the scopes asked for at some time of the window (4.19)."""
+    """Return the subjects of a run that had the requested scopes at some time of the range (4.19)."""
     wanted = request.scopes
     if wanted is None:
         return run
-    # Scopes that were only told of the past, without a time, hold for all of it.
+    # Provided scopes without a time hold for all the time.
     timeless = {place for subject in run if subject.is_temporal_only for place in subject.places}
     changes: dict[int, list[tuple[int, Scopes]]] = {}
     for place, seq, _, body in archive.history([place for subject in run for place in subject.places]):
@@ -205,9 +216,9 @@ def _in_scope(archive: Archive, run: list[Subject], request: HistoryRequest) -> 
 def _scopes_of_window(
     changes: list[tuple[int, Scopes]], present: Scopes, query: TemporalQuery
 ) -> Iterator[Scopes]:
-    """Yield the scopes at the start of the window, and after each change within it.
+    """Yield the scopes at the start of the range, and after each change within it.
 
-    History knows of no change where all that is kept is younger than the scopes: they were `present` then.
+    Without a recorded change the scopes have always been `present`: retention may have deleted older rows.
     """
     current: Scopes = () if changes else present
     changes.sort(key=itemgetter(0))
@@ -222,7 +233,8 @@ def _scopes_of_window(
 
 
 def _runs(subjects: Sequence[Subject]) -> Iterator[list[Subject]]:
-    """Yield subjects in pieces that one question can read: many of rising places, or one of many places."""
+    """Yield the subjects in runs for one database query: many with ascending places, or one with many
+    places."""
     run: list[Subject] = []
     for subject in subjects:
         alone = len(subject.places) > 1
@@ -246,8 +258,8 @@ def _read(archive: Archive, run: Sequence[Subject], request: HistoryRequest) -> 
     condition, values = query.condition()
     bare = query.aggregation is not None and request.wants is None
     now_s = time.time()
-    # The latest first where they are wanted: the others are then known by their time alone. Rows of several
-    # places would have to be sorted for that.
+    # The latest rows first for lastN: older ones can then be skipped by their time. With several places the
+    # database would have to sort them.
     rows = archive.history(
         places, condition, values, latest_first=query.last is not None and len(places) == 1
     )
@@ -258,10 +270,10 @@ def _read(archive: Archive, run: Sequence[Subject], request: HistoryRequest) -> 
             yield _sorted(evolution)
             evolution, edge = Evolution(next(rest)), None
         if edge is not None and query.is_later(edge, seq, observed_from):
-            continue  # an answer ends at the same time for all attributes
+            continue  # a response ends at the same time for all attributes
         for name, position, instance in Change.restored(body).instances(seq):
             at = query.time_of(instance, is_scope=name == SCOPE)
-            # Of an attribute of a current entity it is the end that is told: its past stays (clause 4.22).
+            # An expired attribute of a current entity ends, but its history stays (clause 4.22).
             if evolution.subject.is_temporal_only and has_expired(instance.get("expiresAt"), now_s):
                 continue
             if at is None or (series := _series_for(evolution, name, instance, request)) is None:
@@ -279,7 +291,7 @@ def _read(archive: Archive, run: Sequence[Subject], request: HistoryRequest) -> 
 def _series_for(
     evolution: Evolution, name: str, instance: Instance, request: HistoryRequest
 ) -> Series | None:
-    """Return the series that an instance belongs to, None if it is not wanted."""
+    """Return the series of an instance, None if it is not requested."""
     dataset: str | None = instance.get("datasetId")
     if request.datasets is not None and name != SCOPE and dataset not in request.datasets:
         return None
@@ -297,7 +309,7 @@ def _series_for(
         most, latest = _bound(request)
         series = named[dataset] = Series(instance["type"], dataset, most, latest=latest)
     elif request.query.last is None:
-        series.kind = instance["type"]  # that of the latest
+        series.kind = instance["type"]  # the type of the latest instance
     return series
 
 
@@ -319,7 +331,7 @@ def _bound(request: HistoryRequest) -> tuple[int, bool]:
 
 
 def _finish(found: EvolutionPage, request: HistoryRequest) -> None:
-    """Narrow the evolution that was read last to what is shown, and all of them to what fits an answer."""
+    """Limit the last evolution to the requested attributes, and all of them to the size of a response."""
     evolution = found.evolutions[-1]
     evolution.series = {name: named for name, named in evolution.series.items() if request.shows(name)}
     last = request.query.last
@@ -349,10 +361,10 @@ def _finish(found: EvolutionPage, request: HistoryRequest) -> None:
 def _aggregate(
     found: EvolutionPage, evolution: Evolution, request: HistoryRequest, wanted: Aggregation
 ) -> None:
-    """Make of each series what it comes to, in periods from the time asked for, or from the first point, on.
+    """Replace each series by its aggregation, in periods from the requested time, or the first point, on.
 
-    There are at most `MOST_OF_ATTRIBUTE` periods in an answer; the edge is where the first one begins that is
-    left out.
+    There are at most `MAX_INSTANCES_PER_ATTRIBUTE` periods in a response; the edge is the start of the first
+    one that is left out.
     """
     evolution.series.pop(SCOPE, None)
     query, last = request.query, request.query.last

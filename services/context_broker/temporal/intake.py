@@ -1,4 +1,4 @@
-"""What writers say of the past, read with care: attributes with any number of instances (clause 4.5.6)."""
+"""Parses provided evolutions: attributes with any number of instances (clause 4.5.6)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from services.context_broker.model.validation import require_name, shown
 from services.context_broker.temporal.history import SCOPE
 
 MAX_INSTANCES: Final = 100_000
-"""Instances that are read in one request."""
+"""Instances in one request."""
 
 _MEMBERS: Final = frozenset(
     {"id", "@id", "type", "@type", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}
@@ -27,9 +27,9 @@ _MEMBERS: Final = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """What a writer said of how an entity has been; scopes are instances of the attribute `SCOPE`.
+    """The evolution of an entity as a client provides it; scopes are instances of the attribute `SCOPE`.
 
-    `expires_at` is when it is to be forgotten, None where nothing is said of that.
+    `expires_at` is the expiry of the history, None if it is not given.
     """
 
     id: str | None
@@ -39,14 +39,14 @@ class Past:
 
     @property
     def scopes(self) -> tuple[str, ...]:
-        """Return the scopes that were said last, none if nothing was said of them."""
+        """Return the latest scopes, none if there are none."""
         said = [one["value"] for one in self.attributes.get(SCOPE, ())]
         if not said:
             return ()
         return (said[-1],) if isinstance(said[-1], str) else tuple(said[-1])
 
     def stamped(self, at: str) -> "Past":
-        """Return it with the times that the broker gives to instances which it takes at `at`."""
+        """Return a copy with the broker's timestamps for instances that are stored at `at`."""
         attributes = {
             name: [_stamped(one, at) for one in instances] for name, instances in self.attributes.items()
         }
@@ -54,9 +54,9 @@ class Past:
 
 
 def read_past(document: Any, terms: Terms) -> Past:
-    """Return what a document says of the past; raise a problem (400) for faults.
+    """Return the evolution in a document; raise a problem (400) if it is invalid.
 
-    An instance may say `NULL`: that the attribute was deleted then (clause 5.5.4).
+    An instance with the value `NULL` deletes the attribute at its time (clause 5.5.4).
     """
     if not isinstance(document, Mapping):
         raise bad_request_data(f"an entity is a JSON object, not {shown(document)}")
@@ -73,18 +73,22 @@ def read_past(document: Any, terms: Terms) -> Past:
             continue
         iri = expand(require_name(name, "the attribute name"), terms)
         if iri in attributes:
-            raise bad_request_data(f"attribute {shown(name)} is given twice, once by another name of {iri}")
+            raise bad_request_data(
+                f"attribute {shown(name)} is given twice, once under another name of {iri}"
+            )
         attributes[iri] = _instances(name, given, terms)
         total += len(attributes[iri])
     if total > MAX_INSTANCES:
-        raise bad_request_data(f"the body has {total} instances; {MAX_INSTANCES} are taken at once")
+        raise bad_request_data(
+            f"the body has {total} instances; at most {MAX_INSTANCES} are accepted in one request"
+        )
     return Past(head.id, head.types, attributes, head.expires_at)
 
 
 def _instances(name: str, given: Any, terms: Terms) -> list[Instance]:
     if not isinstance(given, list) or not given or not all(_is_instance(one) for one in given):
         given = [given]
-    # One by one: the same attribute has been this and then that, with one datasetId or none.
+    # One by one: an attribute may change its type over time, with one datasetId or none.
     found = [read_change({name: one}, terms, Nulls.ATTRIBUTES).attributes for one in given]
     return [instance for attributes in found for instances in attributes.values() for instance in instances]
 
@@ -94,7 +98,7 @@ def _is_instance(given: Any) -> bool:
 
 
 def _scopes(given: Any, terms: Terms) -> list[Instance]:
-    """Return scopes as instances of a Property (clause 4.5.6), whether they were given so or bare."""
+    """Return scopes as instances of a Property (clause 4.5.6), from instances or plain values."""
     listed = (
         given if isinstance(given, list) and given and all(_is_instance(one) for one in given) else [given]
     )
@@ -104,9 +108,7 @@ def _scopes(given: Any, terms: Terms) -> list[Instance]:
         if isinstance(one, dict):
             instance = read_attribute(SCOPE, one, terms)[0]
             if instance["type"] != "Property" or set(instance) - {"type", "value", "observedAt"}:
-                raise bad_request_data(
-                    "a scope of the past is a Property with a value and an observedAt at most"
-                )
+                raise bad_request_data("a scope is a Property with a value and optionally an observedAt")
         said = instance["value"]
         if said == NULL:
             found.append({**instance, "value": []})

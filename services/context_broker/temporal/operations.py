@@ -1,4 +1,4 @@
-"""How things have been: the operations that tell of the past (clauses 5.7.3, 5.7.4, 6.18, 6.19 and 6.24)."""
+"""Operations that retrieve and query temporal evolutions (clauses 5.7.3, 5.7.4, 6.18, 6.19 and 6.24)."""
 
 import asyncio
 from collections.abc import Callable, Mapping
@@ -59,10 +59,10 @@ from services.context_broker.temporal.rendering import content_range, render_evo
 from services.context_broker.temporal.subjects import subjects_of
 
 READER_THREADS: Final = 2
-"""Threads that look into the past: long looks wait for one another, and keep nothing else waiting."""
+"""Threads that read the history: long reads wait for one another and delay no other request."""
 
 _OF_THE_PRESENT: Final = LINK_PARAMETERS | {PLACE, "geometryProperty", "orderFrom", "orderGeometry"}
-"""What can be asked of entities as they are, and not of how they have been."""
+"""Parameters for current entities only."""
 _REPRESENTATION_PARAMETERS: Final = (
     (VIEW_PARAMETERS - _OF_THE_PRESENT) | TIME_PARAMETERS | AGGREGATION_PARAMETERS
 )
@@ -73,7 +73,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class _ReadOptions:
-    """What is asked for, and how it is to be told."""
+    """The time range, representation and media type of a request."""
 
     context: Context
     query: TemporalQuery
@@ -82,14 +82,14 @@ class _ReadOptions:
 
 
 class TemporalOperations:
-    """What readers can learn about how things have been."""
+    """Operations that read temporal evolutions."""
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
         self._readers = ThreadPoolExecutor(READER_THREADS, "past")
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         at, query = "temporal/entities", "temporal/entityOperations/query"
         return (
             Operation("GET", at, "queryTemporal", "6.18.3.2", self.query, QUERYING | MAP_PARAMETERS),
@@ -151,14 +151,14 @@ class TemporalOperations:
         options = await self._read_options(exchange, context)
         if options.query.relation is None:
             raise bad_request_data(
-                "a query of the past needs a time that it is about: timerel and timeAt; add them, such as "
-                "timerel=after&timeAt=1970-01-01T00:00:00Z for all the past"
+                "a temporal query needs a time range: timerel and timeAt; add them, such as "
+                "timerel=after&timeAt=1970-01-01T00:00:00Z for all the time"
             )
         window, order = temporal_window(exchange), _order_of(exchange, context)
         selection = selection_of(exchange.parameters, context, any_of)
         if selection.query is not None and selection.query.hops:
             raise bad_request_data(
-                "q follows a link to another entity, whose past is not looked at; leave it out"
+                "q follows a link to another entity, which temporal queries cannot follow; leave it out"
             )
         narrowing = replace(selection, attributes=None, query=None, places=None, scopes=None)
         by_values = selection.query is not None or selection.places is not None
@@ -195,7 +195,7 @@ class TemporalOperations:
         return answer
 
     async def _looked(self, look: Callable[[], Result]) -> Result:
-        """Look into the database in a thread; raise a problem (503) when it cannot be read."""
+        """Read the database in a thread; raise a problem (503) when it cannot be read."""
         try:
             return await asyncio.get_running_loop().run_in_executor(self._readers, look)
         except NotStored as error:
@@ -221,15 +221,17 @@ def _answer(body: bytes, found: EvolutionPage, options: _ReadOptions) -> Answer:
 
 
 def _order_of(exchange: Exchange, context: Context) -> Ordering | None:
-    """Return the order that is asked for; how entities have been is ordered by their id alone (5.7.4.4)."""
+    """Return the requested order; evolutions are ordered by id only (5.7.4.4)."""
     order = ordering(exchange.parameters, context.terms.expand)
     if order is not None and exchange.parameters["orderBy"].partition(";")[0] != "id":
-        raise bad_request_data("orderBy is id here: what an entity says changes in the time that is told of")
+        raise bad_request_data(
+            "temporal queries are ordered by id only, because attributes change in the time range"
+        )
     return order
 
 
 def temporal_parameters(document: Any) -> dict[str, str]:
-    """Return the query parameters that say the same as a Query document (clauses 5.2.21, 5.2.23, 5.2.44)."""
+    """Return the query parameters equivalent to a Query document (clauses 5.2.21, 5.2.23, 5.2.44)."""
     if not isinstance(document, Mapping):
         raise bad_request_data(f'the body is an object with "type": "Query", not {shown(document)}')
     rest = {name: given for name, given in document.items() if name not in {"temporalQ", "aggrParams"}}

@@ -1,6 +1,6 @@
-"""What writers may do to the past: add to it, change or delete instances, delete all (clauses 5.6.11 to 16).
+"""Operations that provide, change and delete temporal evolutions (clauses 5.6.11 to 5.6.16).
 
-The present stays as it is: a current entity is changed by other operations, and only they change it.
+They change the history only. A current entity is changed by other operations.
 """
 
 import asyncio
@@ -38,18 +38,18 @@ from services.context_broker.temporal.subjects import Subject, subjects_of
 from services.context_broker.tenants import Tenant
 
 INSTANCES_PER_ROW: Final = 100
-"""Instances of one request that are kept in one row: so many are read where one of them is wanted."""
+"""Instances of one request in one row; so many are read to find one of them."""
 LONG_BODY_BYTES: Final = 256 * 1024
-"""From here on reading a body takes longer than others should wait."""
+"""From this size on a body is parsed in a thread."""
 ROWS_PER_COMMIT: Final = 500
-"""Rows that are rewritten or deleted in one commit, so that others get their turn between."""
+"""Rows that are rewritten or deleted in one commit, so that other commits are not delayed."""
 
 _LOCAL: Final = frozenset({"local"})
 _SEEN: Final = "observed_to >= ? AND observed_from <= ?"
 
 
 class TemporalProvision:
-    """What can be done to the past."""
+    """Operations that write temporal evolutions."""
 
     def __init__(self, archive: Archive, recorder: Recorder | None) -> None:
         self._archive = archive
@@ -57,7 +57,7 @@ class TemporalProvision:
         self._turns: dict[tuple[str, str], tuple[asyncio.Lock, int]] = {}
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         one = "temporal/entities/{id}"
         attribute = f"{one}/attrs/{{name}}"
         instance = f"{attribute}/{{instance}}"
@@ -86,10 +86,10 @@ class TemporalProvision:
         )
 
     async def upsert(self, exchange: Exchange) -> Answer:
-        """POST temporal/entities: what is said is added to what is known of the entity.
+        """POST temporal/entities: add the provided instances to the history of the entity.
 
-        An instance with the observedAt and the datasetId of a known one takes its place: said twice, it is
-        known once. (POST …/attrs only ever adds.)
+        An instance with the observedAt and the datasetId of a stored one replaces it, so that a repeated
+        request adds nothing. (POST …/attrs only ever adds.)
         """
         document, context = await exchange.body()
         past = await _past_in(exchange, document, context.terms)
@@ -118,7 +118,7 @@ class TemporalProvision:
         return DONE
 
     async def delete(self, exchange: Exchange) -> Answer:
-        """DELETE temporal/entities/{id}: all that is known of how it has been."""
+        """DELETE temporal/entities/{id}: delete the history."""
         entity_id, tenant = _entity_id(exchange), exchange.tenant
         async with self._turn(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
@@ -156,7 +156,7 @@ class TemporalProvision:
         if not found:
             which = "no instance" if every else f"no instance with {_dataset_shown(dataset)}"
             raise not_found(
-                f"the past of {entity_id} has {which} of the attribute {shown(exchange.names[1])}"
+                f"the history of {entity_id} has {which} of the attribute {shown(exchange.names[1])}"
             )
         return DONE
 
@@ -172,7 +172,7 @@ class TemporalProvision:
             if isinstance(document, list) and len(document) == 1:
                 document = document[0]
             if not isinstance(document, dict):
-                raise bad_request_data(f"one instance is overwritten, not {shown(document)}; send an object")
+                raise bad_request_data(f"a PATCH takes one instance, not {shown(document)}; send an object")
         async with self._turn(tenant, entity_id):
             place, seq, position, change = await self._row(exchange, entity_id)
             instance = change.find(name, position)
@@ -203,7 +203,7 @@ class TemporalProvision:
             await _commit(tenant, Entries(history=[_row(place, seq, change)]))
         return DONE
 
-    # Keeping
+    # Storing
 
     async def _add(
         self, tenant: Tenant, entity_id: str, past: Past, subject: Subject | None, *, overwrites: bool = False
@@ -234,16 +234,16 @@ class TemporalProvision:
                 entries.history += rows
             for number, attributes in enumerate(_pieces(added)):
                 if number % 10 == 9:
-                    await asyncio.sleep(0)  # others get their turn
+                    await asyncio.sleep(0)  # serve other requests in between
                 entries.history.append(self._recorder.row(place, Change(attributes), at))  # type: ignore[arg-type]  # lists without gaps
         except orjson.JSONEncodeError:
-            raise bad_request_data(f"entity {entity_id} is nested too deep; 200 levels are safe") from None
+            raise bad_request_data(f"entity {entity_id} is nested too deep; use at most 200 levels") from None
         await _commit(tenant, entries)
 
     def _overwritten(self, places: Sequence[int], given: Attributes) -> tuple[list[HistoryRow], Attributes]:
-        """Put what is given in the place of what is known of the same moments.
+        """Replace stored instances by provided ones of the same time.
 
-        Return the rows that this changes, and what is left of the given.
+        Return the changed rows, and the provided instances that replaced nothing.
         """
         new = {
             (name, dataset_of(one), seen): one
@@ -286,7 +286,7 @@ class TemporalProvision:
         return subject
 
     async def _row(self, exchange: Exchange, entity_id: str) -> tuple[int, int, int, Change]:
-        """Return where an instance is, by its instanceId in the path, and the change that it is part of."""
+        """Return the position of the instance in the path, and the change that it is part of."""
         subject = await self._existing(exchange.tenant, entity_id)
         given = require_uri(exchange.names[2], "the instanceId in the path")
         where = place_of(given)
@@ -301,7 +301,7 @@ class TemporalProvision:
     def _rewritten(
         self, place: int, after: int, cut: Callable[[Change], bool]
     ) -> tuple[list[HistoryRow], int | None]:
-        """Return those of the next rows that `cut` has changed, and the seq to go on after, if any."""
+        """Return the next rows that `cut` has changed, and the seq to continue after, if any."""
         found = self._archive.changes_after(place, after, ROWS_PER_COMMIT)
         changed = [(seq, change) for seq, body in found if cut(change := Change.restored(body))]
         rows = [_row(place, seq, change) for seq, change in changed]
@@ -309,7 +309,7 @@ class TemporalProvision:
 
     @asynccontextmanager
     async def _turn(self, tenant: Tenant, entity_id: str) -> AsyncIterator[None]:
-        """Let one at a time change what is known of an entity's past."""
+        """Serialize changes of the history of one entity."""
         key = (tenant.name, entity_id)
         lock, waiting = self._turns.get(key, (asyncio.Lock(), 0))
         self._turns[key] = (lock, waiting + 1)
@@ -325,7 +325,7 @@ class TemporalProvision:
 
 
 async def _past_in(exchange: Exchange, document: Any, terms: Terms) -> Past:
-    """Return what the body says; a long one is read in a thread, so that others get their turn."""
+    """Return the evolution in the body; a long body is parsed in a thread."""
     if len(exchange.raw) < LONG_BODY_BYTES:
         return read_past(document, terms)
     return await asyncio.to_thread(read_past, document, terms)
@@ -344,7 +344,7 @@ def _row(place: int, seq: int, change: Change) -> HistoryRow:
 
 
 def _pieces(attributes: Attributes) -> Iterator[Attributes]:
-    """Yield the instances in pieces of a row each, those of nearby times together."""
+    """Yield the instances in groups for one row each, ordered by time."""
     instances = [(name, one) for name, several in attributes.items() for one in several]
     if len(instances) > INSTANCES_PER_ROW:
         instances.sort(key=lambda one: moment(one[1].get("observedAt", "")) or 0.0)
@@ -385,6 +385,6 @@ def _dataset_shown(dataset: str | None) -> str:
 def _absent_instance(exchange: Exchange) -> Problem:
     entity_id, name, instance = exchange.names
     return not_found(
-        f"the past of {entity_id} has no instance {shown(instance)} of the attribute {shown(name)}; "
-        "the instanceIds stand in its temporal representation"
+        f"the history of {entity_id} has no instance {shown(instance)} of the attribute {shown(name)}; "
+        "its temporal representation has the instanceIds"
     )

@@ -1,4 +1,4 @@
-"""What is asked of the past: which time, which of the times of an instance counts, how many, in which form.
+"""Temporal queries: time range, time property, number of instances and representation.
 
 Clauses 4.11, 5.2.21 and 6.3.7 of ETSI GS CIM 009.
 """
@@ -33,7 +33,7 @@ _DRIFT: Final = int(DRIFT_S * MICROS)
 
 
 class Representation(StrEnum):
-    """A way to tell how an entity has been."""
+    """Temporal representations of an entity."""
 
     NORMALIZED = "normalized"
     CONCISE = "concise"
@@ -47,14 +47,14 @@ _OPTIONS: Final = frozenset({*_REPRESENTATIONS, "sysAttrs", "count"})
 
 @dataclass(frozen=True, slots=True)
 class TemporalQuery:
-    """The time that is asked for. Times are in microseconds since 1970.
+    """A time range, from `start` on and before `end`, in microseconds since 1970.
 
-    From `start` on, before `end`. `time_property` is None where the asker wants all there is and named none:
-    each instance then counts with its observedAt, or with its modifiedAt if it has no observedAt.
+    `time_property` is None if neither a range nor a property is given: each instance then counts with its
+    observedAt, or with its modifiedAt if it has none.
 
     `after` and `between` include their start (clause 4.11 as of 1.9.1; up to 1.8.1 `after` excluded it).
-    Where the standard leaves it open: `between` excludes its end, so that windows side by side hold
-    everything once; deletions count by deletedAt alone; the `last` instances, too, come oldest first.
+    Where the standard leaves it open: `between` excludes its end, so that adjacent ranges contain everything
+    once; deletions count by deletedAt only; the `last` instances come oldest first, too.
     """
 
     relation: str | None = None
@@ -65,9 +65,9 @@ class TemporalQuery:
     aggregation: Aggregation | None = None
 
     def time_of(self, instance: Instance, *, is_scope: bool = False) -> int | None:
-        """Return the time of an instance that counts, None if it is outside of the time asked for.
+        """Return the time of an instance, None if it is outside of the range.
 
-        Scopes are not observed (clause 4.18): where observedAt counts, their modifiedAt does.
+        Scopes are not observed (clause 4.18): in place of observedAt their modifiedAt counts.
         """
         name = self.time_property
         if name is None:
@@ -82,7 +82,7 @@ class TemporalQuery:
             return None
         try:
             at = micros_of(text)
-        except (TypeError, ValueError):  # a time without a zone, from before these were refused
+        except (TypeError, ValueError):  # a time without a zone, stored before these were refused
             at_s = moment(text)
             if at_s is None:
                 return None
@@ -92,7 +92,7 @@ class TemporalQuery:
         return None if self.end is not None and at >= self.end else at
 
     def is_later(self, edge: int, seq: int, observed_from: float | None) -> bool:
-        """Say whether nothing in a row of history has a time up to `edge`."""
+        """Return whether all times in a row are after `edge`."""
         name = self.time_property
         if name in {"modifiedAt", "deletedAt"}:
             return seq > edge + _DRIFT
@@ -103,7 +103,7 @@ class TemporalQuery:
         return False
 
     def condition(self) -> tuple[str, tuple[float, ...]]:
-        """Return SQL for the rows of history that may hold such instances, and its parameters."""
+        """Return the SQL condition for rows that may have instances in the range, and its parameters."""
         name, start, end = self.time_property, self.start, self.end
         terms: list[str] = []
         values: list[float] = []
@@ -127,13 +127,13 @@ class TemporalQuery:
 
 @dataclass(frozen=True, slots=True)
 class TemporalView:
-    """How the asker wants what has been told."""
+    """The requested representation."""
 
     representation: Representation
     view: View
 
     def wants(self, attribute: str) -> bool:
-        """Say whether an attribute (IRI), or the scopes by their member, is wanted."""
+        """Return whether an attribute (IRI), or `SCOPE`, is requested."""
         view = self.view
         return (view.attributes is None or attribute in view.attributes) and (
             view.projection is None or view.projection.wants(attribute)
@@ -141,7 +141,7 @@ class TemporalView:
 
 
 def temporal_query(parameters: Mapping[str, str], *, aggregates: bool) -> TemporalQuery:
-    """Return the temporal query in query parameters; raise a problem (400) if it is none."""
+    """Return the temporal query in query parameters; raise a problem (400) if it is invalid."""
     relation, start, end = _window(parameters)
     name = parameters.get("timeproperty")
     if name is not None and name not in TIME_PROPERTIES:
@@ -164,7 +164,7 @@ def temporal_query(parameters: Mapping[str, str], *, aggregates: bool) -> Tempor
 
 
 def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
-    """Return how the asker wants what has been; raise a problem (400) for contradictions."""
+    """Return the requested representation; raise a problem (400) for contradictions."""
     parameters = exchange.parameters
     options = options_of(exchange, _OPTIONS)
     representations = {_REPRESENTATIONS[one] for one in options if one in _REPRESENTATIONS}
@@ -172,24 +172,22 @@ def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
     if wanted is not None:
         if wanted not in _REPRESENTATIONS:
             raise invalid_request(f"format is one of {', '.join(_REPRESENTATIONS)}, not {shown(wanted)}")
-        representations = {_REPRESENTATIONS[wanted]}  # it comes before what options say (clause 6.3.12)
+        representations = {_REPRESENTATIONS[wanted]}  # it takes precedence over options (clause 6.3.12)
     if len(representations) > 1:
         raise invalid_request(
-            f"more than one form is asked for ({', '.join(sorted(representations))}); choose one"
+            f"more than one representation is requested ({', '.join(sorted(representations))}); choose one"
         )
     representation = representations.pop() if representations else Representation.NORMALIZED
     if "aggrMethods" in parameters:
         if representations or representation not in {Representation.NORMALIZED, Representation.AGGREGATED}:
-            raise bad_request_data("aggrMethods goes with format=aggregatedValues; choose one form")
+            raise bad_request_data("aggrMethods needs format=aggregatedValues; choose one representation")
         representation = Representation.AGGREGATED
     projection = read_projection(parameters.get("pick"), parameters.get("omit"), context.terms)
     if projection is not None and projection.linked:
-        raise bad_request_data("the past of linked entities cannot be told; leave the braces out")
+        raise bad_request_data("temporal queries do not join linked entities; leave the braces out")
     attrs, languages = parameters.get("attrs"), parameters.get("lang")
     if attrs is not None and projection is not None:
-        raise bad_request_data(
-            "attrs goes together with neither pick nor omit; name attributes in one of them"
-        )
+        raise bad_request_data("attrs cannot be combined with pick or omit; name attributes in one of them")
     form = Form.CONCISE if representation is Representation.CONCISE else Form.NORMALIZED
     view = View(
         form,
@@ -203,7 +201,7 @@ def temporal_view(exchange: Exchange, context: Context) -> TemporalView:
 
 
 def temporal_window(exchange: Exchange) -> Window:
-    """Return which page of entities the asker wants."""
+    """Return the requested page of entities."""
     return window_of(exchange, _OPTIONS)
 
 
@@ -222,7 +220,7 @@ def _window(parameters: Mapping[str, str]) -> tuple[str | None, int | None, int 
         if until is None:
             raise bad_request_data("timerel=between needs an endTimeAt, where the time ends; add it")
         if until <= at:
-            raise bad_request_data("endTimeAt is not later than timeAt; turn them round")
+            raise bad_request_data("endTimeAt is not later than timeAt; swap them")
         return relation, at, until
     if until is not None:
         raise bad_request_data(f"timerel={relation} has no endTimeAt; leave it out, or ask between")

@@ -1,4 +1,4 @@
-"""What readers of the past get: entities with every instance, as bare pairs of value and time, or aggregated.
+"""Renders temporal evolutions: with every instance, as pairs of value and time, or aggregated.
 
 Clauses 4.5.6 to 4.5.9 (normalized, concise and temporalValues) and 4.5.19 (aggregatedValues).
 """
@@ -24,13 +24,13 @@ _SAYS_MANY: Final = {
     "ListProperty": "valueLists",
     "ListRelationship": "objectLists",
 }
-"""Each kind of attribute and the member that holds its pairs of value and time."""
+"""The member with the pairs of value and time, by type of attribute."""
 
 
 def render_evolution(
     evolution: Evolution, query: TemporalQuery, view: TemporalView, terms: Terms
 ) -> dict[str, Any]:
-    """Return how an entity has been as a JSON object."""
+    """Return the evolution of an entity as a JSON object."""
     subject, projection = evolution.subject, view.view.projection
     types = [terms.compact(kind) for kind in subject.types]
     result: dict[str, Any] = {"id": subject.id, "type": types[0] if len(types) == 1 else types}
@@ -49,7 +49,9 @@ def render_evolution(
             continue
         if view.representation in {Representation.NORMALIZED, Representation.CONCISE}:
             result[key] = [_instance(point, query, view, terms) for series in many for point in series.points]
-            if name == SCOPE:  # not observed (clause 4.18), so that nothing else tells when it was so
+            if (
+                name == SCOPE
+            ):  # scopes have no observedAt (clause 4.18), so that modifiedAt is their only time
                 points = (point for series in many for point in series.points)
                 for shown, point in zip(result[key], points, strict=True):
                     if "observedAt" not in shown and "modifiedAt" in point[-1]:
@@ -67,7 +69,7 @@ def _instance(point: Point, query: TemporalQuery, view: TemporalView, terms: Ter
     result: dict[str, Any] = written(instance, terms, view.view.form, sys_attrs=view.view.sys_attrs)
     name = query.time_property
     if name is not None and name in instance:
-        result[name] = instance[name]  # by which it was found
+        result[name] = instance[name]  # the time property of the query
     return result
 
 
@@ -92,11 +94,11 @@ def _pairs(series: Series, query: TemporalQuery, view: TemporalView, terms: Term
 
 
 def content_range(found: EvolutionPage, query: TemporalQuery) -> bytes | None:
-    """Return the Content-Range of an answer that holds less than was asked for, None for one that holds all.
+    """Return the Content-Range of a partial response, None for a complete one.
 
-    Clause 6.3.10: from where to where it tells, backwards if the last instances were asked for. The next
-    request begins at its end. Since a window includes its start, instances of that instant come again, which
-    their instanceIds tell.
+    Clause 6.3.10: start and end of the response, backwards for the last instances. The next request starts at
+    its end. Because a range includes its start, instances of that instant come again with the same
+    instanceId.
     """
     if found.edge is None:
         return None
@@ -109,5 +111,5 @@ def content_range(found: EvolutionPage, query: TemporalQuery) -> bytes | None:
         size = str(query.last)
     end = found.edge
     if query.aggregation is None and end == start and query.last is None:
-        end += 1  # all of this instant was told: the next request must not begin with it again
+        end += 1  # all instances of this instant are in the response: the next request starts after it
     return f"date-time {written_time(start)}-{written_time(end)}/{size}".encode()

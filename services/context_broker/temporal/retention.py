@@ -1,7 +1,7 @@
-"""Retention: history that is older than it is to be kept is cleared away, a little at a time.
+"""Deletes history that has reached its retention time, in small commits.
 
-Entities stay as they are; only what has been is forgotten, and entities that are nothing else any more. The
-past of an entity that has an `expiresAt` of its own (clause 4.22) is forgotten after that, however young.
+Current entities stay; only their old history is deleted, and entities that have a history only. The history
+of an entity with its own `expiresAt` (clause 4.22) is deleted after that time, however young it is.
 """
 
 import asyncio
@@ -20,20 +20,20 @@ from services.context_broker.temporal.history import Departed, seq_before
 log = get_logger(__name__)
 
 INITIAL_DELAY_S: Final = 60.0
-"""After the start: first the broker takes up its work."""
+"""Delay after the start, when the broker is busy loading."""
 INTERVAL_S: Final = 6 * 3600.0
 CHANGES_PER_COMMIT: Final = 500
-"""Changes that are forgotten in one commit: a few milliseconds, for which other commits wait."""
+"""Changes deleted in one commit; it takes a few milliseconds, for which other commits wait."""
 PAUSE_S: Final = 0.05
-"""Between pieces, so that clearing takes a small part of the disk's time."""
+"""Pause between commits, so that they take a small part of the disk's time."""
 PLACES_PER_SCAN: Final = 500
-"""Entities that are looked at before others get their turn."""
+"""Entities that are scanned before the thread returns."""
 
 
 class Retention:
-    """Clears away the history of `tenants`.
+    """Deletes the old history of `tenants`.
 
-    What is older than `keep_days` goes; 0 keeps for ever what has no end of its own.
+    History older than `keep_days` is deleted; 0 keeps all that has no expiry of its own.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class Retention:
         self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """Begin; call it on the event loop."""
+        """Start the background task; call it on the event loop."""
         self._task = asyncio.get_running_loop().create_task(self._work())
 
     async def stop(self) -> None:
-        """End; what is not cleared yet is cleared another time."""
+        """Stop; remaining history is deleted later."""
         if self._task is not None:
             self._task.cancel()
             with suppress(asyncio.CancelledError):
@@ -66,15 +66,15 @@ class Retention:
             try:
                 ended = await self.end(time.time())
                 cleared = await self.clear(seq_before(self._keep_days)) if self._keep_days > 0 else 0
-                log.info("old history cleared", pieces=cleared, ended=ended)
+                log.info("old history deleted", commits=cleared, expired=ended)
             except NotStored as error:
-                log.warning("old history cannot be cleared now", error=str(error))
+                log.warning("old history cannot be deleted", error=str(error))
             await asyncio.sleep(INTERVAL_S)
 
     async def clear(self, before: int) -> int:
-        """Forget all changes with a seq below `before`; return in how many pieces.
+        """Delete all changes with a seq below `before`; return the number of commits.
 
-        Raises `NotStored` when the disk refuses; what was cleared stays cleared.
+        Raises `NotStored` when the disk refuses; earlier commits stay.
         """
         pieces, place = 0, -1
         while True:
@@ -88,9 +88,9 @@ class Retention:
             await self._forget_if_empty(place)
 
     async def end(self, now_s: float) -> int:
-        """Forget the past of entities whose `expiresAt` has come; return of how many places.
+        """Delete the history of entities whose `expiresAt` has passed; return the number of places.
 
-        Raises `NotStored` when the disk refuses; what was forgotten stays so.
+        Raises `NotStored` when the disk refuses; earlier commits stay.
         """
         over = await asyncio.to_thread(self._over, tuple(self._tenants()), now_s)
         for tenant, entity_id, place in over:
@@ -99,7 +99,7 @@ class Retention:
         return len(over)
 
     def _over(self, tenants: Iterable[str], now_s: float) -> list[tuple[str, str, int]]:
-        """Return tenant, id and place of what has ended, and of what such an entity was before."""
+        """Return tenant, id and place of expired history, including earlier places of the same entities."""
         found: list[tuple[str, str, int]] = []
         for tenant in tenants:
             before: dict[str, list[int]] = {}
@@ -110,7 +110,7 @@ class Retention:
         return found
 
     async def _forget(self, place: int, before: int) -> int:
-        """Forget the changes at a place with a seq below `before`; return in how many pieces."""
+        """Delete the changes at a place with a seq below `before`; return the number of commits."""
         pieces = 0
         bound: int | None = 0
         while bound is not None:
@@ -121,7 +121,7 @@ class Retention:
         return pieces
 
     def _next_with_old(self, after: int, before: int) -> tuple[int, bool]:
-        """Return the next place with something to clear, else how far has been looked, -1 at the end."""
+        """Return the next place with something to delete, else the last scanned place, -1 at the end."""
         place = after
         for _ in range(PLACES_PER_SCAN):
             found = self._archive.first_change(place)

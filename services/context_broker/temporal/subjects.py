@@ -1,6 +1,6 @@
-"""Subjects: the entities of which there is a past, be they current ones, gone, or only ever told of.
+"""Subjects: entities with a history, which are current, deleted, or were only ever provided as history.
 
-One that was deleted and created anew is one subject, that has been at several places.
+An entity that was deleted and created again is one subject with several places.
 """
 
 import time
@@ -13,9 +13,9 @@ from services.context_broker.temporal.history import Departed
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """An entity of which there is history; each time that it was created gave it one of its `places`.
+    """An entity with a history; each of its creations has one of the `places`.
 
-    `is_hearsay` is one that never was a current one: only who writes of the past has told of it.
+    `is_temporal_only`: it never was a current entity; its history was provided by clients.
     """
 
     id: str
@@ -29,7 +29,7 @@ class Subject:
     is_temporal_only: bool = False
 
     def as_entity(self) -> Entity:
-        """Return the entity that it is or was, without its attributes."""
+        """Return the current or last entity without its attributes."""
         return Entity(
             self.id,
             self.types,
@@ -42,14 +42,14 @@ class Subject:
         )
 
     def departed(self, at: str) -> Departed:
-        """Return it as it is kept where it is only history, changed at `at`."""
+        """Return the stored form of an entity with a history only, changed at `at`."""
         return Departed(self.types, self.scopes, self.created_at, at, self.deleted_at, self.expires_at)
 
 
 def subjects_of(entities: Iterable[Entity], departed: Iterable[tuple[int, str, bytes]]) -> list[Subject]:
-    """Return the subjects that live and departed entities make, in the order of their first creation.
+    """Return the subjects of current and departed entities, in the order of their first creation.
 
-    What one was before its past ended is not told any more, be it on disk still.
+    Places before an expired one are left out, even if they are still on disk.
     """
     found: dict[str, Subject] = {}
     now_s = time.time()

@@ -76,5 +76,5 @@ async def test_a_failed_creation_stores_the_status_failure_with_its_reason(broke
     one = await settled(broker, creator, store, 5, context="https://no.query.at.all")
     assert one.status is Status.FAILURE
     (broken,) = one.document["snapshotQueriesDetails"]
-    assert broken["problemDetails"]["detail"].startswith("TypeError while making the snapshot")
+    assert broken["problemDetails"]["detail"].startswith("TypeError while creating the snapshot")
     assert kept_status(broker) == [one.stored()]

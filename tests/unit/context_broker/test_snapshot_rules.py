@@ -81,5 +81,5 @@ def test_what_belongs_to_a_snapshot_is_told_by_headers_and_named_by_none(tenant:
 
 
 def test_members_that_are_for_the_broker_to_say_are_refused() -> None:
-    with pytest.raises(Problem, match="for the broker to say"):
+    with pytest.raises(Problem, match="set by the broker"):
         require_valid({"snapshotQueries": [QUERY], "snapshotStatus": "success"}, has_queries=True)

@@ -1,1 +1,1 @@
-"""Operations in which other context sources have a share."""
+"""Operations that are carried out together with context sources."""

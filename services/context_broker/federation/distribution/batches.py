@@ -1,8 +1,8 @@
-"""Many entities changed at several sources at once (clauses 5.6.7 to 5.6.10 and 5.6.20).
+"""Batch writes distributed to context sources (clauses 5.6.7 to 5.6.10 and 5.6.20).
 
-Each entity is shared as if it came alone; each source gets its shares as one batch, or one by one if it takes
-no batches. What the broker refuses of its own share as invalid is not passed on. An entity of which one part
-succeeds and another fails is listed both as a success and as an error (clause 5.6.7.4).
+Each entity is routed as if it came alone. Each source gets its entities in one batch, or one by one if it
+takes no batches. An entity that the broker's own part refuses as invalid is not forwarded. An entity that
+succeeds in one part and fails in another is listed both as a success and as an error (clause 5.6.7.4).
 """
 
 import asyncio
@@ -57,9 +57,9 @@ from services.context_broker.request.request_context import (
 )
 
 MAX_BATCH_SIZE: Final = 1000
-"""Entities in one batch that is passed on."""
+"""Entities in one forwarded batch."""
 MAX_CONCURRENT_REQUESTS: Final = 16
-"""Requests under way to one source that takes no batches."""
+"""Concurrent requests to one source that takes no batches."""
 _SINGLY: Final = {
     "createBatch": ("createEntity", "POST", "entities"),
     "upsertBatch": ("createEntity", "POST", "entities"),
@@ -67,14 +67,14 @@ _SINGLY: Final = {
     "mergeBatch": ("mergeEntity", "PATCH", "entities/{id}"),
     "deleteBatch": ("deleteEntity", "DELETE", "entities/{id}"),
 }
-"""What an entity of a batch is when it comes alone: the operation, its method, its path."""
+"""The operation, method and path for a single entity of a batch."""
 _WHOLE: Final = frozenset({"createBatch", "upsertBatch"})
-"""Operations that say all of an entity: where it is and in which scopes, too."""
+"""Operations that replace a whole entity, including its location and scopes."""
 
 
 @dataclass(slots=True)
 class _Item:
-    """One entity of a batch; `given` is it, or its id if it is to be deleted."""
+    """One entity of a batch. `given` is the entity, or its id in a delete."""
 
     given: Any
     entity_id: Any
@@ -85,18 +85,18 @@ class _Item:
     is_new: bool = False
 
     def part(self, instances: Instances) -> Any:
-        """Return the entity with no instances of attributes but these."""
+        """Return the entity with these instances of attributes only."""
         return part_of(self.given, self.names, instances) if isinstance(self.given, Mapping) else self.given
 
     @property
     def own_part(self) -> Any:
-        """Return what of it is the broker's own to do."""
+        """Return the part that the broker writes itself."""
         proxied = any(one.registration.mode.is_proxied for one in self.routing.others)
         return self.part(self.routing.own or frozenset()) if proxied else self.given
 
 
 def batch(operation: str) -> Handler:
-    """Return what carries out a batch operation, named as in table 4.20-1."""
+    """Return the handler of a batch operation, named as in table 4.20-1."""
 
     async def handler(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
         return await _Batch(sources, exchange, perform, operation).answer()
@@ -105,7 +105,7 @@ def batch(operation: str) -> Handler:
 
 
 class _Batch:
-    """One batch on its way."""
+    """One batch request."""
 
     def __init__(self, sources: Sources, exchange: Exchange, perform: Perform, operation: str) -> None:
         self._sources = sources
@@ -117,7 +117,7 @@ class _Batch:
         self._parameters = tuple((name, given[name]) for name in names if name in given)
 
     async def answer(self) -> Answer:
-        """Carry the batch out."""
+        """Carry out the batch."""
         documents = self._exchange.document()
         if not isinstance(documents, list):
             return await self._perform(self._exchange)
@@ -151,7 +151,7 @@ class _Batch:
             where = placement_filter(given) if self._operation in _WHOLE else None
             routing = route_write(self._sources, operations, target, instances_in(given, names), where)
             return _Item(given, entity_id, context, names, routing)
-        except (Problem, AttributeError):  # which the broker's own share will tell of
+        except (Problem, AttributeError):  # the broker's own part reports the error
             core = await self._sources.forwarder.contexts.of(None)
             result = given.get("id") if isinstance(given, dict) else given
             return _Item(given, result, core, {}, nothing)
@@ -300,7 +300,8 @@ class _Batch:
 
 
 def _is_refused(item: _Item) -> bool:
-    """Say whether the broker refuses an entity for good: not because it has it already, or has it not."""
+    """Return whether the broker rejects an entity as invalid; "exists already" and "not found" do not
+    count."""
     return any(one.problem is not None and one.status not in {404, 409} for one in item.outcomes)
 
 
@@ -311,7 +312,7 @@ def _document(item: _Item, route: WriteRoute, dialect: SourceDialect) -> Any:
 
 
 def _results_in(body: bytes) -> tuple[dict[Any, dict[str, Any]], set[Any]]:
-    """Return the errors in what a source answers to a batch, by id, and the ids of what it created."""
+    """Return the errors in a batch response by entity id, and the ids of the created entities."""
     try:
         result = orjson.loads(body) if body else None
     except orjson.JSONDecodeError:

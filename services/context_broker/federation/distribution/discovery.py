@@ -1,7 +1,7 @@
-"""Types and attributes of all sources (clauses 5.7.5 to 5.7.11).
+"""Entity types and attributes of all context sources (clauses 5.7.5 to 5.7.11).
 
-What registrations say is told by the room; here the sources themselves are asked, and what they have of what
-they are registered for is added.
+The local operation lists what registrations announce. Here the sources are queried, and the types and
+attributes within their registrations are added.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -38,10 +38,10 @@ from services.context_broker.request.request_context import (
 )
 
 SourceDocument = tuple[Registration, SourceDialect, Any]
-"""A source, how it was spoken to, and the document that it answered."""
+"""A source, the dialect of the request, and the document in its response."""
 _EVERYTHING: Final = EntityTarget()
 _LISTS: Final = ("typeList", "attributeList", "attributeDetails", "attributeTypes", "typeNames")
-"""Of these, an answer that is one document has at least one."""
+"""A response with a single document has at least one of these members."""
 
 
 async def types(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
@@ -175,14 +175,18 @@ async def _query_sources(
             sources.add_error(error)
         except orjson.JSONDecodeError as error:
             sources.add_error(
-                SourceError(registration, INVALID, 502, f"{registration.endpoint} answers no JSON: {error}")
+                SourceError(
+                    registration, INVALID, 502, f"{registration.endpoint} returns invalid JSON: {error}"
+                )
             )
         except Problem as problem:
             sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
         else:
             if _is_answer(document, details=details):
                 return registration, dialect, document
-            sources.add_warning(INVALID, f"{registration.endpoint} answers something else than was asked for")
+            sources.add_warning(
+                INVALID, f"{registration.endpoint} returns something other than was requested"
+            )
         return None
 
     matches = sources.unvisited(sources.registry.matching(operation, target))
@@ -191,7 +195,7 @@ async def _query_sources(
 
 
 def _is_answer(document: Any, *, details: bool) -> bool:
-    """Say whether a document is one of those that are asked for here, and not anything else."""
+    """Return whether a document has the shape of a discovery response."""
     if details:
         return isinstance(document, list) and all(isinstance(one, dict) for one in document)
     return isinstance(document, dict) and any(isinstance(document.get(name), list) for name in _LISTS)
@@ -200,7 +204,7 @@ def _is_answer(document: Any, *, details: bool) -> bool:
 async def _own(
     exchange: Exchange, perform: Perform, empty: dict[str, Any] | None, context: Context
 ) -> Answer:
-    """Return the broker's own answer, or an empty one where it has nothing and others have."""
+    """Return the broker's own response, or an empty one if only context sources have results."""
     try:
         return await perform(exchange)
     except Problem as problem:

@@ -1,8 +1,8 @@
-"""Distribution: operations that other context sources have a share in (clauses 4.3.6, 5.5 and 6.3.17).
+"""Distributed operations: carried out together with context sources (clauses 4.3.6, 5.5 and 6.3.17).
 
-The rooms do everything for the broker's own entities. Where a tenant has registrations, an operation passes
-through here first: the sources concerned are asked, all at once, and their answers and the broker's own
-become one. `local=true` and what no registration is about stay with the rooms.
+A request of a tenant with registrations passes through here before the local operation. All matching sources
+are queried at the same time, and their results are merged with the broker's own. Requests with `local=true`,
+and requests that match no registration, go to the local operation only.
 """
 
 import asyncio
@@ -33,17 +33,17 @@ from services.context_broker.request.request_context import (
 from services.context_broker.request.routing import Operation
 
 Perform = Callable[[Exchange], Awaitable[Answer]]
-"""Carries an operation out on the broker's own entities."""
+"""Carries out an operation on the broker's own entities."""
 
 MAP_HEADER: Final = "NGSILD-EntityMap"
 MAX_WARNING_LENGTH: Final = 300
-"""Characters of the reason that a warning gives."""
+"""Characters of the reason in a warning."""
 
 
 class Sources:
-    """The context sources of one tenant, as they can be asked on behalf of one request.
+    """The context sources of one tenant, queried for one request.
 
-    `warnings` gathers what went wrong, for those who get an answer all the same (table 6.3.17-1).
+    `warnings` collects failures for readers, who get a result without the failed sources (table 6.3.17-1).
     """
 
     def __init__(self, exchange: Exchange, forwarder: Forwarder) -> None:
@@ -56,10 +56,10 @@ class Sources:
         self._passed = frozenset(chain(exchange.headers.get(b"via", b"")))
 
     def unvisited(self, matches: Iterable[Match], *, uses_map: bool = True) -> list[Match]:
-        """Return the matches whose sources the request has not passed already (clause 4.3.6.4).
+        """Return the matches whose sources are not in the Via header of the request (clause 4.3.6.4).
 
-        Of those, if the request is answered by an entity map, the ones that the map says to have something,
-        each narrowed to what that is (clause 5.7.2.4).
+        If an entity map answers the request, each match is narrowed to the entities that the map lists for
+        its source (clause 5.7.2.4).
         """
         found = [one for one in matches if not self.has_visited(one.registration)]
         entity_map = entity_map_of(self.exchange) if uses_map else None
@@ -68,35 +68,36 @@ class Sources:
         return [some for one in found if (some := one.among(entity_map.entities)).parts]
 
     def map_headers(self, registration: Registration) -> tuple[tuple[str, str], ...]:
-        """Return the header that names a source's own entity map, if the request is answered by maps."""
+        """Return the header that names the source's own entity map, if an entity map answers the request."""
         entity_map = entity_map_of(self.exchange)
         linked = None if entity_map is None else entity_map.linked.get(registration.id)
         return () if linked is None else ((MAP_HEADER, f"{PREFIX}entityMaps/{quote(linked, safe=':')}"),)
 
     def has_visited(self, registration: Registration) -> bool:
-        """Say whether the request has passed a source already; this broker itself it is at."""
+        """Return whether the request has already passed a source, or the source is this broker itself."""
         if self.forwarder.alias_of(registration) in self._passed:
             return True
         return self.forwarder.is_ourselves(registration, self.registry, self.origin.name)
 
     def is_loop_answer(self, registration: Registration, status: int) -> bool:
-        """Say whether a source's answer tells that it need not have been asked: the request had passed it.
+        """Return whether a 508 response comes from a source that the request has already passed.
 
-        Sources that say no alias are known by their first answer. What they have to do they do already.
+        A source that is registered without an alias is known from its first response. It has already done its
+        part.
         """
         return status == 508 and self.has_visited(registration)
 
     def add_warning(self, code: int, why: str) -> None:
-        """Note something to warn of."""
+        """Add a warning for the client."""
         self.warnings[code, why] = None
 
     def add_error(self, error: SourceError) -> None:
-        """Note that a source was not heard."""
+        """Record that a source could not be queried."""
         self.source_errors.append(error)
         self.add_warning(error.warning, error.why)
 
     def with_warnings(self, answer: Answer) -> Answer:
-        """Return the answer with what there is to warn of."""
+        """Return the response with all warnings as headers."""
         name = self.origin.name
         for code, why in self.warnings:
             text = "".join(sign if " " <= sign <= "~" and sign not in '"\\' else "'" for sign in why)
@@ -109,7 +110,7 @@ Handler = Callable[[Sources, Exchange, Perform], Awaitable[Answer]]
 
 
 class DistributedOperations:
-    """Carries out operations together with other sources; how (by name) is looked up at the first one."""
+    """Carries out distributed operations; the handlers are looked up by operation name at the first one."""
 
     def __init__(self, forwarder: Forwarder, handlers: Callable[[], Mapping[str, Handler]]) -> None:
         self.forwarder = forwarder
@@ -129,13 +130,13 @@ class DistributedOperations:
             answer = await handler(sources, exchange, operation.answer)
         except Problem as problem:
             answer = problem_answer(problem)
-        if passed:  # who asks learns our name, and need not ask us another time for what has passed us
+        if passed:  # the next broker learns this alias and can skip this broker for requests that passed it
             answer = Answer(answer.status, answer.body, [*answer.headers, (b"via", f"1.1 {name}".encode())])
         return sources.with_warnings(answer) if sources.warnings else answer
 
 
 def is_local(exchange: Exchange) -> bool:
-    """Say whether a request is about what the broker itself has (clause 6.3.18)."""
+    """Return whether a request is limited to this broker's own entities (clause 6.3.18)."""
     return (
         exchange.parameter("local") == "true"
         or exchange.parameter("type") == "*"
@@ -144,26 +145,26 @@ def is_local(exchange: Exchange) -> bool:
 
 
 async def gather_all(*asked: Awaitable[Any]) -> list[Any]:
-    """Return what all awaited things return; they run at the same time."""
+    """Await everything at the same time and return the results in order."""
     return list(await asyncio.gather(*asked))
 
 
 def loop_detected(name: str) -> Problem:
-    """The request has been here already."""
+    """The request has passed this broker before."""
     return Problem(
         508,
         "Loop detected",
-        f"the request has passed {name} already (see its Via header); registrations lead round in a circle: "
-        'set "management": {"localOnly": true} in one of them, or ask with local=true',
+        f"the request has passed {name} already (see its Via header); registrations form a loop: "
+        'set "management": {"localOnly": true} in one of them, or query with local=true',
         ERRORS + "LoopDetected",
     )
 
 
 def gateway_problem(error: SourceError) -> Problem:
-    """Nothing could be done because a source was not heard (clause 6.3.17)."""
+    """The operation failed because a source could not be queried (clause 6.3.17)."""
     one = error.registration.id
     if error.status == 508:
         return Problem(508, "Loop detected", f"registration {one}: {error.why}", ERRORS + "LoopDetected")
     title = "Gateway timeout" if error.status == 504 else "Bad gateway"
-    detail = f"the source of registration {one} holds what was asked for: {error.why}; try again later"
+    detail = f"the source of registration {one} has the requested data: {error.why}; try again later"
     return Problem(error.status, title, detail, ERRORS + "InternalError", {"registrationId": one})

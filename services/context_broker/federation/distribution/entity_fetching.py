@@ -1,7 +1,7 @@
-"""Fetching: entities read from one source, by whichever operation it takes (clauses 4.20, 5.7.1.4, 5.7.2.4).
+"""Reads entities from one context source with an operation that it takes (clauses 4.20, 5.7.1.4, 5.7.2.4).
 
-A source is asked for those entities and attributes that it is registered for. What goes wrong is noted, for
-those who get an answer all the same.
+A source is queried for the entities and attributes of its registration only. Failures become warnings: the
+client still gets the results of the other sources.
 """
 
 import re
@@ -36,21 +36,21 @@ from services.context_broker.network.http_client import HttpResponse
 from services.context_broker.request.request_context import JSON
 
 ONE: Final = ("retrieveEntity", "queryEntity", "queryBatch")
-"""Operations by which one entity can be read, the best first."""
+"""Operations that read one entity, the preferred first."""
 MANY: Final = ("queryEntity", "queryBatch", "retrieveEntity")
-"""Operations by which many can be read; the last only where it is known which."""
+"""Operations that read many entities; the last needs known ids."""
 PAGE: Final = 1000
-"""Entities that a source is asked for at once."""
+"""Entities in one request."""
 SMALL_PAGE: Final = 100
-"""The same for a source that refuses so many."""
+"""Entities in one request to a source that refuses larger pages."""
 MAX_ENTITIES: Final = 20_000
-"""Entities of one source that are read for one query; what goes beyond is warned of."""
+"""Entities that are read from one source for one query; a warning reports any beyond it."""
 MAX_TIMEOUTS: Final = 5
-"""All pages of a source together may take so many times what one may."""
+"""Total time for all pages of a source, as a multiple of the timeout of one response."""
 MAX_IDS: Final = 50
-"""Ids that fit into one question."""
+"""Ids in one request."""
 MAX_CONCURRENT_REQUESTS: Final = 16
-"""Requests under way to one source that takes them one by one."""
+"""Concurrent requests to one source that returns single entities only."""
 _NEXT: Final = re.compile(r'rel\s*=\s*"?next\b')
 _GEO: Final = ("georel", "geometry", "geoproperty")
 
@@ -63,7 +63,7 @@ def queryable_matches(
     uses_map: bool = True,
     or_takes: str | None = None,
 ) -> list[Match]:
-    """Return the matches whose sources can be asked for entities, or take another operation that will do."""
+    """Return the matches whose sources can be queried for entities, or take the operation `or_takes`."""
     operations = MANY if or_takes is None else (*MANY, or_takes)
     found = sources.unvisited(sources.registry.matching(operations, target, where), uses_map=uses_map)
     return [
@@ -74,7 +74,7 @@ def queryable_matches(
 
 
 def is_queryable(match: Match) -> bool:
-    """Say whether a source takes an operation by which what is asked for can be read."""
+    """Return whether a source takes an operation that can read the matched entities."""
     takes = match.registration.takes
     return takes(MANY[0]) or takes(MANY[1]) or (takes(MANY[2]) and match.ids is not None)
 
@@ -82,7 +82,7 @@ def is_queryable(match: Match) -> bool:
 async def fetch_entity(
     sources: Sources, match: Match, entity_id: str, context: Context, into: FragmentCollector
 ) -> None:
-    """Read what a source has of one entity."""
+    """Read one entity from a source."""
     registration = match.registration
     if not registration.takes("retrieveEntity"):
         found = Match(registration, tuple(replace(part, ids=(entity_id,)) for part in match.parts))
@@ -99,7 +99,7 @@ async def fetch_entity(
             into.add(registration, await read_entities(sources, registration, response, dialect, single=True))
     except SourceError as error:
         sources.add_error(error)
-    except Problem as problem:  # its @context
+    except Problem as problem:  # the @context of the source
         sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
 
 
@@ -112,7 +112,7 @@ async def fetch_entities(
     *,
     is_split: bool,
 ) -> None:
-    """Read what a source has of many entities. `is_split`: conditions wait until they are put together."""
+    """Read many entities from a source. `is_split`: filters are applied later, to the merged entities."""
     registration = match.registration
     operation = next(name for name in MANY if registration.takes(name))
     if operation == "retrieveEntity":
@@ -139,13 +139,13 @@ async def _pages(
     given: list[tuple[str, str]],
     operation: str,
 ) -> AsyncIterator[list[Entity]]:
-    """Yield all that a source answers to one question, page by page."""
+    """Yield the entities in all pages of a source's response."""
     small = sources.forwarder.small_pages
     offset, seen = 0, set[str]()
     until_s = time.monotonic() + MAX_TIMEOUTS * sources.forwarder.patience_s(registration)
     while offset < MAX_ENTITIES:
         if time.monotonic() > until_s:
-            sources.add_warning(SILENT, f"{registration.endpoint} takes too long to tell of all its entities")
+            sources.add_warning(SILENT, f"{registration.endpoint} takes too long to return all its entities")
             return
         limit = SMALL_PAGE if registration.endpoint in small else PAGE
         paged = [*given, ("limit", str(limit))] + ([("offset", str(offset))] if offset else [])
@@ -163,18 +163,18 @@ async def _pages(
         yield entities
         known = len(seen)
         seen.update(one.id for one in entities)
-        if len(seen) == known:  # one that does not know pages begins again and again
+        if len(seen) == known:  # a source that ignores offset returns the same page again
             return
         if len(entities) < limit and not _NEXT.search(response.headers.get("link", "")):
             return
         offset += len(entities)
-    sources.add_warning(SILENT, f"{registration.endpoint} has more than {MAX_ENTITIES} entities of these")
+    sources.add_warning(SILENT, f"{registration.endpoint} has more than {MAX_ENTITIES} matching entities")
 
 
 def narrowed(
     match: Match, parameters: Mapping[str, str], context: Context, dialect: SourceDialect, *, is_split: bool
 ) -> Iterable[list[tuple[str, str]]]:
-    """Yield the questions to ask a source: for those entities and attributes that it is registered for."""
+    """Yield the query parameters for a source, limited to the entities and attributes of its registration."""
     groups: dict[tuple[bool, frozenset[str] | None], tuple[dict[str, None], set[str], bool]] = {}
     for part in match.parts:
         ids, types, any_type = groups.get((part.ids is None, part.attributes), ({}, set(), False))
@@ -207,7 +207,7 @@ def _types_at(registration: Registration) -> set[str]:
 async def _query_source_by_map(
     sources: Sources, registration: Registration, request: SourceRequest
 ) -> HttpResponse | None:
-    """Ask a source by its own entity map if it has one; without, if it does not know the map any more."""
+    """Query a source by its own entity map if it has one, and without it if the source has lost the map."""
     headers = sources.map_headers(registration)
     if headers:
         response = await query_source(sources, registration, replace(request, headers=headers))
@@ -217,7 +217,7 @@ async def _query_source_by_map(
 
 
 def _question(operation: str, dialect: SourceDialect, parameters: list[tuple[str, str]]) -> SourceRequest:
-    """Return the question that parameters of a query are, as the source takes it."""
+    """Return query parameters as the request that the source takes."""
     if operation == "queryEntity":
         return SourceRequest("GET", "entities", dialect, tuple(parameters))
     given = dict(parameters)
@@ -237,5 +237,5 @@ def _question(operation: str, dialect: SourceDialect, parameters: list[tuple[str
 
 
 def joined_names(names: frozenset[str], dialect: SourceDialect) -> str:
-    """Return names of attributes as a parameter has them for a source."""
+    """Return attribute names as a query parameter in the dialect of a source."""
     return ",".join(sorted(dialect.name(one) for one in names))

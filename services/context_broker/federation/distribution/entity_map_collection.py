@@ -1,8 +1,8 @@
-"""Mapping: entity maps made together with sources that make some, too (clauses 4.3.6.7, 5.14.4, 5.14.5).
+"""Collects entity maps from context sources that create some (clauses 4.3.6.7, 5.14.4, 5.14.5).
 
-A source's map lists what the source has of the query, and is linked from the broker's: later pages are asked
-for by it, so that the source, too, need not look around again. Where conditions have to wait until an entity
-is put together, the entities are read as well.
+A source's map lists its entities that match the query, and is linked from the broker's map. Later pages are
+requested by the linked map, so that the source need not repeat its search. If filters need whole entities,
+the entities are read as well.
 """
 
 from collections.abc import Mapping
@@ -50,11 +50,11 @@ CREATE_TEMPORAL_MAP: Final = "createEntityMapQueryTemporal"
 _LIFETIME: Final = "entityMapLifetime"
 _PAGE: Final = 1000
 _MAX_PAGES: Final = 100
-"""Pages of entities of the past that are read from a source that makes no maps."""
+"""Pages of temporal entities that are read from a source without entity maps."""
 
 
 class EntityMapCollector:
-    """Has sources make maps of the answers to one query; `listed` is what comes of it."""
+    """Makes context sources create maps for one query; `listed` collects the results."""
 
     def __init__(self, sources: Sources, context: Context, lifetime: str | None) -> None:
         self._sources = sources
@@ -65,7 +65,7 @@ class EntityMapCollector:
     async def collect(
         self, match: Match, parameters: Mapping[str, str], into: FragmentCollector, *, is_split: bool
     ) -> None:
-        """Have a source make a map if it does, and read its entities if that is not enough."""
+        """Have a source create a map, and read its entities if the map is not enough."""
         registration = match.registration
         is_listed = False
         if registration.takes(CREATE_ENTITY_MAP):
@@ -79,7 +79,7 @@ class EntityMapCollector:
             except SourceError as error:
                 self._sources.add_error(error)
                 return
-            except Problem as problem:  # its @context
+            except Problem as problem:  # the @context of the source
                 self._sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
                 return
         if is_queryable(match) and (not is_listed or _needs_entities(registration, parameters, is_split)):
@@ -87,17 +87,18 @@ class EntityMapCollector:
                 one: rest
                 for one, who_has in self.listed.entities.items()
                 if (rest := [each for each in who_has if each != registration.id])
-            }  # these are candidates: what is read decides
+            }  # the ids in the map are candidates; the entities that are read decide
             await fetch_entities(self._sources, match, parameters, self._context, into, is_split=is_split)
 
     async def _take(self, registration: Registration, request: SourceRequest) -> bool:
-        """Take the map that a source makes; say whether it made one. Raises `Unheard` if it is silent."""
+        """Take the map that a source creates; return whether it did. Raises `SourceError` if there is no
+        response."""
         try:
             response = await query_source(self._sources, registration, request)
         except SourceError as error:
             if error.answered is None:
                 raise
-            return False  # it makes no maps, whatever its registration says
+            return False  # the source creates no maps although it has registered the operation
         if response is None:
             return False
         try:
@@ -108,7 +109,7 @@ class EntityMapCollector:
         map_id = document.get("id") if isinstance(document, dict) else None
         if not isinstance(entities, dict) or not isinstance(map_id, str):
             self._sources.add_warning(
-                INVALID, f"{registration.endpoint} answers something else than an entity map"
+                INVALID, f"{registration.endpoint} returns something other than an entity map"
             )
             return False
         self.listed.linked[registration.id] = map_id
@@ -118,7 +119,7 @@ class EntityMapCollector:
         return True
 
     async def collect_temporal(self, match: Match, parameters: Mapping[str, str]) -> None:
-        """Have a source make a map of the past if it does; else read which entities it tells of."""
+        """Have a source create a map for a temporal query, or read the ids of its entities."""
         registration = match.registration
         try:
             dialect = await self._sources.forwarder.dialect(registration, self._context, body=None)
@@ -148,7 +149,7 @@ class EntityMapCollector:
             except orjson.JSONDecodeError:
                 documents = None
             if not isinstance(documents, list):
-                why = f"{registration.endpoint} answers no temporal entities"
+                why = f"{registration.endpoint} returns no temporal entities"
                 raise SourceError(registration, INVALID, 502, why)
             ids = {one.get("id") for one in documents if isinstance(one, dict)}
             fresh = [one for one in ids if isinstance(one, str) and self._is_new(one, registration)]
@@ -189,7 +190,7 @@ async def map_temporal(sources: Sources, exchange: Exchange, perform: Perform) -
 
 
 def _needs_entities(registration: Registration, parameters: Mapping[str, str], is_split: bool) -> bool:
-    """Say whether a list of ids is not enough to know which entities answer a query."""
+    """Return whether the ids in a map are not enough to know the matching entities."""
     if "join" in parameters:
         return True
     has_other_names = any(name.lower() == "jsonldcontext" for name, _ in registration.source_info)

@@ -1,7 +1,7 @@
-"""Relays: subscriptions that were passed on to context sources, with the broker itself as the subscriber.
+"""Subscriptions that are forwarded to context sources, with the broker as the subscriber.
 
-A relay is written before its source hears of it, and forgotten after the source has: whatever happens in
-between, what is there is known, and can be taken back.
+A forwarded subscription is stored before the source receives it, and deleted after the source has deleted it.
+After a crash in between, the broker still knows which subscriptions may exist and can delete them.
 """
 
 from dataclasses import dataclass, replace
@@ -23,16 +23,16 @@ _NOT_PASSED_ON: Final = (
     "id", "status", "isActive", "jsonldContext", "csf", "throttling", "lang", "datasetId", "localOnly",
     "notification", "createdAt", "modifiedAt", "watchedAttributes", "splitEntities", "ngsildConformance",
 )  # fmt: skip
-"""What is the broker's own to heed, or is said anew."""
+"""Members that only this broker evaluates, or that it sets itself."""
 _FILTERS: Final = ("q", "geoQ", "scopeQ", "expandValues", "jsonKeys")
 
 
 @dataclass(frozen=True, slots=True)
 class ForwardedSubscription:
-    """One subscription at one source. `token` names it there and where its notifications come in.
+    """One subscription at one source. `token` is part of its id there and of the notification endpoint here.
 
-    `said` tells what the source was told from what it would be told now, `base` at which address of the
-    broker its notifications come in, `is_there` that the source knows of it.
+    `said` is the digest of the forwarded document, `base` the address of this broker in the notification
+    endpoint. `is_there`: the source has confirmed the subscription.
     """
 
     token: str
@@ -50,15 +50,15 @@ class ForwardedSubscription:
 
     @property
     def key(self) -> tuple[str, str]:
-        """Return which subscription is passed on by which registration."""
+        """Return the ids of the subscription and of the registration."""
         return self.subscription, self.registration.id
 
     def there(self) -> "ForwardedSubscription":
-        """Return the relay once its source knows it."""
+        """Return the forwarded subscription as confirmed by its source."""
         return replace(self, is_there=True)
 
     def stored(self) -> bytes:
-        """Return the relay as the journal keeps it."""
+        """Return the document for the journal."""
         source = self.registration
         return orjson.dumps(
             [
@@ -82,7 +82,7 @@ async def restored(
 
 
 def questions(one: Subscription) -> list[EntityTarget]:
-    """Return what a subscription is about, as registrations are asked for it."""
+    """Return the entities and attributes of a subscription, for matching registrations."""
     watched = one.triggers.watched
     names = None if watched is None else frozenset(watched)
     if not one.selectors:
@@ -98,10 +98,10 @@ def questions(one: Subscription) -> list[EntityTarget]:
 
 
 def passed_on(one: Subscription, source: Registration, dialect: SourceDialect) -> dict[str, Any]:
-    """Return the subscription that a source is to have, without where its notifications go.
+    """Return the document to forward to a source, without its notification endpoint.
 
-    What it is told with conditions is looked at here, on the whole entity: conditions go along only where the
-    source has whole entities, and where they are in names that it is spoken to in.
+    Filters apply to whole entities, so this broker evaluates them. They are forwarded as well if the source
+    has whole entities and uses the names in the filters.
     """
     document = shown_document(one, dialect.context, 0.0, sys_attrs=False)
     for name in _NOT_PASSED_ON:
@@ -125,7 +125,7 @@ def passed_on(one: Subscription, source: Registration, dialect: SourceDialect) -
 
 
 def _entities(one: Subscription, source: Registration, dialect: SourceDialect) -> list[dict[str, Any]] | None:
-    """Return the entity selectors, narrowed to what a source is registered for; None for any entity."""
+    """Return the entity selectors within the registration of a source; None for any entity."""
     found: dict[str, dict[str, Any]] = {}
     for selector, target in zip(one.selectors or (None,), questions(one), strict=True):
         for part in source.parts(target):
@@ -146,7 +146,7 @@ def _entities(one: Subscription, source: Registration, dialect: SourceDialect) -
 
 
 def _watched(one: Subscription, source: Registration) -> frozenset[str] | None:
-    """Return the attributes that a source is to look at, None for all: watched ones that it has."""
+    """Return the watched attributes that the source has, None for all."""
     watched = one.triggers.watched
     registered: frozenset[str] | None = frozenset()
     for piece in source.information:
@@ -160,7 +160,7 @@ def _watched(one: Subscription, source: Registration) -> frozenset[str] | None:
 
 
 def with_endpoint(document: dict[str, Any], base: str, token: str) -> dict[str, Any]:
-    """Return the subscription with the broker as its subscriber."""
+    """Return the document with this broker as the subscriber."""
     uri = f"{base}/ngsi-ld/v1/{PATH}/{token}"
     notification = {
         "format": "normalized",
@@ -172,5 +172,5 @@ def with_endpoint(document: dict[str, Any], base: str, token: str) -> dict[str, 
 
 
 def digest(document: dict[str, Any]) -> str:
-    """Return what tells two subscriptions that are passed on apart."""
+    """Return a digest that changes with the forwarded document."""
     return sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()[:32]

@@ -1,6 +1,6 @@
-"""Forwarding: one question to one context source over HTTP, in the words and headers that it wants.
+"""Sends one HTTP request to one context source, in the dialect and with the headers of its registration.
 
-Clauses 4.3.6.5 and 4.3.6.6 (what contextSourceInfo says), 6.3.17 (what may go wrong), 6.3.18 (Via, local).
+Clauses 4.3.6.5 and 4.3.6.6 (contextSourceInfo), 6.3.17 (failures), 6.3.18 (Via, local).
 """
 
 import time
@@ -31,29 +31,29 @@ from services.context_broker.request.request_context import JSON, JSON_LD
 log = get_logger(__name__)
 
 FROM_THE_REQUEST: Final = "urn:ngsi-ld:request"
-"""Stands in contextSourceInfo for the value of the same header in the request (clause 4.3.6.5)."""
+"""A value in contextSourceInfo that stands for the same header of the client's request (clause 4.3.6.5)."""
 MAX_CACHED_RESPONSES: Final = 256
-"""Answers that are kept for sources whose registration allows it (localCache)."""
+"""Cached responses of sources whose registration allows it (localCache)."""
 MAX_ALIASES: Final = 10_000
-"""Sources whose own names are remembered."""
+"""Sources whose alias is remembered."""
 MAX_CACHED_BYTES: Final = 1024 * 1024
-"""Bytes of such an answer."""
+"""Size of a cached response in bytes."""
 _PROCESSED: Final = frozenset({"jsonldcontext", "accept", "contenttype", "ngsildconformance"})
 _NOT_THEIRS: Final = frozenset(
     {"host", "content-length", "content-type", "transfer-encoding", "connection", "keep-alive", "upgrade",
      "te", "trailer", "expect", "via", "ngsild-tenant", "link"}
 )  # fmt: skip
-"""Headers that belong to the way a request travels: contextSourceInfo cannot set them."""
+"""Hop-by-hop headers, and headers that the broker sets: contextSourceInfo cannot change them."""
 
 STALE, INVALID, SILENT, REFUSED = 110, 111, 199, 299
-"""What NGSILD-Warning tells (table 6.3.17-1): data that was kept, an answer that cannot be used, no answer in
-time or a loop, an answer that is an error."""
+"""Codes of NGSILD-Warning (table 6.3.17-1): a cached response, an invalid response, no response in time or
+a loop, an error response."""
 
 
 class SourceError(Exception):
-    """A source did not answer the question: `warning` for those who read, `status` for those who write.
+    """A source gave no usable response: `warning` is the code for reads, `status` the HTTP status for writes.
 
-    `answered` is the status of an answer that was a refusal.
+    `answered` is the status of an error response, None without a response.
     """
 
     def __init__(
@@ -69,32 +69,32 @@ class SourceError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RequestOrigin:
-    """On whose behalf sources are asked: the headers of the request, and the chain that it has come by."""
+    """The request for which sources are queried: its headers, with the chain of brokers in Via."""
 
     headers: Mapping[bytes, bytes]
     name: str
     """The alias of this broker for the tenant of the request."""
     registry: Registry
     timed_out: set[str] = field(default_factory=set)
-    """Registrations whose source did not answer this request in time: it is not asked again for this one."""
+    """Registrations whose source timed out during this request; it is not queried again for it."""
 
 
 @dataclass(frozen=True, slots=True)
 class SourceDialect:
-    """How a source is spoken to: the @context of names, the media type of bodies, the Link to the context."""
+    """How to address a source: the @context of names, the media type of bodies, the Link to the context."""
 
     context: Context
     media_type: str
     link: str | None
 
     def name(self, iri: str) -> str:
-        """Return what a type or an attribute is called there."""
+        """Return the name of a type or an attribute in the dialect."""
         return self.context.terms.compact(iri)
 
 
 @dataclass(frozen=True, slots=True)
 class SourceRequest:
-    """What a source is asked; `path` is what comes after the root of the API, percent-encoded."""
+    """A request to a source; `path` is relative to the root of the API and percent-encoded."""
 
     method: str
     path: str
@@ -112,7 +112,7 @@ class _CachedResponse:
 
 @dataclass(slots=True)
 class Forwarder:
-    """Asks the context sources of all tenants."""
+    """Sends requests to the context sources of all tenants."""
 
     contexts: ContextResolver
     timeout_s: float
@@ -123,30 +123,30 @@ class Forwarder:
     _cached: OrderedDict[tuple[Any, ...], _CachedResponse] = field(default_factory=OrderedDict)
 
     def alias_of(self, registration: Registration) -> str | None:
-        """Return what a source calls itself in Via: as it is registered, or as it has answered once."""
+        """Return the alias of a source in Via: from its registration, or from an earlier response."""
         if registration.alias is not None:
             return registration.alias
         return self._aliases.get((registration.endpoint, registration.tenant))
 
     def is_ourselves(self, registration: Registration, registry: Registry, name: str) -> bool:
-        """Say whether a source is this very broker and tenant, whose alias is `name`: it need not ask itself.
+        """Return whether a source is this broker and tenant, whose alias is `name`.
 
-        An address that is not known as the broker's own gives itself away with its first answer.
+        If the address is not known as the broker's own, the first response contains the alias.
         """
         if self.alias_of(registration) == name:
             return True
         return registration.tenant == registry.tenant and self.contexts.is_ours(registration.endpoint)
 
     def patience_s(self, registration: Registration) -> float:
-        """Return how long one answer of a source is waited for."""
+        """Return the timeout for one response of a source."""
         return registration.management.timeout_s or self.timeout_s
 
     async def dialect(
         self, registration: Registration, context: Context, *, body: str | None
     ) -> SourceDialect:
-        """Return how to speak to a source when the request was made in `context`.
+        """Return the dialect of a source for a request made in `context`.
 
-        `body` is the media type of the request's body, None if nothing is sent: JSON-LD is passed on as
+        `body` is the media type of the request's body, None if nothing is sent: JSON-LD is forwarded as
         JSON-LD. Raises a problem (504) when the source's own @context cannot be loaded.
         """
         wanted = _info(registration, "jsonldContext")
@@ -161,15 +161,17 @@ class Forwarder:
             return SourceDialect(context, JSON, context.link)
         if body is not None and media_type is None:
             return SourceDialect(context, JSON_LD, None)
-        return SourceDialect(await self.contexts.of(None), JSON, None)  # no Link can carry it: names in full
+        return SourceDialect(
+            await self.contexts.of(None), JSON, None
+        )  # the context has no URL for a Link header: full names
 
     async def send(
         self, registration: Registration, request: SourceRequest, origin: RequestOrigin
     ) -> tuple[HttpResponse, bool]:
-        """Return the answer, whatever its status, and whether it was one that had been kept.
+        """Return the response, whatever its status, and whether it is a cached one.
 
-        Raises `Unheard` when there is none: the source is silent, out of reach or in its cooldown. A cooldown
-        is only what its registration sets (clause 5.2.34); without one, the next request asks it again.
+        Raises `SourceError` if there is none: timeout, connection failure or cooldown. Only a registration
+        sets a cooldown (clause 5.2.34); without one, the next request queries the source again.
         """
         headers = _headers(registration, request, origin)
         url = _url(registration, request)
@@ -244,7 +246,7 @@ def _url(registration: Registration, request: SourceRequest) -> str:
 
 
 _PLAIN_IN_QUERIES: Final = ":,/()*"
-"""Signs that need no escape in a query and that make it easier to read in logs."""
+"""Characters that are valid unescaped in a query and easier to read in logs."""
 
 
 def _body(registration: Registration, request: SourceRequest) -> bytes:
@@ -293,7 +295,7 @@ _TOKEN: Final = frozenset("!#$%&'*+-.^_`|~0123456789abcdefghijklmnopqrstuvwxyzAB
 
 
 def in_dialect(document: Any, context: Context, dialect: SourceDialect) -> Any:
-    """Return a document whose names are in `context` with the names of the source, without @context."""
+    """Return a document with its names in `context` translated to the dialect, without @context."""
     if isinstance(document, list):
         return [in_dialect(one, context, dialect) for one in document]
     plain = {name: said for name, said in document.items() if name != "@context"}
@@ -301,5 +303,5 @@ def in_dialect(document: Any, context: Context, dialect: SourceDialect) -> Any:
 
 
 def quoted(part: str) -> str:
-    """Return a part of a path, percent-encoded."""
+    """Return a path segment, percent-encoded."""
     return quote(part, safe=":")

@@ -1,6 +1,7 @@
-"""Gathering: what sources have told of the entities that one request is about (clauses 4.3.6.2 and 4.3.6.3).
+"""Collects the fragments of entities that context sources return for one request (clauses 4.3.6.2, 4.3.6.3).
 
-Each tells what it is registered for; what an exclusive or redirect source has is taken from nobody else.
+Only the part of a fragment within the source's registration counts. Attributes of an exclusive or redirect
+source are taken from that source only.
 """
 
 from collections.abc import Iterable
@@ -16,12 +17,12 @@ from services.context_broker.storage.store import Store
 
 @dataclass(slots=True)
 class FragmentCollector:
-    """What is known of the entities that a request is about."""
+    """Fragments by entity id."""
 
     fragments: dict[str, list[Fragment]] = field(default_factory=dict)
 
     def add(self, registration: Registration, entities: Iterable[Entity]) -> None:
-        """Take what a source has told, as far as its registration is about it."""
+        """Add the entities of a source, as far as its registration covers them."""
         for entity in entities:
             part = about(registration, entity)
             if part is not None:
@@ -30,7 +31,8 @@ class FragmentCollector:
                 self.fragments.setdefault(entity.id, []).append(Fragment(part, rank, fills_gaps))
 
     def origins(self, store: Store) -> dict[str, list[str]]:
-        """Return who told of each entity, by registration; `@none` for the broker itself (clause 5.2.39)."""
+        """Return the registrations that returned each entity; `@none` is the broker itself (clause
+        5.2.39)."""
         return {
             one: ([] if store.get(one) is None else ["@none"])
             + list(dict.fromkeys(fragment.rank[1] for fragment in fragments))
@@ -38,9 +40,9 @@ class FragmentCollector:
         }
 
     def entity(self, own: Entity | None, entity_id: str, proxied: list[Registration]) -> Entity | None:
-        """Return the entity that the broker's own fragment and the others are part of, None if there is none.
+        """Return the entity merged from the broker's own fragment and the others, None if there is none.
 
-        What an exclusive or redirect source has is not taken from anybody else (clause 4.3.6.3).
+        Attributes of an exclusive or redirect source are not taken from any other (clause 4.3.6.3).
         """
         fragments = list(self.fragments.get(entity_id, ()))
         if own is not None:
@@ -55,7 +57,7 @@ class FragmentCollector:
 
 
 def about(registration: Registration, entity: Entity) -> Entity | None:
-    """Return what of an entity its source is registered for, None if nothing is."""
+    """Return the part of an entity within a registration, None if there is none."""
     names: set[str] | None = set()
     is_about = False
     for piece in registration.information:
@@ -69,7 +71,8 @@ def about(registration: Registration, entity: Entity) -> Entity | None:
 
 
 def unclaimed(fragment: Fragment, proxied: list[Registration]) -> Entity | None:
-    """Return a fragment without what sources with a stronger claim have; None if that is all of it."""
+    """Return a fragment without the parts that belong to proxied sources of higher priority; None if none
+    is left."""
     left = fragment.entity
     for one in proxied:
         if fragment.rank[0] and fragment.rank[0] <= int(one.mode) + 1:
@@ -92,7 +95,7 @@ def unclaimed(fragment: Fragment, proxied: list[Registration]) -> Entity | None:
 
 
 def _of_datasets(entity: Entity, datasets: frozenset[str | None], *, keep: bool) -> Entity:
-    """Return the entity with no instances but those of the datasets; with `keep` false, without these."""
+    """Return the entity with the instances of these datasets only; with `keep` false, without them."""
     kept = {
         name: some
         for name, instances in entity.attributes.items()

@@ -1,7 +1,7 @@
-"""Fragments: one entity told by several sources becomes one entity again (clauses 4.3.6 and 4.5.5.3).
+"""Merges the fragments of one entity from several sources (clauses 4.3.6 and 4.5.5.3).
 
-The newest instance of each attribute counts; what tells nothing of its age gives way; where that leaves a
-tie, a fixed rule decides, so that the order in which sources answer never matters.
+The newest instance of each attribute counts, and one without a time loses. Ties are broken by a fixed rule,
+so that the order of responses never matters.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,10 +21,10 @@ _UNKNOWN: Final = float("-inf")
 
 @dataclass(frozen=True, slots=True)
 class Fragment:
-    """What one source tells of an entity.
+    """The part of an entity that one source returned.
 
-    `rank` decides between equals, the lowest wins: the broker's own fragment has (0, ""), the others their
-    mode and the id of their registration. One that only `fills_gaps` is from an auxiliary source.
+    `rank` breaks ties, the lowest wins: the broker's own fragment has (0, ""), the others their mode and the
+    id of their registration. `fills_gaps`: the fragment is from an auxiliary source.
     """
 
     entity: Entity
@@ -33,7 +33,7 @@ class Fragment:
 
 
 def merged(fragments: Iterable[Fragment]) -> Entity:
-    """Return the entity that all fragments (at least one, all of one id) are part of."""
+    """Return the entity merged from all fragments (at least one, all with one id)."""
     ordered = sorted(fragments, key=_strength)
     if len(ordered) == 1:
         return ordered[0].entity
@@ -56,7 +56,8 @@ def merged(fragments: Iterable[Fragment]) -> Entity:
 
 
 def without_expired(document: Any, now_s: float) -> Any:
-    """Return what a source told of an entity without what has expired since; None if all of it has (4.22)."""
+    """Return the document of an entity without expired parts; None if the entity itself has expired
+    (4.22)."""
     if not isinstance(document, dict):
         return document
     if _is_over(document, now_s):
@@ -77,9 +78,9 @@ def _is_over(said: Any, now_s: float) -> bool:
 
 
 def read_fragment(document: Any, terms: Terms, seq: int) -> Entity:
-    """Return the entity that a source told of, with the times that the source gives; raise a problem if none.
+    """Return the entity in a document of a source, with the times in it; raise a problem if it is invalid.
 
-    `seq` is its place among others, as it was not created here.
+    `seq` is its place in the order of entities, as it was not created here.
     """
     if not isinstance(document, Mapping):
         raise bad_request_data("an entity is a JSON object")
@@ -142,9 +143,9 @@ def _merged_attributes(fragments: Iterable[Fragment]) -> Attributes:
 
 
 def _age(instance: Instance) -> tuple[float, float]:
-    """Return what the newer of two instances has more of: when it was observed, then when it was written.
+    """Return the age of an instance for comparison: its observedAt, then its modifiedAt.
 
-    The fragments come in the order of their rank, so that of equals the first stays.
+    Fragments come in the order of their rank, so that the first of equals stays.
     """
     return _moment(instance.get("observedAt")), _moment(instance.get("modifiedAt"))
 

@@ -1,4 +1,4 @@
-"""Which operations other context sources have a share in, and how each is done with them (table 4.20-1)."""
+"""The handlers of distributed operations by their name (table 4.20-1)."""
 
 from collections.abc import Mapping
 from typing import Final

@@ -1,7 +1,7 @@
-"""Instances: what a change is about, by attribute and datasetId, and the part of it that some of these are.
+"""Instances of attributes in a write, and the part of a document with some of them.
 
-A source may have an attribute with some datasetIds only (clauses 4.3.6.1 and 5.2.9): it is sent these, and
-the others stay, or go elsewhere.
+A source may have some datasetIds of an attribute only (clauses 4.3.6.1 and 5.2.9). It is sent these
+instances; the others stay here or go to other sources.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,18 +15,18 @@ from services.context_broker.model.validation import require_name
 NO_ATTRIBUTES: Final = frozenset(
     {"id", "@id", "type", "@type", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}
 )
-"""Members of an entity that go along with any part of it."""
+"""Members of an entity that belong to every part of it."""
 ANY: Final = "*"
-"""Stands for a datasetId that is not known, or for all of them."""
+"""Stands for all datasetIds, or for an unknown one."""
 _MANY: Final = "dataset"
-"""The member that holds what several instances say, in simplified form (clause 4.5.4)."""
+"""The member that holds several instances in simplified form (clause 4.5.4)."""
 
 Instances = frozenset[tuple[str, str | None]]
-"""Instances by attribute (IRI) and datasetId; None for the default one."""
+"""Instances by attribute (IRI) and datasetId; None is the default instance."""
 
 
 def attributes_in(document: Mapping[str, Any], context: Context) -> dict[str, str]:
-    """Return the attributes of a document as they are named there, with their IRIs."""
+    """Return the names of the attributes in a document with their IRIs."""
     return {
         name: expand(require_name(name, "the attribute name"), context.terms)
         for name in document
@@ -35,19 +35,19 @@ def attributes_in(document: Mapping[str, Any], context: Context) -> dict[str, st
 
 
 def types_in(document: Mapping[str, Any], context: Context) -> frozenset[str] | None:
-    """Return the types (IRIs) that a document names, None if it names none."""
+    """Return the types (IRIs) in a document, None if there are none."""
     given = document.get("type", document.get("@type"))
     names: Iterable[Any] = given if isinstance(given, list) else [given]
     return frozenset(context.terms.expand(one) for one in names if isinstance(one, str) and one) or None
 
 
 def instances_in(document: Mapping[str, Any], names: Mapping[str, str]) -> Instances:
-    """Return the instances that a document tells of; `names` are its attributes with their IRIs."""
+    """Return the instances in a document; `names` are its attributes with their IRIs."""
     return frozenset((iri, dataset) for name, iri in names.items() for dataset in datasets_in(document[name]))
 
 
 def datasets_in(said: Any) -> set[str | None]:
-    """Return the datasetIds of what is said of one attribute, in whichever form it is said."""
+    """Return the datasetIds in the value of one attribute, in any representation."""
     if _is_list_of_instances(said):
         return {_dataset_of(one) for one in said}
     if _is_many_simplified(said):
@@ -56,7 +56,7 @@ def datasets_in(said: Any) -> set[str | None]:
 
 
 def part_of(document: Mapping[str, Any], names: Mapping[str, str], wanted: Instances) -> dict[str, Any]:
-    """Return a document with no instances but these; what is no attribute goes along."""
+    """Return a document with these instances only; members that are no attributes stay."""
     by_attribute: dict[str | None, set[str | None]] = {}
     for iri, dataset in wanted:
         by_attribute.setdefault(iri, set()).add(dataset)
@@ -77,7 +77,7 @@ def part_of(document: Mapping[str, Any], names: Mapping[str, str], wanted: Insta
 
 
 def had_by(registration: Registration, instances: Instances, names: frozenset[str] | None) -> Instances:
-    """Return those instances that a source may have: of attributes (IRIs, None for all), in its datasets."""
+    """Return the instances that a source may have: of attributes (IRIs, None for all) and of its datasets."""
     datasets = registration.datasets
     if names is None and datasets is None:
         return instances

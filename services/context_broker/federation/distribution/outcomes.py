@@ -1,4 +1,4 @@
-"""Outcomes: what became of the shares of one change, and what is answered for all of them (clause 6.3.17)."""
+"""Outcomes of the parts of one write, and the response to all of them (clause 6.3.17)."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from services.context_broker.request.request_context import JSON
 from services.context_broker.request.request_context import Response as Answer
 
 _PASSED_ON: Final = frozenset({404, 409})
-"""Failures of a single source that are the asker's to know as they are."""
+"""Failures of a single source that are returned to the client unchanged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one share: of the broker's own (no registration) or of a source's.
+    """The outcome of one part: the broker's own (no registration) or a source's.
 
-    `names` are the attributes (IRIs) that it is about; `problem` says why it failed, None if it did not.
-    `is_held` says of the broker's own share that it has the entity, so that a 404 is about an attribute.
+    `names` are its attributes (IRIs); `problem` is the failure, None for a success. `is_held`: the broker has
+    the entity, so that its own 404 is about an attribute.
     """
 
     registration: Registration | None
@@ -34,35 +34,37 @@ class Outcome:
 
     @property
     def is_absence(self) -> bool:
-        """Say whether there was just nothing to change, where there need not be anything."""
+        """Return whether the part had nothing to change and was not required to have anything."""
         if self.status != 404 or self.problem is None:
             return False
         return not self.is_held if self.registration is None else not self.registration.mode.is_proxied
 
 
 def of_response(registration: Registration, names: frozenset[str], response: HttpResponse) -> Outcome:
-    """Return the outcome that a source's answer tells of."""
+    """Return the outcome of a source's response."""
     if 200 <= response.status < 300 and response.status != 207:
         return Outcome(registration, names, response.status)
     return Outcome(registration, names, response.status, problem_in(response, registration))
 
 
 def problem_in(response: HttpResponse, registration: Registration) -> dict[str, Any]:
-    """Return the problem that a source answers, or one that tells of what it answers instead."""
+    """Return the problem in a source's response, or one that describes the response."""
     try:
         document = orjson.loads(response.body) if response.body else None
     except orjson.JSONDecodeError:
         document = None
     if isinstance(document, dict) and isinstance(document.get("title"), str):
         return {**document, "status": response.status}
-    detail = f"{registration.endpoint} answers {response.status}"
+    detail = f"{registration.endpoint} returns {response.status}"
     if response.status == 207:
-        detail = f"{registration.endpoint} did a part of it: {response.body[:500].decode('utf-8', 'replace')}"
+        detail = (
+            f"{registration.endpoint} succeeded in part: {response.body[:500].decode('utf-8', 'replace')}"
+        )
     return Problem(response.status, "Context source failed", detail, ERRORS + "InternalError").body()
 
 
 def of_source_error(error: SourceError, names: frozenset[str]) -> Outcome:
-    """Return the outcome of a share whose source was not heard."""
+    """Return the outcome of a part whose source gave no usable response."""
     title = {504: "Gateway timeout", 508: "Loop detected"}.get(error.status, "Bad gateway")
     kind = "LoopDetected" if error.status == 508 else "InternalError"
     problem = Problem(error.status, title, error.why, ERRORS + kind)
@@ -70,18 +72,18 @@ def of_source_error(error: SourceError, names: frozenset[str]) -> Outcome:
 
 
 def of_refusal(registration: Registration, names: frozenset[str], operation: str) -> Outcome:
-    """Return the outcome of a share whose source does not take the operation."""
+    """Return the outcome of a part whose source does not take the operation."""
     detail = (
-        f"registration {registration.id} has what this is about to itself and does not take {operation}; "
+        f"registration {registration.id} has this data exclusively and does not take {operation}; "
         "add the operation to it, or change the source directly"
     )
     return Outcome(registration, names, 409, Problem(409, "Conflict", detail, ERRORS + "Conflict").body())
 
 
 def settled(outcomes: Iterable[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
-    """Return the outcomes that are good and those that are to be told of as failed.
+    """Return the successful outcomes and the failed ones to report.
 
-    An absence is not told of where somebody else did what was to be done, or may have what it is about.
+    "Not found" is not reported if another part did the change.
     """
     everything = list(outcomes)
     good = [one for one in everything if one.problem is None]
@@ -96,10 +98,10 @@ def settled(outcomes: Iterable[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
 
 
 def failure(failed: list[Outcome]) -> Answer | None:
-    """Return the answer when nothing was done; None if the shares failed in different ways.
+    """Return the response when every part failed; None if the parts failed in different ways.
 
-    What the broker itself could not do with an entity that it has comes first: AlreadyExists or
-    ResourceNotFound (clauses 5.6.1.4 and 5.6.19.4), with the failures of the sources as "errors".
+    A failure of the broker itself, on an entity that it has, comes first: AlreadyExists or ResourceNotFound
+    (clauses 5.6.1.4 and 5.6.19.4), with the failures of the sources as "errors".
     """
     own = next((one for one in failed if one.registration is None and not one.is_absence), None)
     if own is not None and own.problem is not None:
@@ -112,18 +114,18 @@ def failure(failed: list[Outcome]) -> Answer | None:
     assert first.problem is not None  # noqa: S101 - it is a failure
     if first.registration is None or first.status in _PASSED_ON or first.status in {504, 508}:
         return _problem_answer(first.status, first.problem, first.registration)
-    detail = f"{first.registration.endpoint} could not do it: {first.problem.get('detail') or first.status}"
+    detail = f"{first.registration.endpoint} failed: {first.problem.get('detail') or first.status}"
     problem = Problem(502, "Bad gateway", detail, ERRORS + "InternalError").body()
     return _problem_answer(502, problem, first.registration)
 
 
 def entity_result(entity_id: str, good: list[Outcome], failed: list[Outcome]) -> Answer:
-    """Return 207 with what became of an entity (clause 5.2.16, BatchOperationResult)."""
+    """Return 207 with the outcomes of one entity (clause 5.2.16, BatchOperationResult)."""
     return multi_status({"success": [entity_id] if good else [], "errors": entity_errors(entity_id, failed)})
 
 
 def entity_errors(entity_id: Any, failed: Iterable[Outcome]) -> list[dict[str, Any]]:
-    """Return failures as errors about an entity (clause 5.2.17)."""
+    """Return failures as errors of an entity (clause 5.2.17)."""
     return [
         {
             "entityId": entity_id,

@@ -1,8 +1,9 @@
-"""Entities purged at several sources (clause 5.6.21).
+"""Purges entities at several sources (clause 5.6.21).
 
-A source purges no more than it is registered for: of the types it has registered, and where it has registered
-attributes, these attributes and not the entities. Where one entity may be spread over several sources, it is
-found out first which meet the conditions as a whole: a part alone may look as if it did.
+A source purges no more than its registration covers: entities of the registered types, and where attributes
+are registered, these attributes instead of the entities. If an entity may be split over several sources, the
+ids of the matching entities are determined first, because a single part may match where the whole entity does
+not.
 """
 
 from collections.abc import Iterable, Mapping
@@ -40,7 +41,7 @@ _AS_THEY_ARE: Final = ("q", "scopeQ", "georel", "geometry", "coordinates", "geop
 
 
 async def purge(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
-    """DELETE entities: the broker's own first, then those of all sources at once."""
+    """DELETE entities: the broker's own first, then those of all sources at the same time."""
     context = await exchange.reader_context()
     target, where = target_of(exchange.parameters, context, None)
     matches = sources.unvisited(sources.registry.matching("purgeEntity", target, where))
@@ -70,7 +71,7 @@ async def purge(sources: Sources, exchange: Exchange, perform: Perform) -> Answe
 
 
 async def _whole_hits(sources: Sources, exchange: Exchange, context: Context) -> list[str]:
-    """Return the ids of the entities that meet the conditions, all that sources tell of them included."""
+    """Return the ids of the merged entities that match the filters."""
     selection_to_purge(exchange, context)
     asking = {name: said for name, said in exchange.parameters.items() if name not in {"drop", "keep"}}
     found: list[str] = []
@@ -101,7 +102,7 @@ async def _purge_at(
             return Outcome(one, nothing, 204)
     except SourceError as error:
         return outcomes.of_source_error(error, nothing)
-    except Problem as problem:  # its @context
+    except Problem as problem:  # the @context of the source
         return outcomes.of_source_error(SourceError(one, SILENT, 502, problem.detail), nothing)
     return outcomes.of_response(one, nothing, response)
 
@@ -109,7 +110,7 @@ async def _purge_at(
 def _narrowed(
     match: Match, parameters: Mapping[str, str], context: Context, dialect: SourceDialect
 ) -> list[tuple[str, str]] | None:
-    """Return what to ask of a source, None if nothing that it is registered for is to go."""
+    """Return the query parameters for a source, None if its registration covers nothing to purge."""
     one = match.registration
     types = {kind for part in match.parts for kind in part.types or ()} or {
         kind for piece in one.information for each in piece.entities for kind in each.types

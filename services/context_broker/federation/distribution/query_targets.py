@@ -1,4 +1,4 @@
-"""Questions: what a request asks for, in the words in which registrations are looked through for it."""
+"""The entities, attributes and filters of a request, in the terms in which registrations are matched."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -20,9 +20,9 @@ from services.context_broker.request.query_parameters import datasets_of
 FILTERS: Final = (
     "q", "expandValues", "jsonKeys", "scopeQ", "georel", "geometry", "coordinates", "geoproperty"
 )  # fmt: skip
-"""Parameters that are conditions on whole entities."""
+"""Parameters that filter whole entities."""
 _NEEDS_MORE: Final = (*FILTERS, "join")
-"""Parameters for which attributes count that are not to be shown."""
+"""Parameters that need attributes beyond those in the response."""
 _TYPE_SIGNS: Final = re.compile(r"[,;|()]+")
 
 
@@ -42,7 +42,7 @@ def selector_parameters(
                 plain[name] = said if isinstance(said, str) else orjson.dumps(said).decode()
     if isinstance(document.get("ordering"), dict):
         plain["orderBy"] = ",".join(str(one) for one in document["ordering"].get("orderBy") or ())
-    plain.pop("type", None)  # which is that of the document, "Query"
+    plain.pop("type", None)  # the type of the document, "Query"
     selectors = document.get("entities")
     if not isinstance(selectors, list) or not selectors:
         yield plain
@@ -60,18 +60,20 @@ def selector_parameters(
 
 
 def refuse_order(parameters: Mapping[str, str], matches: Iterable[Match]) -> None:
-    """Raise a problem (400) for a query that wants an order and that a source has a share in (4.23.1)."""
+    """Raise a problem (400) for an ordered query that matches a registration (4.23.1)."""
     if "orderBy" in parameters and (match := next(iter(matches), None)) is not None:
         raise bad_request_data(
-            f"no order is made across context sources, and registration {match.registration.id} matches this "
-            "query; leave orderBy out, or ask for what this broker has itself with local=true"
+            "results of context sources cannot be ordered, and registration "
+            f"{match.registration.id} matches this query; "
+            "leave orderBy out, or query this broker only with local=true"
         )
 
 
 def target_of(
     parameters: Mapping[str, str], context: Context, names: frozenset[str] | None
 ) -> tuple[EntityTarget, SourceFilter | None]:
-    """Return what query parameters ask for, of which the attributes `names` (None for all), and of whom."""
+    """Return the target of query parameters with the attributes `names` (None for all), and a source
+    filter."""
     ids, wanted, csf = parameters.get("id"), parameters.get("idPattern"), parameters.get("csf")
     target = EntityTarget(
         tuple(dict.fromkeys(ids.split(","))) if ids else None,
@@ -83,7 +85,7 @@ def target_of(
 
 
 def coverage_of(parameters: Mapping[str, str], expand: Callable[[str], str]) -> CoverageQuery:
-    """Return what query parameters ask for; raises a problem (400) when they cannot be read."""
+    """Return the coverage that query parameters need; raises a problem (400) if they are invalid."""
     scope, datasets = parameters.get("scopeQ"), parameters.get("datasetId")
     return CoverageQuery(
         geo_query.geo_query(parameters, expand) if "georel" in parameters else None,
@@ -94,7 +96,7 @@ def coverage_of(parameters: Mapping[str, str], expand: Callable[[str], str]) -> 
 
 
 def source_filter(csf: str | None, context: Context, coverage: CoverageQuery) -> SourceFilter | None:
-    """Return which sources may have what is asked for and meet a context source filter; None for all."""
+    """Return a filter for sources that cover the query and match a context source filter; None for all."""
     holds = compiled(csf, context).holds if csf else None
     if holds is None:
         return None if coverage.is_unrestricted else coverage.may_match
@@ -102,13 +104,13 @@ def source_filter(csf: str | None, context: Context, coverage: CoverageQuery) ->
 
 
 def types_of(given: str | None, context: Context) -> frozenset[str] | None:
-    """Return all types (IRIs) that a type selection names, None if there is none."""
+    """Return all types (IRIs) in a type selection, None if there is none."""
     names = [one.strip() for one in _TYPE_SIGNS.split(given or "") if one.strip()]
     return frozenset(context.terms.expand(one) for one in names) if names else None
 
 
 def names_of(parameters: Mapping[str, str], context: Context) -> frozenset[str] | None:
-    """Return the attributes that the answer needs, None if that may be all."""
+    """Return the attributes that the response needs, None if it may need all."""
     given = parameters.get("attrs") or parameters.get("pick")
     if not given or any(name in parameters for name in _NEEDS_MORE) or not _PLAIN_NAMES.fullmatch(given):
         return None
@@ -120,10 +122,10 @@ _PLAIN_NAMES: Final = re.compile(r"[^{}()\[\].|;]+")
 
 
 def may_be_split(parameters: Mapping[str, str], matches: Iterable[Match]) -> bool:
-    """Say whether one entity may be told by several sources, each a part, so that filters must wait.
+    """Return whether an entity may be split over several sources, so that filters apply after the merge.
 
-    The standard leaves it to the deployment where splitEntities is not given (clause 5.7.2.4). Here entities
-    are taken to be split where a registration names attributes: then its source has a part of them.
+    The standard leaves this to the deployment if splitEntities is absent (clause 5.7.2.4). Here entities
+    count as split if a registration names attributes: then its source has a part of them.
     """
     given = parameters.get("splitEntities")
     if given is not None:

@@ -1,8 +1,8 @@
-"""Entities read from several sources: retrieve and query (clauses 5.7.1.4, 5.7.2.4 and 4.5.5.3).
+"""Retrieves and queries entities at several sources (clauses 5.7.1.4, 5.7.2.4 and 4.5.5.3).
 
-Whoever may know something is asked for the plain data; the fragments become entities; and the room that
-answers for the broker's own entities answers for these: filters, pages and forms are applied once, to
-whole entities.
+All matching sources are queried for plain data, and the fragments are merged to entities. The local operation
+then runs on a store with the merged entities: filters, pages and representations are applied once, to whole
+entities.
 """
 
 import copy
@@ -57,13 +57,13 @@ from services.context_broker.request.request_context import (
 )
 
 MAX_LINKING_ENTITIES: Final = 1000
-"""Of so many of the broker's own entities the links are followed to other sources."""
+"""The broker's own entities whose links are followed to other sources."""
 MAX_LEVELS: Final = 10
-"""Levels of linked entities that sources are asked for."""
+"""Levels of linked entities that sources are queried for."""
 
 
 async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
-    """GET entities/{id}, from all that may know it."""
+    """GET entities/{id}, from all matching sources."""
     context = await exchange.reader_context()
     entity_id = require_uri(exchange.names[0], "the entity id in the path")
     own = exchange.tenant.store.get(entity_id)
@@ -89,13 +89,13 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> An
         return await perform(_over(exchange, overlay_store))
     except Problem as problem:
         silent = [one for one in sources.source_errors if one.registration.mode.is_proxied]
-        if problem.status == 404 and silent:  # it may well be there, where nobody else can tell of it
+        if problem.status == 404 and silent:  # the source that failed may have the entity
             return problem_answer(gateway_problem(silent[0]))
         raise
 
 
 async def query(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
-    """GET entities, and entities of all that may know some."""
+    """GET entities, from all matching sources."""
     context = await exchange.reader_context()
     return await _query(sources, exchange, perform, context, [dict(exchange.parameters)])
 
@@ -111,7 +111,7 @@ async def query_batch(sources: Sources, exchange: Exchange, perform: Perform) ->
 
 
 async def map_entities(sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
-    """GET or POST entityMaps, which ask as the two queries do (clause 5.14.4)."""
+    """GET or POST entityMaps, which take the parameters of the two queries (clause 5.14.4)."""
     if exchange.method == "GET":
         context, questions = await exchange.reader_context(), [dict(exchange.parameters)]
     else:
@@ -151,7 +151,7 @@ async def _query(
     requests: list[Any] = [
         map_collector.collect(match, parameters, collector, is_split=is_split)
         if map_collector is not None
-        and times[match.registration.id] == 1  # of several maps one could be linked
+        and times[match.registration.id] == 1  # only one map per source can be linked
         else fetch_entities(sources, match, parameters, context, collector, is_split=is_split)
         for match, parameters, is_split in matched
     ]
@@ -186,7 +186,8 @@ def _wants_links(exchange: Exchange) -> bool:
 async def _add_linked(
     sources: Sources, exchange: Exchange, context: Context, others: dict[str, Entity | None]
 ) -> None:
-    """Add the entities that a reader wants to have joined and that other sources may know (clause 4.5.23)."""
+    """Add the linked entities that the client wants joined and that other sources may have (clause
+    4.5.23)."""
     if not _wants_links(exchange):
         return
     given = exchange.parameter("joinLevel") or "1"
@@ -221,7 +222,7 @@ def _objects(entities: Iterable[Entity]) -> Iterable[str]:
 
 
 def _over(exchange: Exchange, overlay_store: Any) -> Exchange:
-    """Return the exchange with the mix in the place of the tenant's own entities."""
+    """Return the exchange with the merged entities in place of the tenant's own."""
     tenant = copy.copy(exchange.tenant)
     tenant.store = overlay_store
     return derived(exchange, tenant=tenant)

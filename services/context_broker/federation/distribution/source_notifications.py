@@ -1,7 +1,7 @@
-"""What a source tells of a change, read so that a subscriber can be told of it as of one made here (5.8.6).
+"""Reads the notification of a source as a change, so that subscribers are notified as of a local one (5.8.6).
 
-A notification has entities as they are, with what was before if that was asked for, and with what is gone as
-`urn:ngsi-ld:null`. Of an entity that is gone it has its end and what it has lost.
+A notification has entities as they are, previous values if they were requested, and `urn:ngsi-ld:null` for
+what was deleted. For a deleted entity it has the time of deletion and the deleted attributes.
 """
 
 import time
@@ -25,7 +25,7 @@ from services.context_broker.model.entity_parser import expand
 _PREVIOUS: Final = {
     f"previous{says[0].upper()}{says[1:]}": kind for kind, says in reversed(list(SAYS.items()))
 }
-"""What a change says of before, and of which kind that was."""
+"""Members with a previous value, and the type of attribute they belong to."""
 _NO_ATTRIBUTES: Final = frozenset(
     {"id", "@id", "type", "@type", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt"}
 )
@@ -34,10 +34,10 @@ _NO_ATTRIBUTES: Final = frozenset(
 def change_of_notification(
     document: Mapping[str, Any], registration: Registration, own: Entity | None, terms: Terms
 ) -> EntityChange | None:
-    """Return the change that a source tells of, as far as it is registered for it; None if it is not at all.
+    """Return the change of an entity in a notification, as far as the registration covers it; None if it does
+    not.
 
-    The entity is told together with what is the broker's `own` of it. Raises a problem (400) for what is no
-    entity.
+    The entity is merged with the broker's `own` part. Raises a problem (400) for an invalid entity.
     """
     before, kept, gone = _parted(document, terms)
     fragment = read_fragment(without_expired(kept, time.time()) or kept, terms, place_of(kept))
@@ -75,13 +75,13 @@ def change_of_notification(
 def _with_those_of_before(
     now: list[Instance], registered: list[Instance], before: list[Instance]
 ) -> list[Instance]:
-    """Return the instances of an attribute as they were, where it is the source's that count."""
+    """Return the previous instances of an attribute where the current ones come from the source."""
     old = {dataset_of(one): one for one in before}
     return [old.get(dataset_of(one), one) if one in registered else one for one in now]
 
 
 def _parted(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict[str, Any], Attributes]:
-    """Return how attributes were (where that is told), the document as it is, and what is gone of it."""
+    """Return previous attributes (where given), the current document, and deleted attributes."""
     before: Attributes = {}
     kept: dict[str, Any] = {}
     gone: Attributes = {}
@@ -118,13 +118,13 @@ def _before(said: Any) -> Instance | None:
 
 
 def _kind(said: Mapping[str, Any], kind: str) -> str:
-    """Return the kind of an instance; a GeoProperty says the same member as a Property."""
+    """Return the type of an instance; a GeoProperty has the same value member as a Property."""
     given = said.get("type")
     return given if isinstance(given, str) and SAYS.get(given) == SAYS[kind] else kind
 
 
 def _gone(said: Any, was: Instance | None) -> Instance | None:
-    """Return the instance that is told to be gone, None if it is not."""
+    """Return the deleted instance, None if it was not deleted."""
     if said == NULL:
         return {"type": "Property", "value": NULL}
     if not isinstance(said, Mapping):

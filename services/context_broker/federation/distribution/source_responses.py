@@ -1,4 +1,4 @@
-"""What sources answer to those who read: entities, nothing, or a reason to warn (clause 6.3.17)."""
+"""Responses of sources to reads: entities, nothing, or a reason for a warning (clause 6.3.17)."""
 
 import asyncio
 import hashlib
@@ -26,28 +26,30 @@ from services.context_broker.model.entity import Entity
 from services.context_broker.network.http_client import HttpResponse
 
 _FROM_ELSEWHERE: Final = 1 << 62
-"""Places in the order from here on are those of entities that were created elsewhere, by a hash of their id:
-the same at every request, so that pages do not shift."""
+"""The first place in the order for entities of other sources, which are ordered by a hash of their id: the
+same for every request, so that pages do not shift."""
 
 
 _ENTITIES_PER_STEP: Final = 200
-"""Entities that are read in one go, then others get their turn."""
+"""Entities that are read before the event loop serves other tasks."""
 
 
 async def query_source(
     sources: Sources, registration: Registration, request: SourceRequest
 ) -> HttpResponse | None:
-    """Return what a source answers to a question, None if it knows nothing; raises `Unheard`."""
+    """Return the response of a source, None if it has nothing; raises `SourceError`."""
     response, was_kept = await sources.forwarder.send(registration, request, sources.origin)
     if was_kept:
-        sources.add_warning(STALE, f"what {registration.endpoint} told was kept from a moment ago")
+        sources.add_warning(STALE, f"the response of {registration.endpoint} comes from the cache")
     if response.status == 404 or sources.is_loop_answer(registration, response.status):
         return None
     if response.status == 508:
-        raise SourceError(registration, SILENT, 508, f"{registration.endpoint} sees a loop of registrations")
+        raise SourceError(
+            registration, SILENT, 508, f"{registration.endpoint} detected a loop of registrations"
+        )
     if not 200 <= response.status < 300:
         raise SourceError(
-            registration, REFUSED, 502, f"{registration.endpoint} answers {response.status}", response.status
+            registration, REFUSED, 502, f"{registration.endpoint} returns {response.status}", response.status
         )
     return response
 
@@ -60,7 +62,7 @@ async def read_entities(
     *,
     single: bool = False,
 ) -> list[Entity]:
-    """Return the entities in an answer; raises `Unheard` (111) when it is no NGSI-LD."""
+    """Return the entities in a response; raises `SourceError` (111) if it is not NGSI-LD."""
     try:
         found = orjson.loads(response.body) if response.body else ({} if single else [])
         documents = [found] if single else found
@@ -79,13 +81,14 @@ async def read_entities(
             entities.append(read_fragment(one, terms, place_of(one)))
     except (orjson.JSONDecodeError, TypeError, Problem) as error:
         why = error.detail if isinstance(error, Problem) else str(error)
-        invalid = f"{registration.endpoint} answers what is no NGSI-LD: {why}"
+        invalid = f"{registration.endpoint} returns invalid NGSI-LD: {why}"
         raise SourceError(registration, INVALID, 502, invalid) from None
     return entities
 
 
 async def answered_context(sources: Sources, response: HttpResponse, dialect: SourceDialect) -> Context:
-    """Return the @context of an answer in plain JSON: that of its Link, else the one asked with."""
+    """Return the @context of a plain JSON response: the one in its Link header, else the one of the
+    request."""
     found = _CONTEXT_LINK.search(response.headers.get("link", ""))
     if found is None or found.group(1) == dialect.link:
         return dialect.context
@@ -96,7 +99,7 @@ _CONTEXT_LINK: Final = re.compile(r'<([^>]*)>[^,<]*rel\s*=\s*"?http://www\.w3\.o
 
 
 def place_of(document: Any) -> int:
-    """Return the place in the order of an entity that was created elsewhere."""
+    """Return the place in the order of an entity of another source."""
     entity_id = document.get("id") if isinstance(document, dict) else None
     if not isinstance(entity_id, str):
         return _FROM_ELSEWHERE

@@ -1,7 +1,7 @@
-"""Conditions on how entities have been, where one entity's past may be spread over several sources (5.7.4.4).
+"""Filters of temporal queries on entities that may be split over several sources (clause 5.7.4.4).
 
-A condition on one attribute must not hide what another source has of the same entity: everybody is asked
-without conditions, and those are looked at once the evolutions are whole.
+A filter on one attribute must not hide what another source has of the same entity. All sources are therefore
+queried without filters, and the filters are applied to the merged evolutions.
 """
 
 from collections.abc import Awaitable, Iterable, Iterator, Mapping
@@ -36,12 +36,12 @@ from services.context_broker.request.request_context import RequestContext as Ex
 from services.context_broker.temporal.query import TIME_PARAMETERS
 
 MAX_PAGES: Final = 20
-"""Pages of a thousand entities that are read of one source."""
+"""Pages of a thousand entities that are read from one source."""
 _CONDITIONS: Final = frozenset({"q", "geoQ", "scopeQ", "expandValues", "jsonKeys"})
-"""Members of a Query document that are conditions."""
+"""Filter members of a Query document."""
 _IN_DOCUMENTS: Final = _CONDITIONS | {"aggrParams", "attrs", "datasetId", "lang", *SHOWING}
 _NOT_ASKED: Final = frozenset({*FILTERS, "lastN", "count", "offset", "limit", "attrs", "datasetId", "lang"})
-"""What is looked at when evolutions are whole, or is about how they are shown."""
+"""Parameters that apply to merged evolutions, or to their representation."""
 _NOT_SAID: Final = frozenset({"instanceId", "createdAt", "modifiedAt", "expiresAt"})
 _TIMES: Final = ("createdAt", "modifiedAt")
 
@@ -53,7 +53,7 @@ async def split_hits(
     matched: Iterable[tuple[Match, Mapping[str, str]]],
     request: TemporalRequest,
 ) -> list[str]:
-    """Return the ids of the entities whose evolution, put together, meets the conditions; in order."""
+    """Return the ids of the entities whose merged evolution matches the filters, in order."""
     asked = {name: said for name, said in request.parameters.items() if name not in _NOT_ASKED}
     everything = replace(request.view.view, attributes=None, projection=None, datasets=None)
     whole = TemporalRequest(
@@ -73,7 +73,7 @@ async def split_hits(
 
 
 def narrowed_to(exchange: Exchange, ids: list[str]) -> Exchange:
-    """Return the request for these entities alone, without conditions."""
+    """Return the request for these entities only, without filters."""
     gone = {*FILTERS, "idPattern", "count", "offset", "limit"}
     kept = {name: said for name, said in exchange.parameters.items() if name not in gone}
     shape = {"limit": str(len(ids))}
@@ -115,7 +115,7 @@ def _pages_of_own(exchange: Exchange, perform: Perform, request: TemporalRequest
 
 
 def _all_pages(ask: FetchPart, request: TemporalRequest) -> FetchPart:
-    """Return how to ask for all entities, page by page."""
+    """Return a function that reads all entities page by page."""
 
     async def all_of_them(parameters: Mapping[str, str]) -> TemporalPart:
         documents: dict[str, Evolution] = {}
@@ -134,7 +134,7 @@ def _all_pages(ask: FetchPart, request: TemporalRequest) -> FetchPart:
 
 
 def _as_entity(document: Evolution, request: TemporalRequest) -> Entity:
-    """Return an entity that holds all instances of an evolution at once, for conditions to be put to it."""
+    """Return an entity with all instances of an evolution, to which filters can be applied."""
     terms = request.context.terms
     attributes: dict[str, list[Instance]] = {}
     for name in document.keys() - temporal_merge.MEMBERS:
@@ -145,7 +145,7 @@ def _as_entity(document: Evolution, request: TemporalRequest) -> Entity:
             given = {member: value for member, value in one.items() if member not in _NOT_SAID}
             try:
                 (instance,) = read_attribute(name, given, terms)
-            except (Problem, ValueError):  # which no condition can be about
+            except (Problem, ValueError):  # no filter can refer to it
                 continue
             times = {member: one[member] for member in _TIMES if isinstance(one.get(member), str)}
             attributes.setdefault(expand(name, terms), []).append({**instance, **times})
@@ -162,7 +162,7 @@ def _as_entity(document: Evolution, request: TemporalRequest) -> Entity:
 
 
 def _scopes(said: Any) -> Iterator[str]:
-    """Yield the scopes that an entity has had: each as it is, or in the instances of a series."""
+    """Yield all scopes that the entity has had, from plain values or from instances."""
     for one in said if isinstance(said, list) else [said]:
         parts = one.get("value") if isinstance(one, dict) else one
         yield from (each for each in (parts if isinstance(parts, list) else [parts]) if isinstance(each, str))

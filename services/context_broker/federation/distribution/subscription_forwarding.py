@@ -1,8 +1,8 @@
-"""Subscriptions at several sources: passed on, taken back, and what is heard of them told (clause 5.8).
+"""Forwards subscriptions to context sources, and their notifications to subscribers (clause 5.8).
 
-Whenever subscriptions or registrations change, what should be passed on is compared with what is, and the
-difference carried out; what fails is tried again. What sources tell comes in here and goes to the subscriber
-through the outbox, as the broker's own notifications do.
+Whenever subscriptions or registrations change, the subscriptions that should be forwarded are compared with
+those that are, and the difference is carried out at the sources. Failures are retried. Notifications of
+sources come in here and go to the subscriber through the outbox, as the broker's own do.
 """
 
 import asyncio
@@ -68,16 +68,16 @@ from services.context_broker.tenants import Tenant, Tenants
 log = get_logger(__name__)
 
 SETTLE_S: Final = 0.05
-"""So long registrations may go on changing before subscriptions are brought in step with them."""
+"""Pause after a change of registrations, so that several changes are handled together."""
 RETRY_S: Final = 10.0
-"""After so long, what could not be passed on or taken back is tried again."""
+"""Pause before a failed forwarding or deletion is retried."""
 
 
 class SubscriptionForwarder:
-    """Keeps what is passed on in step with subscriptions and registrations, for all tenants.
+    """Keeps forwarded subscriptions in step with subscriptions and registrations, for all tenants.
 
-    Sources tell of changes at `public_url`; if there is none, at the address by which the broker was last
-    called by a subscriber.
+    Sources send notifications to `public_url`, or else to the address at which a subscriber last called the
+    broker.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class SubscriptionForwarder:
         self._tenants = tenants
         self._contexts = contexts
         self._forwarder = forwarder
-        self._relays: dict[str, ForwardedSubscription] = {}
+        self._forwarded: dict[str, ForwardedSubscription] = {}
         self._refused: dict[tuple[str, str, str], str] = {}
         self._locks: dict[str, asyncio.Lock] = {}
         self._tasks: set[asyncio.Task[None]] = set()
@@ -96,41 +96,41 @@ class SubscriptionForwarder:
         self._base = ""
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return where sources tell of what was passed on."""
+        """Return the operation that receives notifications of sources."""
         path = f"{PATH}/{{token}}"
         name = "receiveSourceNotification"
         return (Operation("POST", path, name, "6.3.8", self.receive, frozenset(), of_no_tenant=True),)
 
     def handlers(self) -> dict[str, Handler]:
-        """Return what is to be done when subscriptions change."""
+        """Return the handlers of operations that change subscriptions."""
         names = ("createSubscription", "updateSubscription", "deleteSubscription")
         return dict.fromkeys(names, self._changed)
 
     async def start(self, journal: Journal) -> None:
-        """Take up what was passed on before, and bring it in step."""
+        """Load the forwarded subscriptions and bring them in step."""
         self._base = self._contexts.base({})
-        for tenant, token, stored in journal.documents(Kind.RELAY):
+        for tenant, token, stored in journal.documents(Kind.FORWARDED_SUBSCRIPTION):
             await self._restore(tenant, token, stored)
-        for forwarded in self._relays.values():
+        for forwarded in self._forwarded.values():
             self._base = self._public_url or forwarded.base
         for one in self._tenants:
             if not one.federation.is_empty or self._of(one):
                 self.wake(one)
 
     def stop(self) -> None:
-        """Leave everything as it is."""
+        """Stop the background tasks; forwarded subscriptions stay."""
         for task in self._tasks:
             task.cancel()
 
     async def _restore(self, tenant: str, token: str, stored: bytes) -> None:
-        """Take a relay as the journal has it."""
+        """Load a forwarded subscription."""
         try:
-            self._relays[token] = await restored(token, tenant, stored, self._contexts)
+            self._forwarded[token] = await restored(token, tenant, stored, self._contexts)
         except Problem as problem:
-            log.exception("what was passed on cannot be taken up", forwarded=token, why=problem.detail)
+            log.exception("forwarded subscription cannot be loaded", token=token, why=problem.detail)
 
     def wake(self, tenant: Tenant) -> None:
-        """Bring a tenant's relays in step soon: once for registrations that come in a row."""
+        """Schedule an alignment of a tenant; changes in a row share one."""
         self._align_later(tenant, SETTLE_S, self._waking)
 
     def _align_later(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
@@ -150,7 +150,7 @@ class SubscriptionForwarder:
     def _done(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
-            log.error("subscriptions cannot be passed on", exc_info=error)
+            log.error("subscription forwarding failed", exc_info=error)
 
     async def _changed(self, sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
         answer = await perform(exchange)
@@ -159,10 +159,10 @@ class SubscriptionForwarder:
             sources.add_warning(SILENT, why)
         return answer
 
-    # Passing on and taking back
+    # Forwarding and deleting
 
     async def align(self, tenant: Tenant) -> list[str]:
-        """Pass on what should be and is not, take back what should not be; return what failed and why."""
+        """Forward missing subscriptions and delete obsolete ones at the sources; return the failures."""
         async with self._locks.setdefault(tenant.name, asyncio.Lock()):
             wanted = await self._wanted(tenant)
             held = {one.key: one for one in self._of(tenant)}
@@ -200,7 +200,9 @@ class SubscriptionForwarder:
                 try:
                     dialect = await self._forwarder.dialect(source, one.names, body=JSON)
                 except Problem as problem:
-                    log.warning("a source cannot be spoken to", registration=source.id, why=problem.detail)
+                    log.warning(
+                        "@context of a source cannot be loaded", registration=source.id, why=problem.detail
+                    )
                     continue
                 document = passed_on(one, source, dialect)
                 found[one.id, source.id] = (
@@ -212,7 +214,7 @@ class SubscriptionForwarder:
         return found
 
     def _sources_of(self, tenant: Tenant, one: Subscription) -> Iterable[Registration]:
-        """Return the registrations by which a subscription is to be passed on."""
+        """Return the registrations to which a subscription is to be forwarded."""
         coverage = CoverageQuery(one.places, one.scopes, None, one.view.datasets)
         where = source_filter(one.document.get("csf"), one.names, coverage)
         passed = frozenset(chain(str(one.document.get(CAME_BY, "")).encode("latin-1", "replace")))
@@ -229,7 +231,8 @@ class SubscriptionForwarder:
     async def _pass_on(
         self, tenant: Tenant, one: Subscription, source: Registration, document: dict[str, Any], said: str
     ) -> str | None:
-        """Return why a source could not be told, None if it could or will never take it."""
+        """Return why forwarding failed; None if it succeeded or the source will never take the
+        subscription."""
         refused = (tenant.name, one.id, source.id)
         if self._refused.get(refused) == said:
             return None
@@ -250,12 +253,12 @@ class SubscriptionForwarder:
             return error.why
         except (NotStored, Problem) as error:
             return str(error)
-        if response.status in {201, 409}:  # there already: an answer was lost
+        if response.status in {201, 409}:  # 409: it exists, an earlier response was lost
             await self._keep(tenant, made.there())
             return None
         if response.status >= 500 and response.status != 508:
-            return f"{source.endpoint} answers {response.status} to a subscription"
-        log.warning("a source refuses a subscription", registration=source.id, status=response.status)
+            return f"{source.endpoint} returns {response.status} for a subscription"
+        log.warning("source refused a subscription", registration=source.id, status=response.status)
         self._refused[refused] = said
         await self._forget(tenant, made)
         return None if response.status == 508 else _refusal(source, response)
@@ -270,13 +273,13 @@ class SubscriptionForwarder:
                 request = SourceRequest(
                     "PATCH", path, dialect, (), {"type": "Subscription", "isActive": False}
                 )
-            else:  # it learns from the answer to its next notification that nobody listens any more
+            else:  # the source learns from the 404 to its next notification that the subscription has ended
                 await self._forget(tenant, forwarded)
                 return None
             origin = RequestOrigin({}, tenant.alias, federated(tenant).registry)
             response, _ = await self._forwarder.send(forwarded.registration, request, origin)
             if response.status >= 500:
-                return f"{forwarded.registration.endpoint} answers {response.status}"
+                return f"{forwarded.registration.endpoint} returns {response.status}"
             await self._forget(tenant, forwarded)
         except SourceError as error:
             return error.why
@@ -289,24 +292,26 @@ class SubscriptionForwarder:
         return RequestOrigin({b"via": came_by} if came_by else {}, tenant.alias, federated(tenant).registry)
 
     def _of(self, tenant: Tenant) -> list[ForwardedSubscription]:
-        return [one for one in self._relays.values() if one.tenant == tenant.name]
+        return [one for one in self._forwarded.values() if one.tenant == tenant.name]
 
     async def _keep(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
-        key = (Kind.RELAY, tenant.name, forwarded.token)
+        key = (Kind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token)
         await tenant.commits.store(Entries(documents={key: forwarded.stored()}))
-        self._relays[forwarded.token] = forwarded
+        self._forwarded[forwarded.token] = forwarded
 
     async def _forget(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
-        await tenant.commits.store(Entries(documents={(Kind.RELAY, tenant.name, forwarded.token): None}))
-        self._relays.pop(forwarded.token, None)
+        await tenant.commits.store(
+            Entries(documents={(Kind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token): None})
+        )
+        self._forwarded.pop(forwarded.token, None)
 
-    # What is heard
+    # Notifications of sources
 
     async def receive(self, exchange: Exchange) -> Answer:
-        """POST sourceNotifications/{token}: a source tells of what was passed on to it."""
-        forwarded = self._relays.get(exchange.names[0])
+        """POST sourceNotifications/{token}: a source notifies of changes."""
+        forwarded = self._forwarded.get(exchange.names[0])
         if forwarded is None:
-            raise not_found("nothing is subscribed to from here any more; delete the subscription")
+            raise not_found("this subscription has ended; delete it")
         document, context = await exchange.body()
         data = document.get("data") if isinstance(document, dict) else None
         if not isinstance(data, list):
@@ -334,7 +339,7 @@ class SubscriptionForwarder:
     def _notification_entity(
         given: Any, forwarded: ForwardedSubscription, one: Subscription, tenant: Tenant, context: Context
     ) -> bytes | None:
-        """Return what a subscriber is told of an entity that a source tells of; None if not at all."""
+        """Return the entity for the subscriber's notification; None if the subscription does not match."""
         if not isinstance(given, dict):
             raise bad_request_data(f"an entity is a JSON object, not {shown(given)}")
         entity_id = given.get("id")

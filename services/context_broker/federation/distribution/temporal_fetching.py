@@ -1,7 +1,7 @@
-"""Fetching the past: how entities have been, read from one source or from the broker itself.
+"""Reads temporal evolutions from one source, or from the broker itself.
 
-A source is asked for what it is registered for, in the form that is wanted; or for the values and times that
-totals are made of, part by part.
+A source is queried for what its registration covers, in the requested representation. For aggregations over
+several sources the plain values are read instead, part by part.
 """
 
 import time
@@ -46,11 +46,11 @@ from services.context_broker.temporal.query import (
 )
 
 SHOWING: Final = ("pick", "omit")
-"""What is left of evolutions once they are put together."""
+"""Projection parameters; they apply to merged evolutions."""
 MAX_PARTS: Final = 100
-"""Parts in which the values of one source are read, a thousand of an attribute in each."""
+"""Parts in which the values of one source are read, each with at most a thousand per attribute."""
 READ_TIMEOUT_S: Final = 30.0
-"""So long values may be read for totals: about as long as askers wait for an answer."""
+"""Time limit for reading the values for an aggregation, about as long as clients wait for a response."""
 _NOT_PASSED_ON: Final = frozenset(
     {"local", "id", "idPattern", "type", "attrs", "pick", "omit", "limit", "offset", "count", "csf",
      "splitEntities", "entities", "temporalQ", "aggrParams", "entityMapLifetime"}
@@ -61,7 +61,7 @@ _FORMS: Final = frozenset({"options", "format", *AGGREGATION_PARAMETERS, *SHOWIN
 
 @dataclass(frozen=True, slots=True)
 class TemporalRequest:
-    """What is asked for, by parameters, and how it is to be told."""
+    """A temporal query: its parameters, its time range, and the requested representation."""
 
     context: Context
     parameters: Mapping[str, str]
@@ -70,18 +70,18 @@ class TemporalRequest:
 
     @property
     def is_for_totals(self) -> bool:
-        """Say whether totals are wanted, not values."""
+        """Return whether aggregated values are requested."""
         return self.view.representation is Representation.AGGREGATED
 
     def for_values(self) -> dict[str, str]:
-        """Return the parameters that ask for values with their times, in place of totals of them."""
+        """Return the parameters of a query for the plain values to aggregate."""
         kept = {name: said for name, said in self.parameters.items() if name not in _FORMS}
         return {**kept, "options": "sysAttrs"}
 
 
 @dataclass(frozen=True, slots=True)
 class TemporalPart:
-    """What one source tells: documents in the names of the reader, and up to when if there is more."""
+    """Evolutions of one source in the names of the client; `edge` is where they end if there are more."""
 
     documents: list[Evolution]
     edge: int | None = None
@@ -89,7 +89,7 @@ class TemporalPart:
 
 _NOTHING: Final = TemporalPart([])
 FetchPart = Callable[[Mapping[str, str]], Awaitable[TemporalPart]]
-"""Asks somebody with these parameters."""
+"""Reads a part with these parameters."""
 
 
 async def values_of(
@@ -97,9 +97,9 @@ async def values_of(
     request: TemporalRequest,
     timeout_s: float = READ_TIMEOUT_S,
 ) -> list[temporal_merge.SourceEvolution]:
-    """Return all values that are told, with their times, part by part.
+    """Return all values with their times, read part by part.
 
-    Raises a problem (403) when there are too many, or reading them takes longer than `patience_s`.
+    Raises a problem (403) when there are too many, or reading them takes longer than `timeout_s`.
     """
 
     async def read(registration: Registration | None, ask: FetchPart) -> list[temporal_merge.SourceEvolution]:
@@ -126,7 +126,7 @@ async def values_of(
 
 
 def _after(parameters: dict[str, str], edge: int, asked: TemporalQuery) -> dict[str, str] | None:
-    """Return the parameters that ask for what is after the edge; None if nothing can be."""
+    """Return the parameters for what follows the edge; None if nothing does."""
     if asked.last is not None or asked.time_property is None:
         raise _too_many()
     if asked.end is None:
@@ -139,7 +139,7 @@ def _after(parameters: dict[str, str], edge: int, asked: TemporalQuery) -> dict[
 
 def _too_many() -> Problem:
     return too_many_results(
-        "several sources tell of one entity, and of more values than can be put together into totals; ask "
+        "several sources have values of one entity, and more than can be aggregated together; ask "
         "for a shorter time with timerel, timeAt and endTimeAt"
     )
 
@@ -150,7 +150,7 @@ def asking_sources(
     context: Context,
     ids: tuple[str, ...],
 ) -> list[tuple[Registration | None, FetchPart]]:
-    """Return how the sources are asked for some entities alone."""
+    """Return functions that read some entities from the sources."""
 
     def of_source(match: Match) -> FetchPart:
         def ask(parameters: Mapping[str, str]) -> Awaitable[TemporalPart]:
@@ -172,7 +172,7 @@ def asking_sources(
 
 
 def asking_own(exchange: Exchange, perform: Perform, ids: tuple[str, ...]) -> FetchPart:
-    """Return how the broker itself is asked for some entities alone."""
+    """Return a function that reads some of the broker's own entities."""
     narrowed = {"offset": "0", "limit": str(len(ids))}
     hidden = {"aggrParams", *SHOWING}
 
@@ -204,7 +204,7 @@ async def ask_source(
     *,
     single: bool = False,
 ) -> TemporalPart:
-    """Return what a source tells, as documents in the names of `context`."""
+    """Return the evolutions of a source in the names of `context`."""
     pieces = [match] if single else list(match.split_by_ids(MAX_IDS))
     if len(pieces) == 1:
         return await _asked(sources, match, path, parameters, context, single=single)
@@ -253,9 +253,9 @@ async def _asked(
 def of_the_past(
     match: Match, parameters: Mapping[str, str], dialect: SourceDialect, *, same: bool
 ) -> list[tuple[str, str]]:
-    """Return the parameters that a source is asked with, besides those that say which entities.
+    """Return the query parameters for a source, without those that select entities.
 
-    `same`: it is spoken to in the names of the request.
+    `same`: its dialect uses the names of the request.
     """
     names = match.attributes
     wanted = [] if names is None else [("attrs", ",".join(sorted(dialect.name(one) for one in names)))]
@@ -267,7 +267,7 @@ def of_the_past(
 
 
 def who(match: Match, parameters: Mapping[str, str], name: Callable[[str], str]) -> list[tuple[str, str]]:
-    """Return the parameters that say which entities a source is asked for."""
+    """Return the query parameters that select the entities of a source."""
     types = {kind for part in match.parts for kind in part.types or ()} or {
         kind for piece in match.registration.information for one in piece.entities for kind in one.types
     }
@@ -284,7 +284,7 @@ def _documents(registration: Registration, response: HttpResponse, *, single: bo
     try:
         found = orjson.loads(response.body) if response.body else ({} if single else [])
     except orjson.JSONDecodeError as error:
-        why = f"{registration.endpoint} answers no JSON: {error}"
+        why = f"{registration.endpoint} returns invalid JSON: {error}"
         raise SourceError(registration, INVALID, 502, why) from None
     documents = [found] if single and found else found
     if documents == {} and single:
@@ -292,7 +292,7 @@ def _documents(registration: Registration, response: HttpResponse, *, single: bo
     if not isinstance(documents, list) or not all(
         isinstance(one, dict) and isinstance(one.get("id"), str) for one in documents
     ):
-        raise SourceError(registration, INVALID, 502, f"{registration.endpoint} answers no temporal entities")
+        raise SourceError(registration, INVALID, 502, f"{registration.endpoint} returns no temporal entities")
     return documents
 
 
@@ -312,6 +312,6 @@ def _limited(document: Evolution, names: frozenset[str] | None, context: Context
 
 
 def edge_of(answer: Answer) -> int | None:
-    """Return up to when the broker's own answer tells; None for one that tells everything."""
+    """Return where the broker's own response ends; None for a complete one."""
     content_range = next((value for name, value in answer.headers if name == b"content-range"), b"")
     return temporal_merge.edge_in(content_range.decode())

@@ -1,8 +1,9 @@
-"""Evolutions told by several sources, put together (clauses 4.5.5, 4.5.19, 5.7.3.4 and 5.7.4.4).
+"""Merges temporal evolutions from several sources (clauses 4.5.5, 4.5.19, 5.7.3.4 and 5.7.4.4).
 
-They are put together as documents, in the form that was asked for: instances, and pairs of value and time,
-side by side in the order of time. Of what two tell of the same moment, the one with the stronger claim counts
-(the broker's own, then exclusive, redirect, inclusive, auxiliary). Totals are made of the values themselves.
+Evolutions are merged as documents, in the requested representation: instances, or pairs of value and time, in
+the order of time. If two sources have an instance of the same time, the one with the higher priority counts
+(the broker's own, then exclusive, redirect, inclusive, auxiliary). Aggregations are computed from the merged
+values.
 """
 
 import re
@@ -32,13 +33,13 @@ _SERIES: Final = frozenset(
 _RANGE: Final = re.compile(r"date-time\s+(\d{4}-\d\d-\d\dT[^/\s]*?)-(\d{4}-\d\d-\d\dT[^/\s]*)/")
 
 Evolution = dict[str, Any]
-"""How one entity has been, as a document in the names of the reader."""
+"""The evolution of one entity, as a document in the names of the client."""
 SourceEvolution = tuple[Registration | None, Evolution]
-"""An evolution, and who told it: a source, or the broker itself."""
+"""An evolution and its source; None is the broker itself."""
 
 
 def merge_evolutions(given: Iterable[SourceEvolution], context: Context, last: int | None) -> Evolution:
-    """Return one evolution out of those that were told, with the `last` instances of each attribute."""
+    """Return the merged evolution, with the `last` instances of each attribute."""
     ranked = sorted(given, key=lambda one: (0, "") if one[0] is None else (int(one[0].mode) + 1, one[0].id))
     proxied = [one for one, _ in ranked if one is not None and one.mode.is_proxied]
     result: Evolution = {}
@@ -50,7 +51,7 @@ def merge_evolutions(given: Iterable[SourceEvolution], context: Context, last: i
             elif gone is not None and name not in gone:
                 result[name] = _joined(result[name], said) if name in result else said
     ends = [document.get("expiresAt") for _, document in ranked]
-    if "expiresAt" in result:  # it ends when all of it has, if it does (clause 4.5.5.3)
+    if "expiresAt" in result:  # it expires with the last of its parts, if all of them expire (clause 4.5.5.3)
         result["expiresAt"] = max(ends, key=_seconds)
         if None in ends:
             del result["expiresAt"]
@@ -61,7 +62,7 @@ def merge_evolutions(given: Iterable[SourceEvolution], context: Context, last: i
 
 
 def shown(document: Evolution, view: TemporalView, context: Context) -> Evolution:
-    """Return an evolution with no attributes but those that the reader wants."""
+    """Return an evolution with the requested attributes only."""
     return {
         name: said
         for name, said in document.items()
@@ -70,7 +71,7 @@ def shown(document: Evolution, view: TemporalView, context: Context) -> Evolutio
 
 
 def with_members(document: Evolution, query: TemporalQuery, view: TemporalView) -> Evolution:
-    """Return an evolution with no members but those that the reader wants."""
+    """Return an evolution with the requested members only."""
     projection, sys_attrs = view.view.projection, view.view.sys_attrs
     gone = set() if sys_attrs else {"createdAt", "modifiedAt", "expiresAt"}
     if not sys_attrs and query.time_property != "deletedAt":
@@ -81,9 +82,9 @@ def with_members(document: Evolution, query: TemporalQuery, view: TemporalView) 
 
 
 def aggregated(document: Evolution, query: TemporalQuery) -> Evolution:
-    """Return what the values of an evolution (normalized, with its times) come to, period by period.
+    """Return the aggregation of an evolution (normalized, with its times) by period.
 
-    Raises a problem (403) when there are more periods than fit into an answer.
+    Raises a problem (403) when there are more periods than fit into a response.
     """
     wanted = query.aggregation
     assert wanted is not None  # noqa: S101 - asked for with this form
@@ -126,14 +127,14 @@ def aggregated(document: Evolution, query: TemporalQuery) -> Evolution:
 
 
 def edge_in(content_range: str | None) -> int | None:
-    """Return up to when an answer tells (microseconds since 1970); None for one that tells everything."""
+    """Return where a partial response ends (microseconds since 1970); None for a complete one."""
     found = _RANGE.search(content_range or "")
     at_s = None if found is None else moment(found[2])
     return None if at_s is None else round(at_s * MICROS)
 
 
 def common_edge(edges: Iterable[int | None], query: TemporalQuery) -> int | None:
-    """Return up to when all of several answers tell; backwards if the last instances were asked for."""
+    """Return up to when all responses are complete; from when on, if the last instances were requested."""
     found = [one for one in edges if one is not None]
     if not found:
         return None
@@ -141,7 +142,7 @@ def common_edge(edges: Iterable[int | None], query: TemporalQuery) -> int | None
 
 
 def kept_to(document: Evolution, edge: int, query: TemporalQuery) -> Evolution:
-    """Return an evolution without what is beyond the edge."""
+    """Return an evolution without what lies beyond the edge."""
     edge_s, latest = edge / MICROS, query.last is not None
 
     def is_within(one: Any) -> bool:
@@ -155,7 +156,7 @@ def kept_to(document: Evolution, edge: int, query: TemporalQuery) -> Evolution:
 
 
 def content_range_of(documents: Iterable[Evolution], edge: int, query: TemporalQuery) -> bytes:
-    """Return the Content-Range of an answer that tells up to the edge (clause 6.3.10)."""
+    """Return the Content-Range of a response that ends at the edge (clause 6.3.10)."""
     start, size = query.start, "*"
     if query.last is not None:
         start, size = query.end, str(query.last)
@@ -172,7 +173,7 @@ def _seconds(given: Any) -> float:
 def _claimed(
     proxied: list[Registration], registration: Registration | None, context: Context
 ) -> frozenset[str] | None:
-    """Return the names of attributes that others have to themselves; None if they have everything."""
+    """Return the names of attributes that only proxied sources may have; None if they have all."""
     names: set[str] = set()
     for one in proxied:
         if registration is not None and registration.mode <= one.mode:
@@ -185,7 +186,7 @@ def _claimed(
 
 
 def _joined(own: Any, other: Any) -> Any:
-    """Return two series of one attribute as one; what both tell of one moment is the first one's to say."""
+    """Return two series of one attribute merged; for one time the first series counts."""
     if _has_pairs(own) and _has_pairs(other):
         many = {_dataset_of(one): one for one in _listed(own)}
         for one in _listed(other):
@@ -220,7 +221,7 @@ def _newest(series: Any, count: int) -> Any:
 
 
 def _each(series: Any, narrow: Callable[[list[Any]], list[Any]]) -> Any:
-    """Return a series with its instances, or its pairs of value and time, narrowed."""
+    """Return a series with its instances, or its pairs of value and time, filtered."""
     if not _has_pairs(series):
         return narrow(series) if isinstance(series, list) else series
     many = [
@@ -248,7 +249,7 @@ def _dataset_of(one: Any) -> str | None:
 
 
 def _slot_of(one: Any) -> Any:
-    """Return what only one instance has: its dataset and moment, or all of it if it says no moment."""
+    """Return the identity of an instance: its dataset and time, or all of its content if it has no time."""
     if isinstance(one, dict) and isinstance(one.get("observedAt"), str):
         return _dataset_of(one), _time_of(one)
     plain = one
@@ -269,7 +270,7 @@ def _times_of(document: Evolution) -> Iterator[float]:
 
 
 def _time_of(one: Any) -> float:
-    """Return when an instance, or a pair of value and time, was; in seconds since 1970."""
+    """Return the time of an instance, or of a pair of value and time, in seconds since 1970."""
     text: Any = None
     if isinstance(one, dict):
         text = next((one[name] for name in _TIMES if name in one), None)

@@ -1,7 +1,8 @@
-"""How things have been, told by several sources (clauses 5.7.3.4 and 5.7.4.4).
+"""Retrieves and queries temporal evolutions at several sources (clauses 5.7.3.4 and 5.7.4.4).
 
-Everybody is asked in the form that is wanted, and `evolutions` puts together what they tell. Totals over
-periods cannot be put together: where several tell of one entity they are asked once more, for the values.
+All sources are queried in the requested representation, and `temporal_merge` merges the results. Aggregated
+values cannot be merged: if several sources have parts of one entity, they are queried again for the plain
+values.
 """
 
 from collections.abc import Mapping
@@ -159,7 +160,7 @@ async def query_batch(sources: Sources, exchange: Exchange, perform: Perform) ->
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """What a query asks: all its parameters, and those of each of its selectors."""
+    """A query: all parameters, and the parameters of each of its selectors."""
 
     context: Context
     parameters: Mapping[str, str]
@@ -245,9 +246,9 @@ def _take(
     found: list[TemporalPart],
     request: TemporalRequest,
 ) -> None:
-    """Add what sources tell, one source after the other: as long as one has more, the next is not reached.
+    """Add the results of the sources in order: the next source is added once the previous one is exhausted.
 
-    So pages neither repeat nor miss anything, though each is read from the beginning.
+    So pages neither repeat nor skip entities, although each page is read from the start.
     """
     for (match, _), part in zip(matched, found, strict=True):
         for document in part.documents:
@@ -265,7 +266,7 @@ async def _add_rest(
     page: list[str],
     request: TemporalRequest,
 ) -> None:
-    """Add what sources that have more than they were asked for have of the entities of a page."""
+    """Add what the sources with more results than requested have of the entities on a page."""
     asking = asking_sources(sources, full, request.context, tuple(page))
     parts = await gather_all(*(ask(request.parameters) for _, ask in asking))
     for (registration, _), part in zip(asking, parts, strict=True):
@@ -280,7 +281,7 @@ async def _add_rest(
 async def _page_of(
     hits: list[str], sources: Sources, exchange: Exchange, perform: Perform, given: _Asked
 ) -> Answer:
-    """Answer with a page of the entities that meet all conditions, in the form that is wanted."""
+    """Return a page of the entities that match all filters, in the requested representation."""
     window = _window(exchange)
     some = hits[window.offset : window.offset + window.limit]
     narrowed = narrowed_to(exchange, some or [_NOBODY])
@@ -302,11 +303,11 @@ async def _page_of(
 
 
 _NOBODY: Final = "urn:ngsi-ld:Entity:nobody"
-"""Asked for where a page has nothing, so that an empty answer looks as the asker wants it."""
+"""Requested for an empty page, so that its response has the requested representation."""
 
 
 def _for_all_members(exchange: Exchange, window: Mapping[str, str]) -> Exchange:
-    """Return the query without what would hide members: they are needed to put evolutions together."""
+    """Return the query without projections, which would hide members that the merge needs."""
     kept = {name: said for name, said in exchange.parameters.items() if name not in SHOWING}
     result = derived(exchange, parameters={**kept, **window})
     if exchange.method == "POST" and not set(SHOWING).isdisjoint(document := exchange.document()):

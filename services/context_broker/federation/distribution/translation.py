@@ -1,7 +1,7 @@
-"""Translation: a document in other names, or in the words of an older version of NGSI-LD.
+"""Translates documents to the names of another @context or to an older version of NGSI-LD.
 
-Names of one @context become those of another (clause 4.3.6.6, jsonldContext); what an older source does not
-know is said in a way that it does (clause 4.3.6.8, ngsildConformance).
+Names are translated for jsonldContext (clause 4.3.6.6). For ngsildConformance, parts that an older source
+does not know are rewritten or left out (clause 4.3.6.8).
 """
 
 from collections.abc import Mapping
@@ -15,14 +15,14 @@ _NAMES_NOTHING: Final = frozenset(
     {"id", "@id", "@context", "scope", "expiresAt", "createdAt", "modifiedAt", "deletedAt", "observedAt",
      "unitCode", "datasetId", "instanceId", "valueType", "lang", *SAYS.values()}
 )  # fmt: skip
-"""Members whose names are the same in every @context and whose content is not to be touched."""
+"""Members with the same name in every @context, whose content is not translated."""
 _OF_TERMS: Final = frozenset({"type", "@type", "vocab", "objectType"})
 """Members whose content is a term or a list of terms."""
 _KINDS: Final = frozenset(SAYS)
 
 
 def translated(document: Mapping[str, Any], before: Terms, after: Terms) -> dict[str, Any]:
-    """Return an entity, a part of one or an attribute (normalized or concise) with other names."""
+    """Return an entity, a part of one or an attribute (normalized or concise) with translated names."""
     result: dict[str, Any] = {}
     for name, said in document.items():
         if name in _OF_TERMS:
@@ -52,7 +52,7 @@ def older(document: Any, version: str) -> Any:
 
 
 def _older_question(document: dict[str, Any], at: Version) -> dict[str, Any]:
-    """Return a query or a subscription without what came later: who does not know it refuses all of it."""
+    """Return a query or a subscription without later members: an older source would refuse all of it."""
     kept = {name: said for name, said in document.items() if at >= _LATE_MEMBERS.get(name, at)}
     notification = document.get("notification")
     if isinstance(notification, dict):
@@ -68,7 +68,7 @@ _LATE_MEMBERS: Final = {
     "expandValues": (1, 8),
     "jsonKeys": (1, 8),
 }
-"""Members of a query or a subscription, and since which version it may have them."""
+"""Members of a query or a subscription with the version that introduced them."""
 _LATE_IN_NOTIFICATION: Final = {"showChanges": (1, 6), "sysAttrs": (1, 6)}
 _ANYTHING: Final = {"id": "urn:ngsi-ld:Part:1", "type": "Part"}
 _PART: Final = "part"

@@ -1,7 +1,11 @@
-"""Shares: which part of a change goes to which source, and which stays here (clauses 4.3.6.2 and 4.3.6.3).
+"""Routes the parts of a write to the sources and to the broker itself (clauses 4.3.6.2 and 4.3.6.3).
 
-What an exclusive source has goes there and nowhere else; of the rest, what redirect sources have goes to all
-of these; what then remains is the broker's own and goes to inclusive sources besides.
+1. Instances of an exclusive source go to that source only.
+2. Of the rest, instances of redirect sources go to each of them.
+3. What remains is written by the broker itself, and by inclusive sources as well.
+
+Example: an entity has a, b and c. An exclusive source has a, an inclusive one has b. The exclusive source
+gets a, the inclusive one b, the broker b and c.
 """
 
 from collections.abc import Iterable
@@ -22,9 +26,9 @@ Names = frozenset[str]
 
 @dataclass(frozen=True, slots=True)
 class WriteRoute:
-    """What one source is to do, with which instances of attributes.
+    """The part of a write for one source.
 
-    `operation` is what it takes, None if it takes nothing that would do: then its part cannot be done.
+    `operation` is the one that the source takes, None if it takes none that fits: then this part fails.
     """
 
     registration: Registration
@@ -33,20 +37,20 @@ class WriteRoute:
 
     @property
     def names(self) -> Names:
-        """Return the attributes (IRIs) that it is about."""
+        """Return the attributes (IRIs) of the instances."""
         return frozenset(iri for iri, _ in self.instances)
 
 
 @dataclass(frozen=True, slots=True)
 class WriteRouting:
-    """How a change is shared; `own` are the instances that stay, None if nothing is to be done here."""
+    """The parts of a write; `own` are the instances that the broker writes, None if it writes nothing."""
 
     others: tuple[WriteRoute, ...]
     own: Instances | None
 
     @property
     def own_names(self) -> Names:
-        """Return the attributes (IRIs) of which instances stay."""
+        """Return the attributes (IRIs) that the broker writes."""
         return frozenset(iri for iri, _ in self.own or ())
 
 
@@ -57,11 +61,10 @@ def route_write(
     instances: Instances | None,
     where: SourceFilter | None = None,
 ) -> WriteRouting:
-    """Return who does what of a change of one entity.
+    """Return the parts of a write of one entity.
 
-    `operations` are the names under which a source may take it, the best first. `instances` are those of
-    attributes that the change is about, None if it is about the entity as such (its end). `where` says which
-    sources may have it at all.
+    `operations` are the names under which a source may take it, the preferred first. `instances` are those
+    that are written, None for a write of the entity as a whole (a deletion). `where` filters the sources.
     """
     found = _concerned(sources, operations, target, where)
     remaining, is_elsewhere, others = instances or frozenset(), False, list[WriteRoute]()
@@ -88,7 +91,7 @@ def route_write(
 def _concerned(
     sources: Sources, operations: tuple[str, ...], target: EntityTarget, where: SourceFilter | None
 ) -> Iterable[tuple[Registration, Names | None, str | None]]:
-    """Return the sources that a change concerns, the attributes they have (None: all), and what they take."""
+    """Return the matching sources with their attributes (None: all) and the operation that they take."""
     found = []
     for one in sources.registry.concerned((target,), where):
         if one.mode is Mode.AUXILIARY or sources.has_visited(one):
@@ -98,6 +101,6 @@ def _concerned(
             names = None if names is None or part.attributes is None else names | part.attributes
         operation = next((name for name in operations if one.takes(name)), None)
         if operation is None and (one.is_temporal or not TEMPORAL.isdisjoint(operations)):
-            continue  # who has the present does not have the past to itself, nor the other way round
+            continue  # a registration for current data does not claim temporal data, nor the other way round
         found.append((one, None if names is None else frozenset(names), operation))
     return found

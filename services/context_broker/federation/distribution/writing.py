@@ -1,9 +1,8 @@
-"""Entities, and their past, changed at several sources: create, replace, merge, append, update, delete.
+"""Distributes writes of single entities: create, replace, merge, append, update, delete.
 
-Clauses 5.6.1 to 5.6.6 and 5.6.11 to 5.6.19, each where it speaks of registrations. The broker's own
-share comes first: a change that it refuses as invalid goes nowhere. Then all others are asked at once, also
-when the broker has the entity already (create) or has it without the attribute: that part has failed, and the
-answer is 207 if any other succeeds.
+Clauses 5.6.1 to 5.6.6 and 5.6.11 to 5.6.19. The broker's own part comes first: a write that it rejects as
+invalid is not forwarded. All sources are then written at the same time, also if the broker already has the
+entity (create) or lacks the attribute: that part has failed, and the response is 207 if another succeeds.
 """
 
 from collections.abc import Mapping
@@ -150,9 +149,8 @@ def _is_temporal(exchange: Exchange) -> bool:
 
 
 class DistributedWrite:
-    """One change on its way to all that have a share in it. `names` are the attributes of the document (or
-    the one in the path) as they are named there, with their IRIs.
-    """
+    """One write with all its parts. `names` are the attributes of the document (or the one in the path)
+    with their IRIs."""
 
     def __init__(  # noqa: PLR0917 - the parts of one request
         self,
@@ -177,7 +175,7 @@ class DistributedWrite:
         self._parameters = tuple((name, given[name]) for name in _PASSED_ON if name in given)
 
     async def entity_answer(self, entity_id: str, routing: WriteRouting, well: Answer) -> Answer:
-        """Carry the change out and return the answer of an operation on an entity."""
+        """Carry out the write and return the response of an operation on an entity."""
         own, found = await self._carried_out(routing)
         good, failed = outcomes.settled(found)
         if not failed:
@@ -187,9 +185,9 @@ class DistributedWrite:
         return outcomes.entity_result(entity_id, good, failed)
 
     async def attributes_answer(self, routing: WriteRouting) -> Answer:
-        """Carry the change out and return the answer of an operation on attributes (clause 5.2.18).
+        """Carry out the write and return the response of an operation on attributes (clause 5.2.18).
 
-        Names in it are IRIs, for it has no @context (clause 6.3.6).
+        Names in it are IRIs, because it has no @context (clause 6.3.6).
         """
         own, found = await self._carried_out(routing)
         good, failed = outcomes.settled(found)
@@ -210,7 +208,7 @@ class DistributedWrite:
         return outcomes.multi_status({"updated": sorted(done - results), "notUpdated": left})
 
     async def _carried_out(self, routing: WriteRouting) -> tuple[Answer | None, list[Outcome]]:
-        """Return the broker's own answer if it had a share, and all outcomes; raises what it refuses."""
+        """Return the broker's own response if it had a part, and all outcomes; raises what it rejects."""
         own, found = None, list[Outcome]()
         if routing.own is not None:
             try:
@@ -227,7 +225,7 @@ class DistributedWrite:
         return own, found
 
     def _is_held(self) -> bool:
-        """Say whether the broker itself has the current entity that the path names, of the type asked for."""
+        """Return whether the broker has the current entity in the path, of the requested type."""
         known = (
             None
             if _is_temporal(self._exchange)
@@ -247,13 +245,13 @@ class DistributedWrite:
         return derived(self._exchange, raw=orjson.dumps(part_of(self._document, self._names, own)))
 
     def _attribute_path(self, name: str) -> str:
-        """Return the path of the one attribute, or of an instance of it, under the name that it has there."""
+        """Return the path of the attribute, or of an instance of it, with the given name."""
         entity_id, _, *instance = self._exchange.names
         root = "temporal/" if _is_temporal(self._exchange) else ""
         return "/".join((f"{root}entities", quoted(entity_id), "attrs", quoted(name), *map(quoted, instance)))
 
     async def forwarded(self, route: WriteRoute) -> Outcome | None:
-        """Return what became of a source's share; None if the request has passed the source before."""
+        """Return the outcome of a source's part; None if the request has passed the source before."""
         registration, names = route.registration, route.names
         if route.operation is None:
             return outcomes.of_refusal(registration, names, self._operation)
@@ -276,7 +274,7 @@ class DistributedWrite:
             response, _ = await self._sources.forwarder.send(registration, request, self._sources.origin)
         except SourceError as error:
             return outcomes.of_source_error(error, names)
-        except Problem as problem:  # its @context
+        except Problem as problem:  # the @context of the source
             return outcomes.of_source_error(SourceError(registration, SILENT, 502, problem.detail), names)
         if not registration.mode.is_proxied and self._sources.is_loop_answer(registration, response.status):
             return None
@@ -302,7 +300,7 @@ async def _of_document(
 
 
 def _datasets_of(exchange: Exchange, document: Any) -> set[str | None]:
-    """Return the datasetIds of the instances that a change of one attribute is about."""
+    """Return the datasetIds of the instances in a write of one attribute."""
     if len(exchange.names) > 2 or exchange.parameter("deleteAll") == "true":
         return {ANY}
     if document is not None:
@@ -314,7 +312,7 @@ def _datasets_of(exchange: Exchange, document: Any) -> set[str | None]:
 def _types_of(
     sources: Sources, exchange: Exchange, entity_id: str, context: Context
 ) -> frozenset[str] | None:
-    """Return the types of an entity as far as they are known: as the asker says, or as the broker has it."""
+    """Return the known types of an entity: from the request, or from the broker's own entity."""
     if given := exchange.parameter("type"):
         return frozenset(context.terms.expand(one) for one in given.split(",") if one) or None
     known = sources.exchange.tenant.store.latest(entity_id)

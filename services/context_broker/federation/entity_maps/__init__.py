@@ -1,1 +1,1 @@
-"""Entity maps: the ids that answer a query, kept so that its pages stay the same."""
+"""Entity maps: the ids of the entities that match a query, kept so that its pages stay consistent."""

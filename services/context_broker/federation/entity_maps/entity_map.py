@@ -1,9 +1,9 @@
-"""Entity maps: which entities answer a query, and who has them, noted once so that its pages stay the same.
+"""Entity maps: the ids that match a query and the sources that have them, kept for its pages.
 
-A map (clauses 4.5.25, 5.2.39 and 5.5.14) lists the ids of all hits, each with the registrations whose sources
-told of it and `@none` where the broker has it itself. A query that names a map is answered from its ids, page
-by page, and entities that no longer answer it are removed from the map meanwhile (`entity_map_pages`); of
-sources only what a page needs is asked for. A source that makes maps is asked by its own.
+A map (clauses 4.5.25, 5.2.39 and 5.5.14) lists the ids of all matches, each with the registrations whose
+sources returned it, and `@none` for the broker itself. A query that names a map is answered from its ids,
+page by page (`pages`). Of the sources only what a page needs is requested, by the source's own map if it
+creates some. Entities that no longer match are removed from the map.
 """
 
 import time
@@ -29,20 +29,20 @@ from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import Entries, Kind
 
 OWN: Final = "@none"
-"""Stands for the broker itself among those that have an entity."""
+"""Stands for the broker itself among the sources of an entity."""
 TYPE: Final = "EntityMap"
 DEFAULT_LIFETIME_S: Final = 3600.0
 MAX_LIFETIME_S: Final = 86400.0
-"""A map is for walking through pages, which nobody does for longer than a day."""
+"""A map is for walking through pages, which takes no longer than a day."""
 MAX_ENTITIES: Final = 100_000
 """Entities in one map."""
 MAX_TOTAL_ENTITIES: Final = 1_000_000
-"""Entities in all maps of a tenant; the maps that end first give way to new ones."""
+"""Entities in all maps of a tenant; the maps that expire first are deleted for new ones."""
 
 
 @dataclass(slots=True)
 class Listed:
-    """What the maps of sources list: entities with the registrations that have them, maps by registration."""
+    """Contents of the maps of sources: entities with their registrations, and map ids by registration."""
 
     entities: dict[str, list[str]] = field(default_factory=dict)
     linked: dict[str, str] = field(default_factory=dict)
@@ -50,10 +50,10 @@ class Listed:
 
 @dataclass(frozen=True, slots=True)
 class EntityMap:
-    """The ids of the entities that answer a query, in order, each with those that have it.
+    """The ids of the entities that match a query, in order, each with its sources.
 
-    `linked` are the ids of the maps that sources made for the same query, by registration. `query` tells the
-    query from others.
+    `linked` has the ids of the maps that sources created for the same query, by registration. `query` is the
+    digest of the query.
     """
 
     id: str
@@ -63,11 +63,11 @@ class EntityMap:
     query: str = ""
 
     def has_expired_at(self, now_s: float) -> bool:
-        """Say whether it has expired."""
+        """Return whether it has expired."""
         return has_expired(self.expires_at, now_s)
 
     def document(self) -> dict[str, Any]:
-        """Return the map as a reader gets it."""
+        """Return the map for a reader."""
         return {
             "id": self.id,
             "type": TYPE,
@@ -77,12 +77,12 @@ class EntityMap:
         }
 
     def stored(self) -> bytes:
-        """Return the map as it is kept."""
+        """Return the map for the journal."""
         return orjson.dumps({**self.document(), "query": self.query})
 
 
 class EntityMaps:
-    """The entity maps of a tenant: kept on disk, ending by themselves, and so many at most."""
+    """The entity maps of a tenant, stored on disk, with an expiry and a limit."""
 
     def __init__(self, tenant: str, commits: Commits) -> None:
         self._tenant = tenant
@@ -94,7 +94,7 @@ class EntityMaps:
         return iter(list(self._all))
 
     def load(self, body: bytes) -> None:
-        """Take up what was kept."""
+        """Load a stored map."""
         document = orjson.loads(body)
         self._all[document["id"]] = EntityMap(
             document["id"],
@@ -105,13 +105,13 @@ class EntityMaps:
         )
 
     def find(self, map_id: str) -> EntityMap | None:
-        """Return a map; None if it is not there or has expired."""
+        """Return a map; None if it does not exist or has expired."""
         require_uri(map_id, "the id of an entity map")
         found = self._all.get(map_id)
         return None if found is None or found.has_expired_at(time.time()) else found
 
     def get(self, map_id: str) -> EntityMap:
-        """Return a map; raise a problem (404) if it is not there or has expired."""
+        """Return a map; raise a problem (404) if it does not exist or has expired."""
         found = self.find(map_id)
         if found is None:
             raise not_found(
@@ -122,7 +122,8 @@ class EntityMaps:
     async def make(
         self, entities: Mapping[str, list[str]], lifetime: str | None, linked: Mapping[str, str], query: str
     ) -> EntityMap:
-        """Keep a new map; raises a problem (403) if it has too many entities, `NotStored` if it cannot."""
+        """Store a new map; raises a problem (403) if it has too many entities, `NotStored` if the disk
+        refuses."""
         if len(entities) > MAX_ENTITIES:
             raise too_many_results(
                 f"{len(entities)} entities answer the query, a map has {MAX_ENTITIES} at most; ask for fewer"
@@ -144,14 +145,14 @@ class EntityMaps:
         return made
 
     async def update(self, map_id: str, document: Any) -> None:
-        """Change when a map ends: all that can be changed (clauses 5.14.2 and 5.5.14)."""
+        """Change the expiry of a map, its only mutable member (clauses 5.14.2 and 5.5.14)."""
         found = self.get(map_id)
         if not isinstance(document, Mapping):
             raise bad_request_data(f"a change of an entity map is a JSON object, not {shown(document)}")
         if document.get("type", TYPE) != TYPE:
             raise bad_request_data(f'the type of an entity map is "{TYPE}", not {shown(document["type"])}')
         if "expiresAt" not in document:
-            return  # what else it has is the broker's to say, and is ignored
+            return  # other members are set by the broker and ignored
         wanted_s = moment(require_future(document["expiresAt"], '"expiresAt"')) or 0.0
         ends_s = min(wanted_s, time.time() + MAX_LIFETIME_S)
         changed = replace(found, expires_at=timestamp(datetime.fromtimestamp(ends_s, UTC)))
@@ -159,7 +160,7 @@ class EntityMaps:
         self._all[map_id] = changed
 
     async def drop(self, map_id: str, gone: Collection[str]) -> None:
-        """Remove entities from a map that is still there; they are gone for readers at once."""
+        """Remove entities from a map if it still exists; readers see the change at once."""
         found = self._all.get(map_id)
         if found is not None:
             left = {one: who_has for one, who_has in found.entities.items() if one not in gone}
@@ -176,7 +177,7 @@ class EntityMaps:
         return Entries(documents={(Kind.ENTITY_MAP, self._tenant, one.id): one.stored()})
 
     def _in_excess_of(self, more: int) -> list[str]:
-        """Return the maps that have to go: those that are over, and the next to end if there are too many."""
+        """Return the maps to delete: expired ones, and those that expire next if there are too many."""
         now_s = time.time()
         ordered = sorted(self._all.values(), key=lambda one: one.expires_at)
         held = more + sum(1 + len(one.entities) for one in ordered)
@@ -190,7 +191,7 @@ class EntityMaps:
 
 
 def lifetime_s(given: str | None) -> float:
-    """Return how long a map is to live: what is wished for, within the broker's bounds."""
+    """Return the lifetime of a map: the requested one within the broker's limits."""
     if given is None:
         return DEFAULT_LIFETIME_S
     return min(max(duration_s(given, "entityMapLifetime"), 1.0), MAX_LIFETIME_S)

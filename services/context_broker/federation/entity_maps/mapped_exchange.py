@@ -1,4 +1,4 @@
-"""Exchanges that an entity map answers, or for which sources list what goes into a new one."""
+"""Exchanges that are answered from an entity map, or that collect the contents of a new one."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from services.context_broker.request.request_context import RequestContext as Ex
 
 
 class MappedExchange(Exchange):
-    """`entity_map` answers the request; `listed` collects what the maps of context sources list."""
+    """`entity_map` answers the request; `listed` collects the contents of the maps of context sources."""
 
     __slots__ = ("entity_map", "listed")
 
@@ -18,7 +18,7 @@ class MappedExchange(Exchange):
 def with_map(
     exchange: Exchange, *, entity_map: EntityMap | None = None, listed: Listed | None = None, **changes: Any
 ) -> MappedExchange:
-    """Return a copy of the exchange with an entity map, or with a list for a new one."""
+    """Return a copy of the exchange with an entity map, or with a collection for a new one."""
     result = MappedExchange.__new__(MappedExchange)
     for name in Exchange.__slots__:
         setattr(result, name, getattr(exchange, name))
@@ -35,5 +35,5 @@ def entity_map_of(exchange: Exchange) -> EntityMap | None:
 
 
 def listed_of(exchange: Exchange) -> Listed | None:
-    """Return what the maps of context sources list for a map that is being created; None without one."""
+    """Return the collected contents for a new map; None if no map is created."""
     return exchange.listed if isinstance(exchange, MappedExchange) else None

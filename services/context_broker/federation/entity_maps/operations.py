@@ -1,4 +1,4 @@
-"""Operations on entity maps, and queries that are answered by one (clauses 5.14, 6.32, 6.34 and 6.35)."""
+"""Operations on entity maps, and queries that are answered from one (clauses 5.14, 6.32, 6.34 and 6.35)."""
 
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Final
@@ -44,13 +44,13 @@ _PAGE: Final = 1000
 
 
 class EntityMapOperations:
-    """What can be done to entity maps. `perform` carries out an operation by its name."""
+    """Operations on entity maps. `perform` carries out an operation by its name."""
 
     def __init__(self, perform: Callable[[str, Exchange], Awaitable[Answer]]) -> None:
         self._perform = perform
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         one, all_of_them, temporal = "entityMaps/{id}", "entityMaps", "temporal/entityMaps"
         asking = QUERY_PARAMETERS | MAP_PARAMETERS
         name, past = "createEntityMapQueryEntity", "createEntityMapQueryTemporal"
@@ -86,7 +86,7 @@ class EntityMapOperations:
         return _DONE
 
     async def create(self, exchange: Exchange) -> Answer:
-        """GET or POST entityMaps (clause 5.14.4): the map of what a query finds."""
+        """GET or POST entityMaps (clause 5.14.4): create the map of a query."""
         exchange.accept()
         any_of: tuple[Selection, ...] = ()
         if exchange.method == "GET":
@@ -120,9 +120,9 @@ class EntityMapOperations:
         return await self._kept(exchange, mapped)
 
     async def answer(self, operation: Operation, exchange: Exchange, perform: Perform) -> Answer:
-        """Answer a query that names a map, or wants one made (clauses 5.5.14 and 6.4.3.2).
+        """Answer a query that names a map, or wants one created (clauses 5.5.14 and 6.4.3.2).
 
-        Where the map that is named is not there, or not any more, one is made (clause 5.7.2.4).
+        If the named map does not exist any more, a new one is created (clause 5.7.2.4).
         """
         named = _named(exchange)
         if operation.name in SINGLE_ENTITY_READS:
@@ -143,7 +143,7 @@ class EntityMapOperations:
         return Answer(201 if result.status == 200 else result.status, result.body, result.headers)
 
     async def _entity(self, exchange: Exchange, one: EntityMap | None, perform: Perform) -> Answer:
-        """Answer with one entity, asking those who have it by the map; without one, note who they are."""
+        """Answer with one entity from the sources in the map; without a map, create one with its sources."""
         listed = Listed()
         parameters = for_the_query(exchange.parameters)
         asking = with_map(exchange, entity_map=one, listed=listed, parameters=parameters)
@@ -172,7 +172,7 @@ class EntityMapOperations:
             raise not_stored(str(error)) from error
 
     async def _kept(self, exchange: Exchange, entities: dict[str, list[str]]) -> Answer:
-        """Keep a map of the entities that were found here and of those that the maps of sources list."""
+        """Store a map of the broker's own matches and of those in the maps of sources."""
         elsewhere = listed_of(exchange) or Listed()
         for one, registrations in elsewhere.entities.items():
             known = entities.setdefault(one, [])
@@ -187,7 +187,7 @@ async def _map_answer(exchange: Exchange, one: EntityMap, status: int) -> Answer
 
 
 def _named(exchange: Exchange) -> EntityMap | None:
-    """Return the map that a request names; None if it names none, or one that is not there any more."""
+    """Return the map that a request names; None if it names none, or one that does not exist."""
     named = exchange.headers.get(MAP_HEADER)
     if named is None:
         return None

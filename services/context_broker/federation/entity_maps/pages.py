@@ -1,19 +1,22 @@
-"""Pages of entity maps: always full, and without entities that no longer fit (clause 5.5.9.3).
+"""Pages of entity maps: always full, and without entities that no longer match (clause 5.5.9.3).
 
-A map fixes which entities are candidates; whether they still fit is checked when a page is made:
+A map fixes the candidates; whether they still match is checked when a page is read:
 
-1. The page's entities are asked for by their ids, with the filters of the query. If all are found, that is
-   the page: one pass, the usual case.
-2. If some are missing, the candidates from the page's offset on are checked in pieces of `CHECKED_AT_ONCE`,
-   those that no longer fit are dropped, and the page is made anew from those that are left.
+1. The entities of the page are queried by their ids, with the filters of the query. If all are found, that is
+   the page (the usual case).
+2. If some are missing, the candidates from the offset of the page on are checked in batches of
+   `CHECK_BATCH_SIZE`. Those that no longer match are dropped, and the page is read again.
 3. With a count, all candidates are checked first.
 
-What is dropped is removed from the map, if the request asks the query that the map was made of; another query
-(a narrower q, say) leaves the map as it is. While a source does not answer nothing is dropped, for what is
-missing may be there: the page is shorter then, and the answer has a warning.
+Example: the map has 1 to 9, the page is offset 3 and limit 3. Entity 5 is missing, so 4 to 9 are checked and
+5 and 8 dropped. The page is 4, 6, 7, and the next link has offset 6 of the remaining 1, 2, 3, 4, 6, 7, 9.
 
-Links carry offsets in what is left of the map. What is removed lies behind the page's offset, or is
-subtracted from the offsets in the links, so a walk neither repeats nor skips.
+Dropped entities are removed from the map if the request has the query that the map was created for. Another
+query (with a narrower q, say) leaves the map as it is. While a source fails, nothing is dropped, because
+missing entities may be there: the page is shorter then, and the response has a warning.
+
+Invariant: links carry offsets into the remaining map. Removed entities lie behind the offset of the page or
+are subtracted from the offsets in the links, so that a walk neither repeats nor skips entities.
 """
 
 import asyncio
@@ -39,12 +42,12 @@ from services.context_broker.storage.database import NotStored
 from services.context_broker.temporal.query import temporal_window
 
 Perform = Callable[[Exchange], Awaitable[Answer]]
-"""Carries a query out, sources included."""
+"""Carries out a query, context sources included."""
 
 CHECK_BATCH_SIZE: Final = MAX_LIMIT
-"""Candidates that are checked in one go."""
+"""Candidates that are checked in one query."""
 SHAPING: Final = frozenset({"options", "format", "count", "pick", "omit", "lang", "datasetId"})
-"""Parameters that say how hits look, not which they are."""
+"""Parameters of the representation, which do not change the matches."""
 _WINDOW: Final = frozenset({"offset", "limit", PLACE})
 _UNMARKED: Final = (
     SHAPING
@@ -57,17 +60,17 @@ _UNMARKED: Final = (
 """Parameters in which requests for pages of one map may differ."""
 _COUNT: Final = b"ngsild-results-count"
 _NOBODY: Final = "urn:ngsi-ld:EntityMap:nobody"
-"""Asked for where a page has nothing, so that an empty answer looks as the asker wants it."""
+"""Requested for an empty page, so that its response has the requested representation."""
 
 
 async def map_page(exchange: Exchange, one: EntityMap, perform: Perform) -> Answer:
-    """Answer with the page of a map that is asked for; drop from the map what no longer fits."""
+    """Return the requested page of a map; remove from the map what no longer matches."""
     page = _Page(derived(exchange, parameters=for_the_query(exchange.parameters)), one, perform)
     return await page.answer()
 
 
 class _Page:
-    """One page on its way: `_ids` are the candidates, `_gone` those that have turned out not to fit."""
+    """One page: `_ids` are the candidates, `_gone` those that no longer match."""
 
     def __init__(self, wanted: Exchange, one: EntityMap, perform: Perform) -> None:
         self._wanted = wanted
@@ -80,7 +83,7 @@ class _Page:
         self._gone: set[str] = set()
 
     async def answer(self) -> Answer:
-        """Return the answer, with links to the pages before and after."""
+        """Return the response, with links to the previous and next pages."""
         window = self._window
         if window.count:
             for start in range(0, len(self._ids), CHECK_BATCH_SIZE):
@@ -98,7 +101,7 @@ class _Page:
             return result
         is_dropped = bool(self._gone) and self._map.query == query_mark(self._wanted)
         if is_dropped:
-            with suppress(NotStored):  # they are dropped again after a restart
+            with suppress(NotStored):  # they are removed again after a restart
                 await federated(self._wanted.tenant).entity_maps.drop(self._map.id, self._gone)
         headers = [one for one in result.headers if not _is_page_header(one)]
         if window.count:
@@ -107,7 +110,7 @@ class _Page:
         return Answer(result.status, result.body, headers)
 
     def _left(self, limit: int) -> list[str]:
-        """Return so many candidates from the offset on that have not turned out to be gone."""
+        """Return the first candidates from the offset on that are not known to be gone."""
         left: list[str] = []
         for entity in self._ids[self._window.offset :]:
             if len(left) >= limit:
@@ -117,7 +120,7 @@ class _Page:
         return left
 
     async def _shown(self, some: list[str]) -> tuple[Answer, int]:
-        """Return the entities in the form that is wanted, and how many of them were found."""
+        """Return the entities in the requested representation, and the number found."""
         ids = some or [_NOBODY]
         plain = _without(self._wanted.parameters, {"offset", "idPattern", PLACE})
         parameters = {**plain, "limit": str(len(ids)), "count": "true"}
@@ -125,8 +128,8 @@ class _Page:
         return result, _count_in(result) if result.status < 300 else len(some)
 
     async def _check(self, ids: list[str]) -> None:
-        """Note which of the candidates do not fit any more, if all that may have them answer."""
-        await asyncio.sleep(0)  # other requests are served between the pieces of a large map
+        """Record the candidates that no longer match, unless a source failed."""
+        await asyncio.sleep(0)  # serve other requests between the batches of a large map
         parameters = _without(self._wanted.parameters, _UNMARKED - {"local"} | {"idPattern"})
         parameters["limit"] = str(len(ids))
         parameters |= {"lastN": "1"} if self._is_temporal else {"pick": "id"}
@@ -137,7 +140,7 @@ class _Page:
             self._gone |= set(ids) - {one["id"] for one in orjson.loads(result.body)}
 
     def _asking(self, parameters: Mapping[str, str], ids: list[str], document: Callable[[], Any]) -> Exchange:
-        """Return the request for some ids, by the map: in the parameters, or in the selectors of a Query."""
+        """Return the request for some ids, in the parameters or in the selectors of a Query."""
         if self._wanted.method == "GET":
             parameters = {**parameters, "id": ",".join(ids)}
             return with_map(self._wanted, entity_map=self._map, parameters=parameters)
@@ -149,7 +152,7 @@ class _Page:
     def _links(
         self, shown: int, headers: list[tuple[bytes, bytes]], *, is_dropped: bool
     ) -> list[tuple[bytes, bytes]]:
-        """Return the links to the pages before and after; `is_dropped`: what is gone has left the map."""
+        """Return the links to the previous and next pages; `is_dropped`: gone entities have left the map."""
         start, limit = self._window.offset, self._window.limit
         if not limit:
             return []
@@ -166,7 +169,7 @@ class _Page:
 
 
 def for_the_query(parameters: Mapping[str, str]) -> dict[str, str]:
-    """Return the parameters without those that are about maps."""
+    """Return the parameters without those of entity maps."""
     plain: dict[str, str] = _without(parameters, MAP_PARAMETERS)
     options = parameters.get("options", "").split(",")
     if MAP_OPTION in options:
@@ -177,7 +180,7 @@ def for_the_query(parameters: Mapping[str, str]) -> dict[str, str]:
 
 
 def query_mark(exchange: Exchange) -> str:
-    """Return what tells the query of a request from others: its filters and the names that it uses."""
+    """Return a digest of the query in a request: its filters and its names."""
     parameters = sorted(_without(exchange.parameters, _UNMARKED).items())
     document = None if exchange.method == "GET" else _unshaped(exchange.document())
     said = [parameters, document, exchange.headers.get(b"link", b"").decode("latin-1")]
@@ -186,13 +189,13 @@ def query_mark(exchange: Exchange) -> str:
 
 
 def _unshaped(document: Any) -> Any:
-    """Return a Query document without the members that say how hits look."""
+    """Return a Query document without the members of the representation."""
     shaping = SHAPING | linked.PARAMETERS | {"ordering", "geometryProperty"}
     return _without(document, shaping) if isinstance(document, Mapping) else document
 
 
 def _narrowed(document: Any, ids: list[str]) -> bytes | None:
-    """Return a Query document with its selectors narrowed to some ids; None for what is no Query."""
+    """Return a Query document limited to some ids; None for an invalid document."""
     selectors = document.get("entities", [{"type": "*"}]) if isinstance(document, Mapping) else None
     if not isinstance(selectors, list) or not all(isinstance(one, dict) for one in selectors):
         return None
@@ -201,7 +204,7 @@ def _narrowed(document: Any, ids: list[str]) -> bytes | None:
 
 
 def _ids_in(exchange: Exchange) -> set[str] | None:
-    """Return the ids that a request asks for; None if it may be any."""
+    """Return the requested ids; None for any."""
     if exchange.method == "GET":
         given = exchange.parameter("id")
         return None if given is None else set(given.split(","))
@@ -217,7 +220,7 @@ def _ids_in(exchange: Exchange) -> set[str] | None:
 
 
 def _is_warned(answer: Answer) -> bool:
-    """Say whether a source was not heard; 110 warns of an answer that was kept."""
+    """Return whether a source failed; code 110 only warns of a cached response."""
     return any(name == b"ngsild-warning" and not said.startswith(b"110") for name, said in answer.headers)
 
 

@@ -1,1 +1,2 @@
-"""Context sources: who else knows something, and what of."""
+"""Context source registrations: which source has which entities and attributes, and the subscriptions to
+them."""

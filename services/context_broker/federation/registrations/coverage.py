@@ -1,7 +1,8 @@
-"""Reach: where, in which scopes, when and of which datasets a source has anything at all.
+"""Coverage of a registration: locations, scopes, times and datasets in which its source may have data.
 
-Registrations may say so (clause 5.2.9); a source that cannot have what is asked for need not be asked
-(clauses 4.3.6.1, 5.10.2.4 and 5.12). One that says nothing of it may have it.
+A registration may restrict them (clause 5.2.9); a source that cannot have matching data is not queried
+(clauses 4.3.6.1, 5.10.2.4 and 5.12). Without a restriction the source may have any data. All checks err on
+the side of querying a source in vain.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,20 +24,20 @@ _MANAGED_TIMES: Final = frozenset({"createdAt", "modifiedAt", "deletedAt"})
 
 @dataclass(frozen=True, slots=True)
 class TimeRange:
-    """A time that is asked for, and whether the broker's own times are meant, not those of observation."""
+    """A time range, of the broker's own timestamps (`is_managed`) or of observations."""
 
     span: Interval
     is_managed: bool
 
     def meets(self, one: Registration) -> bool:
-        """Say whether the source has anything of this time."""
+        """Return whether the source has data of this time."""
         has = one.managed if self.is_managed else one.observed
         return has is not None and has[0] <= self.span[1] and has[1] >= self.span[0]
 
 
 @dataclass(frozen=True, slots=True)
 class CoverageQuery:
-    """What a question asks for besides entities and attributes; None where it does not matter."""
+    """What a query restricts besides entities and attributes; None for no restriction."""
 
     place: GeoQuery | None = None
     scope: ScopeQuery | None = None
@@ -45,11 +46,11 @@ class CoverageQuery:
 
     @property
     def is_unrestricted(self) -> bool:
-        """Say whether every source may have it."""
+        """Return whether every source may have matching data."""
         return self.place is None and self.scope is None and self.period is None and self.datasets is None
 
     def may_match(self, one: Registration) -> bool:
-        """Say whether the source of a registration may have any of it."""
+        """Return whether the source of a registration may have matching data."""
         return (
             (self.period is None or not one.is_temporal or self.period.meets(one))
             and (self.datasets is None or one.datasets is None or not self.datasets.isdisjoint(one.datasets))
@@ -59,7 +60,7 @@ class CoverageQuery:
 
 
 def period_of(given: Mapping[str, Any]) -> TimeRange | None:
-    """Return the time that a temporal query (clause 4.11) asks for; None if it asks for none."""
+    """Return the time range of a temporal query (clause 4.11); None if it has none."""
     relation = given.get("timerel")
     if relation is None:
         return None
@@ -76,12 +77,12 @@ def period_of(given: Mapping[str, Any]) -> TimeRange | None:
 
 
 def has_matching_place(query: GeoQuery, one: Registration) -> bool:
-    """Say whether a source tells of its places and may have some that fit (clause 5.10.2.4)."""
+    """Return whether a source has registered locations and one of them may match (clause 5.10.2.4)."""
     return bool(_may_be_there(query, one))
 
 
 def placement_filter(document: Mapping[str, Any]) -> SourceFilter | None:
-    """Return which sources an entity that is sent may be at, by its places and scopes; None for all."""
+    """Return a filter for sources that may hold a document with its locations and scopes; None for all."""
     places = {name: found for name in _PLACES if (found := _places_in(document.get(name)))}
     given = document.get("scope")
     scopes = [one for one in (given if isinstance(given, list) else [given]) if isinstance(one, str)]
@@ -91,7 +92,7 @@ def placement_filter(document: Mapping[str, Any]) -> SourceFilter | None:
 
 
 def may_hold(one: Registration, entity: Entity) -> bool:
-    """Say whether the source of a registration may have an entity, by the places and scopes of the entity."""
+    """Return whether the source of a registration may hold an entity with its locations and scopes."""
     if not one.places and not one.scopes:
         return True
     places = {
@@ -105,7 +106,8 @@ def may_hold(one: Registration, entity: Entity) -> bool:
 def _may_contain(
     one: Registration, places: Mapping[str, list[Mapping[str, Any]]], scopes: Iterable[str]
 ) -> bool:
-    """Say whether what is in these places and scopes may be there; what is nowhere may be anywhere."""
+    """Return whether a source may hold what has these locations and scopes; without any it may be
+    anywhere."""
     named = list(scopes)
     if named and one.scopes and not any(_is_in(scope, one.scopes) for scope in named):
         return False
@@ -120,7 +122,7 @@ _PLACES: Final = ("location", "observationSpace", "operationSpace")
 
 
 def _may_be_there(query: GeoQuery, one: Registration) -> bool | None:
-    """Say whether something in the places of a registration may fit; None if it names no such places."""
+    """Return whether a registered location may match; None if the registration has no such locations."""
     areas = [
         instance["value"]
         for instance in one.described.attributes.get(query.attribute, ())
@@ -130,7 +132,7 @@ def _may_be_there(query: GeoQuery, one: Registration) -> bool | None:
 
 
 def _may_be_in(query: GeoQuery, area: Any) -> bool:
-    """Say whether any place within an area may fit; more often than need be rather than too seldom."""
+    """Return whether any place within an area may match."""
     if query.fits(area):
         return True
     if query.relation == "disjoint":
@@ -161,7 +163,7 @@ def _may_be_in_scopes(query: ScopeQuery, scopes: tuple[str, ...]) -> bool:
 
 
 def _may_fit(pattern: ScopePattern, scope: str) -> bool:
-    """Say whether a scope, or one below it, fits."""
+    """Return whether a scope, or one below it, matches."""
     levels = scope.strip("/").split("/")
     if len(levels) > len(pattern.levels) and not pattern.below:
         return False

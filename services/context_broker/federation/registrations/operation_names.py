@@ -1,6 +1,6 @@
-"""What operations are called when a context source says which of them it takes (clause 4.20).
+"""Names of operations in registrations (clause 4.20).
 
-Table 4.20-1 has the names, table 4.20-2 the groups that stand for several of them.
+Table 4.20-1 has the names, table 4.20-2 the groups of operations.
 """
 
 from collections.abc import Iterable
@@ -26,7 +26,7 @@ _CHANGING: Final = _UPDATING | {
 }  # fmt: skip
 
 TEMPORAL_READING: Final = frozenset({"retrieveTemporal", "queryTemporal", "createEntityMapQueryTemporal"})
-"""Operations that ask for how things were."""
+"""Operations that read temporal data."""
 TEMPORAL: Final = TEMPORAL_READING | {
     "upsertTemporal", "appendAttrsTemporal", "deleteAttrsTemporal", "updateAttrInstanceTemporal",
     "deleteAttrInstanceTemporal", "deleteTemporal"
@@ -42,12 +42,12 @@ GROUPS: Final = {
     "redirectionOps": _CHANGING | _RETRIEVING | _DISCOVERY | _ENTITY_MAPS | _IDENTITY,
 }
 AUXILIARY_OPERATIONS: Final = _RETRIEVING
-"""What an auxiliary registration may take (clause 5.9.2.4)."""
+"""Operations that an auxiliary registration may name (clause 5.9.2.4)."""
 NAMES: Final = _ASSOCIATING | _ENTITY_MAPS | _CHANGING | TEMPORAL | BATCHES
 
 
 def operations_of(names: Iterable[str]) -> frozenset[str]:
-    """Return the operations that names of operations and of groups stand for."""
+    """Return the single operations for names of operations and groups."""
     found: set[str] = set()
     for name in names:
         found |= GROUPS.get(name, {name})

@@ -1,7 +1,6 @@
-"""A registration: which other broker or device knows what, and how it is to be asked.
+"""A context source registration, ready for matching (clauses 5.2.8 to 5.2.11 and 5.2.34).
 
-A context source registers what it can tell or take (clauses 5.2.8 to 5.2.11 and 5.2.34). This is a
-registration made ready for matching; `registration_intake` reads what is sent, `registry` finds it.
+`registration_intake` reads and validates documents, `registry` finds the registrations that match a target.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -17,14 +16,14 @@ from services.context_broker.query.patterns import Pattern, fits
 API_ROOT: Final = "/ngsi-ld/v1"
 TYPE: Final = "ContextSourceRegistration"
 PROPERTIES: Final = "properties"
-"""Where the kept document has the registration's own properties, by IRI as they were given."""
+"""The member of the stored document with the registration's own properties, by IRI."""
 
 
 class Mode(IntEnum):
-    """How a source and the broker share entities (clause 4.3.6), in the order in which sources have a say.
+    """How a source and the broker share entities (clause 4.3.6), in the order of priority.
 
-    EXCLUSIVE: the source alone has the attributes of one entity; REDIRECT: sources have all that matches and
-    the broker has nothing; INCLUSIVE: both may have it; AUXILIARY: the source only fills gaps.
+    EXCLUSIVE: only the source has the attributes of one entity; REDIRECT: only sources have the matching
+    entities; INCLUSIVE: both may have them; AUXILIARY: the source only fills gaps.
     """
 
     EXCLUSIVE = 0
@@ -34,16 +33,16 @@ class Mode(IntEnum):
 
     @property
     def is_proxied(self) -> bool:
-        """Say whether the broker keeps nothing of what the source has (clause 4.3.6.3)."""
+        """Return whether the broker stores nothing that the source has (clause 4.3.6.3)."""
         return self <= Mode.REDIRECT
 
 
 @dataclass(frozen=True, slots=True)
 class EntityTarget:
-    """What an operation is about; an absent part (None) stands for all. Types and attributes are IRIs.
+    """The entities and attributes of an operation; None stands for all. Types and attributes are IRIs.
 
-    `types` are all types that a type selection names: a source with any of them may have hits. `ids` go
-    before `id_pattern`.
+    `types` are all types in a type selection: a source with any of them may have matches. `ids` take
+    precedence over `id_pattern`.
     """
 
     ids: tuple[str, ...] | None = None
@@ -54,9 +53,9 @@ class EntityTarget:
 
 @dataclass(frozen=True, slots=True)
 class MatchedPart:
-    """What of the question one piece of a registration can serve; None stands for all that was asked.
+    """The part of a target that matches one EntityInfo of a registration; None stands for the whole target.
 
-    `types` are those out of the ones asked for that are registered, or those registered where none were.
+    `types` are the registered types among those of the target, or all registered types if it has none.
     """
 
     ids: tuple[str, ...] | None
@@ -66,27 +65,27 @@ class MatchedPart:
 
 @dataclass(frozen=True, slots=True)
 class EntityInfo:
-    """Entities that a source has (clause 5.2.8): of one of `types`, with the id or an id that fits."""
+    """Entities of a source (clause 5.2.8): of one of `types`, with the id or a matching id."""
 
     types: frozenset[str]
     id: str | None = None
     id_pattern: Pattern | None = None
 
     def has(self, entity_id: str) -> bool:
-        """Say whether an entity with this id can be among them."""
+        """Return whether an entity with this id matches."""
         if self.id is not None:
             return self.id == entity_id
         return self.id_pattern is None or fits(self.id_pattern, entity_id)
 
     def served(self, target: EntityTarget) -> tuple[tuple[str, ...] | None, frozenset[str]] | None:
-        """Return the ids and types out of those asked for that can be here; None if nothing can."""
+        """Return the ids and types of the target that match; None if nothing does."""
         types = self.types if target.types is None else target.types & self.types
         if not types:
             return None
         if target.ids is not None:
             ids = tuple(one for one in target.ids if self.has(one))
             return (ids, types) if ids else None
-        if self.id is None:  # whether two patterns have a text in common is not asked: they may
+        if self.id is None:  # two patterns are not compared; they may have a common match
             return None, types
         if target.id_pattern is not None and not fits(target.id_pattern, self.id):
             return None
@@ -95,16 +94,16 @@ class EntityInfo:
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """One piece of what a source has (clause 5.2.10).
+    """One piece of registration information (clause 5.2.10).
 
-    Without `entities` it is about any entity; without `attributes` (IRIs) about all their attributes.
+    Without `entities` it is about any entity; without `attributes` (IRIs) about all attributes.
     """
 
     entities: tuple[EntityInfo, ...] = ()
     attributes: frozenset[str] | None = None
 
     def served(self, target: EntityTarget) -> tuple[MatchedPart, ...]:
-        """Return what of the question can be served here, a part for each EntityInfo that can."""
+        """Return the matching parts of the target, one for each EntityInfo."""
         attributes = self.attributes
         if attributes is not None and target.attributes is not None:
             attributes = attributes & target.attributes
@@ -118,7 +117,7 @@ class Information:
         return tuple(MatchedPart(*one, attributes) for one in found if one is not None)
 
     def is_about(self, entity: Entity) -> bool:
-        """Say whether an entity is one of those that are meant."""
+        """Return whether the information is about an entity."""
         return not self.entities or any(
             one.has(entity.id) and not one.types.isdisjoint(entity.types) for one in self.entities
         )
@@ -126,11 +125,10 @@ class Information:
 
 @dataclass(frozen=True, slots=True)
 class Management:
-    """How a source is to be treated (clause 5.2.34).
+    """Management of a source (clause 5.2.34).
 
-    `local_only`: it is asked for what it has itself. `cache_s`: an answer may be used again for so long.
-    `timeout_s`: how long its answer is waited for, None for the broker's own patience. `cooldown_s`: after a
-    failure it is left alone for so long.
+    `local_only`: its requests carry local=true. `cache_s`: lifetime of a cached response. `timeout_s`:
+    timeout of a response, None for the broker's default. `cooldown_s`: pause after a failure.
     """
 
     local_only: bool = False
@@ -141,17 +139,17 @@ class Management:
 
 @dataclass(slots=True)
 class Attempts:
-    """What became of the operations that were passed on to a source; times as text."""
+    """Counts of the requests to a source; times as text."""
 
     sent: int = 0
     failed: int = 0
     last_success: str | None = None
     last_failure: str | None = None
     cooldown_until_s: float = float("-inf")
-    """By the monotonic clock: until then the source is left alone. Not kept across a restart."""
+    """End of the cooldown on the monotonic clock. Not stored."""
 
     def members(self) -> dict[str, Any]:
-        """Return the members that a reader of the registration gets; none before the first attempt."""
+        """Return the members for a reader of the registration; none before the first attempt."""
         if not self.sent:
             return {}
         shown = {
@@ -170,14 +168,14 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """A context source registration (clause 5.2.9). `document` is what is kept, with expanded names.
+    """A context source registration (clause 5.2.9). `document` is stored, with expanded names.
 
-    `endpoint` is the source's root without the path of the API, `tenant` the tenant to name there ("" for
-    none), `alias` what it calls itself in Via. `operations` are single operations, groups are resolved.
-    `source_info` are the pairs of contextSourceInfo in their order. `places` maps location, observationSpace
-    and operationSpace to the geometries given. `described` is the registration as an entity, whose attributes
-    (its own properties, plain members and places) filters can ask for. `datasets` are the datasetIds that the
-    source has, with None for instances that have none; None where it may have any. `attempts` counts on.
+    `endpoint` is the root of the source without the path of the API, `tenant` the tenant at the source (""
+    for none), `alias` its name in Via. `operations` are single operations, with groups resolved.
+    `source_info` has the pairs of contextSourceInfo in their order. `places` maps location, observationSpace
+    and operationSpace to geometries. `described` is the registration as an entity, for filters. `datasets`
+    are the datasetIds of the source, None for default instances; None as a whole if it may have any.
+    `attempts` is the only mutable part.
     """
 
     id: str
@@ -201,9 +199,9 @@ class Registration:
     attempts: Attempts = field(default_factory=Attempts)
 
     def with_attempts_of(self, before: "Registration | None") -> "Registration":
-        """Return it with the counts of how it was before a change; its source need not rest any more.
+        """Return the changed registration with the counts of the one before; its cooldown ends.
 
-        The counts are the same from then on, for those too that still ask its source as it was.
+        Both share the counts from then on, because running requests still use the one before.
         """
         if before is None:
             return self
@@ -211,34 +209,34 @@ class Registration:
         return replace(self, attempts=before.attempts)
 
     def url(self, path: str) -> str:
-        """Return where the source has what is at `path` (such as "entities/urn:x:1") after the API's root.
+        """Return the URL of a path (such as "entities/urn:x:1") at the source.
 
-        Both kinds of endpoints work: those registered with /ngsi-ld/v1 at their end and those without.
+        Endpoints may be registered with /ngsi-ld/v1 at their end or without.
         """
         return f"{self.endpoint}{API_ROOT}/{path}"
 
     @property
     def is_temporal(self) -> bool:
-        """Say whether it is about how things were (it has an interval), not about how they are."""
+        """Return whether it is about temporal data (it has an interval), not about current data."""
         return self.observed is not None or self.managed is not None
 
     def takes(self, operation: str) -> bool:
-        """Say whether the source takes an operation, named as in table 4.20-1.
+        """Return whether the source takes an operation, named as in table 4.20-1.
 
-        A registration with an interval is about temporal operations alone (clause 5.2.9).
+        A registration with an interval takes temporal operations only (clause 5.2.9).
         """
         return operation in self.operations and (operation in TEMPORAL or not self.is_temporal)
 
     def has_expired(self, now_s: float) -> bool:
-        """Say whether it has expired."""
+        """Return whether it has expired."""
         return self.expires_at_s <= now_s
 
     def parts(self, target: EntityTarget) -> tuple[MatchedPart, ...]:
-        """Return what of a question the source may serve; nothing if it is not concerned."""
+        """Return the parts of a target that match the registration."""
         return tuple(part for piece in self.information for part in piece.served(target))
 
     def relevant(self, targets: Iterable[EntityTarget]) -> list[int]:
-        """Return which pieces of its information (by place) any of the questions concerns (5.10.2.5)."""
+        """Return the indexes of the pieces of information that match any of the targets (5.10.2.5)."""
         return [
             place
             for place, piece in enumerate(self.information)
@@ -248,18 +246,14 @@ class Registration:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A registration that can serve a question, and `parts` of the question that it can serve.
-
-    The parts together are what the source may be asked for; each is narrower than the question where the
-    registration is.
-    """
+    """A registration with the `parts` of a target that match it: what the source is queried for."""
 
     registration: Registration
     parts: tuple[MatchedPart, ...]
 
     @property
     def ids(self) -> tuple[str, ...] | None:
-        """Return the ids to ask the source for, each once; None when the question's own selection stands."""
+        """Return the distinct ids to query the source for; None if the target's own selection applies."""
         found: dict[str, None] = {}
         for part in self.parts:
             if part.ids is None:
@@ -269,7 +263,7 @@ class Match:
 
     @property
     def attributes(self) -> frozenset[str] | None:
-        """Return the attributes (IRIs) to ask the source for; None for all."""
+        """Return the attributes (IRIs) to query the source for; None for all."""
         found: set[str] = set()
         for part in self.parts:
             if part.attributes is None:
@@ -278,7 +272,8 @@ class Match:
         return frozenset(found)
 
     def attributes_for(self, entity_id: str) -> frozenset[str] | None:
-        """Return the attributes (IRIs) of one entity to ask the source for or to send to it; None for all."""
+        """Return the attributes (IRIs) of one entity to read from the source or to write to it; None for
+        all."""
         found: set[str] = set()
         for part in self.parts:
             if part.ids is None or entity_id in part.ids:
@@ -288,7 +283,7 @@ class Match:
         return frozenset(found)
 
     def split_by_ids(self, most_ids: int) -> Iterator["Match"]:
-        """Yield the match in pieces with so many ids at most; itself if it does not go by ids."""
+        """Yield matches with at most so many ids each; this match itself if it has no ids."""
         ids = self.ids
         if ids is None or len(ids) <= most_ids:
             yield self
@@ -301,7 +296,7 @@ class Match:
             yield Match(self.registration, tuple(part for part in parts if part.ids))
 
     def among(self, holders: Mapping[str, Iterable[str]]) -> "Match":
-        """Return the match narrowed to entities of which the registration is one of the `holders`."""
+        """Return the match limited to entities of which the registration is one of the `holders`."""
         mine = self.registration.id
         narrowed = (
             replace(part, ids=tuple(one for one in part.ids or holders if mine in holders.get(one, ())))
@@ -315,16 +310,16 @@ SourceFilter = Callable[[Registration], bool]
 
 
 def root_of(endpoint: str) -> str:
-    """Return the root of a source's endpoint: without the path of the API and without a slash at the end."""
+    """Return the root of an endpoint: without the path of the API and without a trailing slash."""
     return endpoint.rstrip("/").removesuffix(API_ROOT).rstrip("/")
 
 
 def shown_document(
     one: Registration, context: Context, *, sys_attrs: bool, pieces: list[int] | None = None
 ) -> dict[str, Any]:
-    """Return a registration as a reader gets it, in the reader's names and with its counts.
+    """Return a registration as a document in the reader's names, with its counts.
 
-    `pieces` (places in its information) limits it to what was asked for; None shows all.
+    `pieces` (indexes into its information) limits it to what matched a query; None shows all.
     """
     compact = context.terms.compact
     document: dict[str, Any] = {"id": one.id, "type": TYPE, **one.document}

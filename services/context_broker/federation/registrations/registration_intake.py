@@ -1,6 +1,6 @@
-"""Registrations as they are sent, kept and shown: checked at the door, names expanded, made ready.
+"""Reads registrations: validates documents, expands their names, and makes them ready for matching.
 
-Clauses 5.2.9 (the document), 5.9.2.4 (what is refused) and 4.3.6.3 (what an exclusive one must say).
+Clauses 5.2.9 (the document), 5.9.2.4 (what is refused) and 4.3.6.3 (requirements for exclusive ones).
 """
 
 from collections.abc import Mapping
@@ -52,10 +52,10 @@ _ATTRIBUTE_LISTS: Final = ("propertyNames", "relationshipNames")
 
 
 def kept_document(given: Any, context: Context) -> dict[str, Any]:
-    """Return the document to keep for a registration, or for a change of one, that was sent.
+    """Return the document to store for a registration, or for an update, from a client's document.
 
-    Members that the standard does not name are Context Source Properties, which filters (csf) can ask for.
-    A member that is null is kept as None: in a change it takes the member away.
+    Members that the standard does not name are Context Source Properties, which filters (csf) can use. A null
+    stays as None: in an update it deletes the member.
     """
     if not isinstance(given, Mapping):
         raise bad_request_data(f"a registration is a JSON object, not {shown(given)}")
@@ -76,7 +76,7 @@ def kept_document(given: Any, context: Context) -> dict[str, Any]:
 
 
 def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the document after a change (clause 5.9.3): members are replaced, null takes them away."""
+    """Return the document after an update (clause 5.9.3): members are replaced, null deletes them."""
     if change.get("id", before["id"]) != before["id"]:
         raise bad_request_data(
             f"the id of a registration cannot be changed; leave it out or say {before['id']}"
@@ -87,7 +87,7 @@ def updated_document(before: Mapping[str, Any], change: Mapping[str, Any]) -> di
 
 
 def registration(document: Mapping[str, Any], context: Context) -> Registration:
-    """Return a kept document made ready; raises a problem (400) that names what cannot be used."""
+    """Return the registration of a stored document; raises a problem (400) that names an invalid member."""
     information = document.get("information")
     if not isinstance(information, list) or not information:
         raise bad_request_data(
@@ -124,7 +124,7 @@ def registration(document: Mapping[str, Any], context: Context) -> Registration:
 
 
 def refuse_past(document: Mapping[str, Any]) -> None:
-    """Raise a problem (400) if a registration that comes in has expired already."""
+    """Raise a problem (400) if a new registration has already expired."""
     if "expiresAt" in document:
         require_future(document["expiresAt"], '"expiresAt"')
 
@@ -191,7 +191,7 @@ def _entity_info(kept: Mapping[str, Any]) -> EntityInfo:
     if wanted is not None and not isinstance(wanted, str):
         raise bad_request_data(f"idPattern is text, not {shown(wanted)}")
     types = kept["type"] if isinstance(kept["type"], list) else [kept["type"]]
-    id_pattern = None if wanted is None or "id" in kept else pattern(wanted)  # the id goes before it
+    id_pattern = None if wanted is None or "id" in kept else pattern(wanted)  # the id takes precedence
     return EntityInfo(frozenset(types), kept.get("id"), id_pattern)
 
 
@@ -201,7 +201,7 @@ def _check_texts(document: Mapping[str, Any]) -> None:
             raise bad_request_data(f'"{name}" is text, not {shown(document[name])}')
     if "tenant" in document and not TENANT.fullmatch(document["tenant"]):
         raise bad_request_data(
-            f'"tenant" {shown(document["tenant"])} is no name of a tenant: letters, digits, _ - .'
+            f'"tenant" {shown(document["tenant"])} is not a valid tenant name: use A-Z, a-z, 0-9, _ - .'
         )
     if "refreshRate" in document:
         duration_s(document["refreshRate"], '"refreshRate"')
@@ -216,7 +216,7 @@ def _mode(given: Any) -> Mode:
 
 
 def _operations(given: Any, mode: Mode, *, is_temporal: bool) -> frozenset[str]:
-    """Return the single operations; what a registration takes that names none depends on what it is for."""
+    """Return the single operations; the default depends on the mode and on the intervals."""
     if given is None:
         if mode is Mode.AUXILIARY:
             return names.AUXILIARY_OPERATIONS
@@ -305,7 +305,7 @@ def _datasets(given: Any) -> frozenset[str | None] | None:
 
 
 def _place(given: Any, name: str) -> Mapping[str, Any]:
-    """Return a geometry; one wrapped into a GeoProperty is taken too, as published examples have it."""
+    """Return a geometry; one wrapped into a GeoProperty is accepted too, as in published examples."""
     is_wrapped = isinstance(given, Mapping) and given.get("type") == "GeoProperty"
     geometry = given.get("value") if is_wrapped else given
     fault = fault_of(geometry)

@@ -1,7 +1,7 @@
-"""Operations on registrations of context sources: to keep them (clauses 5.9 and 6.8) and to find them (5.10).
+"""Operations on context source registrations: provision (clauses 5.9 and 6.8) and discovery (5.10).
 
-Changes are rare and made one after the other. A registration that has expired is gone: it is taken off the
-disk when its time comes, or at the next start.
+Changes are rare and serialized. An expired registration is no longer visible; it is deleted from the disk
+when it expires, or at the next start.
 """
 
 import asyncio
@@ -52,20 +52,20 @@ from services.context_broker.tenants import Tenant
 
 DONE: Final = Answer(204)
 MAX_TIMER_S: Final = 86400.0
-"""How far ahead an end is looked for: timers count in floats, and some registrations end in a century."""
+"""Longest timer: asyncio's timers are floats, and some registrations expire in a century."""
 _VIEW: Final = frozenset({"options"})
 _SYS_ATTRS: Final = frozenset({"sysAttrs", "count"})
 
 
 class RegistrationOperations:
-    """What can be done to registrations."""
+    """Operations on registrations."""
 
     def __init__(self, contexts: ContextResolver) -> None:
         self._contexts = contexts
         self._lock = asyncio.Lock()
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         all_of_them, one = "csourceRegistrations", "csourceRegistrations/{id}"
         searching = PAGE_PARAMETERS | SEARCH_PARAMETERS
         return (
@@ -77,7 +77,7 @@ class RegistrationOperations:
         )
 
     async def restore(self, tenant: Tenant, kept: Iterable[tuple[bytes, bytes | None]]) -> None:
-        """Take up the registrations of before, each with its counts, in the order of their creation."""
+        """Load the stored registrations with their counts, in the order of their creation."""
         documents = [(orjson.loads(body), counts) for body, counts in kept]
         for document, counts in sorted(documents, key=lambda one: str(one[0].get("createdAt"))):
             made = registration(document, await self._contexts.as_before(document["context"]))
@@ -87,7 +87,7 @@ class RegistrationOperations:
             self._schedule_expiry(tenant, made)
 
     async def renew(self, tenant: Tenant, context_id: str) -> None:
-        """Make those registrations anew whose context was fetched anew."""
+        """Recompute the registrations of a changed @context."""
         async with self._lock:
             for one in list(federated(tenant).registry):
                 if one.context.is_made_of(context_id):
@@ -159,7 +159,7 @@ class RegistrationOperations:
         return document_answer(in_media_type(document, media_type, context), media_type, context)
 
     async def search(self, exchange: Exchange) -> Answer:
-        """GET csourceRegistrations (clause 5.10.2): those concerned, each with what of it is."""
+        """GET csourceRegistrations (clause 5.10.2): the matching ones, each with its matching information."""
         media_type, context = exchange.accept(), await exchange.reader_context()
         window = window_of(exchange)
         sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
@@ -188,7 +188,7 @@ class RegistrationOperations:
         self._schedule_expiry(tenant, made)
 
     def _schedule_expiry(self, tenant: Tenant, made: Registration) -> None:
-        """Take a registration away when it expires, unless it was changed meanwhile."""
+        """Delete a registration when it expires, unless it was changed meanwhile."""
         left_s = made.expires_at_s - time.time()
         if left_s == float("inf"):
             return
@@ -206,7 +206,7 @@ class RegistrationOperations:
 
 
 async def _require_open(tenant: Tenant, made: Registration) -> None:
-    """Raise a problem (400) if the source is at an address that this broker sends nothing to."""
+    """Raise a problem (400) if the outbound policy refuses the address of the source."""
     host = urlsplit(made.endpoint).hostname or ""
     await tenant.notifier.outbound.policy.require_open(host, '"endpoint"')
 
@@ -220,7 +220,7 @@ def _existing(exchange: Exchange) -> Registration:
 
 
 def _refuse_conflicts(tenant: Tenant, made: Registration) -> None:
-    """Raise a problem (409) if a proxied registration would hide what is there (clauses 4.3.6.3, 5.9.2.4)."""
+    """Raise a problem (409) if a proxied registration would hide existing data (clauses 4.3.6.3, 5.9.2.4)."""
     other = federated(tenant).registry.conflicting_with(made)
     if other is not None:
         raise conflict(

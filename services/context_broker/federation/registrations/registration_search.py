@@ -1,7 +1,7 @@
-"""What askers of the registry look for: registrations by what their sources have (clause 5.10.2.4).
+"""Searches for registrations (clause 5.10.2.4).
 
 Entities and attributes are compared with the information of a registration; filters (csf, q) with its own
-properties, places and scopes with those registered, and a time with its intervals.
+properties, locations and scopes with the registered ones, and a time with its intervals.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ _ENOUGH: Final = ("id", "type", "idPattern", "attrs", "q", "csf", "georel", "sco
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What is looked for: registrations that any of the `questions` concerns and for which the rest holds."""
+    """A search for registrations that match any of the `targets` and all other conditions."""
 
     targets: tuple[EntityTarget, ...]
     filters: tuple[Selection, ...] = ()
@@ -38,9 +38,9 @@ class Search:
     scope: ScopeQuery | None = None
 
     def wants(self, one: Registration) -> bool:
-        """Say whether a registration that is about the right entities is among those looked for."""
+        """Return whether a registration that matches a target also meets the other conditions."""
         if self.period is None:
-            if one.is_temporal:  # without a time the latest is meant
+            if one.is_temporal:  # without a time, current data is meant
                 return False
         elif not self.period.meets(one):
             return False
@@ -51,12 +51,12 @@ class Search:
         )
 
     def finds(self, one: Registration) -> bool:
-        """Say whether a registration is one of those looked for, entities and all."""
+        """Return whether a registration matches the search."""
         return any(one.parts(target) for target in self.targets) and self.wants(one)
 
 
 def search_of(parameters: Mapping[str, str], context: Context) -> Search:
-    """Return what the parameters of GET csourceRegistrations look for. An empty parameter is none."""
+    """Return the search in the parameters of GET csourceRegistrations. Empty parameters are ignored."""
     given = {name: value for name, value in parameters.items() if value}
     if not any(name in given for name in _ENOUGH):
         raise bad_request_data(
@@ -78,7 +78,7 @@ def search_of(parameters: Mapping[str, str], context: Context) -> Search:
 
 
 def target_for(ids: list[str] | None, id_pattern: Any, types: Any, context: Context) -> EntityTarget:
-    """Return the question for entities with these ids or a pattern, and of these types."""
+    """Return the target for entities with these ids or a pattern, and of these types."""
     if id_pattern is not None and not isinstance(id_pattern, str):
         raise bad_request_data(f"idPattern is text, not {shown(id_pattern)}")
     chosen = None if types is None else type_selection(types, context.terms.expand)

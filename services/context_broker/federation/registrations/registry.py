@@ -1,7 +1,7 @@
-"""The registry: all registrations of a tenant, and which of them can serve what.
+"""The registry: all registrations of a tenant, indexed for matching.
 
-Registrations are few and asked for at every request, so they are filed by type and by id when they come, and
-an empty registry (the usual case) costs its asker one look at `is_empty`.
+Every request is matched with the registrations, of which there are few. They are indexed by type and by id
+when they change. An empty registry (the usual case) costs a request one look at `is_empty`.
 """
 
 import time
@@ -26,20 +26,20 @@ from services.context_broker.storage.commits import Commits
 from services.context_broker.storage.entries import Entries, Kind
 
 Watcher = Callable[[Registration | None, Registration | None], None]
-"""Is told how a registration was before and is after a change that is safe; None where there is none."""
+"""Called with a registration before and after a committed change; None where there is none."""
 
 ANY: Final = EntityTarget()
 
 
 class Registry:
-    """The registrations of one tenant. It is told what is kept already: writing them is not its task."""
+    """The registrations of one tenant, in memory. The caller stores them."""
 
     def __init__(self, tenant: str, commits: Commits) -> None:
         self.tenant = tenant
         self.is_empty = True
-        """Whether no operation can have to do with another source: look here before anything else."""
+        """Whether no request can concern a context source; check this first."""
         self.watchers: list[Watcher] = []
-        """Called on the loop after each change, a restart's taking up aside."""
+        """Called on the event loop after each change, except while loading."""
         self._commits = commits
         self._all: dict[str, Registration] = {}
         self._places: dict[str, int] = {}
@@ -53,24 +53,24 @@ class Registry:
         return len(self._all)
 
     def __iter__(self) -> Iterator[Registration]:
-        """Yield all registrations, the oldest first; expired ones too."""
+        """Yield all registrations, the oldest first, including expired ones."""
         return iter(list(self._all.values()))
 
     def get(self, registration_id: str) -> Registration | None:
-        """Return a registration; an expired one is not there any more."""
+        """Return a registration unless it has expired."""
         found = self._all.get(registration_id)
         return None if found is None or found.has_expired(time.time()) else found
 
     def holds(self, registration: Registration) -> bool:
-        """Say whether this very registration is in force, neither changed nor deleted since."""
+        """Return whether this version of a registration is current, neither changed nor deleted since."""
         return self._all.get(registration.id) is registration
 
     def load(self, registration: Registration) -> None:
-        """Take up what was kept before a restart; nobody is told."""
+        """Add a stored registration without notifying watchers."""
         self._index(registration)
 
     def put(self, registration: Registration) -> None:
-        """Heed a new or a changed registration from now on; a changed one keeps its place."""
+        """Add or replace a registration; a replaced one keeps its place in the order."""
         before = self._all.get(registration.id)
         if before is not None:
             self._unindex(before)
@@ -78,7 +78,7 @@ class Registry:
         self._notify_watchers(before, registration)
 
     def remove(self, registration_id: str) -> None:
-        """Forget a registration."""
+        """Remove a registration."""
         before = self._all.pop(registration_id)
         del self._places[registration_id]
         self._unindex(before)
@@ -86,19 +86,20 @@ class Registry:
         self._notify_watchers(before, None)
 
     def remove_if_held(self, registration: Registration) -> None:
-        """Forget a registration unless it was changed or deleted meanwhile."""
+        """Remove a registration unless it was changed or deleted meanwhile."""
         if self.holds(registration):
             self.remove(registration.id)
 
     def matching(
         self, operation: str | tuple[str, ...], target: EntityTarget = ANY, where: SourceFilter | None = None
     ) -> list[Match]:
-        """Return the registrations whose source takes `operation` and may serve some of what is `asked`.
+        """Return the registrations whose source takes `operation` and that match the `target`, with their
+        parts.
 
-        `operation` is named as in table 4.20-1; of several, any will do. The matches come in the order of
-        `Mode` (exclusive, redirect, inclusive, auxiliary), those of one mode in the order of creation. What
-        an exclusive or redirect source has is not taken from the parts of the others: that is for the asker
-        to do, who knows what the operation means (clause 4.3.6.3).
+        `operation` is named as in table 4.20-1; of several, any is enough. The matches come in the order of
+        `Mode` (exclusive, redirect, inclusive, auxiliary), within a mode in the order of creation. Parts of
+        exclusive and redirect sources are not removed from the others: the caller does that, as it depends on
+        the operation (clause 4.3.6.3).
         """
         if self.is_empty:
             return []
@@ -117,7 +118,8 @@ class Registry:
     def concerned(
         self, targets: Sequence[EntityTarget], where: SourceFilter | None = None
     ) -> list[Registration]:
-        """Return the registrations that any of the questions concerns, whatever they take; oldest first."""
+        """Return the registrations that match any of the targets, whatever operations they take; oldest
+        first."""
         now_s = time.time()
         concerned = {one.id for target in targets for one in self._candidates(target) if one.parts(target)}
         return [
@@ -127,10 +129,11 @@ class Registry:
         ]
 
     def conflicting_with(self, registration: Registration) -> Registration | None:
-        """Return an exclusive registration that leaves no room for another proxied one (clause 4.3.6.3).
+        """Return a registration that conflicts with a proxied one because either is exclusive (clause
+        4.3.6.3).
 
-        An exclusive registration excludes others of the same entity and attribute: exclusive and redirect
-        ones; a redirect one excludes exclusive ones that come later.
+        An exclusive registration excludes other exclusive and redirect ones for the same entity and
+        attribute; a redirect one excludes later exclusive ones.
         """
         if not registration.mode.is_proxied:
             return None
@@ -148,9 +151,9 @@ class Registry:
         return None
 
     def record_attempt(self, registration: Registration, *, succeeded: bool) -> None:
-        """Count an operation that was passed on; the counts are written in passing.
+        """Count a request to a source; the counts are stored with the next commit.
 
-        After a failure the source is to rest as long as its registration says: `rests` tells.
+        A failure starts the cooldown that the registration sets.
         """
         attempts, at = registration.attempts, timestamp_now()
         attempts.sent += 1
@@ -161,12 +164,12 @@ class Registry:
             attempts.failed += 1
             attempts.last_failure = at
             attempts.cooldown_until_s = time.monotonic() + registration.management.cooldown_s
-        if registration.id in self._all:  # it may have been deleted while its source was asked
+        if registration.id in self._all:  # it may have been deleted during the request
             key = (Kind.ATTEMPTS, self.tenant, registration.id)
             self._commits.store_later(Entries(documents={key: stored_attempts(attempts)}))
 
     def restore_attempts(self, registration_id: str, kept: bytes) -> None:
-        """Take the counts kept for a registration, from before a restart."""
+        """Restore the stored counts of a registration."""
         found = self._all.get(registration_id)
         if found is not None:
             attempts = found.attempts
@@ -174,7 +177,7 @@ class Registry:
 
     @staticmethod
     def is_cooling_down(registration: Registration) -> bool:
-        """Say whether the source has failed so lately that it is to be left alone."""
+        """Return whether the source is in its cooldown after a failure."""
         return time.monotonic() < registration.attempts.cooldown_until_s
 
     def _candidates(self, target: EntityTarget) -> Iterable[Registration]:
@@ -228,11 +231,12 @@ class Registry:
 
 
 def claims(registration: Registration, entity: Entity) -> bool:
-    """Say whether an exclusive or redirect registration is about an entity as it is (clause 5.9.2.4).
+    """Return whether an exclusive or redirect registration claims an entity in its current state (clause
+    5.9.2.4).
 
-    An exclusive one is if the entity has one of its attributes, a redirect one if the entity is one of those
-    that it is about and has, where it names attributes, one of them. Where it names datasets, only instances
-    of these count.
+    An exclusive one does if the entity has one of its attributes. A redirect one does if the entity matches
+    and has one of its attributes, where it names attributes. Where it names datasets, only their instances
+    count.
     """
     return may_hold(registration, entity) and any(
         piece.is_about(entity) and _has_some(entity, piece.attributes, registration.datasets)
@@ -252,12 +256,12 @@ def _has_some(entity: Entity, names: frozenset[str] | None, datasets: frozenset[
 
 
 def stored_attempts(attempts: Attempts) -> bytes:
-    """Return the counts as they are kept."""
+    """Return the counts for the journal."""
     return orjson.dumps([attempts.sent, attempts.failed, attempts.last_success, attempts.last_failure])
 
 
 def _overlaps(piece: Information, other: Registration) -> bool:
-    """Say whether another registration is about some of the same entities and attributes."""
+    """Return whether another registration is about some of the same entities and attributes."""
     for one in piece.entities or (None,):
         ids = None if one is None or one.id is None else (one.id,)
         pattern, types = (None, None) if one is None else (one.id_pattern, one.types)

@@ -16,13 +16,13 @@ _VIEW: Final = frozenset({"options"})
 
 
 class SourceSubscriptionOperations(SubscriptionOperations):
-    """What can be done to subscriptions to registrations. Who begins one is told of all that match."""
+    """Operations on subscriptions to registrations. A new one is notified of all matching registrations."""
 
     KIND = Kind.SOURCE_SUBSCRIPTION
     BESIDES = frozenset({"temporalQ"})
 
     def operations(self) -> tuple[Operation, ...]:
-        """Return the operations of this room."""
+        """Return the operations."""
         all_of_them, one = "csourceSubscriptions", "csourceSubscriptions/{id}"
         return (
             Operation(
@@ -35,11 +35,11 @@ class SourceSubscriptionOperations(SubscriptionOperations):
         )
 
     def book(self, tenant: Tenant) -> SubscriptionDispatcher:
-        """Return who knows a tenant's subscriptions to registrations."""
+        """Return the dispatcher of a tenant's subscriptions to registrations."""
         return federated(tenant).source_notifier
 
     async def keep(self, tenant: Tenant, made: Subscription) -> None:
-        """Write a subscription together with the notification that tells of all that match."""
+        """Store a subscription together with the notification of all matching registrations."""
         book = self.book(tenant)
         entries = self.entries_of(tenant, made)
         entries.pending = notices_of_all(book, federated(tenant).registry, made)

@@ -1,7 +1,7 @@
-"""Who wants to be told of context sources: of registrations that come to match, change, match no longer.
+"""Subscriptions to registrations: notifications of newly matching, updated and no longer matching ones.
 
-Such a subscription (clause 5.11) looks like one to entities, is delivered by the same couriers, and asks what
-a search for registrations asks. What is owed is written in the same commit as the registration.
+Such a subscription (clause 5.11) is delivered like one to entities, and matches like a search for
+registrations. Its notifications are stored in the same commit as the change of the registration.
 """
 
 import time
@@ -39,7 +39,7 @@ from services.context_broker.storage.entries import PendingNotification
 
 
 class Reason(StrEnum):
-    """Why somebody is told of a registration (clause 5.3.3)."""
+    """Why a subscriber is notified of a registration (clause 5.3.3)."""
 
     NEWLY_MATCHING = "newlyMatching"
     UPDATED = "updated"
@@ -47,7 +47,8 @@ class Reason(StrEnum):
 
 
 class SourceNotifier(SubscriptionDispatcher):
-    """Keeps a tenant's subscriptions to registrations; those with a timeInterval are told in rounds."""
+    """Keeps a tenant's subscriptions to registrations; those with a timeInterval are notified
+    periodically."""
 
     def __init__(self, tenant: str, commits: Commits, outbound: Outbound, registry: Registry) -> None:
         super().__init__(tenant, commits, outbound)
@@ -55,18 +56,19 @@ class SourceNotifier(SubscriptionDispatcher):
         self._periodic = PeriodicNotifications(self._notify_all)
 
     def stop(self) -> None:
-        """End; what is owed stays in the outbox."""
+        """Stop delivering; pending notifications stay in the outbox."""
         self._periodic.stop()
         super().stop()
 
     def rearrange(self, changed: str | None = None) -> None:
-        """Go the rounds of the subscriptions as they are now."""
+        """Restart the periodic notifications after a change of subscriptions."""
         one = None if changed is None else self.get(changed)
         if self._periodic.is_affected(changed, one):
             self._periodic.schedule(self.all())
 
     def together(self, notices: Mapping[str, PendingNotification]) -> dict[str, PendingNotification]:
-        """Return the first notices that have one reason: a notification gives one for all that it tells."""
+        """Return the first notices with the same reason, because a notification has one reason for all its
+        data."""
         reason = _reason_in(next(iter(notices)))
         alike = takewhile(lambda one: _reason_in(one[0]) == reason, notices.items())
         return dict(islice(alike, MAX_ITEMS_PER_NOTIFICATION))
@@ -74,7 +76,7 @@ class SourceNotifier(SubscriptionDispatcher):
     def notification_of(
         self, subscription: Subscription, notices: Mapping[str, PendingNotification]
     ) -> bytes | None:
-        """Return what to tell of registrations that changed while throttled, as each was last."""
+        """Return a notification of the registrations that changed while throttled, each in its last state."""
         documents = [orjson.Fragment(one.body[1:-1]) for one in notices.values() if one.body is not None]
         return _notification(subscription, documents, _reason_in(next(iter(notices))))
 
@@ -86,11 +88,11 @@ class SourceNotifier(SubscriptionDispatcher):
 
 
 def search_of(subscription: Subscription) -> Search:
-    """Return which registrations a subscription is about.
+    """Return the search for the registrations that match a subscription.
 
-    `q` is about entities, which a registry does not know; `csf` is what asks for a source's properties. Which
-    attributes a source has matters where both those that are watched and those that are told are named: who
-    names none of either may be told of any (clauses 5.11.2.4 and 5.12).
+    `q` is about entities, which a registry does not have; `csf` filters by properties of registrations.
+    Attributes restrict the search only if both watched and notified attributes are named (clauses 5.11.2.4
+    and 5.12).
     """
     document, context = subscription.document, subscription.context
     watched, shown = document.get("watchedAttributes"), document["notification"].get("attributes")
@@ -118,7 +120,7 @@ def search_of(subscription: Subscription) -> Search:
 def notices_of_change(
     book: SubscriptionDispatcher, before: Registration | None, after: Registration | None
 ) -> list[PendingNotification]:
-    """Return what a change of a registration owes to those who want to be told of it (clause 5.11.7)."""
+    """Return the notices of a changed registration (clause 5.11.7)."""
     now_s = time.time()
     pending: list[PendingNotification] = []
     for subscription in book.all():
@@ -137,8 +139,8 @@ def notices_of_change(
 def notices_of_all(
     book: SubscriptionDispatcher, registry: Registry, subscription: Subscription
 ) -> list[PendingNotification]:
-    """Return what is owed to a new subscription: all that match, or nothing if none does."""
-    search = search_of(subscription)  # what cannot be asked is refused, also of one that is paused
+    """Return the notices for a new subscription: all matching registrations."""
+    search = search_of(subscription)  # an invalid search is refused, also for a paused subscription
     if not subscription.is_active(time.time()):
         return []
     found = registry.concerned(search.targets, search.wants)
@@ -188,7 +190,7 @@ def _notices(
 
 
 def _reason_in(entity: str) -> str:
-    """Return the reason of a notice that waits for throttling; it stands before the registration's id."""
+    """Return the reason in the key of a throttled notice, which precedes the registration's id."""
     return entity.partition(" ")[0]
 
 
