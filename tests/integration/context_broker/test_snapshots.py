@@ -298,7 +298,7 @@ def test_a_snapshot_that_a_power_cut_leaves_in_the_making_has_failed_and_says_wh
         one = made(http, answer)
     assert one["snapshotStatus"] == "failure"
     (reason,) = one["snapshotQueriesDetails"]
-    assert "ended while it was making" in reason["problemDetails"]["detail"]
+    assert "stopped while it created" in reason["problemDetails"]["detail"]
     eventually(lambda: subscriber.received)
     assert subscriber.received[0]["snapshotStatus"] == "failure"
     assert subscriber.received[0]["snapshotQueriesDetails"] == [reason]

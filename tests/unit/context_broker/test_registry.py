@@ -1,6 +1,5 @@
 """Which source can serve what: matching by table (clauses 4.3.6, 4.20 and 5.2.8 to 5.2.10)."""
 
-import re
 from typing import Any
 
 import pytest
@@ -21,6 +20,7 @@ from services.context_broker.federation.registrations.registration_intake import
 from services.context_broker.federation.registrations.registry import Registry, claims
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity
+from services.context_broker.query.patterns import pattern
 
 CONTEXT = Context(1, TermMap(None, lambda _: None), CORE, b"", CORE)
 TASK, ROBOT = (CONTEXT.terms.expand(name) for name in ("Task", "Robot"))
@@ -70,9 +70,9 @@ ANY_SPEED = {"propertyNames": ["speed"], "relationshipNames": ["isPartOf"]}
         (TASKS, EntityTarget(ids=(ONE, TWO)), (ONE, TWO), None),
         (TASK_ONE, EntityTarget(ids=(ONE, TWO)), (ONE,), None),
         (TASK_ONE, EntityTarget(types=frozenset({TASK})), (ONE,), None),
-        (TASK_ONE, EntityTarget(id_pattern=re.compile("demo")), (ONE,), None),
+        (TASK_ONE, EntityTarget(id_pattern=pattern("demo")), (ONE,), None),
         (EVEN_TASKS, EntityTarget(ids=(ONE, TWO), types=frozenset({TASK})), (TWO,), None),
-        (EVEN_TASKS, EntityTarget(id_pattern=re.compile("1$")), None, None),
+        (EVEN_TASKS, EntityTarget(id_pattern=pattern("1$")), None, None),
         (SPEEDS, EntityTarget(attributes=frozenset({SPEED, STATUS})), None, {SPEED}),
         (SPEEDS, EntityTarget(), None, {SPEED}),
         (ANY_SPEED, EntityTarget(ids=(ONE,), types=frozenset({TASK})), (ONE,), {SPEED, PART_OF}),
@@ -92,7 +92,7 @@ def test_a_source_serves_what_both_sides_name(
     [
         (TASKS, EntityTarget(types=frozenset({ROBOT}))),
         (TASK_ONE, EntityTarget(ids=(TWO,))),
-        (TASK_ONE, EntityTarget(id_pattern=re.compile("2$"))),
+        (TASK_ONE, EntityTarget(id_pattern=pattern("2$"))),
         (EVEN_TASKS, EntityTarget(ids=(ONE,))),
         (SPEEDS, EntityTarget(attributes=frozenset({STATUS}))),
         (ANY_SPEED, EntityTarget(types=frozenset({TASK}), attributes=frozenset({STATUS}))),
