@@ -26,21 +26,21 @@ import orjson
 import psutil
 
 from benchmarks.recorded_hands import report
-from services.gesture_controller.calibration.levels import calibrate
-from services.gesture_controller.configuration import built_in
-from services.gesture_controller.frames import Hello, parse_frame
-from services.gesture_controller.gestures import M2O2P_GESTURES
-from services.gesture_controller.glove import Glove
-from services.gesture_controller.pipeline import Senses
+from services.gesture_controller.configuration.gestures_file import built_in
+from services.gesture_controller.gloves.glove import Glove
+from services.gesture_controller.recognition.frames import Hello, parse_frame
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
+from services.gesture_controller.recognition.levels import calibrate
+from services.gesture_controller.recognition.pipeline import RecognitionConfig
 from services.gesture_controller.recognition.registry import PERSONAL
-from services.gesture_controller.thresholds import M2O2P_THRESHOLDS
+from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS
 
 FLOOR_FRAMES_PER_S = 20_000
 CEILING_US = 100
 CEILING_CORE_SHARE = 0.40
 STRAIGHT, BENT = [2000.0] * 5, [100.0] * 5
 RECORDINGS = Path(__file__).parents[2] / "shared" / "data" / "glove_recordings"
-WHAT_IS_TOLD = ("state_changed", "went_silent", "came_back", "fits_badly", "fits_again")
+LISTENER_EVENTS = ("state_changed", "went_silent", "came_back", "needs_calibration", "calibration_restored")
 
 
 def wire_lines(count: int) -> list[bytes]:
@@ -65,14 +65,14 @@ def measure_pipeline(count: int, make_glove: Callable[[], Glove]) -> tuple[float
     glove = make_glove()
     began = time.perf_counter()
     for line in lines:
-        glove.take(parse_frame(line), line, 0.0)
+        glove.receive(parse_frame(line), line, 0.0)
     per_second = count / (time.perf_counter() - began)
-    assert glove.frames == count
+    assert glove.connection.traffic.frames == count
     glove = make_glove()
     took = []
     for line in lines[:20_000]:
         before = time.perf_counter_ns()
-        glove.take(parse_frame(line), line, 0.0)
+        glove.receive(parse_frame(line), line, 0.0)
         took.append((time.perf_counter_ns() - before) / 1000)
     return per_second, took
 
@@ -80,13 +80,13 @@ def measure_pipeline(count: int, make_glove: Callable[[], Glove]) -> tuple[float
 def quiet_glove() -> Glove:
     """Return a glove that nobody listens to."""
     site = built_in()
-    nobody = SimpleNamespace(**dict.fromkeys(WHAT_IS_TOLD, lambda *_: None))
-    senses = Senses(M2O2P_THRESHOLDS, site.gestures)
+    nobody = SimpleNamespace(**dict.fromkeys(LISTENER_EVENTS, lambda *_: None))
+    config = RecognitionConfig(M2O2P_THRESHOLDS, site.gestures)
     glove = Glove(
         "glove-1",
         hand="right",
         person=None,
-        senses=senses,
+        config=config,
         commands=site.commands,
         filtering=True,
         listener=nobody,
@@ -99,8 +99,8 @@ def personal_glove() -> Glove:
     """Return a glove that nobody listens to, calibrated and read by the personal recognizer."""
     glove = quiet_glove()
     calibration = calibrate([BENT] * 50, [STRAIGHT] * 50)
-    glove.sense_with(replace(glove.senses, calibration=calibration, recognizer=PERSONAL))
-    assert glove.senses.missing is None
+    glove.configure(replace(glove.reader.config, calibration=calibration, recognizer_name=PERSONAL))
+    assert glove.reader.config.missing is None
     return glove
 
 

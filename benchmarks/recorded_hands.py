@@ -17,17 +17,17 @@ from pathlib import Path
 
 from glove_sdk_bridge.simulated_assembly import assembly
 from glove_sdk_bridge.simulated_hand import SENSORS, SimulatedHand, minimum_jerk
-from services.gesture_controller.calibration.levels import Calibration, CalibrationFailed, calibrate
 from services.gesture_controller.calibration.samples import sample_of, with_sample
-from services.gesture_controller.finger_states import finger_states
-from services.gesture_controller.frames import Frame
-from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.hold import HoldEvent
-from services.gesture_controller.pipeline import Senses, Sight, see
+from services.gesture_controller.recognition.finger_states import finger_states
+from services.gesture_controller.recognition.frames import Frame
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.recognition.hold import HoldEvent
+from services.gesture_controller.recognition.levels import Calibration, CalibrationFailed, calibrate
 from services.gesture_controller.recognition.personal import PersonalRecognizer
+from services.gesture_controller.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
 from services.gesture_controller.recognition.population import USUAL, Population, learn
 from services.gesture_controller.recognition.registry import PERSONAL, THRESHOLDS
-from services.gesture_controller.thresholds import FINGERS, Threshold, Thresholds
+from services.gesture_controller.recognition.thresholds import FINGERS, Threshold, Thresholds
 
 FIST, OPEN = "0", "5"
 CODES = {
@@ -108,27 +108,28 @@ def calibrated(person: Recording, *, samples: bool = False) -> Calibration:
     return calibration
 
 
-def senses_for(
+def config_for(
     person: Recording,
     everybody: Sequence[Recording],
     recognizer: str,
     *,
     samples: bool = False,
     in_use: frozenset[str] = frozenset(GESTURES.names),
-) -> Senses:
+) -> RecognitionConfig:
     """Return with what the hand of `person` is read, as in the controller, but for the population."""
     calibration = calibrated(person, samples=samples)
-    senses = Senses(
+    config = RecognitionConfig(
         calibration.thresholds,
         GESTURES,
         calibration=calibration,
-        recognizer=recognizer,
+        recognizer_name=recognizer,
         in_use=in_use,
     )
     if recognizer == PERSONAL:
         population = population_without(person, everybody)
-        object.__setattr__(senses, "reader", PersonalRecognizer(calibration, GESTURES, in_use, population))
-    return senses
+        recognizer_of_person = PersonalRecognizer(calibration, GESTURES, in_use, population)
+        object.__setattr__(config, "recognizer", recognizer_of_person)
+    return config
 
 
 @dataclass
@@ -174,22 +175,22 @@ class Score:
         return sum(self.reached.values()) / windows if windows else float("nan")
 
 
-def measure(person: Recording, senses: Senses, *, samples: bool = False) -> Score:
-    """Return how well `senses` read `person`; frames that calibrated are not measured."""
+def measure(person: Recording, config: RecognitionConfig, *, samples: bool = False) -> Score:
+    """Return how well `config` read `person`; frames that calibrated are not measured."""
     score = Score.nothing()
     began = time.process_time()
     for pose, code in CODES.items():
         if pose not in person.poses:
             continue
-        seen = look(person.poses[pose], senses, person.hz)
+        seen = look(person.poses[pose], config, person.hz)
         used = person.hz if samples or pose in {FIST, OPEN} else 0
         meant = GESTURES.names[code]
-        score.right[pose] = sum(sight.gesture == meant for sight in seen[used:])
+        score.right[pose] = sum(state.gesture == meant for state in seen[used:])
         score.frames[pose] = len(seen) - used
         score.seen += len(seen)
         for window in _windows(person.poses[pose][used:], person.hz):
             score.windows[pose] += 1
-            score.reached[pose] += meant in confirmed(look(window, senses, person.hz))
+            score.reached[pose] += meant in confirmed(look(window, config, person.hz))
             score.seen += len(window)
     score.took_s = time.process_time() - began
     streams = [
@@ -198,22 +199,22 @@ def measure(person: Recording, senses: Senses, *, samples: bool = False) -> Scor
         *(("assembly", at_work(person, seed)) for seed in range(ASSEMBLIES)),
     ]
     for what, stream in streams:
-        names = [name for name in confirmed(look(stream, senses, person.hz)) if name not in NO_COMMANDS]
+        names = [name for name in confirmed(look(stream, config, person.hz)) if name not in NO_COMMANDS]
         score.confirmed[what] = [*score.confirmed.get(what, []), *names]
     return score
 
 
-def look(frames: Sequence[Sequence[float]], senses: Senses, hz: float) -> list[Sight]:
+def look(frames: Sequence[Sequence[float]], config: RecognitionConfig, hz: float) -> list[PipelineState]:
     """Return what is seen in `frames`, one after the other at `hz`."""
-    seen = [Sight()]
+    seen = [PipelineState()]
     for number, bend in enumerate(frames):
-        seen.append(see(seen[-1], Frame(number / hz, list(bend)), senses))
+        seen.append(process_frame(seen[-1], Frame(number / hz, list(bend)), config))
     return seen[1:]
 
 
-def confirmed(seen: Sequence[Sight]) -> list[str]:
+def confirmed(seen: Sequence[PipelineState]) -> list[str]:
     """Return the gestures that were held until they counted."""
-    return [str(sight.gesture) for sight in seen if sight.hold.last is HoldEvent.CONFIRMED]
+    return [str(state.gesture) for state in seen if state.hold.last is HoldEvent.CONFIRMED]
 
 
 def changes(person: Recording) -> Iterator[Frames]:
@@ -351,12 +352,12 @@ def _table(people: Sequence[Recording]) -> Iterator[str]:
     for way in WAYS:
         scores = []
         for person in people:
-            senses = senses_for(person, people, way.recognizer, samples=way.samples, in_use=way.in_use)
-            scores.append(measure(person, senses, samples=way.samples))
+            config = config_for(person, people, way.recognizer, samples=way.samples, in_use=way.in_use)
+            scores.append(measure(person, config, samples=way.samples))
             yield _row(f"{way.name}: {person.name}", scores[-1])
         yield _row(f"{way.name}: all", sum(scores[1:], scores[0]))
     slow = [person.slower(2) for person in people]
-    scores = [measure(person, senses_for(person, slow, PERSONAL)) for person in slow]
+    scores = [measure(person, config_for(person, slow, PERSONAL)) for person in slow]
     yield _row(f"personal, every second frame ({slow[0].hz} Hz): all", sum(scores[1:], scores[0]))
 
 

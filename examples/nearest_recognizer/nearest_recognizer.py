@@ -1,6 +1,6 @@
 """A recognizer that returns the gesture whose finger positions are nearest to the hand."""
 
-from services.gesture_controller.recognition.recognizer import CannotRecognize, Given, Recognition
+from services.gesture_controller.recognition.recognizer import CannotRecognize, HandContext, Recognition
 
 NEAR = 0.35
 
@@ -8,7 +8,7 @@ NEAR = 0.35
 class Nearest:
     """Compares where the fingers stand, from 0 (fist) to 1 (open hand), with where each gesture has them."""
 
-    def __init__(self, given: Given) -> None:
+    def __init__(self, given: HandContext) -> None:
         if given.calibration is None:
             raise CannotRecognize("it compares with your fist and your open hand; calibrate the glove first")
         self.levels, self.codes = given.calibration.levels, given.gestures.codes

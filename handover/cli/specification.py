@@ -29,7 +29,7 @@ def take_in(
     url: Url = None,
 ) -> None:
     """Write the definitions of a file into the database, each in place of the one of its id."""
-    from services.gesture_controller.configuration import load  # noqa: PLC0415 - only this command needs it
+    from services.gesture_controller.configuration.gestures_file import load  # noqa: PLC0415 - only this command needs it
     from services.gesture_controller.specifications import file, table  # noqa: PLC0415 - loads SQLAlchemy
 
     try:

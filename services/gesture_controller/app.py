@@ -1,4 +1,4 @@
-"""The gesture controller's face: REST and WebSocket for screens, TCP for gloves."""
+"""The gesture controller: REST and WebSocket for screens and programs, TCP for gloves."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -17,31 +17,29 @@ from handover.ports import require_free
 from handover.service import create_app
 from handover.storage import storage_check
 from handover.telemetry import get_logger
-from services.gesture_controller import configuration
-from services.gesture_controller.calibration.guidance import Guidance
-from services.gesture_controller.calibration.routes import (
-    MAX_FRAMES_BYTES,
-    Frames,
-    add_calibration,
-)
-from services.gesture_controller.controller import Controller
-from services.gesture_controller.errand import CannotComplete
-from services.gesture_controller.gestures import listed
-from services.gesture_controller.glove import Glove
-from services.gesture_controller.glove_server import GloveServer
-from services.gesture_controller.gloves import StudyCondition
-from services.gesture_controller.live import follow, frames_of
+from services.gesture_controller.accuracy_tests.accuracy_test_runner import AccuracyTestRunner
+from services.gesture_controller.accuracy_tests.routes import add_accuracy_tests
+from services.gesture_controller.accuracy_tests.store import AccuracyTestStore
+from services.gesture_controller.calibration.calibration_session import CalibrationSessions
+from services.gesture_controller.calibration.routes import MAX_FRAMES_BYTES, Frames, add_calibration
+from services.gesture_controller.configuration import gestures_file
+from services.gesture_controller.connection.glove_registry import GloveRegistry
+from services.gesture_controller.connection.glove_server import GloveServer
+from services.gesture_controller.connection.live import send_views, stream_frames
+from services.gesture_controller.controller import GestureController
+from services.gesture_controller.gloves.glove import Glove
+from services.gesture_controller.gloves.glove_view import view_of
+from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.people.routes import add_people
+from services.gesture_controller.people.study_conditions import StudyCondition
 from services.gesture_controller.pictures.routes import add_pictures, picture_urls
+from services.gesture_controller.prompting.prompt import CannotComplete
+from services.gesture_controller.recognition.gestures import listed
 from services.gesture_controller.settings import ControllerSettings
-from services.gesture_controller.study.conduct import Conduct
 from services.gesture_controller.study.protocol import Condition, Session
 from services.gesture_controller.study.routes import add_study
 from services.gesture_controller.study.store import StudyStore
-from services.gesture_controller.testing.examiner import Examiner
-from services.gesture_controller.testing.routes import add_tests
-from services.gesture_controller.testing.store import TestStore
-from services.gesture_controller.view import view_of
+from services.gesture_controller.study.study_session import StudySessions
 
 log = get_logger(__name__)
 
@@ -50,7 +48,7 @@ GloveView = dict[str, Any]
 
 MAX_NOTE = 500
 NO_CONTROL_CHARACTERS = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
-"""Text without control characters other than tabs and line feeds."""
+"""Matches text without control characters other than tabs and line feeds."""
 
 
 class _Body(BaseModel):
@@ -58,7 +56,7 @@ class _Body(BaseModel):
 
 
 class Declaration(_Body):
-    """A glove to be known before it has said hello."""
+    """A glove that is declared before its first hello."""
 
     hand: Literal["left", "right"] | None = None
     person: Annotated[str, Field(min_length=1)] | None = None
@@ -72,14 +70,14 @@ class CalibrationFrames(_Body):
 
 
 class Modes(_Body):
-    """What is left out stays as it is."""
+    """The modes to change; a mode that is left out stays unchanged."""
 
     testing: bool | None = None
     filtering: bool | None = None
 
 
 class Completion(_Body):
-    """Who answers the Task on the screen, and which one they saw; without `task` the present one."""
+    """An answer on the screen; `task` is the Task that the person saw, the current one if left out."""
 
     by: Annotated[str, Field(min_length=1, max_length=100)]
     task: Annotated[str, Field(max_length=500)] | None = None
@@ -88,27 +86,29 @@ class Completion(_Body):
 
 
 def make_app(settings: ControllerSettings) -> FastAPI:
-    """Return the application; raises `UsageError` when it could not work as it is set."""
+    """Return the application; raise `UsageError` if it cannot work with these settings."""
     require_free(settings.glove_host, settings.glove_port, "HANDOVER_GLOVE_PORT", say=log.warning)
     broker = BrokerClient(settings)
-    site = configuration.load(settings.gestures_file)
+    site = gestures_file.load(settings.gestures_file)
     for restriction in site.restricted_answers():
-        log.warning("answer is not always offered by gesture", reason=restriction)
-    controller = Controller(settings, site, broker)
+        log.warning("some Tasks do not offer an answer by gesture", reason=restriction)
+    controller = GestureController(settings, site, broker)
     if not settings.is_local and settings.token is None:
         log.warning(
-            "gloves need a token of their own",
+            "gloves need their own tokens",
             host=settings.glove_host,
             remedy="handover glove token NAME, or set HANDOVER_GLOVE_TOKEN for all",
         )
-    conduct = Conduct(
-        StudyStore(controller.database), _condition_setter(controller), controller.gloves.end_condition
+    registry, gestures = controller.registry, controller.configuration.gestures
+    sessions = StudySessions(
+        StudyStore(controller.database), _condition_setter(controller), registry.wearers.end_condition
     )
-    examiner = Examiner(TestStore(controller.database), controller.gloves, controller.configuration.gestures)
+    accuracy_tests = AccuracyTestRunner(AccuracyTestStore(controller.database), registry.known, gestures)
+    calibrations = CalibrationSessions(registry.known, registry.fits, controller.calibrations)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        async with broker, controller, examiner, conduct, GloveServer(settings, controller.gloves):
+        async with broker, controller, accuracy_tests, sessions, GloveServer(settings, registry):
             yield
 
     app = create_app(
@@ -123,35 +123,36 @@ def make_app(settings: ControllerSettings) -> FastAPI:
     )
     controller.mount(app)
     _add_gestures(app, controller)
-    add_pictures(app, controller.configuration.gestures)
-    _add_gloves(app, controller)
-    add_people(app, controller.people, controller.gloves)
-    add_calibration(app, Guidance(controller.gloves, controller.logbook), controller.gloves)
-    _add_acts(app, controller)
-    _add_streams(app, controller)
-    add_tests(app, examiner, controller.gloves)
-    add_study(app, conduct)
+    add_pictures(app, gestures)
+    _add_gloves(app, registry)
+    add_people(app, registry.wearers, registry.known, registry.records)
+    add_calibration(app, calibrations, registry.known)
+    _add_fits(app, registry)
+    _add_actions(app, registry.known)
+    _add_streams(app, registry.known)
+    add_accuracy_tests(app, accuracy_tests, registry.known)
+    add_study(app, sessions)
     return app
 
 
-def _condition_setter(controller: Controller) -> Callable[[Session, bool], Awaitable[None]]:
-    """Return what has a participant asked for the gestures of their condition."""
+def _condition_setter(controller: GestureController) -> Callable[[Session, bool], Awaitable[None]]:
+    """Return the function that asks a participant for the gestures of their condition."""
 
     async def apply(session: Session, is_restart: bool) -> None:
         own = None if session.condition is None else session.condition is Condition.PERSONAL
         person = session.person if session.person in controller.people.names() else None
         condition = StudyCondition(session.pseudonym, session.glove, person, own)
-        await controller.gloves.apply_condition(session.id, condition, is_restart=is_restart)
+        await controller.registry.wearers.apply_condition(session.id, condition, is_restart=is_restart)
 
     return apply
 
 
-def _add_gestures(app: FastAPI, controller: Controller) -> None:
+def _add_gestures(app: FastAPI, controller: GestureController) -> None:
     @app.get("/gestures", tags=["gestures"])
     async def gestures() -> list[dict[str, Any]]:
         """List the gestures of the site: name, code (thumb first, 0 straight, 2 bent), command and pictures.
 
-        Those that are composed have no code but `left` and `right`, or `sequence`, each part with its code.
+        A composite gesture has no code but `left` and `right`, or `sequence`; each part has its code.
         """
         return [
             {**one, "pictures": picture_urls(one["name"])}
@@ -160,7 +161,7 @@ def _add_gestures(app: FastAPI, controller: Controller) -> None:
 
     @app.get("/specifications", tags=["operations"])
     async def specifications() -> dict[str, str]:
-        """Say where TaskDefinitions are looked up that the broker has not, and whether that answers."""
+        """Return the URL and the state of the database for TaskDefinitions that the broker does not have."""
         database = controller.specifications
         return {
             "database": database.shown,
@@ -169,113 +170,113 @@ def _add_gestures(app: FastAPI, controller: Controller) -> None:
         }
 
 
-def _add_gloves(app: FastAPI, controller: Controller) -> None:
-    gloves = controller.gloves
+def _add_gloves(app: FastAPI, registry: GloveRegistry) -> None:
+    known = registry.known
 
     @app.get("/gloves", tags=["gloves"])
-    async def all_gloves() -> list[GloveView]:
+    async def list_gloves() -> list[GloveView]:
         """Return the state of every glove."""
-        return [_view(glove) for glove in gloves]
+        return [_view(glove) for glove in known]
 
     @app.get("/gloves/{glove}", tags=["gloves"])
-    async def one_glove(glove: str) -> GloveView:
+    async def get_glove(glove: str) -> GloveView:
         """Return the state of a glove."""
-        return _view(gloves.named(glove))
+        return _view(known.named(glove))
 
     @app.put("/gloves/{glove}", tags=["gloves"])
     async def declare(glove: str, declaration: Declaration, response: Response) -> GloveView:
-        """Make a glove known before it has said hello: 201, or 200 if it was known."""
-        known, is_new = await gloves.declare(glove, declaration.hand, declaration.person)
+        """Declare a glove before its first hello: 201, or 200 if it was known."""
+        declared, is_new = await registry.declare(glove, declaration.hand, declaration.person)
         response.status_code = 201 if is_new else 200
-        return _view(known)
+        return _view(declared)
 
     @app.put("/gloves/{glove}/token", tags=["gloves"])
     async def set_token(glove: str) -> dict[str, str]:
-        """Make a token for a glove, in place of an older one, and show it this once.
+        """Make a new token for a glove in place of an older one, and show it once.
 
-        From now on the glove connects with it only, and counts as declared. A connection that it has ends.
+        From now on the glove connects only with it, and counts as declared. Its present connection ends.
         """
-        return {"glove": glove, "token": await gloves.set_token(glove)}
+        return {"glove": glove, "token": await registry.set_token(glove)}
 
     @app.delete("/gloves/{glove}/token", status_code=204, tags=["gloves"])
     async def remove_token(glove: str) -> None:
-        """Remove the token of a glove, which connects as others without one do; its connection ends."""
-        await gloves.remove_token(gloves.named(glove))
+        """Remove the token of a glove; its connection ends, and the rules without a token apply."""
+        await registry.remove_token(known.named(glove))
+
+
+def _add_fits(app: FastAPI, registry: GloveRegistry) -> None:
+    known, fits = registry.known, registry.fits
 
     @app.put("/gloves/{glove}/thresholds", tags=["calibration"])
     async def set_thresholds(glove: str, thresholds: dict[str, dict[str, FiniteFloat]]) -> GloveView:
-        """Set thresholds of some or all fingers; they survive a restart."""
-        await gloves.set_thresholds(gloves.named(glove), thresholds)
-        return _view(gloves.named(glove))
+        """Set and store the thresholds of some or all fingers."""
+        await fits.set_thresholds(known.named(glove), thresholds)
+        return _view(known.named(glove))
 
     @app.post("/gloves/{glove}/thresholds/restore", tags=["calibration"])
     async def restore(glove: str) -> GloveView:
         """Exchange the thresholds with those before the last change."""
-        await gloves.restore(gloves.named(glove))
-        return _view(gloves.named(glove))
+        await fits.restore(known.named(glove))
+        return _view(known.named(glove))
 
     @app.post("/gloves/{glove}/calibration", tags=["calibration"])
     @max_body(2 * MAX_FRAMES_BYTES)
     async def calibrate(glove: str, frames: CalibrationFrames) -> dict[str, Any]:
-        """Make thresholds from frames of a fist and of an open hand; they survive a restart."""
-        calibration = await gloves.calibrate(gloves.named(glove), frames.fist, frames.open)
+        """Calculate and store thresholds from frames of a fist and of an open hand."""
+        calibration = await fits.calibrate(known.named(glove), frames.fist, frames.open)
         return {"thresholds": calibration.thresholds.as_dict(), "levels": calibration.as_dict()}
 
 
-def _add_acts(app: FastAPI, controller: Controller) -> None:
-    gloves = controller.gloves
-
-    @app.put("/gloves/{glove}/modes", tags=["acts"])
+def _add_actions(app: FastAPI, known: KnownGloves) -> None:
+    @app.put("/gloves/{glove}/modes", tags=["actions"])
     async def switch(glove: str, modes: Modes) -> GloveView:
-        """Switch testing (nothing completes a Task) and filtering (only the asked gesture counts)."""
-        gloves.named(glove).switch(testing=modes.testing, filtering=modes.filtering)
-        return _view(gloves.named(glove))
+        """Switch testing (nothing completes a Task) and filtering (only the prompted gesture counts)."""
+        known.named(glove).switch(testing=modes.testing, filtering=modes.filtering)
+        return _view(known.named(glove))
 
-    @app.post("/gloves/{glove}/pause", tags=["acts"])
+    @app.post("/gloves/{glove}/pause", tags=["actions"])
     async def pause(glove: str) -> GloveView:
-        """Let nothing count, and hold the Task, until resumed."""
-        gloves.named(glove).pause()
-        return _view(gloves.named(glove))
+        """Let nothing count, and pause the Task, until resumed."""
+        known.named(glove).pause()
+        return _view(known.named(glove))
 
-    @app.post("/gloves/{glove}/resume", tags=["acts"])
+    @app.post("/gloves/{glove}/resume", tags=["actions"])
     async def resume(glove: str) -> GloveView:
-        """Take a pause back; one that was requested on the Task itself stays."""
-        gloves.named(glove).resume()
-        return _view(gloves.named(glove))
+        """End a pause; one that was requested on the Task itself stays."""
+        known.named(glove).resume()
+        return _view(known.named(glove))
 
-    @app.post("/gloves/{glove}/complete", tags=["acts"])
+    @app.post("/gloves/{glove}/complete", tags=["actions"])
     async def complete(glove: str, completion: Completion) -> GloveView:
-        """Answer the Task on the screen: `ok`, or that something is `notGood` or a `problem`, with a note.
+        """Answer the Task on the screen: `ok`, `notGood` or `problem`, with an optional note.
 
         With another outcome than `ok` the Task ends `failed`, unless its definition handles outcomes.
         """
         note = (completion.note or "").strip() or None
         try:
-            gloves.named(glove).complete_on_screen(
+            known.named(glove).responder.complete_on_screen(
                 completion.by, _now_s(), completion.task, completion.outcome, note
             )
         except CannotComplete as error:
             raise Problem(409, "Cannot complete", str(error)) from None
-        return _view(gloves.named(glove))
+        return _view(known.named(glove))
 
 
-def _add_streams(app: FastAPI, controller: Controller) -> None:
-    gloves = controller.gloves
-
+def _add_streams(app: FastAPI, known: KnownGloves) -> None:
     @app.get("/gloves/{glove}/frames", tags=["streams"])
     async def frames(glove: str) -> StreamingResponse:
-        """Stream the glove's hello and then its raw frames, one JSON object a line, until the reader goes."""
-        return StreamingResponse(frames_of(gloves.named(glove)), media_type="application/x-ndjson")
+        """Stream the hello of the glove and then its raw frames, one JSON object a line."""
+        return StreamingResponse(stream_frames(known.named(glove)), media_type="application/x-ndjson")
 
     @app.websocket("/gloves/{glove}/live")
     async def live(screen: WebSocket, glove: str) -> None:
         try:
-            followed = gloves.named(glove)
+            followed = known.named(glove)
         except Problem as problem:
             await screen.accept()
             await screen.close(4404, problem.detail[:120])
             return
-        await follow(followed, screen)
+        await send_views(followed, screen)
 
 
 def _view(glove: Glove) -> GloveView:

@@ -1,32 +1,31 @@
-"""Metrics: what the controller counts for Prometheus."""
+"""The Prometheus metrics of the gesture controller."""
 
 from prometheus_client import Counter, Gauge
 
-FRAMES = Counter("handover_gesture_controller_frames_total", "Frames taken from gloves")
-DROPPED = Counter(
-    "handover_gesture_controller_dropped_total", "Lines of gloves that were no frame, by reason", ["reason"]
+FRAMES_RECEIVED = Counter("handover_gesture_controller_frames_received_total", "Frames received from gloves")
+LINES_DROPPED = Counter(
+    "handover_gesture_controller_lines_dropped_total", "Invalid lines of gloves, by reason", ["reason"]
 )
-REFUSED = Counter(
-    "handover_gesture_controller_refused_total",
-    "Connections that were refused or ended, by reason",
+CONNECTIONS_REFUSED = Counter(
+    "handover_gesture_controller_connections_refused_total",
+    "Connections of gloves that were refused or ended, by reason",
     ["reason"],
 )
-CONNECTED = Gauge("handover_gesture_controller_gloves_connected", "Gloves that are connected")
-CONFIRMATIONS = Counter(
-    "handover_gesture_controller_confirmations_total",
-    "Tasks that a person answered, by how and with which outcome",
+GLOVES_CONNECTED = Gauge("handover_gesture_controller_gloves_connected", "Connected gloves")
+TASKS_ANSWERED = Counter(
+    "handover_gesture_controller_tasks_answered_total",
+    "Tasks answered by a person, by gesture or screen and by outcome",
     ["by", "outcome"],
 )
-COMMANDS = Counter(
-    "handover_gesture_controller_commands_total", "Commands sent without a Task, filtering being off"
+COMMANDS_SENT = Counter(
+    "handover_gesture_controller_commands_sent_total", "Commands sent without a Task, filtering being off"
 )
 WRONG_GESTURES = Counter(
-    "handover_gesture_controller_wrong_gestures_total", "Gestures held that the Task did not ask for"
+    "handover_gesture_controller_wrong_gestures_total", "Held gestures that the Task did not ask for"
 )
-SILENCES = Counter(
-    "handover_gesture_controller_silences_total", "Gloves that went silent in the middle of a Task"
+GLOVE_SILENCES = Counter(
+    "handover_gesture_controller_glove_silences_total", "Gloves that stopped sending during a Task"
 )
-UNTOLD = Counter(
-    "handover_gesture_controller_refused_writes_total",
-    "Writes that the broker refused, and that were given up",
+BROKER_WRITES_REFUSED = Counter(
+    "handover_gesture_controller_broker_writes_refused_total", "Writes that the broker refused"
 )

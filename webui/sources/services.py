@@ -30,7 +30,7 @@ COUNTED: Final[Mapping[str, Mapping[str, str]]] = {
         "news": "handover_orchestrator_task_changes_total",
     },
     CONTROLLER: {
-        "frames": "handover_gesture_controller_frames_total",
+        "frames": "handover_gesture_controller_frames_received_total",
         "tasks": "handover_tasks_total",
     },
     TRAJECTORY: {

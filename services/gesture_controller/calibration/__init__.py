@@ -1,1 +1,1 @@
-"""Calibration: a glove learns the hand that wears it, at the start and while it is worn."""
+"""Calibration: adapts a glove to the hand that wears it."""

@@ -1,18 +1,18 @@
-"""Fitting: how what is kept of a glove on a person becomes what their hand is read with."""
+"""Fitting: converts calibrations to the JSON values of a stored fit, and back."""
 
 import math
 from collections.abc import Mapping
 from typing import Any
 
-from services.gesture_controller.calibration.levels import Calibration, FingerLevels, Sample
-from services.gesture_controller.thresholds import FINGERS, Thresholds
+from services.gesture_controller.recognition.levels import Calibration, FingerLevels, Sample
+from services.gesture_controller.recognition.thresholds import FINGERS, Thresholds
 
 LEVELS, SAMPLES, OFFERED = "levels", "samples", "offered"
-"""The topics under which calibrations are kept with a fit."""
+"""The topics of a fit."""
 
 
 def learnt_from(calibration: Calibration) -> dict[str, Any]:
-    """Return what `calibration` has taught, as JSON has it."""
+    """Return `calibration` as JSON values by topic."""
     samples = {
         sample.code: {"shares": list(sample.shares), "noise": list(sample.noise)}
         for sample in calibration.samples
@@ -21,7 +21,7 @@ def learnt_from(calibration: Calibration) -> dict[str, Any]:
 
 
 def calibration_from(learnt: Mapping[str, Any], thresholds: Thresholds) -> Calibration | None:
-    """Return the calibration that was kept; None if there is none, or if it cannot be used."""
+    """Return the calibration in `learnt`; None if there is none, or if it is invalid."""
     try:
         levels = tuple(
             FingerLevels(
@@ -44,5 +44,5 @@ def calibration_from(learnt: Mapping[str, Any], thresholds: Thresholds) -> Calib
 def _five(values: Any) -> tuple[float, ...]:
     five = tuple(float(value) for value in values)
     if len(five) != len(FINGERS) or not all(map(math.isfinite, five)):
-        raise ValueError(f"five numbers are needed, not {values}")
+        raise ValueError(f"five finite numbers are needed, not {values}")
     return five

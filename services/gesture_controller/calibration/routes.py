@@ -1,4 +1,4 @@
-"""Calibration over REST: be guided, show samples, choose what reads the hand."""
+"""REST routes of calibration: sessions, samples and the choice of a recognizer."""
 
 from typing import Annotated, Any
 
@@ -8,14 +8,14 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from handover.body_limit import max_body
 from handover.errors import Problem
 from handover.messages import message
-from services.gesture_controller.calibration.guidance import Guidance
-from services.gesture_controller.gloves import Gloves
+from services.gesture_controller.calibration.calibration_session import CalibrationSessions
+from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.recognition.registry import recognizers
 
 MAX_CALIBRATION_FRAMES = 4_000
 """Of one hand shape: 20 s at 200 Hz."""
 MAX_VALUES_A_FRAME = 16
-"""More than the five that count: what is wrong with a frame is said when it is read."""
+"""More than five, so that a wrong frame gets an error that names the rule."""
 MAX_FRAMES_BYTES = 512 * 1024
 
 Frames = Annotated[
@@ -30,8 +30,8 @@ class _Body(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class NewGuide(_Body):
-    """What to be guided through: fist and open hand, or a sample of `gesture` (its name or code)."""
+class NewSession(_Body):
+    """What to calibrate: fist and open hand, or a sample of `gesture` (its name or code)."""
 
     gesture: Name | None = None
     apply: bool = True
@@ -46,30 +46,30 @@ class NewSample(_Body):
 
 
 class Choice(_Body):
-    """The recognizer to be used, by name."""
+    """The name of a recognizer."""
 
     name: Name
 
 
-def add_calibration(app: FastAPI, guidance: Guidance, gloves: Gloves) -> None:
+def add_calibration(app: FastAPI, sessions: CalibrationSessions, gloves: KnownGloves) -> None:
     """Add the routes of calibration."""
 
     @app.get("/recognizers", tags=["calibration"])
     async def all_recognizers() -> list[str]:
-        """List the recognizers that there are."""
+        """List the names of the recognizers."""
         return recognizers()
 
     @app.put("/gloves/{glove}/recognizer", tags=["calibration"])
-    async def choose(glove: str, choice: Choice) -> dict[str, Any]:
-        """Choose what reads the hand of who wears the glove; it survives a restart."""
-        await guidance.choose(gloves.named(glove), choice.name)
-        return guidance.summary(gloves.named(glove))
+    async def choose_recognizer(glove: str, choice: Choice) -> dict[str, Any]:
+        """Choose and store the recognizer of the glove for its wearer."""
+        await sessions.choose_recognizer(gloves.named(glove), choice.name)
+        return sessions.summary(gloves.named(glove))
 
     @app.get("/gloves/{glove}/recognition", tags=["calibration"])
     async def recognition(glove: str) -> dict[str, Any]:
-        """Return what the last frame was taken for, how probable each gesture is, and why."""
+        """Return the result of the last frame, the score of each gesture, and the explanation."""
         known = gloves.named(glove)
-        seen, reader = known.sight.recognition, known.senses.reader
+        seen, reader = known.reader.state.recognition, known.reader.config.recognizer
         if seen is None:
             raise Problem(
                 409,
@@ -81,8 +81,8 @@ def add_calibration(app: FastAPI, guidance: Guidance, gloves: Gloves) -> None:
                 ),
             )
         return {
-            "recognizer": known.senses.recognizer,
-            "missing": known.senses.missing,
+            "recognizer": known.reader.config.recognizer_name,
+            "missing": known.reader.config.missing,
             "states": seen.states,
             "gesture": seen.gesture,
             "certainty": round(seen.certainty, 4),
@@ -92,14 +92,14 @@ def add_calibration(app: FastAPI, guidance: Guidance, gloves: Gloves) -> None:
 
     @app.get("/gloves/{glove}/calibration", tags=["calibration"])
     async def summary(glove: str) -> dict[str, Any]:
-        """Return how the glove is calibrated for who wears it."""
-        return guidance.summary(gloves.named(glove))
+        """Return the calibration of the glove for its wearer."""
+        return sessions.summary(gloves.named(glove))
 
     @app.post("/gloves/{glove}/calibration/guide", status_code=201, tags=["calibration"])
-    async def begin(glove: str, new: NewGuide | None = None) -> dict[str, Any]:
-        """Begin to guide the hand, as the live view shows; no gesture answers a Task meanwhile."""
-        chosen = new or NewGuide()
-        return await guidance.begin(
+    async def begin(glove: str, new: NewSession | None = None) -> dict[str, Any]:
+        """Begin a calibration session; the live view shows it, and no gesture answers a Task meanwhile."""
+        chosen = new or NewSession()
+        return await sessions.begin(
             gloves.named(glove),
             gesture=chosen.gesture,
             apply=chosen.apply,
@@ -107,29 +107,29 @@ def add_calibration(app: FastAPI, guidance: Guidance, gloves: Gloves) -> None:
         )
 
     @app.get("/gloves/{glove}/calibration/guide", tags=["calibration"])
-    async def guide(glove: str) -> dict[str, Any] | None:
-        """Return how far the guide is, or how the last one ended; null if there was none."""
-        return guidance.view(gloves.named(glove))
+    async def session(glove: str) -> dict[str, Any] | None:
+        """Return the current or last calibration session; null if there was none."""
+        return sessions.view(gloves.named(glove))
 
     @app.delete("/gloves/{glove}/calibration/guide", status_code=204, tags=["calibration"])
     async def stop(glove: str) -> None:
-        """Give the calibration up; nothing is changed by it."""
-        await guidance.stop(gloves.named(glove))
+        """Cancel the calibration session; nothing is changed by it."""
+        await sessions.stop(gloves.named(glove))
 
     @app.post("/gloves/{glove}/calibration/accept", tags=["calibration"])
     async def accept(glove: str) -> dict[str, Any]:
-        """Apply the calibration that was only offered."""
-        await guidance.accept(gloves.named(glove))
-        return guidance.summary(gloves.named(glove))
+        """Apply the calibration that was offered."""
+        await sessions.accept(gloves.named(glove))
+        return sessions.summary(gloves.named(glove))
 
     @app.post("/gloves/{glove}/samples", status_code=201, tags=["calibration"])
     @max_body(MAX_FRAMES_BYTES)
-    async def sample(glove: str, new: NewSample) -> dict[str, Any]:
-        """Take frames for a sample of a gesture, in place of an older one."""
-        await guidance.sample(gloves.named(glove), new.gesture, new.frames)
-        return guidance.summary(gloves.named(glove))
+    async def add_sample(glove: str, new: NewSample) -> dict[str, Any]:
+        """Store frames as the sample of a gesture, in place of an older one."""
+        await sessions.add_sample(gloves.named(glove), new.gesture, new.frames)
+        return sessions.summary(gloves.named(glove))
 
     @app.delete("/gloves/{glove}/samples/{gesture}", status_code=204, tags=["calibration"])
-    async def forget(glove: str, gesture: str) -> None:
-        """Forget the sample of a gesture."""
-        await guidance.forget_sample(gloves.named(glove), gesture)
+    async def remove_sample(glove: str, gesture: str) -> None:
+        """Delete the sample of a gesture."""
+        await sessions.remove_sample(gloves.named(glove), gesture)

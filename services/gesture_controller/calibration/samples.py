@@ -1,37 +1,37 @@
-"""Samples: a second of any gesture, shown once, sharpens how that gesture is told from the others."""
+"""Samples: one second of a gesture improves its recognition for this person."""
 
 from collections.abc import Sequence
 from statistics import median
 
 from handover.messages import message
-from services.gesture_controller.calibration.levels import (
-    LEAST_FRAMES,
+from services.gesture_controller.recognition.levels import (
+    MIN_FRAMES,
     Calibration,
     CalibrationFailed,
     FingerLevels,
     Sample,
 )
-from services.gesture_controller.thresholds import FINGERS
+from services.gesture_controller.recognition.thresholds import FINGERS
 
-RESTLESS = 0.3
-"""A finger that moves by more than this share of its span was not kept still."""
+MAX_SAMPLE_UNREST = 0.3
+"""A finger with more noise than this share of its span was not kept still."""
 
 _MAD_TO_SIGMA = 1.4826
 
 
 def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[FingerLevels]) -> Sample:
-    """Return the sample that `frames` (each five raw values, thumb first) of the gesture with `code` make.
+    """Return the sample of the gesture with `code` from `frames` (five raw values each, thumb first).
 
-    `levels` are those of the person's calibration. Raises `CalibrationFailed` for frames that are too few, or
-    among which a finger moved.
+    `levels` belong to the person's calibration. Raises `CalibrationFailed` if there are too few frames, or if
+    a finger moved.
     """
-    if len(frames) < LEAST_FRAMES:
+    if len(frames) < MIN_FRAMES:
         raise CalibrationFailed(
             message(
                 "calibration.too_few_gesture_frames",
                 "{frames} frames of the gesture are too few; hold it until there are {least} or more",
                 frames=len(frames),
-                least=LEAST_FRAMES,
+                least=MIN_FRAMES,
             )
         )
     if any(len(frame) != len(FINGERS) for frame in frames):
@@ -46,7 +46,7 @@ def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[Fin
         stands = [(frame[place] - level.fist) / level.span for frame in frames]
         usual = median(stands)
         unrest = _MAD_TO_SIGMA * median(abs(stand - usual) for stand in stands)
-        if unrest > RESTLESS:
+        if unrest > MAX_SAMPLE_UNREST:
             raise CalibrationFailed(
                 message(
                     "calibration.finger_moved",
@@ -61,6 +61,6 @@ def sample_of(code: str, frames: Sequence[Sequence[float]], levels: Sequence[Fin
 
 
 def with_sample(calibration: Calibration, sample: Sample) -> Calibration:
-    """Return `calibration` with `sample`, which takes the place of an older one of the same gesture."""
+    """Return `calibration` with `sample` in place of an older one of the same gesture."""
     others = tuple(one for one in calibration.samples if one.code != sample.code)
     return Calibration(calibration.thresholds, calibration.levels, (*others, sample))

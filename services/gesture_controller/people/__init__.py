@@ -1,1 +1,1 @@
-"""People: who wears which glove, how it fits their hand, and the gestures that are their own."""
+"""People: their gloves, their commands and their own gestures."""

@@ -1,9 +1,8 @@
-"""Nearness: how easily one gesture is taken for another, and when that is too easily.
+"""Nearness: how easily one gesture is confused with another.
 
-Between codes the distance is the number of fingers that differ. One finger is not enough if its sensor hardly
-tells bent from straight. Of a gesture that was recorded it is known besides how many times its own noise each
-finger is away from being read otherwise; of the fingers that differ the surest counts, as all of them must be
-misread at once.
+The distance of two codes is the number of fingers that differ. One finger is not enough if its sensor is
+unreliable. For a recorded gesture, the distance of each finger from its threshold is known in units of its
+noise. Of the fingers that differ the most reliable one counts, since all of them must be misread at once.
 """
 
 from collections.abc import Collection, Mapping
@@ -11,20 +10,20 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from handover.messages import message
-from services.gesture_controller.finger_states import STRAIGHT
-from services.gesture_controller.gestures import RESTING
 from services.gesture_controller.people.person import Sample
-from services.gesture_controller.thresholds import FINGERS, Thresholds
+from services.gesture_controller.recognition.finger_states import STRAIGHT
+from services.gesture_controller.recognition.gestures import RESTING
+from services.gesture_controller.recognition.thresholds import FINGERS, Thresholds
 
-SURE_SIGMAS = 4.0
-"""A recorded gesture less than so many times the noise away from another is too near."""
-LEAST_NOISE = 0.5
-"""Raw units: a sensor that reads whole numbers is never surer than that."""
+MIN_SIGMAS = 4.0
+"""A recorded gesture must be this many standard deviations of the noise away from every other gesture."""
+MIN_NOISE = 0.5
+"""In raw units: the resolution of a sensor that reads whole numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """Another gesture and how far away it is; `sigmas` only where a sample is there."""
+    """Another gesture and its distance; `sigmas` is None without a sample."""
 
     name: str
     code: str
@@ -33,7 +32,7 @@ class Neighbour:
 
     @property
     def distance(self) -> int:
-        """Return how many fingers differ."""
+        """The number of fingers that differ."""
         return len(self.fingers)
 
     def __str__(self) -> str:
@@ -54,8 +53,8 @@ def neighbours(
 ) -> list[Neighbour]:
     """Return `others` (codes by name), the nearest to `code` first.
 
-    `sample` is how a hand made `code`, `samples` how it made some of the others, under the same `thresholds`:
-    either may be taken for the other, and the nearer of the two ways counts.
+    `sample` is a recording of `code`, and `samples` are recordings of some of the others with the same
+    `thresholds`. Either gesture may be confused with the other, so the smaller distance counts.
     """
     found = [
         _neighbour(name, code, other, (sample, samples.get(name)), thresholds)
@@ -65,17 +64,17 @@ def neighbours(
 
 
 @dataclass(frozen=True, slots=True)
-class Doubted:
-    """Why a gesture cannot be, in half a sentence with the way out, and the other it is taken for, if any."""
+class Rejection:
+    """The reason with the remedy (half a sentence), and the gesture it is confused with, if any."""
 
     why: str
     other: Neighbour | None = None
 
 
-def too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> Doubted | None:
-    """Return why a gesture with `code` cannot be; None if it can. `doubtful` are fingers."""
+def find_rejection(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> Rejection | None:
+    """Return why a gesture with `code` is rejected, if it is; `doubtful` names unreliable fingers."""
     if code in RESTING:
-        return Doubted(
+        return Rejection(
             message(
                 "gesture.resting",
                 "{shape} is how a hand rests or carries and would be shown unmeant; take another, or use it "
@@ -85,7 +84,7 @@ def too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) 
         )
     for one in near:
         if one.distance == 0:
-            return Doubted(
+            return Rejection(
                 message(
                     "gesture.the_same",
                     'it is "{other}" (code {code}, {distance}); use that one, or take another',
@@ -96,11 +95,11 @@ def too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) 
                 one,
             )
         if one.distance == 1 and one.fingers[0] in doubtful:
-            return Doubted(
+            return Rejection(
                 message(
                     "gesture.near_by_a_doubtful_finger",
                     'it is too near "{other}" (code {code}, {distance}): the sensor of the {finger} hardly '
-                    "tells bent from straight; calibrate it, or take a gesture that differs elsewhere too",
+                    "separates bent from straight; calibrate it, or use a gesture that differs elsewhere",
                     other=one.name,
                     code=one.code,
                     distance=str(one),
@@ -108,8 +107,8 @@ def too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) 
                 ),
                 one,
             )
-        if one.sigmas is not None and one.sigmas < SURE_SIGMAS:
-            return Doubted(
+        if one.sigmas is not None and one.sigmas < MIN_SIGMAS:
+            return Rejection(
                 message(
                     "gesture.near_by_noise",
                     'it is too near "{other}" (code {code}, {distance}; {needed} are needed); record it '
@@ -117,7 +116,7 @@ def too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) 
                     other=one.name,
                     code=one.code,
                     distance=str(one),
-                    needed=f"{SURE_SIGMAS:g}",
+                    needed=f"{MIN_SIGMAS:g}",
                 ),
                 one,
             )
@@ -146,4 +145,4 @@ def _neighbour(
 def _sigmas(sample: Sample, place: int, state: str, thresholds: Thresholds) -> float:
     threshold, level = thresholds.fingers[place], sample.levels[place]
     margin = level - threshold.upper if state == STRAIGHT else threshold.lower - level
-    return max(margin, 0.0) / max(sample.noise[place], LEAST_NOISE)
+    return max(margin, 0.0) / max(sample.noise[place], MIN_NOISE)

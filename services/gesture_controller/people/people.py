@@ -1,19 +1,16 @@
-"""The people of a site: those it has written down, those who wear its gloves, and those who joined since."""
+"""The people of a site: from the gestures file, from gloves they wear, and from REST."""
 
 import asyncio
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
-from typing import Any, TypeVar
-
-from sqlalchemy.exc import SQLAlchemyError
+from typing import Any
 
 from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.telemetry import get_logger
-from services.gesture_controller.configuration import Configuration
-from services.gesture_controller.frames import is_glove_name
-from services.gesture_controller.gestures import Commands, Gestures, WrongGesture, is_code
-from services.gesture_controller.people.nearness import Neighbour, neighbours, too_near
+from services.gesture_controller.calibration.glove_store import Fit
+from services.gesture_controller.configuration.gestures_file import Configuration
+from services.gesture_controller.people.nearness import Neighbour, find_rejection, neighbours
 from services.gesture_controller.people.person import (
     MAX_OWN_GESTURES,
     OwnGesture,
@@ -21,33 +18,34 @@ from services.gesture_controller.people.person import (
     WrongCommand,
     commands_of,
     gestures_of,
-    what_works,
+    without_conflicts,
 )
 from services.gesture_controller.people.store import PeopleStore
-from services.gesture_controller.thresholds import Thresholds
+from services.gesture_controller.persistence import persist
+from services.gesture_controller.recognition.frames import is_glove_name
+from services.gesture_controller.recognition.gestures import Commands, Gestures, WrongGesture, is_code
+from services.gesture_controller.recognition.thresholds import Thresholds
 
 log = get_logger(__name__)
 
-T = TypeVar("T")
-
-LONGEST_NAME = 100
+MAX_NAME_LENGTH = 100
 
 
 class People:
-    """Everybody; `changed` is called with the name of whoever has other gestures or commands now."""
+    """All people; `changed` is called with the name of a person whose gestures or commands have changed."""
 
     def __init__(self, site: Configuration, store: PeopleStore) -> None:
         self.site = site
         self._store = store
         self._people: dict[str, Person] = store.load()
         self.changing = asyncio.Lock()
-        """Held by whoever changes what is somebody's own: changes that come at once are all kept."""
+        """Held during every change of a person, so that concurrent changes are all kept."""
         self.changed: Callable[[str], None] = lambda _: None
         self.also_known: Callable[[], Collection[str]] = tuple
-        """Who else there is: people that wear gloves."""
+        """Returns the names of people who wear gloves."""
         for name in self._people:
             for fault in self.faults_of(name):
-                log.warning("something of a person's own does not fit this site", person=name, fault=fault)
+                log.warning("a person's profile conflicts with the gestures file", person=name, fault=fault)
 
     def names(self) -> list[str]:
         """Return the names of all people, in order."""
@@ -55,7 +53,7 @@ class People:
         return sorted({*self._people, *self.site.persons, *expected, *self.also_known()})
 
     def named(self, name: str) -> Person:
-        """Return the person called `name`; raise `Problem` 404 if nobody is."""
+        """Return the person called `name`; raise `Problem` 404 if there is none."""
         if name in self._people:
             return self._people[name]
         known = self.names()
@@ -73,19 +71,19 @@ class People:
         )
 
     def gestures_of(self, name: str | None) -> Gestures:
-        """Return the gestures that a person can make: the site's and their own."""
-        return self._what_works(name)[0]
+        """Return the gestures of the site and the own ones of a person."""
+        return self._resolved(name)[0]
 
     def commands_of(self, name: str | None) -> Commands:
-        """Return the commands as a person gives them."""
-        return self._what_works(name)[1]
+        """Return the commands with the gestures of a person."""
+        return self._resolved(name)[1]
 
     def faults_of(self, name: str) -> list[str]:
-        """Return what is a person's own and does not fit the site's file as it is now."""
-        return self._what_works(name)[2]
+        """Return the conflicts of a person's profile with the gestures file."""
+        return self._resolved(name)[2]
 
     async def add(self, name: str, title: str | None) -> bool:
-        """Make a person known, or call them otherwise; return whether they are new."""
+        """Add a person, or change their title; return True if they are new."""
         async with self.changing:
             is_new = name not in self.names()
             if is_new:
@@ -95,24 +93,24 @@ class People:
         return is_new
 
     async def remove(self, name: str) -> None:
-        """Forget what is a person's own, their gloves' fits included; raise `Problem` 404 if nobody is so."""
+        """Delete a person with their fits; raise `Problem` 404 if there is none."""
         self.named(name)
         async with self.changing:
-            await on_disk(lambda: self._store.remove(name))
+            await persist(lambda: self._store.remove(name))
             self._people.pop(name, None)
         self.changed(name)
 
-    async def give_commands(self, name: str, commands: Mapping[int, str | None], *, whole: bool) -> None:
-        """Take `commands` for how a person gives them; `whole`: and no other is their own any more.
+    async def set_commands(self, name: str, commands: Mapping[int, str | None], *, whole: bool) -> None:
+        """Set a person's gestures for `commands`; with `whole`, all other own commands are removed.
 
-        Raises `Problem` 422 for a gesture that is unknown or stands for two commands.
+        Raises `Problem` 422 for a gesture that is unknown or has two commands.
         """
         async with self.changing:
             before = {} if whole else self.named(name).commands
-            await self._give_commands(self.named(name), {**before, **commands})
+            await self._set_commands(self.named(name), {**before, **commands})
 
-    async def take_command_back(self, name: str, command: int) -> None:
-        """Let a person give `command` as the site has it; raise `Problem` 404 if they do already."""
+    async def reset_command(self, name: str, command: int) -> None:
+        """Remove a person's gesture for `command`; raise `Problem` 404 if they have none."""
         async with self.changing:
             person = self.named(name)
             if command not in person.commands:
@@ -127,7 +125,7 @@ class People:
                     ),
                 )
             left = {one: gesture for one, gesture in person.commands.items() if one != command}
-            await self._give_commands(person, left)
+            await self._set_commands(person, left)
 
     async def define(
         self,
@@ -137,10 +135,10 @@ class People:
         thresholds: Thresholds | None = None,
         doubtful: Collection[str] = (),
     ) -> tuple[bool, Neighbour | None]:
-        """Keep a gesture of a person's own; return whether it is new, and its nearest neighbour.
+        """Store an own gesture of a person; return True if it is new, and its nearest neighbour.
 
-        `thresholds` are those under which it was sampled, `doubtful` the fingers whose sensors are. Raises
-        `Problem` 409 if it is too near another, 422 if it cannot be.
+        `thresholds` are those of the recording; `doubtful` names fingers with unreliable sensors. Raises
+        `Problem` 409 if it is too near another gesture, 422 if it is invalid.
         """
         async with self.changing:
             return await self._define(self.named(name), gesture, own, thresholds, doubtful)
@@ -169,7 +167,7 @@ class People:
                     limit=MAX_OWN_GESTURES,
                 ),
             )
-        known, _, _ = what_works(others, self.site.gestures, self._base_commands(name))
+        known, _, _ = without_conflicts(others, self.site.gestures, self._base_commands(name))
         nearest = None
         if own.shape.code is not None and is_code(own.shape.code):
             made_with = own.sample.glove if own.sample else None
@@ -180,17 +178,17 @@ class People:
             }
             near = neighbours(own.shape.code, known.codes, own.sample, thresholds, samples)
             nearest = near[0] if near else None
-            doubted = too_near(own.shape.code, near, doubtful)
-            if doubted is not None:
-                extra = {"nearest": neighbour_view(doubted.other)} if doubted.other else None
+            rejection = find_rejection(own.shape.code, near, doubtful)
+            if rejection is not None:
+                extra = {"nearest": neighbour_view(rejection.other)} if rejection.other else None
                 raise Problem(
                     409,
                     "Too near",
                     message(
-                        "people.too_near",
+                        "people.find_rejection",
                         '"{gesture}" cannot be kept: {why}',
                         gesture=gesture,
-                        why=doubted.why,
+                        why=rejection.why,
                     ),
                     extra=extra,
                 )
@@ -206,9 +204,9 @@ class People:
         return gesture not in person.gestures, nearest
 
     async def drop_gesture(self, name: str, gesture: str) -> list[int]:
-        """Delete a gesture of a person's own; return the commands that they give as the site has them again.
+        """Delete an own gesture of a person; return the commands that get the gesture of the site again.
 
-        Raises `Problem` 404 if it is not theirs, 409 if another of theirs is made of it.
+        Raises `Problem` 404 if they do not have it, 409 if another of their gestures contains it.
         """
         async with self.changing:
             return await self._drop_gesture(self.named(name), gesture)
@@ -248,12 +246,16 @@ class People:
         await self._keep(changed)
         return freed
 
-    def take_in(self, person: Person) -> None:
-        """Take `person`, who has been kept already, in place of whoever had that name."""
+    async def save_profile(self, person: Person, fits: Mapping[str, Fit]) -> dict[str, Fit]:
+        """Write `person` and their fits; return the fits as stored. Hold `changing`, then call `replace`."""
+        return await persist(lambda: self._store.save_profile(person, fits))
+
+    def replace(self, person: Person) -> None:
+        """Use `person`, who has been written, in place of the person of the same name."""
         self._people[person.name] = person
         self.changed(person.name)
 
-    async def _give_commands(self, person: Person, own: Mapping[int, str | None]) -> None:
+    async def _set_commands(self, person: Person, own: Mapping[int, str | None]) -> None:
         gestures = self.gestures_of(person.name)
         in_full = {
             command: gesture if gesture is None else gestures.find(gesture) or gesture
@@ -267,22 +269,22 @@ class People:
         await self._keep(changed)
 
     async def _keep(self, person: Person) -> None:
-        await on_disk(lambda: self._store.save(person))
+        await persist(lambda: self._store.save(person))
         self._people[person.name] = person
         self.changed(person.name)
 
     def _base_commands(self, name: str | None) -> Commands:
         return self.site.commands_of(name)
 
-    def _what_works(self, name: str | None) -> tuple[Gestures, Commands, list[str]]:
+    def _resolved(self, name: str | None) -> tuple[Gestures, Commands, list[str]]:
         person = self._people.get(name) if name else None
         if person is None:
             return self.site.gestures, self._base_commands(name), []
-        return what_works(person, self.site.gestures, self._base_commands(name))
+        return without_conflicts(person, self.site.gestures, self._base_commands(name))
 
 
 def neighbour_view(neighbour: Neighbour | None) -> dict[str, Any] | None:
-    """Return a neighbour as screens get it."""
+    """Return a neighbour as in REST responses."""
     if neighbour is None:
         return None
     return {
@@ -295,7 +297,7 @@ def neighbour_view(neighbour: Neighbour | None) -> dict[str, Any] | None:
 
 
 def require_person_name(name: str) -> None:
-    """Raise `Problem` 422 if a person cannot be called `name`: it becomes part of entity ids and URLs."""
+    """Raise `Problem` 422 if `name` cannot be a part of entity ids and URLs."""
     if not is_glove_name(name):
         raise Problem(
             422,
@@ -304,13 +306,19 @@ def require_person_name(name: str) -> None:
                 "people.wrong_name",
                 'a person cannot be called "{name}"; a name is 1 to 64 letters, digits, ".", "_" or "-"; '
                 "what people call them is the title",
-                name=name[:LONGEST_NAME],
+                name=name[:MAX_NAME_LENGTH],
             ),
         )
 
 
 def _require_gesture_name(name: str) -> None:
-    if not name.strip() or len(name) > LONGEST_NAME or "/" in name or not name.isprintable() or is_code(name):
+    if (
+        not name.strip()
+        or len(name) > MAX_NAME_LENGTH
+        or "/" in name
+        or not name.isprintable()
+        or is_code(name)
+    ):
         raise Problem(
             422,
             "Wrong name",
@@ -318,25 +326,7 @@ def _require_gesture_name(name: str) -> None:
                 "people.wrong_gesture_name",
                 'a gesture cannot be called "{name}"; give it 1 to {limit} characters '
                 "that can be read, without a slash, and no bare code",
-                name=name[:LONGEST_NAME],
-                limit=LONGEST_NAME,
+                name=name[:MAX_NAME_LENGTH],
+                limit=MAX_NAME_LENGTH,
             ),
         )
-
-
-async def on_disk(action: Callable[[], T]) -> T:
-    """Return what `action` returns, run beside the event loop; raise `Problem` 503 if nothing was kept."""
-    try:
-        return await asyncio.to_thread(action)
-    except SQLAlchemyError as error:
-        log.exception("the database cannot be written")
-        reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
-        raise Problem(
-            503,
-            "Database away",
-            message(
-                "people.database_away",
-                "nothing was changed: the database cannot be written ({reason}); try again",
-                reason=reason,
-            ),
-        ) from None

@@ -1,46 +1,46 @@
-"""A person: which gesture they like for which command, and the gestures that are their own."""
+"""A person: their gestures for commands, and their own gestures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from services.gesture_controller.gestures import Commands, Gestures, Shape, WrongGesture
+from services.gesture_controller.recognition.gestures import Commands, Gestures, Shape, WrongGesture
 
 MAX_OWN_GESTURES = 100
-"""Nobody tells so many apart, and screens list them all."""
+"""More than anybody can distinguish; screens list all of them."""
 PERSON_RULE = 'a name is 1 to 64 letters, digits, ".", "_" or "-"; what people call them is the title'
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A gesture as it was made with a glove: median and noise (1 sigma) of each finger, thumb first, raw."""
+    """A recorded gesture: median and noise (1 sigma) of each finger, thumb first, in raw units."""
 
     glove: str
     levels: tuple[float, ...]
     noise: tuple[float, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as it stands in files and in the database."""
+        """Return it as in files and in the database."""
         return {"glove": self.glove, "levels": list(self.levels), "noise": list(self.noise)}
 
 
 @dataclass(frozen=True, slots=True)
 class OwnGesture:
-    """A gesture of a person's own; `sample` is there if it was recorded by making it."""
+    """A person's own gesture; `sample` is None unless it was recorded."""
 
     shape: Shape
     sample: Sample | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as it stands in the database and on the wire."""
+        """Return it as in the database and in REST responses."""
         return {**self.shape.as_dict(), **({"sample": self.sample.as_dict()} if self.sample else {})}
 
 
 @dataclass(frozen=True, slots=True)
 class Person:
-    """What a person has of their own; all else is the site's.
+    """A person's own commands and gestures; everything else comes from the site.
 
-    `commands` names the gesture of a command, None where the person gives it with no gesture at all.
+    `commands` has the gesture of each command; None means that the person has no gesture for it.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Person:
 
 
 class WrongCommand(ValueError):
-    """The `command` cannot be given so; the message names it, the rule and the way out."""
+    """The gesture of `command` is invalid; the message names it, the rule and the remedy."""
 
     def __init__(self, command: int, why: str) -> None:
         super().__init__(why)
@@ -58,14 +58,14 @@ class WrongCommand(ValueError):
 
 
 def gestures_of(person: Person, site: Gestures) -> Gestures:
-    """Return the gestures of `site` and those of `person`; raise `WrongGesture` for one that cannot be."""
+    """Return the gestures of `site` and of `person`; raise `WrongGesture` for an invalid one."""
     return site.with_shapes({name: own.shape for name, own in person.gestures.items()})
 
 
 def commands_of(person: Person, site: Commands, gestures: Gestures) -> Commands:
-    """Return the commands of `site` as `person` gives them; raise `WrongCommand` for one that cannot be.
+    """Return the commands of `site` with the gestures of `person`; raise `WrongCommand` for an invalid one.
 
-    `gestures` are all that the person has.
+    `gestures` holds all gestures of the person.
     """
     given: dict[int, str] = dict(site.gestures)
     for command, gesture in person.commands.items():
@@ -89,12 +89,12 @@ def commands_of(person: Person, site: Commands, gestures: Gestures) -> Commands:
     return Commands(given)
 
 
-def what_works(
+def without_conflicts(
     person: Person, gestures: Gestures, commands: Commands
 ) -> tuple[Gestures, Commands, list[str]]:
-    """Return as much of what is `person`'s own as the site's `gestures` and `commands` leave room for.
+    """Return the gestures and commands of `person` without those that conflict with the site.
 
-    The third is what does not fit, one sentence each: a site may have changed its file since.
+    The third result describes each conflict in a sentence: the site may have changed its file.
     """
     faults: list[str] = []
     known = gestures

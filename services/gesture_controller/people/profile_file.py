@@ -1,8 +1,8 @@
-"""The profile of a person as a YAML file, to be kept, read by people, and taken along to another site.
+"""The profile of a person as a YAML file, readable by people and portable between sites.
 
     person: anna
     title: Anna Virtanen
-    commands:                        # a number and the gesture she likes for it, null for none
+    commands:                        # a number and her gesture for it, null for none
       3: Wave off
     gestures:                        # her own
       Mine: '20200'
@@ -11,7 +11,7 @@
     gloves:                          # how each glove fits her
       glove-1: {recognizer: thresholds, thresholds: {thumb: {upper: 1000, lower: 800}}, learnt: {...}}
 
-What was exported and imported is exported the same again.
+Export and import preserve every value.
 """
 
 from collections.abc import Mapping
@@ -23,11 +23,9 @@ import yaml
 from yaml.constructor import SafeConstructor
 
 from services.gesture_controller.calibration.fitting import SAMPLES
-from services.gesture_controller.configuration import Configuration, Reader
-from services.gesture_controller.frames import is_glove_name
-from services.gesture_controller.gestures import Gestures, WrongGesture
-from services.gesture_controller.glove_store import Fit
-from services.gesture_controller.lined_yaml import Entry, WrongFile, is_empty, line_of
+from services.gesture_controller.calibration.glove_store import Fit
+from services.gesture_controller.configuration.gestures_file import Configuration, Reader
+from services.gesture_controller.configuration.lined_yaml import Entry, WrongFile, is_empty, line_of
 from services.gesture_controller.people.person import (
     MAX_OWN_GESTURES,
     PERSON_RULE,
@@ -37,7 +35,9 @@ from services.gesture_controller.people.person import (
     WrongCommand,
     commands_of,
 )
-from services.gesture_controller.thresholds import FINGERS
+from services.gesture_controller.recognition.frames import is_glove_name
+from services.gesture_controller.recognition.gestures import Gestures, WrongGesture
+from services.gesture_controller.recognition.thresholds import FINGERS
 
 MAX_VALUES = 20_000
 MAX_SAMPLES = 3 ** len(FINGERS)
@@ -45,12 +45,12 @@ SECTIONS = ("person", "title", "commands", "gestures", "gloves")
 
 
 class WrongProfile(WrongFile):
-    """A profile cannot be used; the message names the line, the rule and the way out."""
+    """The profile is invalid; the message names the line, the rule and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """A person, and how gloves fit them, by the name of the glove."""
+    """A person and their fits by glove."""
 
     person: Person
     fits: Mapping[str, Fit]
@@ -72,9 +72,9 @@ def written(profile: Profile) -> str:
 
 
 def read(text: str, site: Configuration, name: str = "profile.yaml", person: str | None = None) -> Profile:
-    """Return the profile that `text` holds, of `person` if given, else of the one it names.
+    """Return the profile in `text`, for `person` if given, else for the person it names.
 
-    Raises `WrongProfile`, which calls the file `name`, also for what does not fit the `site`.
+    Raises `WrongProfile`, which calls the file `name`, also for conflicts with the `site`.
     """
     reader = _ProfileReader(name)
     return reader.profile(reader.compose(text), site, person)
@@ -120,7 +120,7 @@ class _ProfileReader(Reader):
         return commands
 
     def _own_gestures(self, section: Entry | None, known: Gestures) -> tuple[Gestures, dict[str, OwnGesture]]:
-        """Return all gestures, those `known` included, and the person's own."""
+        """Return all gestures, including those `known`, and the person's own ones."""
         entries = self.entries(section.value, "gestures") if section else []
         if section is not None and len(entries) > MAX_OWN_GESTURES:
             raise self.wrong(section.line, f"a person has {MAX_OWN_GESTURES} gestures of their own at most")
@@ -221,5 +221,5 @@ def _written_fit(fit: Fit) -> dict[str, Any]:
 
 
 def _plain(numbers: Any) -> list[float]:
-    """Return numbers as people write them: 800, not 800.0."""
+    """Return whole numbers as integers: 800, not 800.0."""
     return [int(number) if float(number).is_integer() else float(number) for number in numbers]

@@ -1,8 +1,9 @@
-"""REST of people: who there is, who wears which glove, which gesture is whose, and profiles as files."""
+"""REST routes of people: their gloves, commands, own gestures and profile files."""
 
 import asyncio
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
 import orjson
@@ -14,24 +15,25 @@ from handover.errors import Problem
 from handover.messages import message, text_of
 from handover.offload import Offload, OffloadFailed
 from handover.service import YAML_TYPES, accepts
-from services.gesture_controller.calibration.doubts import lasting_doubts
-from services.gesture_controller.gestures import Shape, listed
-from services.gesture_controller.glove import Glove
-from services.gesture_controller.glove_store import Fit
-from services.gesture_controller.gloves import Gloves
-from services.gesture_controller.lined_yaml import WrongFile
+from services.gesture_controller.calibration.glove_records import GloveRecords
+from services.gesture_controller.calibration.glove_store import Fit
+from services.gesture_controller.calibration.sensor_diagnostics import find_lasting_faults
+from services.gesture_controller.configuration.lined_yaml import WrongFile
+from services.gesture_controller.gloves.glove import Glove
+from services.gesture_controller.gloves.known_gloves import KnownGloves
 from services.gesture_controller.people import profile_file
 from services.gesture_controller.people.people import People, neighbour_view, require_person_name
 from services.gesture_controller.people.person import OwnGesture
 from services.gesture_controller.people.profile_file import Profile
 from services.gesture_controller.people.sample import UnclearSample, read_sample
+from services.gesture_controller.people.wearers import Wearers
+from services.gesture_controller.recognition.gestures import Shape, listed
 
 YAML = "application/yaml"
-LONGEST_PROFILE = 1_000_000
-"""Bytes of a profile at most."""
-MAX_READ_IN_PLACE = 4_096
-"""A longer profile is read and written by a process of its own: it could hold up every glove."""
-MOST_FRAMES = 2_000
+MAX_PROFILE_BYTES = 1_000_000
+MAX_INLINE_BYTES = 4_096
+"""A longer profile is read and written in another process, since it would block the event loop."""
+MAX_RECORDED_FRAMES = 2_000
 MAX_RECORDING_BYTES = 256 * 1024
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -44,28 +46,28 @@ class _Body(BaseModel):
 
 
 class Title(_Body):
-    """What people call a person; left out it stays, empty it goes."""
+    """The title of a person; left out it stays unchanged, an empty one is removed."""
 
     title: Annotated[str, Field(max_length=200)] | None = None
 
 
 class Wearer(_Body):
-    """Who wears a glove; null for nobody by name."""
+    """The wearer of a glove; null for nobody by name."""
 
     person: Name | None
 
 
 class CommandGesture(_Body):
-    """The gesture that a person likes for a command; null: none at all."""
+    """The gesture of a person for a command; null: no gesture."""
 
     gesture: GestureName | None
 
 
 class Recording(_Body):
-    """A gesture as a person likes it: a `code`, a part for each hand, two in `sequence`, or made for us.
+    """An own gesture: a `code`, a part for each hand, two gestures in `sequence`, or a recording.
 
-    To make it, name the `glove` and either send `frames` (five raw values each, thumb first) or let it be
-    recorded now for `recordMs`.
+    For a recording, name the `glove` and either send `frames` (five raw values each, thumb first) or let it
+    be recorded now for `recordMs`.
     """
 
     code: Annotated[str, Field(max_length=5)] | None = None
@@ -76,7 +78,7 @@ class Recording(_Body):
     frames: (
         Annotated[
             list[Annotated[list[FiniteFloat], Field(min_length=5, max_length=5)]],
-            Field(max_length=MOST_FRAMES, fail_fast=True),
+            Field(max_length=MAX_RECORDED_FRAMES, fail_fast=True),
         ]
         | None
     ) = None
@@ -99,127 +101,142 @@ class Recording(_Body):
         return self
 
 
-def add_people(app: FastAPI, people: People, gloves: Gloves) -> None:
+@dataclass(frozen=True, slots=True)
+class _Site:
+    wearers: Wearers
+    gloves: KnownGloves
+    records: GloveRecords
+
+    @property
+    def people(self) -> People:
+        return self.wearers.people
+
+    def require_no_study(self, person: str) -> None:
+        self.wearers.conditions.require_none(person=person)
+
+
+def add_people(app: FastAPI, wearers: Wearers, gloves: KnownGloves, records: GloveRecords) -> None:
     """Add the routes of people."""
-    _add_persons(app, people, gloves)
-    _add_commands(app, people, gloves)
-    _add_gestures(app, people, gloves)
-    _add_profiles(app, people, gloves)
+    site = _Site(wearers, gloves, records)
+    _add_persons(app, site)
+    _add_commands(app, site)
+    _add_gestures(app, site)
+    _add_profiles(app, site)
 
     @app.put("/gloves/{glove}/person", tags=["people"])
     async def wear(glove: str, wearer: Wearer) -> dict[str, Any]:
-        """Choose who wears a glove: their fit, gestures and commands apply at once, a Task in hand goes on.
+        """Choose the wearer of a glove: their fit, gestures and commands apply at once.
 
-        Another glove of the same hand that they wore is nobody's then.
+        The current Task continues. Another glove of the same hand that they wore has no wearer then.
         """
         worn = gloves.named(glove)
         if wearer.person is not None:
-            people.named(wearer.person)
+            wearers.people.named(wearer.person)
         if wearer.person != worn.person:
-            gloves.require_free(glove=worn.name, person=worn.person)
-            gloves.require_free(person=wearer.person)
-        await gloves.wear(worn, wearer.person)
+            wearers.conditions.require_none(glove=worn.name, person=worn.person)
+            wearers.conditions.require_none(person=wearer.person)
+        await wearers.wear(worn, wearer.person)
         return {"glove": worn.name, "hand": worn.hand, "person": worn.person}
 
 
-def _add_persons(app: FastAPI, people: People, gloves: Gloves) -> None:
+def _add_persons(app: FastAPI, site: _Site) -> None:
     @app.get("/people", tags=["people"])
-    async def everybody() -> list[dict[str, Any]]:
-        """List all people: what they wear, the commands as they give them, the gestures of their own."""
-        return [_view(name, people, gloves) for name in people.names()]
+    async def list_people() -> list[dict[str, Any]]:
+        """List all people with their gloves, commands and own gestures."""
+        return [_view(name, site) for name in site.people.names()]
 
     @app.get("/people/{person}", tags=["people"])
     async def one(person: str) -> dict[str, Any]:
-        """Return a person, with all gestures that they can make."""
-        known = people.named(person).name
-        every = listed(people.gestures_of(known), people.commands_of(known))
-        return {**_view(known, people, gloves), "gestures": every}
+        """Return a person with all their gestures."""
+        known = site.people.named(person).name
+        every = listed(site.people.gestures_of(known), site.people.commands_of(known))
+        return {**_view(known, site), "gestures": every}
 
     @app.put("/people/{person}", tags=["people"])
     async def add(person: str, response: Response, given: Title | None = None) -> dict[str, Any]:
-        """Make a person known, or call them otherwise: 201, or 200 if they were known."""
-        response.status_code = 201 if await people.add(person, given.title if given else None) else 200
-        return _view(person, people, gloves)
+        """Add a person, or change their title: 201, or 200 if they were known."""
+        response.status_code = 201 if await site.people.add(person, given.title if given else None) else 200
+        return _view(person, site)
 
     @app.delete("/people/{person}", tags=["people"], status_code=204)
     async def remove(person: str) -> Response:
-        """Forget what is a person's own, how gloves fit them included; gloves they wear are nobody's."""
-        people.named(person)
-        gloves.require_free(person=person)
-        for glove in gloves.worn_by(person):
-            await gloves.wear(glove, None)
-        await people.remove(person)
-        gloves.forget_fits(person)
+        """Delete a person with their fits; the gloves they wear have no wearer then."""
+        site.people.named(person)
+        site.require_no_study(person)
+        for glove in site.gloves.worn_by(person):
+            await site.wearers.wear(glove, None)
+        await site.people.remove(person)
+        site.records.forget_fits(person)
         return Response(status_code=204)
 
 
-def _add_commands(app: FastAPI, people: People, gloves: Gloves) -> None:
+def _add_commands(app: FastAPI, site: _Site) -> None:
     @app.put("/people/{person}/commands", tags=["people"])
     async def commands(person: str, given: Mapping[CommandId, GestureName | None]) -> dict[str, Any]:
-        """Set all commands that a person gives otherwise than the site: `{"3": "Horns", "8": null}`."""
-        gloves.require_free(person=person)
-        await people.give_commands(person, given, whole=True)
-        return _view(person, people, gloves)
+        """Set all own commands of a person: `{"3": "Horns", "8": null}`."""
+        site.require_no_study(person)
+        await site.people.set_commands(person, given, whole=True)
+        return _view(person, site)
 
     @app.patch("/people/{person}/commands", tags=["people"])
     async def some_commands(person: str, given: Mapping[CommandId, GestureName | None]) -> dict[str, Any]:
-        """Set some of them; the others stay. Two gestures are exchanged by giving both commands at once."""
-        gloves.require_free(person=person)
-        await people.give_commands(person, given, whole=False)
-        return _view(person, people, gloves)
+        """Set some own commands; the others stay. Send two commands at once to exchange their gestures."""
+        site.require_no_study(person)
+        await site.people.set_commands(person, given, whole=False)
+        return _view(person, site)
 
     @app.put("/people/{person}/commands/{command}", tags=["people"])
     async def command(person: str, command: CommandId, given: CommandGesture) -> dict[str, Any]:
-        """Set the gesture that a person likes for one command."""
-        gloves.require_free(person=person)
-        await people.give_commands(person, {command: given.gesture}, whole=False)
-        return _view(person, people, gloves)
+        """Set the gesture of a person for one command."""
+        site.require_no_study(person)
+        await site.people.set_commands(person, {command: given.gesture}, whole=False)
+        return _view(person, site)
 
     @app.delete("/people/{person}/commands/{command}", tags=["people"])
-    async def take_back(person: str, command: CommandId) -> dict[str, Any]:
-        """Give a command as the site has it again."""
-        gloves.require_free(person=person)
-        await people.take_command_back(person, command)
-        return _view(person, people, gloves)
+    async def reset_command(person: str, command: CommandId) -> dict[str, Any]:
+        """Use the gesture of the site for a command again."""
+        site.require_no_study(person)
+        await site.people.reset_command(person, command)
+        return _view(person, site)
 
 
-def _add_gestures(app: FastAPI, people: People, gloves: Gloves) -> None:
+def _add_gestures(app: FastAPI, site: _Site) -> None:
     @app.put("/people/{person}/gestures/{gesture}", tags=["people"])
     @max_body(MAX_RECORDING_BYTES)
     async def define(person: str, gesture: str, given: Recording, response: Response) -> dict[str, Any]:
-        """Define a gesture of a person's own: 201, or 200 in place of the one of that name.
+        """Define an own gesture of a person: 201, or 200 if it replaces one of that name.
 
-        409 if it is too near another: which one, and how far, is said. Frames in which the hand moved, or in
-        which a finger is neither bent nor straight, are refused with the finger's name.
+        409 names the gesture that it is too near to, and the distance. 422 names the finger that moved, or
+        that is neither bent nor straight.
         """
-        people.named(person)
-        gloves.require_free(person=person)
-        glove = None if given.glove is None else gloves.named(given.glove)
+        site.people.named(person)
+        site.require_no_study(person)
+        glove = None if given.glove is None else site.gloves.named(given.glove)
         own = await _own(given, glove)
-        thresholds = glove.senses.thresholds if glove and own.sample else None
-        doubtful = list(_doubtful([glove] if glove else gloves.worn_by(person)))
-        is_new, nearest = await people.define(person, gesture, own, thresholds, doubtful)
+        thresholds = glove.reader.config.thresholds if glove and own.sample else None
+        doubtful = list(_doubtful([glove] if glove else site.gloves.worn_by(person)))
+        is_new, nearest = await site.people.define(person, gesture, own, thresholds, doubtful)
         response.status_code = 201 if is_new else 200
         return {"person": person, "name": gesture, **own.as_dict(), "nearest": neighbour_view(nearest)}
 
     @app.delete("/people/{person}/gestures/{gesture}", tags=["people"])
-    async def drop(person: str, gesture: str) -> dict[str, Any]:
-        """Delete a gesture of a person's own; commands shown with it are shown as the site has them again."""
-        gloves.require_free(person=person)
-        freed = await people.drop_gesture(person, gesture)
-        return {**_view(person, people, gloves), "givenAsBefore": freed}
+    async def drop_gesture(person: str, gesture: str) -> dict[str, Any]:
+        """Delete an own gesture of a person; its commands get the gesture of the site again."""
+        site.require_no_study(person)
+        freed = await site.people.drop_gesture(person, gesture)
+        return {**_view(person, site), "givenAsBefore": freed}
 
 
-def _add_profiles(app: FastAPI, people: People, gloves: Gloves) -> None:
+def _add_profiles(app: FastAPI, site: _Site) -> None:
     offload = Offload()
 
     @app.get("/people/{person}/profile.yaml", tags=["people"], response_class=Response)
     async def profile(person: str) -> Response:
-        """Return all that is kept of a person as a file, to be imported here or at another site."""
-        known = people.named(person)
-        kept = Profile(known, gloves.fits_of(known.name))
+        """Return the profile of a person as a file, to be imported here or at another site."""
+        known = site.people.named(person)
+        kept = Profile(known, site.records.fits_of(known.name))
         learnt = [fit.learnt for fit in kept.fits.values()]
-        if len(orjson.dumps(learnt)) + 200 * len(known.gestures) <= MAX_READ_IN_PLACE:
+        if len(orjson.dumps(learnt)) + 200 * len(known.gestures) <= MAX_INLINE_BYTES:
             text = profile_file.written(kept)
         else:
             text = await offload.run(profile_file.written, kept)
@@ -228,39 +245,39 @@ def _add_profiles(app: FastAPI, people: People, gloves: Gloves) -> None:
 
     @app.put("/people/{person}/profile.yaml", tags=["people"])
     @accepts(*YAML_TYPES)
-    @max_body(2 * LONGEST_PROFILE)
-    async def take_in(person: str, request: Request) -> dict[str, Any]:
-        """Import a profile, in place of all that was this person's own; all of it or nothing.
+    @max_body(2 * MAX_PROFILE_BYTES)
+    async def import_profile(person: str, request: Request) -> dict[str, Any]:
+        """Import a profile in place of everything stored for this person, in one transaction.
 
-        422 names the line, the rule and the way out. The name in the address counts.
+        422 names the line, the rule and the remedy. The name in the URL counts, not the one in the file.
         """
         require_person_name(person)
-        gloves.require_free(person=person)
+        site.require_no_study(person)
         body = bytearray()
         async for chunk in request.stream():
             body += chunk
-            if len(body) > LONGEST_PROFILE:
+            if len(body) > MAX_PROFILE_BYTES:
                 raise Problem(
                     413,
                     "Too long",
                     message(
                         "people.profile_too_long",
                         "a profile has {limit} bytes at most",
-                        limit=LONGEST_PROFILE,
+                        limit=MAX_PROFILE_BYTES,
                     ),
                 )
-        with _said_plainly():
+        with _profile_errors():
             text = body.decode("utf-8")
-            if len(body) <= MAX_READ_IN_PLACE:
-                given = profile_file.read(text, people.site, person=person)
+            if len(body) <= MAX_INLINE_BYTES:
+                given = profile_file.read(text, site.people.site, person=person)
             else:
-                given = await offload.run(profile_file.read, text, people.site, person=person)
-        await gloves.take_in(given.person, given.fits)
-        return _view(person, people, gloves)
+                given = await offload.run(profile_file.read, text, site.people.site, person=person)
+        await site.wearers.import_profile(given.person, given.fits)
+        return _view(person, site)
 
 
 @contextmanager
-def _said_plainly() -> Iterator[None]:
+def _profile_errors() -> Iterator[None]:
     try:
         yield
     except UnicodeDecodeError:
@@ -292,29 +309,30 @@ async def _own(given: Recording, glove: Glove | None) -> OwnGesture:
         return OwnGesture(Shape(left=given.left, right=given.right))
     frames = given.frames if given.frames is not None else await _recorded(glove, given.record_ms or 0)
     try:
-        code, sample = read_sample(glove.name, frames, glove.senses.thresholds)
+        code, sample = read_sample(glove.name, frames, glove.reader.config.thresholds)
     except UnclearSample as error:
         raise Problem(422, "Unclear gesture", text_of(error)) from None
     return OwnGesture(Shape(code), sample)
 
 
 async def _recorded(glove: Glove, for_ms: int) -> list[list[float]]:
-    """Return the frames that come within the next `for_ms`."""
+    """Return the frames of the next `for_ms`."""
     frames: list[list[float]] = []
-    before = counted = glove.frames
+    before = counted = glove.connection.traffic.frames
 
     def record(_: bool) -> None:
         nonlocal counted
-        if glove.bend is not None and glove.frames > counted and len(frames) < MOST_FRAMES:
-            counted = glove.frames
-            frames.append(glove.sight.drift.corrected(glove.bend))
+        is_new = glove.connection.traffic.frames > counted
+        if glove.reader.bend is not None and is_new and len(frames) < MAX_RECORDED_FRAMES:
+            counted = glove.connection.traffic.frames
+            frames.append(glove.reader.state.drift.corrected(glove.reader.bend))
 
-    glove.watchers.add(record)
+    glove.observers.watchers.add(record)
     try:
         await asyncio.sleep(for_ms / 1000)
     finally:
-        glove.watchers.discard(record)
-    if glove.frames == before:
+        glove.observers.watchers.discard(record)
+    if glove.connection.traffic.frames == before:
         raise Problem(
             409,
             "Glove silent",
@@ -330,25 +348,25 @@ async def _recorded(glove: Glove, for_ms: int) -> list[list[float]]:
 
 def _doubtful(worn: list[Glove]) -> Iterator[str]:
     for glove in worn:
-        if glove.senses.calibration is not None:
-            yield from (doubt.finger for doubt in lasting_doubts(glove.senses.calibration))
+        if glove.reader.config.calibration is not None:
+            yield from (fault.finger for fault in find_lasting_faults(glove.reader.config.calibration))
 
 
-def _view(name: str, people: People, gloves: Gloves) -> dict[str, Any]:
-    person = people.named(name)
-    given = people.commands_of(name)
+def _view(name: str, site: _Site) -> dict[str, Any]:
+    person = site.people.named(name)
+    given = site.people.commands_of(name)
     return {
         "name": person.name,
         "title": person.title,
         "gloves": [
-            {"glove": glove.name, "hand": glove.hand, "connected": glove.connected}
-            for glove in gloves.worn_by(name)
+            {"glove": glove.name, "hand": glove.hand, "connected": glove.is_connected}
+            for glove in site.gloves.worn_by(name)
         ],
-        "fits": {glove: _fit_view(fit) for glove, fit in gloves.fits_of(name).items()},
+        "fits": {glove: _fit_view(fit) for glove, fit in site.records.fits_of(name).items()},
         "commands": {str(command): gesture for command, gesture in sorted(given.gestures.items())},
         "ownCommands": {str(command): gesture for command, gesture in person.commands.items()},
         "ownGestures": {gesture: own.as_dict() for gesture, own in person.gestures.items()},
-        "faults": people.faults_of(name),
+        "faults": site.people.faults_of(name),
     }
 
 

@@ -1,40 +1,39 @@
-"""A sample: a person makes a gesture for a second, and is told which one it is, or why nobody could tell."""
+"""Recorded gestures: the code that a second of frames shows, or the reason why it is unclear."""
 
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from statistics import median
 
-from services.gesture_controller.finger_states import BETWEEN, finger_states
 from services.gesture_controller.people.person import Sample
-from services.gesture_controller.thresholds import FINGERS, Thresholds
+from services.gesture_controller.recognition.finger_states import BETWEEN, finger_states
+from services.gesture_controller.recognition.thresholds import FINGERS, Thresholds
 
-LEAST_FRAMES = 10
-STEADY = 0.8
-"""The share of the frames that must show one and the same code."""
+MIN_FRAMES = 10
+MIN_STEADY_SHARE = 0.8
+"""The share of the frames that must show the same code."""
 _MAD_TO_SIGMA = 1.4826
 
 
 class UnclearSample(ValueError):
-    """The sample does not tell one gesture; the message says which finger, and what to do."""
+    """The frames do not show one clear gesture; the message names the finger and the remedy."""
 
 
 def read_sample(glove: str, frames: Sequence[Sequence[float]], thresholds: Thresholds) -> tuple[str, Sample]:
-    """Return the code that `frames` show, and the sample; raise `UnclearSample`.
+    """Return the code that `frames` (five raw values each, thumb first) show, and the sample.
 
-    `frames` are five raw values each, thumb first, of a hand that keeps still.
+    Raises `UnclearSample` if there are too few frames, or if the hand moved.
     """
-    if len(frames) < LEAST_FRAMES:
+    if len(frames) < MIN_FRAMES:
         raise UnclearSample(
-            f"{len(frames)} frames are too few to tell a gesture; hold it until there are "
-            f"{LEAST_FRAMES} or more"
+            f"{len(frames)} frames are too few for a gesture; hold it until there are {MIN_FRAMES} or more"
         )
     if any(len(frame) != len(FINGERS) for frame in frames):
         raise UnclearSample("a frame has not five values, one a finger, thumb first")
     codes = Counter(finger_states(frame, thresholds) for frame in frames)
     code, times = codes.most_common(1)[0]
     levels = tuple(median(values) for values in zip(*frames, strict=True))
-    if times < STEADY * len(frames):
+    if times < MIN_STEADY_SHARE * len(frames):
         raise UnclearSample(_unsteady(codes, len(frames)))
     between = [place for place, state in enumerate(code) if state == BETWEEN]
     if between:
@@ -48,7 +47,7 @@ def _unsteady(codes: Counter[str], total: int) -> str:
         states: Counter[str] = Counter()
         for code, times in codes.items():
             states[code[place]] += times
-        if states.most_common(1)[0][1] < STEADY * total:
+        if states.most_common(1)[0][1] < MIN_STEADY_SHARE * total:
             moved.append(finger)
     who = " and ".join([", ".join(moved[:-1]), moved[-1]] if moved[1:] else moved) or "more than one finger"
     share = round(100 * codes.most_common(1)[0][1] / total)
@@ -67,6 +66,6 @@ def _neither(place: int, level: float, thresholds: Thresholds) -> str:
 
 
 def _noise(values: Sequence[float]) -> float:
-    """Return the noise (1 sigma): from frame to frame, so that a slow drift does not count."""
+    """Return the noise (1 sigma) from frame to frame, without slow drift."""
     steps = [abs(after - before) for before, after in pairwise(values)]
     return round(_MAD_TO_SIGMA * median(steps) / 2**0.5, 3)

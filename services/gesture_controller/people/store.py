@@ -1,4 +1,4 @@
-"""The store of people: what is a person's own, in the database of the controller."""
+"""The store of people: their commands and own gestures in the database of the controller."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -7,13 +7,14 @@ import orjson
 from sqlalchemy import Connection, Engine, Table, delete, insert, select
 
 from handover.migrations import migrate
-from services.gesture_controller.gestures import Shape
-from services.gesture_controller.people import tables
+from services.gesture_controller import tables
+from services.gesture_controller.calibration.glove_store import Fit, replace_fits
 from services.gesture_controller.people.person import OwnGesture, Person, Sample
+from services.gesture_controller.recognition.gestures import Shape
 
 
 class PeopleStore:
-    """People in the database; every method blocks for the disk."""
+    """People in the database; every method blocks on the database."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
@@ -32,19 +33,25 @@ class PeopleStore:
         return {name: Person(name, title, commands[name], gestures[name]) for name, title in titles.items()}
 
     def save(self, person: Person) -> None:
-        """Write `person` so that it survives; returns when it does."""
+        """Write `person`."""
         with self._engine.begin() as connection:
             save_person(connection, person)
 
+    def save_profile(self, person: Person, fits: Mapping[str, Fit]) -> dict[str, Fit]:
+        """Write `person` and their fits in place of the stored ones; return the fits as stored."""
+        with self._engine.begin() as connection:
+            save_person(connection, person)
+            return replace_fits(connection, person.name, fits)
+
     def remove(self, name: str) -> None:
-        """Delete a person, and how gloves fit them."""
+        """Delete a person and their fits."""
         with self._engine.begin() as connection:
             _remove(connection, name)
             connection.execute(delete(tables.fits).where(tables.fits.c.person == name))
 
 
 def save_person(connection: Connection, person: Person) -> None:
-    """Write `person` in place of what is there."""
+    """Write `person` in place of the stored one."""
     _remove(connection, person.name)
     connection.execute(insert(tables.people).values(name=person.name, title=person.title))
     _insert(

@@ -1,1 +1,1 @@
-"""Pictures: every gesture drawn from its five states, for screens, papers and other systems."""
+"""Pictures: drawings of gestures from their five states, for screens, papers and other systems."""

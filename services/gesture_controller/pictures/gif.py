@@ -1,4 +1,4 @@
-"""The picture as GIF, for systems that know nothing newer: small, smooth-edged, on white."""
+"""Pictures as GIF, for systems without SVG: small, antialiased, on white."""
 
 import io
 from collections.abc import Sequence
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from PIL import Image, ImageDraw
 
 FINER = 4
-"""Each picture is drawn so many times larger, then made small: that rounds the edges."""
+"""The oversampling factor: each picture is drawn larger and then reduced."""
 SHADES = 7
-"""Colours from each to the next that it meets."""
+"""The number of steps between two adjacent colours."""
 
 CREASE = "#8d8b8f"
 MARGIN = 14
@@ -32,9 +32,9 @@ EDGE = 3.0
 
 
 def gif_of(poses: Sequence[Pose], motion: Motion = "loop") -> bytes:
-    """Return the picture of hands beside each other. Takes some tenths of a second of computing a hand.
+    """Return the picture of hands beside each other; takes some tenths of a second for each hand.
 
-    At rest, hands that show several gestures in turn are seen once for each.
+    Without motion, a sequence is drawn as one hand for each gesture.
     """
     from PIL import Image  # noqa: PLC0415 - heavy, and seldom asked for
 
@@ -59,7 +59,7 @@ def gif_of(poses: Sequence[Pose], motion: Motion = "loop") -> bytes:
 
 
 def _steps(ways: Sequence[Sequence[Moment]]) -> list[tuple[int, int]]:
-    """Return the moments that differ from the ones before, and for how long (ms) each is seen."""
+    """Return the moments that differ from the previous one, with the duration (ms) of each."""
     first, steps = ways[0], list[tuple[int, int]]()
     for nth, moment in enumerate(first):
         end_s = first[nth + 1].at_s if nth + 1 < len(first) else whole_s(first)
@@ -85,7 +85,7 @@ def _beside(hands: "Sequence[Image.Image]") -> "Image.Image":
 
 
 def _palette() -> "Image.Image":
-    """Return the few colours of the drawing, white exactly, and what lies between any that meet."""
+    """Return the colours of the drawing, exact white, and the steps between adjacent colours."""
     from PIL import Image, ImageColor  # noqa: PLC0415 - heavy, and seldom asked for
 
     values: list[int] = []
@@ -119,7 +119,7 @@ def _picture(bends: Sequence[float], hand: Hand) -> "Image.Image":
 
 
 class _Pen:
-    """Draws on the large picture, in units of the box."""
+    """Draws on the oversampled picture, in units of the box."""
 
     def __init__(self, draw: "ImageDraw.ImageDraw") -> None:
         self._draw = draw

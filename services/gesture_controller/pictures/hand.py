@@ -1,8 +1,8 @@
-"""The hand as a shape: five finger states become three phalanges a finger, over a palm.
+"""The shape of a hand: a palm, and three phalanges for each of the five finger states.
 
-Seen is the palm of a right hand, fingers up, thumb at the right; a left hand is its mirror image. A finger
-bends towards who looks: its phalanges shorten, and past a right angle lie over the palm, nail in sight.
-The proportions stand in `hand.json`, which the page draws its hands from as well.
+The view shows the palm of a right hand, fingers up, thumb at the right; a left hand is mirrored. A finger
+bends towards the viewer: its phalanges shorten, and beyond a right angle they lie over the palm with the nail
+visible. The proportions are in `hand.json`, which the web page uses as well.
 """
 
 import math
@@ -19,7 +19,7 @@ Polyline = tuple[Point, ...]
 
 BENT = 2.0
 FOLDED_DEG = 75.0
-"""A phalanx turned further than this has its back to who looks."""
+"""A phalanx turned further than this shows its back."""
 
 NAIL_DEG = 90.0
 THUMB_FOLDED = 1.4
@@ -28,7 +28,7 @@ LONG_FINGERS = ("index", "middle", "ring", "little")
 
 @dataclass(frozen=True, slots=True)
 class Phalanx:
-    """One bone of a finger: two ends, half the width at either, and whether it has turned its back."""
+    """One bone of a finger: two ends, half the width at each end, and whether its back is visible."""
 
     start: Point
     end: Point
@@ -39,7 +39,7 @@ class Phalanx:
 
 @dataclass(frozen=True, slots=True)
 class FingerShape:
-    """A finger: three phalanges, the nail if it is in sight, and the creases of its joints."""
+    """A finger: three phalanges, the nail if it is visible, and the creases of its joints."""
 
     finger: str
     phalanges: tuple[Phalanx, Phalanx, Phalanx]
@@ -49,13 +49,13 @@ class FingerShape:
 
 @cache
 def proportions() -> dict[str, Any]:
-    """Return what `hand.json` says; all lengths in units of the box (240 × 322), angles in degrees."""
+    """Return the content of `hand.json`; lengths in units of the box (240 × 322), angles in degrees."""
     read: dict[str, Any] = orjson.loads(files(__package__).joinpath("hand.json").read_bytes())
     return read
 
 
 def box() -> tuple[int, int]:
-    """Return the width and the height that every hand lies within."""
+    """Return the width and height of the box around a hand."""
     return proportions()["box"]["width"], proportions()["box"]["height"]
 
 
@@ -67,12 +67,12 @@ def palm() -> Polyline:
 
 @cache
 def palm_lines() -> tuple[Polyline, ...]:
-    """Return the lines that make a palm a palm."""
+    """Return the lines of the palm."""
     return tuple(_rounded(line) for line in proportions()["palmLines"])
 
 
 def bends_of(states: str) -> tuple[float, ...]:
-    """Return how far each finger of `states` (such as "02222") is bent: 0 straight, 2 bent."""
+    """Return the bend of each finger of `states` (such as "02222"): 0 straight, 2 bent."""
     return tuple(float(state) for state in states)
 
 
@@ -121,7 +121,7 @@ def _chain(
 
 
 def _nail(tip: Phalanx, angle_deg: float) -> Polyline:
-    """Return the nail on the back of the tip; `angle_deg` says how far that has turned into sight."""
+    """Return the nail on the back of the tip, which is turned by `angle_deg`."""
     radius = tip.end_radius
     way = math.atan2(tip.end[1] - tip.start[1], tip.end[0] - tip.start[0])
     long = radius * min(1.0, math.sin(math.radians(min(angle_deg, 180) - 90)) + 0.35) * 0.72
@@ -140,7 +140,7 @@ def _nail(tip: Phalanx, angle_deg: float) -> Polyline:
 
 
 def _creases(phalanges: Sequence[Phalanx]) -> tuple[tuple[Point, Point], ...]:
-    """Return a line across each of the two outer joints; one that is seen end on has none."""
+    """Return a line across each of the two outer joints that is not seen end on."""
     creases: list[tuple[Point, Point]] = []
     for phalanx in phalanges[1:]:
         (x, y), (end_x, end_y) = phalanx.start, phalanx.end

@@ -1,6 +1,6 @@
-"""The motion of a picture: from an open hand to the gesture, which then stays long enough to be copied.
+"""The motion of a picture: from an open hand to the gesture, which is then shown long enough to be copied.
 
-Of two gestures in turn, the first stays for a moment before the hand goes on to the second.
+In a sequence, the first gesture is shown for a moment before the second.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,10 +13,10 @@ Hand = Literal["left", "right"]
 Motion = Literal["loop", "once", "none"]
 
 OPEN_S = 0.7
-"""How long the open hand is seen first."""
+"""How long the open hand is shown first."""
 MOVE_S = 0.7
 BETWEEN_S = 1.2
-"""How long the first of two gestures is seen before the second."""
+"""How long the first of two gestures is shown."""
 STAY_S = 2.6
 MOVING_STEPS = 10
 OPEN_HAND = "00000"
@@ -24,29 +24,29 @@ OPEN_HAND = "00000"
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """What one hand of a picture shows: five finger states, thumb first, or several such in turn."""
+    """One hand of a picture: its finger states, thumb first; several for a sequence."""
 
     hand: Hand
     states: tuple[str, ...]
 
     @property
     def mark(self) -> str:
-        """What its parts are called in a file: two hands of one picture never have the same."""
+        """The prefix of its ids in a file; unique among the hands of a picture."""
         return "".join((self.hand, *self.states))
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """How far each finger is bent `at_s` seconds after the beginning."""
+    """The bend of each finger at `at_s` seconds."""
 
     at_s: float
     bends: tuple[float, ...]
 
 
 def moments(*shown: str) -> tuple[Moment, ...]:
-    """Return the way from an open hand to each of `shown` in turn: evenly spaced, slow at both ends.
+    """Return the motion from an open hand to each of `shown` in order: evenly spaced, slow at both ends.
 
-    Between two that are the same the hand opens, or nobody would see that there are two.
+    The hand opens between two equal gestures, so that both are visible.
     """
     way: list[Moment] = []
     start_s, before = OPEN_S, bends_of(OPEN_HAND)
@@ -61,7 +61,7 @@ def moments(*shown: str) -> tuple[Moment, ...]:
 
 
 def whole_s(way: Sequence[Moment]) -> float:
-    """Return how long a picture takes that goes `way` and stays at its end."""
+    """Return the duration of the motion `way`, including the time at its end."""
     return way[-1].at_s + STAY_S
 
 

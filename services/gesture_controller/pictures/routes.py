@@ -11,13 +11,13 @@ from fastapi import FastAPI, Header, Response
 
 from handover.errors import Problem
 from handover.messages import message
-from services.gesture_controller.gestures import Gestures, TwoHanded
 from services.gesture_controller.pictures.motion import Hand, Motion, Pose
 from services.gesture_controller.pictures.svg import svg_of
+from services.gesture_controller.recognition.gestures import Gestures, TwoHandGesture
 
 FRESH_S = 3600
 _STATES = re.compile(r"[012]{5}")
-_NO_LETTERS = re.compile(r"[\W_]+")
+_NON_WORD = re.compile(r"[\W_]+")
 
 
 def picture_urls(gesture: str) -> dict[str, str]:
@@ -35,9 +35,9 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
         motion: Motion = "loop",
         if_none_match: Annotated[str | None, Header()] = None,
     ) -> Response:
-        """Draw a gesture, by its name or its five states; it moves from an open hand, or rests.
+        """Draw a gesture by its name or its five states, moving from an open hand or at rest.
 
-        A gesture of both hands shows both, whatever `hand` says; one of two in turn plays them in turn.
+        A two-hand gesture shows both hands and ignores `hand`; a sequence shows its gestures in order.
         """
         known, poses = _poses_of(name, gestures, hand)
         return _answer(svg_of(known, poses, motion).encode(), "image/svg+xml", if_none_match)
@@ -49,7 +49,7 @@ def add_pictures(app: FastAPI, gestures: Gestures) -> None:
         motion: Motion = "loop",
         if_none_match: Annotated[str | None, Header()] = None,
     ) -> Response:
-        """Draw the same as a GIF (less than 100 kB, on white) for systems that show nothing else."""
+        """Draw the same as a GIF (less than 100 kB, on white) for systems without SVG."""
         _, poses = _poses_of(name, gestures, hand)
         return _answer(await asyncio.to_thread(_gif, poses, motion), "image/gif", if_none_match)
 
@@ -62,10 +62,10 @@ def _gif(poses: tuple[Pose, ...], motion: Motion) -> bytes:
 
 
 def _poses_of(name: str, gestures: Gestures, hand: Hand) -> tuple[str, tuple[Pose, ...]]:
-    """Return how the gesture is called and what is seen of it; `name` may be spelt as in a file name."""
+    """Return the name of the gesture and its hands; `name` may be spelt as a file name."""
     if _STATES.fullmatch(name):
         return gestures.names.get(name, name), (Pose(hand, (name,)),)
-    everything = (*gestures.codes, *gestures.composed)
+    everything = (*gestures.codes, *gestures.composites)
     known = gestures.find(name) or next((one for one in everything if _plain(one) == _plain(name)), None)
     if known is None:
         raise Problem(
@@ -80,13 +80,13 @@ def _poses_of(name: str, gestures: Gestures, hand: Hand) -> tuple[str, tuple[Pos
             ),
         )
     parts = gestures.parts_of(known)
-    if isinstance(gestures.composed.get(known), TwoHanded):
+    if isinstance(gestures.composites.get(known), TwoHandGesture):
         return known, tuple(Pose(part.hand or hand, (part.code,)) for part in parts)
     return known, (Pose(hand, tuple(part.code for part in parts)),)
 
 
 def _plain(name: str) -> str:
-    return _NO_LETTERS.sub("-", name.casefold()).strip("-")
+    return _NON_WORD.sub("-", name.casefold()).strip("-")
 
 
 def _answer(picture: bytes, media_type: str, known: str | None) -> Response:

@@ -1,4 +1,4 @@
-"""The picture as SVG: one file that needs nothing else, and that rests for who prefers no motion."""
+"""Pictures as self-contained SVG; they do not move for viewers who prefer reduced motion."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,20 +29,20 @@ _REST = (
 )
 
 BESIDE = 48
-"""What lies between two hands beside each other."""
+"""The distance of two hands beside each other."""
 ARROW = "M-18 0H18M6 -12L18 0L6 12"
 
 Size = tuple[int, int]
 Drawing = tuple[Size, str]
-"""Something drawn, and the size of its box."""
+"""The size of a drawing, and its SVG elements."""
 Part = Callable[[FingerShape], str | None]
-"""What is drawn of a finger: the data of a path, or None where it is out of sight."""
+"""Returns the path data of a part of a finger, or None if it is not visible."""
 
 
 def svg_of(name: str, poses: Sequence[Pose], motion: Motion = "loop") -> str:
     """Return the picture of the gesture `name`: one hand, or the left and the right one beside each other.
 
-    Hands that show several gestures in turn do so in motion; at rest all are seen, in their order.
+    A sequence moves through its gestures; without motion, all of them are drawn in order.
     """
     resting, still = _beside([_resting(pose) for pose in poses])
     if motion == "none":
@@ -68,7 +68,7 @@ def _beside(drawings: Sequence[Drawing]) -> Drawing:
 
 
 def _fitted(inner: Size, outer: Size) -> str:
-    """Return how a drawing of the size `inner` comes to lie in the middle of `outer`."""
+    """Return the transform that centres a drawing of the size `inner` in `outer`."""
     if inner == outer:
         return ""
     scale = min(outer[0] / inner[0], outer[1] / inner[1])
@@ -77,7 +77,7 @@ def _fitted(inner: Size, outer: Size) -> str:
 
 
 def _resting(pose: Pose) -> Drawing:
-    """Return a hand at rest; of gestures in turn, each, with an arrow to the next."""
+    """Return a hand without motion; for a sequence, one hand for each gesture with arrows between."""
     way = moments(pose.states[0])
     drawn = [
         _sided(_drawing([shape_of(bends_of(states))], Pace("none", way), f"{pose.mark}s{nth}"), pose.hand)
@@ -105,13 +105,13 @@ def _sided(drawing: str, hand: Hand) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """When what is drawn moves, and whether it begins again."""
+    """The timing of an animation."""
 
     motion: Motion
     way: tuple[Moment, ...]
 
     def animation(self, attribute: str, values: Sequence[str]) -> str:
-        """Return the movement of `attribute` through `values`, one for each moment of the way."""
+        """Return the animation of `attribute` through `values`, one for each moment."""
         once = self.motion == "once"
         lasts_s = self.way[-1].at_s if once else whole_s(self.way)
         times = [0.0, *(moment.at_s for moment in self.way)]
@@ -128,9 +128,9 @@ class Pace:
 
 
 def _drawing(hands: Sequence[Sequence[FingerShape]], pace: Pace, mark: str) -> str:
-    """Return the hand in layers: all outlines first, then all fills, so that no line runs where parts join.
+    """Return the hand in layers: all outlines first, then all fills, so that no line crosses a joint.
 
-    `hands` are the hands to be gone through in turn; one alone stays as it is. `mark` begins its ids.
+    `hands` are the shapes of the animation; a single one does not move. `mark` is the prefix of the ids.
     """
     fingers = [_Finger([hand[nth] for hand in hands], pace, f"{mark}{nth}") for nth in range(5)]
     palm_path = _polygon(palm())
@@ -142,7 +142,7 @@ def _drawing(hands: Sequence[Sequence[FingerShape]], pace: Pace, mark: str) -> s
 
 
 class _Finger:
-    """A finger on its way; each bone is defined once and used for its outline and its fill."""
+    """An animated finger; each bone is defined once and used for its outline and its fill."""
 
     def __init__(self, shapes: Sequence[FingerShape], pace: Pace, mark: str) -> None:
         self._shapes, self._pace, self._mark = shapes, pace, mark
@@ -156,20 +156,20 @@ class _Finger:
         self.bones = {which: bone for which, bone in made.items() if bone}
 
     def layer(self, kind: str, folded: str) -> str:
-        """Return its flat ("0") or its folded ("1") bones in the colour of `kind`."""
+        """Return its flat ("0") or folded ("1") bones in the style of `kind`."""
         return "".join(
             f'<use class="{kind}" href="#{self._mark}{which}"/>' for which in self.bones if which[0] == folded
         )
 
     def drawing(self) -> str:
-        """Return all that lies over the palm."""
+        """Return the parts that lie over the palm."""
         creases = _moving('class="c"', self._shapes, _creases, self._pace)
         nail = _moving('class="n"', self._shapes, _nail, self._pace)
         return self.layer("s", "0") + self.layer("e", "1") + self.layer("f", "1") + creases + nail
 
 
 def _moving(attributes: str, finger: Sequence[FingerShape], part: Part, pace: Pace) -> str:
-    """Return a path that goes through `part` of each of the shapes; nothing if it is never in sight."""
+    """Return a path animated through `part` of each shape; empty if it is never visible."""
     paths = [part(shape) for shape in finger]
     first = next((path for path in paths if path is not None), None)
     if first is None:
@@ -178,7 +178,7 @@ def _moving(attributes: str, finger: Sequence[FingerShape], part: Part, pace: Pa
         return f'<path {attributes} d="{first}"/>'
     seen_when = ["visible" if path else "hidden" for path in paths]
     shown = pace.animation("visibility", seen_when) if None in paths else ""
-    where = [first]  # while it is out of sight it stays where it was seen last
+    where = [first]  # while it is invisible it keeps its last position
     for path in paths[1:]:
         where.append(path or where[-1])
     return f'<path {attributes} d="{where[-1]}">{pace.animation("d", where)}{shown}</path>'

@@ -1,1 +1,1 @@
-"""Recognition: what the hand shows, told from what its sensors say; `README.md` holds the contract."""
+"""Recognition: from sensor values to gestures; `README.md` has the contract of recognizers."""

@@ -1,8 +1,8 @@
-"""The personal recognizer: calibrated for a hand, it weighs every shape that fingers can make.
+"""The personal recognizer: calculates the probability of every hand shape for one calibrated hand.
 
-Each finger may be straight, bent or half bent; where it then stands is known from the person's fist, open
-hand and samples, and for the rest from people at large. What speaks for each of the 243 shapes is weighed
-by Bayes' rule over time: hands keep a shape for a while, and half-bent fingers make no gesture.
+Each finger may be straight, bent or half bent. Its expected position comes from the person's fist, open hand
+and samples, and otherwise from the population. Bayes' rule over time gives the probability of each of the 243
+shapes: hands keep a shape for a while, and half-bent fingers make no gesture.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,66 +12,66 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from services.gesture_controller.calibration.levels import Calibration
-from services.gesture_controller.finger_states import BENT, BETWEEN, STRAIGHT
-from services.gesture_controller.frames import Frame
-from services.gesture_controller.gestures import Gestures
+from services.gesture_controller.recognition.finger_states import BENT, BETWEEN, STRAIGHT
+from services.gesture_controller.recognition.frames import Frame
+from services.gesture_controller.recognition.gestures import Gestures
+from services.gesture_controller.recognition.levels import Calibration
 from services.gesture_controller.recognition.population import (
-    HIGHEST,
     HOLDING,
-    LOWEST,
+    MAX_SHARE,
+    MIN_SHARE,
     USUAL,
     Population,
     Stand,
     kind_of,
 )
-from services.gesture_controller.recognition.recognizer import CannotRecognize, Given, Recognition
-from services.gesture_controller.thresholds import FINGERS
+from services.gesture_controller.recognition.recognizer import CannotRecognize, HandContext, Recognition
+from services.gesture_controller.recognition.thresholds import FINGERS
 
 Numbers = NDArray[np.float64]
 
-LOOK_S = 0.25
-"""What a finger shows hardly changes within this time: so long a look counts as one piece of evidence."""
+EVIDENCE_S = 0.25
+"""Values within this time are correlated, so they count as one piece of evidence."""
 
-KEPT_S = 1.0
-"""How long a hand keeps a shape at least, as a rule: the chance to change is one in this time."""
+SHAPE_DURATION_S = 1.0
+"""The mean duration of a shape; the probability of a change is one in this time."""
 
 GAP_S = 0.25
-"""After longer without a frame, nobody knows what the hand did: it is looked at anew."""
+"""A longer gap between frames resets the probabilities."""
 
-SURE = 0.5
-"""A gesture that is less probable than this is not answered."""
+MIN_CERTAINTY = 0.5
+"""A gesture with a lower probability is not reported."""
 
 UNUSED = 0.2
-"""How much rarer a shape is that stands for nothing, than one that this person uses."""
+"""The prior of a shape without meaning, relative to one that this person uses."""
 
 HALF, HALF_THUMB = 0.5, 0.125
-"""How much rarer still a shape is for each finger that is half bent."""
+"""The factor of the prior for each half-bent finger."""
 
 AT_REST = frozenset({STRAIGHT * len(FINGERS), BENT * len(FINGERS)})
-"""The open hand and the closed one are as frequent as any gesture, though they may stand for nothing."""
+"""The open hand and the fist are as frequent as gestures, though they may have no meaning."""
 
 RAW_UNREST = (14.0, 10.0, 10.0, 10.0, 10.0)
-"""How far a flex sensor wanders and drifts within a pose, in raw units; it weighs more in a small span."""
+"""The wander and drift of a flex sensor within a pose, in raw units; more relevant for small spans."""
 
 AT_WORK = 1.0
-"""How frequent each way to hold something is, beside a gesture that this person uses."""
+"""The prior of each way to hold an object, relative to a gesture that this person uses."""
 
 SAMPLE_SPREAD = 0.06
-"""How far, as a share of the span, a finger will stand from where it stood in a sample of the gesture."""
+"""The standard deviation of a finger from its position in a sample, as a share of the span."""
 
 SAMPLE_TAILS, TAILS = 6.0, 4.0
-"""Degrees of freedom of Student's t, for samples and for the population: hands surprise."""
+"""Degrees of freedom of Student's t for samples and for the population: outliers are frequent."""
 
 NEAR = 2.5
 OVERRULED = 3.0
-"""A shape of hands at large that is within `NEAR` deviations of a sample of another loses so much (in nats):
-this person has shown that they mean the other by it."""
+"""The penalty in nats for a shape of the population within `NEAR` deviations of a sample of another gesture:
+this person uses it for that gesture."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Looking:
-    """How probable each shape is by now, and the shares that were measured last."""
+class _Evidence:
+    """The probability of each shape, and the shares measured last."""
 
     odds: Numbers
     shares: Numbers
@@ -79,27 +79,27 @@ class _Looking:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shapes:
-    """All shapes and samples, one a row; `terms` are the few different ways in which a finger may stand."""
+    """All shapes and samples, one in each row; `terms` are the distinct positions of fingers."""
 
     codes: tuple[str, ...]
-    """The codes that are told apart."""
+    """The distinct codes."""
     row_code: NDArray[np.intp]
     row_terms: NDArray[np.intp]
-    """Fingers by rows: which of the terms it is."""
+    """The index of the term, by finger and row."""
     row_weight: Numbers
     finger: NDArray[np.intp]
     share: Numbers
     least: Numbers
     most: Numbers
-    """No finger is too bent to be bent, or too straight to be straight: less or more away does not count."""
+    """Limits of the deviation: no finger is too bent to be bent, or too straight to be straight."""
     narrowness: Numbers
-    """One over the deviation and over the root of the degrees of freedom."""
+    """1 / (deviation · √degrees of freedom)."""
     steepness: Numbers
     height: Numbers
 
 
 class PersonalRecognizer:
-    """Reads the hand of one person."""
+    """Recognizes the gestures of one person."""
 
     def __init__(
         self,
@@ -114,23 +114,23 @@ class PersonalRecognizer:
         self._shapes = _shapes_of(calibration, in_use or frozenset(gestures.names), population)
 
     @classmethod
-    def made_from(cls, given: Given) -> "PersonalRecognizer":
-        """Return the recognizer for the hand that `given` tells of; raise `CannotRecognize`."""
-        if given.calibration is None:
+    def from_context(cls, context: HandContext) -> "PersonalRecognizer":
+        """Return the recognizer for the hand of `context`; raises `CannotRecognize`."""
+        if context.calibration is None:
             raise CannotRecognize(
-                "the personal recognizer knows a hand by its fist and open hand; calibrate the glove first"
+                "the personal recognizer needs the person's fist and open hand; calibrate the glove first"
             )
-        return cls(given.calibration, given.gestures, given.in_use)
+        return cls(context.calibration, context.gestures, context.in_use)
 
     def see(self, before: Recognition | None, frame: Frame) -> Recognition:
-        """Return what `frame` shows."""
+        """Return the result for `frame`."""
         shapes = self._shapes
         shares = (np.array(frame.bend, float) - self._fist) / self._span
         evidence = self._evidence(shares)
         passed_s = -1.0 if before is None else frame.t_s - before.at_s
         if before is not None and 0 <= passed_s <= GAP_S:
-            changed = passed_s / (KEPT_S + passed_s)
-            evidence *= min(passed_s / LOOK_S, 1.0)
+            changed = passed_s / (SHAPE_DURATION_S + passed_s)
+            evidence *= min(passed_s / EVIDENCE_S, 1.0)
             expected = before.memory.odds * (1 - changed)
             expected += changed / len(expected)
         else:
@@ -142,23 +142,23 @@ class PersonalRecognizer:
         by_code = np.bincount(shapes.row_code, odds, len(shapes.codes))
         best = int(by_code.argmax())
         states, certainty = shapes.codes[best], float(by_code[best])
-        gesture = self._gestures.names.get(states) if certainty >= SURE else None
-        return Recognition(states, gesture, certainty, frame.t_s, _Looking(odds, shares))
+        gesture = self._gestures.names.get(states) if certainty >= MIN_CERTAINTY else None
+        return Recognition(states, gesture, certainty, frame.t_s, _Evidence(odds, shares))
 
     def odds(self, seen: Recognition) -> Mapping[str, float]:
-        """Return the probability of each gesture; what is missing to 1 is that there is none."""
+        """Return the probability of each gesture; the rest is the probability of no gesture."""
         by_code = dict(zip(self._shapes.codes, self._by_code(seen), strict=True))
         return {name: round(float(by_code[code]), 4) for name, code in self._gestures}
 
     def why(self, seen: Recognition) -> str:
-        """Return where each finger stands, what that is taken for, and what else it might be."""
+        """Return the position and state of each finger, and the resulting gesture."""
         stands = ", ".join(
             f"{finger} {share:.0%} {_WORDS[state]}"
             for finger, share, state in zip(FINGERS, seen.memory.shares, seen.states, strict=True)
         )
         if seen.gesture is not None:
             return f"{stands}: {seen.gesture}, {seen.certainty:.0%} probable"
-        if seen.certainty < SURE:
+        if seen.certainty < MIN_CERTAINTY:
             return f"{stands}: in doubt, at most {seen.certainty:.0%} probable"
         reason = "a finger is half bent" if BETWEEN in seen.states else "no gesture has these states"
         return f"{stands}: {reason}"
@@ -168,7 +168,7 @@ class PersonalRecognizer:
 
     def _evidence(self, shares: Numbers) -> Numbers:
         shapes = self._shapes
-        away = np.minimum(np.maximum(shares, LOWEST), HIGHEST).take(shapes.finger)
+        away = np.minimum(np.maximum(shares, MIN_SHARE), MAX_SHARE).take(shapes.finger)
         away -= shapes.share
         np.maximum(away, shapes.least, out=away)
         np.minimum(away, shapes.most, out=away)
@@ -184,11 +184,12 @@ class PersonalRecognizer:
 _WORDS = {STRAIGHT: "straight", BETWEEN: "half bent", BENT: "bent"}
 _CODES = tuple("".join(states) for states in product(STRAIGHT + BETWEEN + BENT, repeat=len(FINGERS)))
 _NORMAL = 1e6
-"""Student's t with so many degrees of freedom is the normal distribution: a half-bent finger is near half."""
+"""Student's t with this many degrees of freedom is the normal distribution, used for half-bent fingers."""
 
 Term = tuple[int, float, float, float, str]
-"""A way in which a finger may stand: its place, the share, the standard deviation, degrees of freedom, and
-its state; one that is bent may be more bent than that, and one that is straight straighter."""
+"""A position of a finger: index, share, standard deviation, degrees of freedom and state. A bent finger may
+be
+more bent than that, and a straight one straighter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +202,7 @@ class _Row:
 def _shapes_of(calibration: Calibration, in_use: frozenset[str], population: Population) -> _Shapes:
     unrest = _unrest(calibration)
     shown = list(_samples(calibration))
-    rows = [*_hands_at_large(population, unrest, in_use, shown), *_hands_at_work(unrest), *shown]
+    rows = [*_population_rows(population, unrest, in_use, shown), *_holding_rows(unrest), *shown]
     terms = list(dict.fromkeys(term for row in rows for term in row.terms))
     place = {term: number for number, term in enumerate(terms)}
     finger, share, scale, tails, state = (np.array(column) for column in zip(*terms, strict=True))
@@ -223,7 +224,7 @@ def _shapes_of(calibration: Calibration, in_use: frozenset[str], population: Pop
 
 
 def _unrest(calibration: Calibration) -> list[float]:
-    """Return how far each finger is to be expected from its place by its sensor alone, as a share."""
+    """Return the standard deviation of each finger that its sensor causes, as a share."""
     return [
         float(np.hypot(raw, level.noise) / level.span)
         for raw, level in zip(RAW_UNREST, calibration.levels, strict=True)
@@ -235,7 +236,7 @@ def _samples(calibration: Calibration) -> Iterator[_Row]:
         terms = (
             (
                 place,
-                float(np.clip(stand, LOWEST, HIGHEST)),
+                float(np.clip(stand, MIN_SHARE, MAX_SHARE)),
                 float(np.hypot(np.hypot(SAMPLE_SPREAD, noise), RAW_UNREST[place] / 2 / level.span)),
                 SAMPLE_TAILS,
                 BETWEEN,
@@ -247,7 +248,7 @@ def _samples(calibration: Calibration) -> Iterator[_Row]:
         yield _Row(sample.code, 0.0, tuple(terms))
 
 
-def _hands_at_large(
+def _population_rows(
     population: Population, unrest: Sequence[float], in_use: frozenset[str], shown: Sequence[_Row]
 ) -> Iterator[_Row]:
     used = in_use | AT_REST | {row.code for row in shown}
@@ -270,7 +271,7 @@ def _hands_at_large(
         yield _Row(code, weight, terms)
 
 
-def _hands_at_work(unrest: Sequence[float]) -> Iterator[_Row]:
+def _holding_rows(unrest: Sequence[float]) -> Iterator[_Row]:
     for code, stands in HOLDING:
         terms = tuple(
             (place, stand.share, float(np.hypot(stand.spread, unrest[place])), _NORMAL, BETWEEN)

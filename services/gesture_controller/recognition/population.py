@@ -1,33 +1,33 @@
-"""The population: how straight and bent fingers stand in hands at large, as far as one can say beforehand.
+"""The population: prior knowledge of where straight and bent fingers are in all hands.
 
-A finger's stand is a share: 0 its level in the person's own fist, 1 in their open hand. Fingers drag their
-neighbours along (V. Zatsiorsky, Z. Li, M. Latash: Enslaving effects in multi-finger force production, Exp.
-Brain Res. 131, 2000): a bent finger beside a straight one stands higher than in the fist, and a thumb or a
-little finger that is stretched alone falls short of the open hand. How much is `learn`ed from recordings.
+The position of a finger is a share: 0 is its level in the person's own fist, 1 in their open hand. Fingers
+move their neighbours (V. Zatsiorsky, Z. Li, M. Latash: Enslaving effects in multi-finger force production,
+Exp. Brain Res. 131, 2000): a bent finger beside a straight one is higher than in the fist, and a thumb or
+little finger that is stretched alone does not reach the open hand. `learn` calculates the values from
+recordings.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from services.gesture_controller.finger_states import BENT, STRAIGHT
+from services.gesture_controller.recognition.finger_states import BENT, STRAIGHT
 
 Shares = Sequence[float]
-"""How straight each of the five fingers stands, thumb first."""
+"""The positions of the five fingers, thumb first."""
 
-LOWEST, HIGHEST = -0.1, 1.08
-"""Beyond these a finger is no more bent than in a fist, or straighter than in an open hand."""
+MIN_SHARE, MAX_SHARE = -0.1, 1.08
+"""Shares are clipped to this range."""
 
-STRANGE = 0.2
-"""A finger further than this from the others of its kind was not shown as its label says, and counts as
-being so far away at most."""
+MAX_OUTLIER_DISTANCE = 0.2
+"""The limit of the deviation of a finger from its kind: a larger one means a wrong label."""
 
 _PRIOR_WEIGHT = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """Where fingers of one kind stand: their usual share, and its standard deviation between hands."""
+    """The median share of one kind of finger, and its standard deviation between hands."""
 
     share: float
     spread: float
@@ -35,7 +35,7 @@ class Stand:
 
 @dataclass(frozen=True, slots=True)
 class Population:
-    """Where fingers stand, by kind: see `kind_of`."""
+    """The positions of fingers by kind; see `kind_of`."""
 
     kinds: Mapping[str, Stand]
 
@@ -58,15 +58,15 @@ BEFOREHAND = Population(
         "half bent thumb beside": Stand(0.55, 0.17),
     }
 )
-"""What is assumed where no recording says otherwise; weighs as much as two to four fingers that were seen.
+"""The assumption without recordings; it has the weight of two to four observed fingers.
 
-A thumb moves about two axes, of which its one sensor sees one: so it is given more room.
+A thumb moves about two axes, but its sensor measures only one, so its deviation is larger.
 """
 
 
 def kind_of(code: str, place: int) -> str:
-    """Return the kind of the finger at `place` of a hand that shows `code`; a neighbour that is straight
-    stands beside it."""
+    """Return the kind of the finger at `place` of a hand that shows `code`; "beside" means beside a straight
+    finger."""
     name = {0: " thumb", 4: " little"}.get(place, "")
     beside = [code[there] for there in (place - 1, place + 1) if 0 <= there < len(code)]
     if code[place] == STRAIGHT:
@@ -78,9 +78,10 @@ def kind_of(code: str, place: int) -> str:
 
 
 def learn(hands: Iterable[Mapping[str, Sequence[Shares]]], beforehand: Population = BEFOREHAND) -> Population:
-    """Return the population that `hands` are of: for each, frames by the code that they show.
+    """Return the population of `hands`, each of which has frames by code.
 
-    Each finger of each code counts once for each hand, by its median; mislabelled ones do little harm.
+    Each finger of each code counts once per hand, by its median; the limit of the deviation reduces the
+    effect of wrong labels.
     """
     seen: dict[str, list[float]] = {kind: [] for kind in beforehand.kinds}
     for hand in hands:
@@ -93,8 +94,8 @@ def learn(hands: Iterable[Mapping[str, Sequence[Shares]]], beforehand: Populatio
 
 
 def clipped(share: float) -> float:
-    """Return `share` within `LOWEST` and `HIGHEST`."""
-    return min(max(share, LOWEST), HIGHEST)
+    """Return `share` within `MIN_SHARE` and `MAX_SHARE`."""
+    return min(max(share, MIN_SHARE), MAX_SHARE)
 
 
 def _learnt(seen: Sequence[float], before: Stand) -> Stand:
@@ -102,7 +103,7 @@ def _learnt(seen: Sequence[float], before: Stand) -> Stand:
         return before
     usual, weight = median(seen), _PRIOR_WEIGHT / 2
     share = (len(seen) * usual + weight * before.share) / (len(seen) + weight)
-    away = sum(min(abs(one - usual), STRANGE) ** 2 for one in seen)
+    away = sum(min(abs(one - usual), MAX_OUTLIER_DISTANCE) ** 2 for one in seen)
     spread = ((_PRIOR_WEIGHT * before.spread**2 + away) / (_PRIOR_WEIGHT + len(seen))) ** 0.5
     return Stand(round(share, 3), round(spread, 3))
 
@@ -113,11 +114,12 @@ HOLDING = (
     ("22222", (Stand(0.6, 0.12), *[Stand(0.22, 0.1)] * 4)),
     ("21222", (Stand(0.5, 0.2), Stand(0.65, 0.12), *[Stand(0.32, 0.1)] * 3)),
 )
-"""How fingers stand round an object: something thick, a handle or a key (wider fists), a tool along which the
-index finger lies.
+"""The positions of fingers around an object: something thick, a handle or a key (wider fists), a tool with
+the
+index finger along it.
 
-An estimate: an object keeps fingers from closing, and they stand together. So hands at work are not taken for
-a gesture whose fingers are, each by itself, a little off.
+These are estimates: an object keeps fingers from closing, and they stay together. So a working hand is not
+confused with a gesture whose fingers each deviate a little.
 """
 
 USUAL = Population(
@@ -138,6 +140,6 @@ USUAL = Population(
         "half bent thumb beside": Stand(0.55, 0.17),
     }
 )
-"""What `learn` makes of recordings of three people, eight number signs each (J. Cheng, Z. Sun, J. Wang,
-J. Zhang, "Chinese Number Gesture Recognition Glove Based on Flex Sensors"). Whoever measures how well those
-three are understood must `learn` from the others alone."""
+"""The result of `learn` for recordings of three people, eight number signs each (J. Cheng, Z. Sun, J. Wang,
+J. Zhang, "Chinese Number Gesture Recognition Glove Based on Flex Sensors"). A benchmark with one of the three
+must `learn` from the other two."""

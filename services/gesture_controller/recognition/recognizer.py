@@ -1,24 +1,24 @@
-"""Recognizers: whatever tells from a glove, a camera or any other device which gesture a hand shows.
+"""The interface of recognizers, which find the gesture in the frames of a glove, a camera or another device.
 
-A recognizer is a frozen value. What it must remember from one frame to the next it puts into what it
-returns, and is given back with the next frame; so it can be tried, replayed and compared without a glove.
+A recognizer is immutable. It returns the state that it needs for the next frame, and receives it again with
+that frame. So recognizers can be tested, replayed and compared without a glove.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
-from services.gesture_controller.calibration.levels import Calibration
-from services.gesture_controller.gestures import Gestures
-from services.gesture_controller.thresholds import Thresholds
+from services.gesture_controller.recognition.gestures import Gestures
+from services.gesture_controller.recognition.levels import Calibration
+from services.gesture_controller.recognition.thresholds import Thresholds
 
 
 class Timed(Protocol):
-    """A frame of any device: it has a time, on the device's own clock in seconds."""
+    """A frame of any device, with a time on the device's own clock in seconds."""
 
     @property
     def t_s(self) -> float:
-        """Return when it was measured."""
+        """When it was measured."""
 
 
 FrameT_contra = TypeVar("FrameT_contra", bound=Timed, contravariant=True)
@@ -26,12 +26,11 @@ FrameT_contra = TypeVar("FrameT_contra", bound=Timed, contravariant=True)
 
 @dataclass(frozen=True, slots=True)
 class Recognition:
-    """What a recognizer made of a frame.
+    """The result of a recognizer for a frame.
 
-    `states` are the five fingers for the page, thumb first (0 straight, 1 between, 2 bent); `gesture` is the
-    name of what the hand shows, None for no gesture or in doubt; `certainty` (0 to 1) is that of this
-    answer. `memory` is the recognizer's own, and is read by nobody else. `doubtful` names the fingers that
-    keep it from answering a gesture whose states the hand shows: they should be shown more clearly.
+    `states` are the five fingers, thumb first (0 straight, 1 between, 2 bent). `gesture` is None for no
+    gesture or in doubt. `certainty` (0 to 1) is that of this result. `memory` is private to the recognizer.
+    `doubtful` names the fingers that prevent the gesture of these states and should be shown more clearly.
     """
 
     states: str
@@ -43,31 +42,31 @@ class Recognition:
 
 
 class Recognizer(Protocol[FrameT_contra]):
-    """Tells which gesture a hand shows. All methods are pure; `see` has 100 µs."""
+    """Finds the gesture of a hand. All methods are pure; `see` must return within 100 µs."""
 
     def see(self, before: Recognition | None, frame: FrameT_contra) -> Recognition:
-        """Return what `frame` shows; `before` is what this method returned last, None at the beginning.
+        """Return the result for `frame`; `before` is the previous result, None at the beginning.
 
-        Time may jump (a gap, a clock that began anew), and frames come at 20 to 200 Hz.
+        Time may jump (a gap, a clock that restarted), and frames arrive at 20 to 200 Hz.
         """
 
     def odds(self, seen: Recognition) -> Mapping[str, float]:
-        """Return for each gesture how much speaks for it, 0 to 1: a probability, or a margin."""
+        """Return the score of each gesture from 0 to 1: a probability or a margin."""
 
     def why(self, seen: Recognition) -> str:
-        """Return in a sentence why `seen` was answered so."""
+        """Return a sentence that explains `seen`."""
 
 
 class CannotRecognize(ValueError):
-    """A recognizer cannot work with what is known of this hand; the message says what it lacks."""
+    """A recognizer cannot work with this hand; the message says what is missing."""
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
-    """All that is known of a hand in a glove, from which a recognizer is made.
+class HandContext:
+    """Everything known of a hand in a glove; the argument of a recognizer factory.
 
-    `calibration` is None until the person has calibrated; `in_use` are the codes of the gestures that they
-    are asked for or give commands with, empty if that is not known.
+    `calibration` is None until the person has calibrated. `in_use` has the codes that the person may be asked
+    for or gives commands with; empty means unknown.
     """
 
     thresholds: Thresholds
@@ -76,8 +75,8 @@ class Given:
     in_use: frozenset[str] = frozenset()
 
 
-class Maker(Protocol):
-    """What is registered under a name: a class or a function."""
+class RecognizerFactory(Protocol):
+    """A class or function that is registered under a name."""
 
-    def __call__(self, given: Given) -> Recognizer[Any]:
-        """Return a recognizer for the hand; raise `CannotRecognize` if `given` does not suffice."""
+    def __call__(self, context: HandContext) -> Recognizer[Any]:
+        """Return a recognizer for the hand; raise `CannotRecognize` if `context` is not sufficient."""

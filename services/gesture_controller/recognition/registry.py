@@ -1,4 +1,4 @@
-"""The registry: recognizers by name, ours and those that other packages bring.
+"""The registry: recognizers by name, built-in ones and those of other packages.
 
 A package adds one with an entry point in the group `handover.recognizers`:
 
@@ -12,34 +12,31 @@ from importlib.metadata import EntryPoint, entry_points
 
 from handover.errors import UsageError
 from handover.messages import message, text_of
-from services.gesture_controller.recognition.recognizer import Maker
+from services.gesture_controller.recognition.recognizer import RecognizerFactory
 
 GROUP = "handover.recognizers"
 THRESHOLDS, PERSONAL = "thresholds", "personal"
 
-_OURS: Mapping[str, str] = {
-    THRESHOLDS: "services.gesture_controller.recognition.thresholded:ThresholdRecognizer.made_from",
-    PERSONAL: "services.gesture_controller.recognition.personal:PersonalRecognizer.made_from",
+_BUILT_IN: Mapping[str, str] = {
+    THRESHOLDS: "services.gesture_controller.recognition.thresholded:ThresholdRecognizer.from_context",
+    PERSONAL: "services.gesture_controller.recognition.personal:PersonalRecognizer.from_context",
 }
 
 
 class UnknownRecognizer(UsageError):
-    """There is no recognizer of this name, or it cannot be loaded; the message says what there is."""
+    """No recognizer has this name, or it cannot be loaded; the message lists the names."""
 
 
 def recognizers() -> list[str]:
-    """Return the names of all recognizers, ours first."""
-    return [*_OURS, *sorted(_theirs().keys() - _OURS.keys())]
+    """Return the names of all recognizers, built-in ones first."""
+    return [*_BUILT_IN, *sorted(_of_packages().keys() - _BUILT_IN.keys())]
 
 
 @cache
-def maker_of(name: str) -> Maker:
-    """Return what makes the recognizer called `name`; it is imported now, not before.
-
-    Raises `UnknownRecognizer`.
-    """
-    where = _OURS.get(name)
-    point = EntryPoint(name, where, GROUP) if where else _theirs().get(name)
+def factory_of(name: str) -> RecognizerFactory:
+    """Import and return the factory of the recognizer called `name`; raises `UnknownRecognizer`."""
+    where = _BUILT_IN.get(name)
+    point = EntryPoint(name, where, GROUP) if where else _of_packages().get(name)
     if point is None:
         raise UnknownRecognizer(
             message(
@@ -52,8 +49,8 @@ def maker_of(name: str) -> Maker:
             )
         )
     try:
-        made: Maker = point.load()
-    except Exception as error:  # a stranger's package may fail in any way when it is imported
+        made: RecognizerFactory = point.load()
+    except Exception as error:  # the import of another package may fail in any way
         raise UnknownRecognizer(
             message(
                 "recognition.not_loadable",
@@ -77,5 +74,5 @@ def maker_of(name: str) -> Maker:
     return made
 
 
-def _theirs() -> Mapping[str, EntryPoint]:
+def _of_packages() -> Mapping[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=GROUP)}

@@ -1,48 +1,49 @@
-"""The recognizer by thresholds: bent below the lower, straight above the upper; it explains itself.
+"""The threshold recognizer: a finger is bent below its lower threshold and straight above its upper one.
 
-A finger between its thresholds is half bent, and the hand then shows no gesture; but near the threshold that
-it passed last, and anywhere for `KEEP_S`, it keeps what it was, so that a tremble does not break a hold. Once
-the hand is calibrated, a thumb in between goes by the index finger, and what holds something is doubted.
+A finger between its thresholds is half bent, and the hand then shows no gesture. But the finger keeps its
+previous state near the threshold that it passed last, and anywhere for `STEADY_S`, so that a tremble does not
+break a hold. For a calibrated hand, a thumb in between follows the index finger, and a hand that may hold an
+object is doubted.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from services.gesture_controller.calibration.levels import FingerLevels
-from services.gesture_controller.finger_states import BENT, BETWEEN, STRAIGHT, finger_states
-from services.gesture_controller.frames import Frame
-from services.gesture_controller.gestures import Gestures
-from services.gesture_controller.recognition.recognizer import Given, Recognition
-from services.gesture_controller.thresholds import FINGERS, Threshold, Thresholds
+from services.gesture_controller.recognition.finger_states import BENT, BETWEEN, STRAIGHT, finger_states
+from services.gesture_controller.recognition.frames import Frame
+from services.gesture_controller.recognition.gestures import Gestures
+from services.gesture_controller.recognition.levels import FingerLevels
+from services.gesture_controller.recognition.recognizer import HandContext, Recognition
+from services.gesture_controller.recognition.thresholds import FINGERS, Threshold, Thresholds
 
-KEEP_S = 0.3
+STEADY_S = 0.3
 
 LEEWAY = 1 / 3
-"""Up to this share of the way to the other threshold, a finger is near the one that it passed last."""
+"""Up to this share of the distance to the other threshold, a finger is near the one it passed last."""
 
 APART, GRIP_APART = 0.4, 0.6
-"""How far straight fingers stand above bent ones at least, on average, as shares of their spans; the second
-is for `GRIPS`.
+"""The least average distance of straight fingers from bent ones, as a share of their spans; the second is for
+`GRIPS`.
 
-An object keeps some fingers from closing and others from stretching, so those of a hand at work stand nearer
-together, though each by itself may pass its threshold.
+An object keeps some fingers from closing and others from stretching. So the fingers of a working hand are
+nearer together, though each of them may pass its threshold.
 """
 
 GRIPS = frozenset({"02222", "20222", "00222", "00022", "22000", "20000"})
-"""Gestures that look like a hand round an object: a key or handle, a tool with the index finger along it, a
+"""Gestures that resemble a hand around an object: a key or handle, a tool with the index finger along it, a
 pinch, three fingertips, a pinch with the other fingers away, a plate. (T. Feix et al.: The GRASP Taxonomy of
 Human Grasp Types, IEEE Trans. Human-Machine Systems 46, 2016.)
 """
 
 SHORT = 0.2
-"""A finger that falls so far short of the open hand, or of the fist, makes such a hand doubtful."""
+"""A finger that is this far from the open hand, or from the fist, makes such a hand doubtful."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Steadied:
-    """`code` is what counts, `since_s` when each finger came between its thresholds, `bend` as measured.
+    """`code` is what counts, `since_s` when each finger came between its thresholds, `bend` the raw values.
 
-    `close_since_s` is since when straight and bent fingers have stood too near together for the gesture.
+    `close_since_s` is when straight and bent fingers came too near together for the gesture.
     """
 
     code: str
@@ -53,25 +54,25 @@ class _Steadied:
 
 @dataclass(frozen=True, slots=True)
 class ThresholdRecognizer:
-    """Reads a hand with two thresholds a finger."""
+    """Classifies each finger by two thresholds."""
 
     thresholds: Thresholds
     gestures: Gestures
     levels: tuple[FingerLevels, ...] | None = None
-    """What the fingers show in the fist and in the open hand; None until the hand is calibrated."""
+    """The levels of fist and open hand; None until the hand is calibrated."""
 
     @classmethod
-    def made_from(cls, given: Given) -> "ThresholdRecognizer":
-        """Return the recognizer for the hand that `given` tells of."""
-        levels = None if given.calibration is None else given.calibration.levels
-        return cls(given.thresholds, given.gestures, levels)
+    def from_context(cls, context: HandContext) -> "ThresholdRecognizer":
+        """Return the recognizer for the hand of `context`."""
+        levels = None if context.calibration is None else context.calibration.levels
+        return cls(context.thresholds, context.gestures, levels)
 
     def see(self, before: Recognition | None, frame: Frame) -> Recognition:
-        """Return what `frame` shows."""
+        """Return the result for `frame`."""
         states = finger_states(frame.bend, self.thresholds)
-        code, since_s = states, _NOBODY
+        code, since_s = states, _NONE_BETWEEN
         if BETWEEN in states:
-            code = states if self.levels is None else _in_company(states)
+            code = states if self.levels is None else _with_thumb_inferred(states)
             if BETWEEN in code and before is not None:
                 code, since_s = self._steadied(code, before.memory, frame)
         gesture = self.gestures.names.get(code)
@@ -79,13 +80,13 @@ class ThresholdRecognizer:
             return Recognition(states, gesture, 1.0, frame.t_s, _Steadied(code, since_s, frame.bend))
         close_since_s = _close_since_s(before, frame.t_s)
         memory = _Steadied(code, since_s, frame.bend, close_since_s)
-        if before is not None and before.gesture == gesture and frame.t_s - close_since_s < KEEP_S:
+        if before is not None and before.gesture == gesture and frame.t_s - close_since_s < STEADY_S:
             return Recognition(states, gesture, 1.0, frame.t_s, memory)
         doubtful = self._short_fingers(code, frame.bend)
         return Recognition(states, None, 1.0, frame.t_s, memory, doubtful)
 
     def odds(self, seen: Recognition) -> Mapping[str, float]:
-        """Return for each gesture how far its worst finger is between its thresholds, towards it."""
+        """Return for each gesture the position of its worst finger between the thresholds, from 0 to 1."""
         bend = seen.memory.bend
         straight = [
             _share(value, threshold) for value, threshold in zip(bend, self.thresholds.fingers, strict=True)
@@ -98,32 +99,32 @@ class ThresholdRecognizer:
         }
 
     def why(self, seen: Recognition) -> str:
-        """Return each finger's value beside its thresholds, and what that makes."""
+        """Return the value and the thresholds of each finger, and the resulting gesture."""
         memory = seen.memory
         fingers = zip(FINGERS, memory.bend, self.thresholds.fingers, memory.code, strict=True)
-        told = "; ".join(_told(*finger) for finger in fingers)
+        described = "; ".join(_described(*finger) for finger in fingers)
         meant = self.gestures.names.get(memory.code)
         if seen.gesture is None and meant is not None:
-            apart, least = self._apart(memory.code, memory.bend), _least_apart(memory.code)
+            apart, least = self._apart(memory.code, memory.bend), _min_apart(memory.code)
             return (
-                f"{told}: {meant}, but as in a hand that holds something: straight fingers stand {apart:.0%} "
-                f"above bent ones, and must stand {least:.0%} above them"
+                f"{described}: {meant}, but as in a hand that holds something: straight fingers stand "
+                f"{apart:.0%} above bent ones, and must stand {least:.0%} above them"
             )
-        return f"{told}: {seen.gesture or 'no gesture has these states'}"
+        return f"{described}: {seen.gesture or 'no gesture has these states'}"
 
     def _is_close(self, code: str, bend: Sequence[float]) -> bool:
         if self.levels is None or len(set(code)) == 1:
             return False
-        return self._apart(code, bend) < _least_apart(code)
+        return self._apart(code, bend) < _min_apart(code)
 
     def _apart(self, code: str, bend: Sequence[float]) -> float:
-        """Return how far straight fingers stand above bent ones, on average."""
+        """Return the average distance of straight fingers from bent ones."""
         shares = self._shares(bend)
         straight = [share for share, state in zip(shares, code, strict=True) if state == STRAIGHT]
         return sum(straight) / len(straight) - (sum(shares) - sum(straight)) / (len(code) - len(straight))
 
     def _short_fingers(self, code: str, bend: Sequence[float]) -> tuple[str, ...]:
-        """Return the one or two fingers that fall furthest short of the open hand, or of the fist."""
+        """Return the one or two fingers that are furthest from the open hand, or from the fist."""
         short = {
             finger: 1 - share if state == STRAIGHT else share
             for finger, share, state in zip(FINGERS, self._shares(bend), code, strict=True)
@@ -136,7 +137,7 @@ class ThresholdRecognizer:
         return [(value - level.fist) / level.span for value, level in zip(bend, levels, strict=True)]
 
     def _steadied(self, states: str, before: _Steadied, frame: Frame) -> tuple[str, tuple[float | None, ...]]:
-        code, since_s = list(states), list(_NOBODY)
+        code, since_s = list(states), list(_NONE_BETWEEN)
         for place, (now, was) in enumerate(zip(states, before.code, strict=True)):
             if now != BETWEEN:
                 continue
@@ -145,7 +146,7 @@ class ThresholdRecognizer:
                 continue
             began_s = before.since_s[place]
             since_s[place] = from_s = frame.t_s if began_s is None else began_s
-            if was != BETWEEN and 0 <= frame.t_s - from_s < KEEP_S:
+            if was != BETWEEN and 0 <= frame.t_s - from_s < STEADY_S:
                 code[place] = was
         return "".join(code), tuple(since_s)
 
@@ -157,14 +158,14 @@ class ThresholdRecognizer:
         return value <= threshold.lower + leeway
 
 
-_NOBODY: tuple[float | None, ...] = (None,) * len(FINGERS)
+_NONE_BETWEEN: tuple[float | None, ...] = (None,) * len(FINGERS)
 
 
-def _in_company(states: str) -> str:
-    """Return `states` with a thumb that is between taken for what the index finger beside it makes likely.
+def _with_thumb_inferred(states: str) -> str:
+    """Return `states` with a thumb in between replaced by its more likely state.
 
-    A straight index finger drags a bent thumb up. Beside a bent one, a thumb that is stretched with other
-    fingers falls short of the open hand; one that is stretched by itself goes all the way.
+    A straight index finger lifts a bent thumb. Beside a bent index finger, a thumb that is stretched with
+    other fingers does not reach the open hand; a thumb that is stretched alone does.
     """
     thumb, index = states[0], states[1]
     if thumb != BETWEEN or index == BETWEEN:
@@ -172,12 +173,12 @@ def _in_company(states: str) -> str:
     return (STRAIGHT if index == BENT and STRAIGHT in states else BENT) + states[1:]
 
 
-def _least_apart(code: str) -> float:
+def _min_apart(code: str) -> float:
     return GRIP_APART if code in GRIPS else APART
 
 
 def _close_since_s(before: Recognition | None, at_s: float) -> float:
-    """Return since when straight fingers have stood too little above bent ones, as they do at `at_s`."""
+    """Return when straight and bent fingers came too near together, given that they are so at `at_s`."""
     since_s = None if before is None else before.memory.close_since_s
     return at_s if since_s is None or since_s > at_s else float(since_s)
 
@@ -189,7 +190,7 @@ def _share(value: float, threshold: Threshold) -> float:
     return round(min(max((value - threshold.lower) / width, 0.0), 1.0), 3)
 
 
-def _told(finger: str, value: float, threshold: Threshold, state: str) -> str:
+def _described(finger: str, value: float, threshold: Threshold, state: str) -> str:
     if threshold.lower <= value <= threshold.upper:
         taken = {STRAIGHT: ", taken for straight", BENT: ", taken for bent"}.get(state, "")
         return f"{finger} {value:g} is between {threshold.lower:g} and {threshold.upper:g}{taken}"

@@ -1,1 +1,1 @@
-"""Specifications: what Tasks ask for, written down once and looked up when a Task does not say it itself."""
+"""Specifications: TaskDefinitions that are looked up when neither Task nor broker has them."""

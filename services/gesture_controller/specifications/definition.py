@@ -1,4 +1,4 @@
-"""A definition: what a TaskDefinition says to the person, wherever it is kept."""
+"""The content of a TaskDefinition that concerns the person."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,24 +7,24 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """What a TaskDefinition says to the person, as far as it says anything."""
+    """Name, description and gesture or command of a TaskDefinition; None if it does not have them."""
 
     name: str | None = None
     description: str | None = None
     gesture: Any = None
     command_id: Any = None
     handles_outcomes: Any = None
-    """Only the broker's TaskDefinition says it."""
+    """Only the TaskDefinition in the broker has it."""
 
     @property
-    def asks(self) -> bool:
-        """Say whether it says what to show."""
+    def has_prompt(self) -> bool:
+        """True if it has a gesture or a command."""
         return self.gesture is not None or self.command_id is not None
 
     def filled_from(self, other: "Definition") -> "Definition":
-        """Return this definition with what it leaves out taken from `other`.
+        """Return this definition with missing values taken from `other`.
 
-        Its own command is never joined by the gesture of `other`, which may stand for another command.
+        A definition with a command does not get the gesture of `other`, which may have another command.
         """
         gesture = self.gesture
         if gesture is None and self.command_id is None:
@@ -39,8 +39,8 @@ class Definition:
 
 
 def needs_definition(parameters: Mapping[str, Any], definition: Definition = Definition()) -> bool:
-    """Say whether the workParameters, and what is known of the definition, leave something to ask for."""
-    asks = parameters.get("gesture") is not None or parameters.get("commandId") is not None
+    """Return True if workParameters and `definition` lack a gesture and command, or a description."""
+    has_prompt = parameters.get("gesture") is not None or parameters.get("commandId") is not None
     described = parameters.get("description")
     is_described = isinstance(described, str) and bool(described)
-    return not ((asks or definition.asks) and (is_described or bool(definition.description)))
+    return not ((has_prompt or definition.has_prompt) and (is_described or bool(definition.description)))

@@ -1,6 +1,6 @@
-"""Specifications as a file, to fill the database from:
+"""Specification files, which are imported into the database:
 
-confirm-grip:                      # the last part of the TaskDefinition's URN, or all of it
+confirm-grip:                      # the last part of the TaskDefinition's URN, or the whole URN
   name: Confirm the grip
   description: Look whether the gripper holds the part
   commandId: 4                     # or gesture: Thumbs up
@@ -10,14 +10,14 @@ from collections.abc import Mapping
 
 import yaml
 
-from services.gesture_controller.lined_yaml import Entry, LinedYaml, WrongFile, is_empty
+from services.gesture_controller.configuration.lined_yaml import Entry, LinedYaml, WrongFile, is_empty
 from services.gesture_controller.specifications.definition import Definition
 
 FIELDS = ("name", "description", "gesture", "commandId")
 
 
 class WrongSpecification(WrongFile):
-    """A file of specifications cannot be used; the message names the line, the rule and the way out."""
+    """A specification file is invalid; the message names the line, the rule and the remedy."""
 
 
 def read(text: str, name: str = "specifications.yaml") -> dict[str, Definition]:

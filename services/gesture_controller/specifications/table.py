@@ -1,9 +1,9 @@
-"""The table of the specification database: one row for each TaskDefinition, filled by whoever plans the work.
+"""The table of the specification database: one row for each TaskDefinition.
 
 CREATE TABLE task_definitions (
-    id TEXT PRIMARY KEY,       -- the last part of the TaskDefinition's URN, or all of it
+    id TEXT PRIMARY KEY,       -- the last part of the TaskDefinition's URN, or the whole URN
     name TEXT, description TEXT,
-    gesture TEXT,              -- as the gestures file has it, or
+    gesture TEXT,              -- its name in the gestures file, or
     command_id INTEGER         -- the command, shown with the person's own gesture
 );
 """
@@ -31,17 +31,17 @@ definitions = Table(
 
 
 def create(engine: Engine) -> None:
-    """Create the table where there is none, and bring an older one forward."""
+    """Create or upgrade the table."""
     migrate(engine, tables, component="specifications", version=VERSION)
 
 
 def statement(engine: Engine) -> str:
-    """Return the SQL that creates the table in the tongue of `engine`, for whoever wants to do it by hand."""
+    """Return the SQL statement that creates the table, in the dialect of `engine`."""
     return str(CreateTable(definitions).compile(engine)).strip() + ";"
 
 
 def save(engine: Engine, given: Mapping[str, Definition]) -> None:
-    """Write the definitions `given` by id, all or none, each in place of the one that is there."""
+    """Write the definitions `given` by id in one transaction; each replaces the stored one."""
     with engine.begin() as connection:
         connection.execute(delete(definitions).where(definitions.c.id.in_(list(given))))
         rows = [
@@ -59,10 +59,12 @@ def save(engine: Engine, given: Mapping[str, Definition]) -> None:
 
 
 def find(engine: Engine, ids: Iterable[str]) -> Definition | None:
-    """Return the definition of the first of `ids` that has one."""
+    """Return the definition of the first of `ids` that is in the table."""
     wanted = list(ids)
     columns = (cast(definitions.c.id, Text).label("id"), *(one for one in definitions.c if one.name != "id"))
-    query = select(*columns).where(cast(definitions.c.id, Text).in_(wanted))  # tables of others may count
+    query = select(*columns).where(
+        cast(definitions.c.id, Text).in_(wanted)
+    )  # in tables of other systems the id may be a number
     with engine.connect() as connection:
         rows = {row.id: row for row in connection.execute(query)}
     row = next((rows[key] for key in wanted if key in rows), None)

@@ -13,9 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from handover.errors import Problem
 from handover.messages import message
 from handover.offload import Offload, OffloadFailed
-from services.gesture_controller.study.conduct import DECLINED, Conduct
 from services.gesture_controller.study.protocol import FINISHED, STEPS, Language, Session
 from services.gesture_controller.study.questionnaires import TLX_PAIRS, TLX_SCALES, TLX_STEP
+from services.gesture_controller.study.study_session import DECLINED, StudySessions
 from services.gesture_controller.study.wording import consent_version, wording
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[\w .-]+$")]
@@ -37,9 +37,9 @@ class NewSession(BaseModel):
     person: Annotated[str, Field(max_length=200)] | None = None
 
 
-def add_study(app: FastAPI, conduct: Conduct) -> None:
+def add_study(app: FastAPI, sessions: StudySessions) -> None:
     """Add the routes of the study."""
-    analyses = _Analyses(conduct)
+    analyses = _Analyses(sessions)
 
     @app.get("/study/wording", tags=["study"])
     async def words(language: Language = "en") -> dict[str, Any]:
@@ -56,27 +56,27 @@ def add_study(app: FastAPI, conduct: Conduct) -> None:
     @app.post("/study/sessions", status_code=201, tags=["study"])
     async def begin(session: NewSession) -> dict[str, Any]:
         """Begin a session; the first step is consent, and until then nothing else is asked."""
-        begun = await conduct.begin(
+        begun = await sessions.begin(
             session.study, session.pseudonym, session.language, session.glove, session.person
         )
         return view_of(begun)
 
     @app.get("/study/sessions", tags=["study"])
-    async def sessions(study: Study | None = None) -> list[dict[str, Any]]:
+    async def list_sessions(study: Study | None = None) -> list[dict[str, Any]]:
         """List the sessions (of a study) in the order in which they began."""
-        return [view_of(session) for session in await conduct.sessions(study)]
+        return [view_of(session) for session in await sessions.sessions(study)]
 
     @app.get("/study/sessions/{session}", tags=["study"])
     async def one(session: str) -> dict[str, Any]:
         """Return a session: at which step it is, and what was answered."""
-        found = await conduct.one(session)
+        found = await sessions.one(session)
         answers = {step: dict(answer.content) for step, answer in found.answers.items()}
         return {**view_of(found), "answers": answers}
 
     @app.post("/study/sessions/{session}/steps/{step}", tags=["study"])
     async def answer(session: str, step: str, given: Annotated[dict[str, Any], Body()]) -> dict[str, Any]:
         """Answer a step; it is kept when this returns. Whoever declines consent is forgotten."""
-        moved = await conduct.answer(session, step, given)
+        moved = await sessions.answer(session, step, given)
         if moved is None:
             return {"id": session, "step": DECLINED}
         return view_of(moved)
@@ -84,7 +84,7 @@ def add_study(app: FastAPI, conduct: Conduct) -> None:
     @app.delete("/study/sessions/{session}", status_code=204, tags=["study"])
     async def delete(session: str) -> None:
         """Delete a session and all its answers beyond recovery."""
-        await conduct.delete(session)
+        await sessions.delete(session)
 
     @app.get("/study/analysis", tags=["study"])
     async def analysis(study: Study = DEFAULT_STUDY) -> dict[str, Any]:
@@ -96,7 +96,7 @@ def add_study(app: FastAPI, conduct: Conduct) -> None:
         """Return every answer and score of a study, one line a participant."""
         from services.gesture_controller.study.table import csv_of  # noqa: PLC0415 - seldom asked for
 
-        text = csv_of(await conduct.sessions(study))
+        text = csv_of(await sessions.sessions(study))
         return _file(text.encode(), "text/csv; charset=utf-8", study, "csv")
 
     @app.get("/study/report.pdf", tags=["study"], response_class=Response)
@@ -140,8 +140,8 @@ class _Analyses:
     What was found is kept for as long as the answers are the same.
     """
 
-    def __init__(self, conduct: Conduct) -> None:
-        self._conduct = conduct
+    def __init__(self, sessions: StudySessions) -> None:
+        self._study_sessions = sessions
         self._offload = Offload()
         self._kept: dict[bytes, dict[str, Any]] = {}
 
@@ -150,7 +150,7 @@ class _Analyses:
         from services.gesture_controller.study.analysis import analysis_of  # noqa: PLC0415 - seldom asked for
 
         _require_installed("scipy")
-        sessions = await self._conduct.sessions(study)
+        sessions = await self._study_sessions.sessions(study)
         key = hashlib.sha256(pickle.dumps(sessions)).digest()
         found = self._kept.pop(key, None)
         if found is None:

@@ -60,7 +60,7 @@ def test_a_panel_asks_for_what_is_counted(panel: str, expression: str) -> None:
         "handover_orchestrator_oldest_task_age_seconds",
         "handover_orchestrator_hold_to_robot_seconds_bucket",
         "handover_gesture_controller_gloves_connected",
-        "handover_gesture_controller_frames_total",
+        "handover_gesture_controller_frames_received_total",
         "handover_broker_notifications_pending",
         "up",
     ],

@@ -1,4 +1,4 @@
-"""A glove without network: hands that show gestures, Tasks that wait, and a notebook of what happened."""
+"""A glove without network: hands that show gestures, Tasks that wait, and a listener_log of what happened."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
@@ -15,28 +15,28 @@ from datamodels.states import Outcome
 from handover.broker import BrokerClient
 from handover.database import connect
 from handover.job import Job
-from services.gesture_controller.configuration import built_in
-from services.gesture_controller.errand import Asked, Errand
-from services.gesture_controller.frames import Frame, Hello
-from services.gesture_controller.gestures import M2O2P_GESTURES, Part
-from services.gesture_controller.glove import Glove
-from services.gesture_controller.hold import HoldTiming
-from services.gesture_controller.pipeline import Senses
+from services.gesture_controller.configuration.gestures_file import built_in
+from services.gesture_controller.gloves.glove import Glove
+from services.gesture_controller.prompting.prompt import GesturePrompt, PromptSpec
+from services.gesture_controller.recognition.frames import Frame, Hello
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Part
+from services.gesture_controller.recognition.hold import HoldTiming
+from services.gesture_controller.recognition.pipeline import RecognitionConfig
+from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
 from services.gesture_controller.settings import ControllerSettings
-from services.gesture_controller.thresholds import Threshold, Thresholds
 
 SAME = Thresholds((Threshold(600, 400),) * 5)
 
 
 @dataclass
-class Notebook:
+class ListenerLog:
     """Writes down what gloves tell."""
 
     states: list[str] = field(default_factory=list)
     silent: list[str] = field(default_factory=list)
     back: list[str] = field(default_factory=list)
-    ill_fitting: list[str] = field(default_factory=list)
-    fitting: list[str] = field(default_factory=list)
+    needing_calibration: list[str] = field(default_factory=list)
+    restored: list[str] = field(default_factory=list)
 
     def state_changed(self, glove: Glove) -> None:
         if not self.states or self.states[-1] != glove.device_state:
@@ -48,11 +48,11 @@ class Notebook:
     def came_back(self, glove: Glove) -> None:
         self.back.append(glove.name)
 
-    def fits_badly(self, glove: Glove, why: str) -> None:
-        self.ill_fitting.append(why)
+    def needs_calibration(self, glove: Glove, reason: str) -> None:
+        self.needing_calibration.append(reason)
 
-    def fits_again(self, glove: Glove) -> None:
-        self.fitting.append(glove.name)
+    def calibration_restored(self, glove: Glove) -> None:
+        self.restored.append(glove.name)
 
 
 @dataclass
@@ -84,14 +84,14 @@ class Hand:
         bend = [{"0": 700.0, "1": 500.0, "2": 300.0}[state] for state in code]
         for _ in range(round(seconds * hz)):
             self.now_s += 1 / hz
-            self.glove.take(Frame(self.now_s + self.ahead_s, bend), b"", self.now_s)
-            self.glove.look_after(self.now_s, silence_s=2.0)
+            self.glove.receive(Frame(self.now_s + self.ahead_s, bend), b"", self.now_s)
+            self.glove.check_silence(self.now_s, silence_s=2.0)
 
     def be_silent(self, seconds: float) -> None:
         """Send nothing for a while."""
         for _ in range(round(seconds * 10)):
             self.now_s += 0.1
-            self.glove.look_after(self.now_s, silence_s=2.0)
+            self.glove.check_silence(self.now_s, silence_s=2.0)
 
 
 def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], Any]]:
@@ -101,9 +101,9 @@ def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], A
 
 
 @pytest.fixture
-def notebook() -> Notebook:
+def listener_log() -> ListenerLog:
     """What gloves have told."""
-    return Notebook()
+    return ListenerLog()
 
 
 @pytest.fixture
@@ -115,17 +115,17 @@ def database(tmp_path: Path) -> Iterator[Engine]:
 
 
 @pytest.fixture
-def glove(notebook: Notebook) -> Glove:
+def glove(listener_log: ListenerLog) -> Glove:
     """A right glove whose fingers are straight above 600 and bent below 400."""
     site = built_in()
     return Glove(
         "glove-1",
         hand="right",
         person=None,
-        senses=Senses(SAME, site.gestures, HoldTiming()),
+        config=RecognitionConfig(SAME, site.gestures, HoldTiming()),
         commands=site.commands,
         filtering=True,
-        listener=notebook,
+        listener=listener_log,
     )
 
 
@@ -163,16 +163,16 @@ async def make_job() -> AsyncIterator[Callable[..., Job]]:
 
 
 @pytest.fixture
-def ask(glove: Glove, make_job: Callable[..., Job]) -> Callable[..., Errand]:
+def ask(glove: Glove, make_job: Callable[..., Job]) -> Callable[..., GesturePrompt]:
     """Ask the wearer of the glove for a gesture."""
 
-    def begin(gesture: str, name: str = "t1", answers: Mapping[Outcome, str] | None = None) -> Errand:
+    def begin(gesture: str, name: str = "t1", answers: Mapping[Outcome, str] | None = None) -> GesturePrompt:
         job = make_job(name)
         others = {outcome: Part(shown, M2O2P_GESTURES[shown]) for outcome, shown in (answers or {}).items()}
-        asked = Asked(job.task.id, "Confirm", gesture, M2O2P_GESTURES[gesture], 3, answers=others)
-        errand = Errand(asked, job, asyncio.get_running_loop().create_future())
-        glove.begin(errand)
-        glove.listen()
-        return errand
+        asked = PromptSpec(job.task.id, "Confirm", gesture, M2O2P_GESTURES[gesture], 3, answers=others)
+        prompt = GesturePrompt(asked, job, asyncio.get_running_loop().create_future())
+        glove.responder.begin(prompt)
+        glove.responder.listen()
+        return prompt
 
     return begin

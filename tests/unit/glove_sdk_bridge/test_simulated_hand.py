@@ -22,10 +22,10 @@ from glove_sdk_bridge.simulated_hand import (
     level,
     minimum_jerk,
 )
-from services.gesture_controller.calibration.levels import calibrate
-from services.gesture_controller.finger_states import finger_states
-from services.gesture_controller.gestures import M2O2P_GESTURES
-from services.gesture_controller.thresholds import Threshold, Thresholds
+from services.gesture_controller.recognition.finger_states import finger_states
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
+from services.gesture_controller.recognition.levels import calibrate
+from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 SETTLED = 50

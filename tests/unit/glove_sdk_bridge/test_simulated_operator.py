@@ -17,14 +17,14 @@ from glove_sdk_bridge.simulated_operator import (
     Stage,
     View,
 )
-from services.gesture_controller.calibration.levels import calibrate
-from services.gesture_controller.frames import Frame
-from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.hold import HoldEvent
-from services.gesture_controller.pipeline import Senses, Sight, see
-from services.gesture_controller.thresholds import Threshold, Thresholds
+from services.gesture_controller.recognition.frames import Frame
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.recognition.hold import HoldEvent
+from services.gesture_controller.recognition.levels import calibrate
+from services.gesture_controller.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
+from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
 
-SENSES = Senses(
+CONFIG = RecognitionConfig(
     Thresholds(tuple(Threshold(upper=level(sensor, 0.6), lower=level(sensor, 0.45)) for sensor in SENSORS)),
     Gestures(M2O2P_GESTURES),
 )
@@ -39,7 +39,7 @@ class Bench:
     operator: SimulatedOperator
     hand: SimulatedHand
     now_s: float = 0.0
-    sight: Sight = field(default_factory=Sight)
+    state: PipelineState = field(default_factory=PipelineState)
     view: View = field(default_factory=View)
     confirmed: list[str] = field(default_factory=list)
     attempts: list[Attempt] = field(default_factory=list)
@@ -47,12 +47,12 @@ class Bench:
     readings: int = 0
     task: str | None = None
     task_since_s: float = 0.0
-    senses: Senses = SENSES
+    config: RecognitionConfig = CONFIG
 
     def step(self, task: str | None, code: str = "") -> None:
         """One reading of the glove while the screen asks for `task`."""
         if self.readings % LOOKS_EVERY == 0:
-            self.view = View(task, code, self.sight.states)
+            self.view = View(task, code, self.state.states)
         self.readings += 1
         self.now_s += 1 / self.hand.rate_hz
         stage = self.operator.stage
@@ -61,8 +61,8 @@ class Bench:
             self.hand.move(movement.to, movement.duration_s)
         if stage is not Stage.SHOWING and self.operator.stage is Stage.SHOWING:
             self.attempts.append(self.operator.attempt)
-        self.sight = see(self.sight, Frame(self.now_s, list(self.hand.read())), self.senses)
-        hold = self.sight.hold
+        self.state = process_frame(self.state, Frame(self.now_s, list(self.hand.read())), self.config)
+        hold = self.state.hold
         begun_meanwhile = task == self.task and hold.since_s >= self.task_since_s
         if task != self.task:
             self.task, self.task_since_s = task, self.now_s
@@ -100,8 +100,8 @@ def test_an_operator_who_has_calibrated_once_confirms_every_gesture_while_the_se
         for posture in (FIST, OPEN_HAND):
             hand.move(posture, 0.4)
             levels.append([list(hand.read()) for _ in range(80)][40:])
-        senses = Senses(calibrate(*levels).thresholds, Gestures(M2O2P_GESTURES))
-        tried = Bench(SimulatedOperator(seed, 0.15), hand, senses=senses)
+        config = RecognitionConfig(calibrate(*levels).thresholds, Gestures(M2O2P_GESTURES))
+        tried = Bench(SimulatedOperator(seed, 0.15), hand, config=config)
         times_s = [
             tried.do(f"task-{number}", gesture) for number, gesture in enumerate([*M2O2P_GESTURES] * 3)
         ]
@@ -152,7 +152,7 @@ def test_the_same_gesture_twice_is_let_go_in_between() -> None:
     before = len(tried.confirmed)
     while len(tried.confirmed) == before:
         tried.step("task-2", M2O2P_GESTURES["Thumbs up"])
-        gestures.add(tried.sight.gesture)
+        gestures.add(tried.state.gesture)
     assert None in gestures
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import services.task_orchestrator
-from services.gesture_controller.gestures import DEFAULT_COMMANDS
+from services.gesture_controller.recognition.gestures import DEFAULT_COMMANDS
 from services.task_orchestrator.bpmn import read_bpmn
 from services.task_orchestrator.definition import MAX_FAULTS_LISTED, BadBpmn, Definition
 from services.task_orchestrator.definition_registry import read_runnable

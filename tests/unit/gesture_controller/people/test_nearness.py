@@ -6,17 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.gestures import M2O2P_GESTURES
-from services.gesture_controller.people.nearness import Neighbour, neighbours, too_near
+from services.gesture_controller.people.nearness import Neighbour, find_rejection, neighbours
 from services.gesture_controller.people.person import Sample
-from services.gesture_controller.thresholds import Threshold, Thresholds
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES
+from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
 
 THRESHOLDS = Thresholds((Threshold(600, 400),) * 5)
 CODES = st.text("02", min_size=5, max_size=5)
 
 
 def why_too_near(code: str, near: Collection[Neighbour], doubtful: Collection[str]) -> str | None:
-    doubted = too_near(code, near, doubtful)
+    doubted = find_rejection(code, near, doubtful)
     return None if doubted is None else doubted.why
 
 
@@ -48,7 +48,7 @@ def test_one_finger_is_enough_unless_its_sensor_is_doubtful() -> None:
     why = why_too_near("20000", near, {"index"})
     assert why is not None
     assert '"Middle, ring and little straight" (code 22000, 1 finger differs: index)' in why
-    assert "the sensor of the index hardly tells" in why
+    assert "the sensor of the index hardly separates" in why
 
 
 def test_a_recorded_gesture_must_be_clear_of_its_own_noise() -> None:

@@ -8,13 +8,13 @@ from sqlalchemy import Engine
 
 from handover.database import connect
 from handover.errors import Problem
-from services.gesture_controller.configuration import built_in, parse
-from services.gesture_controller.gestures import Shape
-from services.gesture_controller.glove_store import Fit, GloveStore, StoredGlove
+from services.gesture_controller.calibration.glove_store import Fit, GloveStore, StoredGlove
+from services.gesture_controller.configuration.gestures_file import built_in, parse
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.person import OwnGesture
 from services.gesture_controller.people.store import PeopleStore
-from services.gesture_controller.thresholds import M2O2P_THRESHOLDS
+from services.gesture_controller.recognition.gestures import Shape
+from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS
 
 Open = Callable[..., People]
 MINE = OwnGesture(Shape("20000"))
@@ -38,7 +38,7 @@ async def test_what_is_a_persons_own_survives(open_people: Open) -> None:
     assert not await people.add("anna", None)
     await people.define("anna", "Mine", MINE)
     await people.define("anna", "Both", OwnGesture(Shape(left="22222", right="Mine")))
-    await people.give_commands("anna", {3: "mine", 8: None}, whole=True)
+    await people.set_commands("anna", {3: "mine", 8: None}, whole=True)
     again = open_people()
     assert again.named("anna") == people.named("anna")
     assert again.named("anna").title == "Anna Virtanen"
@@ -52,18 +52,18 @@ async def test_what_is_a_persons_own_survives(open_people: Open) -> None:
 async def test_two_gestures_are_exchanged_at_once_but_none_stands_for_two(open_people: Open) -> None:
     people = open_people()
     await people.add("anna", None)
-    problem = await refused(people.give_commands("anna", {3: "Horns"}, whole=False))
+    problem = await refused(people.set_commands("anna", {3: "Horns"}, whole=False))
     assert problem.status == 422
     assert '"Horns" stands for the commands 3 and 8 for anna; give one of them another' in problem.detail
-    await people.give_commands("anna", {3: "Horns", 8: "Thumbs up"}, whole=False)
+    await people.set_commands("anna", {3: "Horns", 8: "Thumbs up"}, whole=False)
     assert people.commands_of("anna").ids["Horns"] == 3
-    await people.give_commands("anna", {1: None}, whole=False)
+    await people.set_commands("anna", {1: None}, whole=False)
     assert people.named("anna").commands == {1: None, 3: "Horns", 8: "Thumbs up"}
-    problem = await refused(people.take_command_back("anna", 3))
+    problem = await refused(people.reset_command("anna", 3))
     assert "stands for the commands 3 and 8" in problem.detail
-    await people.take_command_back("anna", 1)
+    await people.reset_command("anna", 1)
     assert people.commands_of("anna").gestures[1] == "Point with index"
-    problem = await refused(people.give_commands("anna", {4: "Wave"}, whole=False))
+    problem = await refused(people.set_commands("anna", {4: "Wave"}, whole=False))
     assert 'command 4 has the unknown gesture "Wave"' in problem.detail
 
 
@@ -81,7 +81,7 @@ async def test_a_gesture_too_near_another_is_refused_with_its_name_and_distance(
     assert nearest.distance == 1
     assert (await people.define("anna", "Mine", OwnGesture(Shape("02200"))))[0] is False
     problem = await refused(people.define("anna", "Other", MINE, doubtful=["index", "thumb", "ring"]))
-    assert "hardly tells bent from straight" in problem.detail
+    assert "hardly separates bent from straight" in problem.detail
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ async def test_a_deleted_gesture_gives_its_command_back_but_not_while_another_ne
     await people.add("anna", None)
     await people.define("anna", "Mine", MINE)
     await people.define("anna", "Twice", OwnGesture(Shape(sequence=("Mine", "Horns"))))
-    await people.give_commands("anna", {3: "Mine"}, whole=False)
+    await people.set_commands("anna", {3: "Mine"}, whole=False)
     problem = await refused(people.drop_gesture("anna", "Mine"))
     assert problem.status == 409
     assert 'gesture "Twice" has the unknown part "Mine"' in problem.detail
@@ -128,7 +128,7 @@ async def test_what_no_longer_fits_the_site_is_told_and_the_rest_still_works(ope
     await people.add("anna", None)
     await people.define("anna", "Mine", MINE)
     await people.define("anna", "Other", OwnGesture(Shape("02200")))
-    await people.give_commands("anna", {3: "Mine", 4: "Other", 5: "Ring straight", 16: None}, whole=True)
+    await people.set_commands("anna", {3: "Mine", 4: "Other", 5: "Ring straight", 16: None}, whole=True)
     site = parse("gestures: {Thumbs up: 02222, Theirs: 20000}\ncommands: {3: Thumbs up, 6: Theirs}")
     changed = open_people(site)
     faults = changed.faults_of("anna")
@@ -143,7 +143,7 @@ async def test_changes_that_come_at_once_are_all_kept(open_people: Open) -> None
     free = ["00002", "00200", "00202", "02000", "02002", "02022", "02200", "02202", "20000"]
     await asyncio.gather(
         *(people.define("anna", f"Mine {code}", OwnGesture(Shape(code))) for code in free),
-        *(people.give_commands("anna", {command: None}, whole=False) for command in range(1, 9)),
+        *(people.set_commands("anna", {command: None}, whole=False) for command in range(1, 9)),
         people.add("anna", "Anna"),
     )
     again = open_people().named("anna")
@@ -158,7 +158,7 @@ async def test_people_and_gloves_are_kept_in_postgresql_too(new_database: Callab
     assert gloves.load() == {}
     await people.add("anna", "Anna")
     await people.define("anna", "Mine", MINE)
-    await people.give_commands("anna", {3: "Mine", 8: None}, whole=True)
+    await people.set_commands("anna", {3: "Mine", 8: None}, whole=True)
     glove, fit = StoredGlove("glove-1", person="anna"), Fit(M2O2P_THRESHOLDS, learnt={"a": [1.5, None]})
     kept = gloves.save_fit(glove, "anna", fit)
     again = PeopleStore(engine).load()["anna"]
@@ -177,11 +177,11 @@ async def test_nobody_is_known_who_was_never_named(open_people: Open) -> None:
         parse("persons: {ben: {3: Ring straight, 16: Thumbs up}}\ngloves: {g: {person: carl}}")
     )
     assert people.names() == ["ben", "carl"]
-    problem = await refused(people.give_commands("anna", {}, whole=True))
+    problem = await refused(people.set_commands("anna", {}, whole=True))
     assert (problem.status, problem.title) == (404, "Unknown person")
     assert "known: ben, carl" in problem.detail
     assert (await refused(people.add("An na", None))).status == 422
-    await people.give_commands("ben", {4: None}, whole=False)
+    await people.set_commands("ben", {4: None}, whole=False)
     assert people.commands_of("ben").gestures[3] == "Ring straight"
     await people.remove("ben")
     assert 4 in people.commands_of("ben").gestures

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.gesture_controller.configuration import built_in
-from services.gesture_controller.gestures import M2O2P_GESTURES, Shape
-from services.gesture_controller.glove_store import Fit
+from services.gesture_controller.calibration.glove_store import Fit
+from services.gesture_controller.configuration.gestures_file import built_in
 from services.gesture_controller.people.person import OwnGesture, Person, Sample
 from services.gesture_controller.people.profile_file import Profile, WrongProfile, read, written
-from services.gesture_controller.thresholds import FINGERS, M2O2P_THRESHOLDS
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Shape
+from services.gesture_controller.recognition.thresholds import FINGERS, M2O2P_THRESHOLDS
 
 SITE = built_in()
 FREE = sorted({f"{n:05b}".replace("1", "2") for n in range(32)} - set(M2O2P_GESTURES.values()))
@@ -68,7 +68,7 @@ def test_what_goes_out_comes_in_again_unchanged(
     gestures = dict(own)
     if composed:
         gestures["Both"] = OwnGesture(Shape(left="02222", right="Horns"))
-        gestures["Turn"] = OwnGesture(Shape(sequence=("22200", "Horns")))
+        gestures["SequenceProgress"] = OwnGesture(Shape(sequence=("22200", "Horns")))
     commands: dict[int, Any] = {100 + number: name for number, name in enumerate(gestures)}
     person = Person("anna", title, {**commands, 8: None}, gestures)
     text = written(Profile(person, fits))

@@ -8,9 +8,10 @@ import pytest
 from sqlalchemy import Engine
 
 from handover.service import create_app
-from services.gesture_controller.configuration import built_in
-from services.gesture_controller.glove_store import GloveStore
-from services.gesture_controller.gloves import Gloves
+from services.gesture_controller.calibration.glove_store import GloveStore
+from services.gesture_controller.configuration.gestures_file import built_in
+from services.gesture_controller.connection.admission import TokenStore
+from services.gesture_controller.connection.glove_registry import GloveRegistry
 from services.gesture_controller.people import profile_file
 from services.gesture_controller.people.people import People
 from services.gesture_controller.people.routes import add_people
@@ -21,30 +22,37 @@ FIST, OPEN = [300.0] * 5, [700.0] * 5
 
 
 @pytest.fixture
-def gloves(database: Engine, notebook: Any) -> Gloves:
+def gloves(database: Engine, listener_log: Any) -> GloveRegistry:
     people = People(built_in(), PeopleStore(database))
-    return Gloves(ControllerSettings(), GloveStore(database), people, notebook, lambda _: None)
+    return GloveRegistry(
+        ControllerSettings(),
+        store=GloveStore(database),
+        tokens=TokenStore(database),
+        people=people,
+        listener=listener_log,
+        adopted=lambda _: None,
+    )
 
 
 @pytest.fixture
-async def screen(gloves: Gloves) -> AsyncIterator[httpx.AsyncClient]:
+async def screen(gloves: GloveRegistry) -> AsyncIterator[httpx.AsyncClient]:
     """A screen at the routes of people."""
     app = create_app("People", description="")
-    add_people(app, gloves.people, gloves)
+    add_people(app, gloves.wearers, gloves.known, gloves.records)
     transport = httpx.ASGITransport(app)
     async with httpx.AsyncClient(transport=transport, base_url="http://controller") as client:
         yield client
 
 
 async def test_a_finger_that_hardly_moves_does_not_tell_two_gestures_apart(
-    screen: httpx.AsyncClient, gloves: Gloves
+    screen: httpx.AsyncClient, gloves: GloveRegistry
 ) -> None:
     weak_index = [700.0, 360.0, 700.0, 700.0, 700.0]
-    await gloves.calibrate(gloves.named("glove-1"), [FIST] * 20, [weak_index] * 20)
+    await gloves.fits.calibrate(gloves.known.named("glove-1"), [FIST] * 20, [weak_index] * 20)
     mine = "/people/operator-1/gestures/Mine"
     refused = await screen.put(mine, json={"code": "20000"})  # the index alone parts it from 22000
     assert refused.status_code == 409
-    assert "the sensor of the index hardly tells bent from straight" in refused.json()["detail"]
+    assert "the sensor of the index hardly separates bent from straight" in refused.json()["detail"]
     assert refused.json()["nearest"] == {
         "gesture": "Middle, ring and little straight",
         "code": "22000",
@@ -52,7 +60,7 @@ async def test_a_finger_that_hardly_moves_does_not_tell_two_gestures_apart(
         "fingers": ["index"],
         "timesNoise": None,
     }
-    await gloves.calibrate(gloves.named("glove-1"), [FIST] * 20, [OPEN] * 20)
+    await gloves.fits.calibrate(gloves.known.named("glove-1"), [FIST] * 20, [OPEN] * 20)
     assert (await screen.put(mine, json={"code": "20000"})).status_code == 201
     assert (await screen.put(mine, json={"code": "20000"})).status_code == 200
 

@@ -12,12 +12,12 @@ import pytest
 from fastapi import FastAPI
 
 from handover.service import create_app
-from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures, Shape
 from services.gesture_controller.pictures import hand
 from services.gesture_controller.pictures.gif import gif_of
 from services.gesture_controller.pictures.motion import Pose, moments, whole_s
 from services.gesture_controller.pictures.routes import add_pictures
 from services.gesture_controller.pictures.svg import svg_of
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures, Shape
 
 REPOSITORY = Path(__file__).parents[4]
 STATES = ["".join(states) for states in itertools.product("012", repeat=5)]

@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
-from services.gesture_controller.calibration.levels import Calibration, calibrate
 from services.gesture_controller.calibration.samples import sample_of, with_sample
-from services.gesture_controller.finger_states import BENT, BETWEEN, STRAIGHT
-from services.gesture_controller.frames import Frame
-from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.recognition.finger_states import BENT, BETWEEN, STRAIGHT
+from services.gesture_controller.recognition.frames import Frame
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.recognition.levels import Calibration, calibrate
 from services.gesture_controller.recognition.personal import PersonalRecognizer
-from services.gesture_controller.recognition.recognizer import CannotRecognize, Given, Recognition
-from services.gesture_controller.thresholds import M2O2P_THRESHOLDS
+from services.gesture_controller.recognition.recognizer import CannotRecognize, HandContext, Recognition
+from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS
 
 GESTURES = Gestures({**M2O2P_GESTURES, "Four fingers": "20000", "Fist": "22222", "Open hand": "00000"})
 HALF_BENT = 0.6
@@ -93,7 +93,7 @@ def test_another_gesture_is_seen_within_a_third_of_a_second() -> None:
     assert next(number for number, one in enumerate(seen) if one.gesture == "Horns") <= 17
 
 
-def test_after_a_gap_or_a_clock_that_began_anew_the_hand_is_looked_at_anew() -> None:
+def test_after_a_gap_or_a_clock_that_began_anew_the_hand_is_looked_at_again() -> None:
     recognizer = PersonalRecognizer(calibrated(), GESTURES)
     before = look(recognizer, frames(posture("02222"), 1, 50, seed=3), from_s=100)[-1]
     horns = Frame(0.0, list(frames(posture("20220"), 0.1, 50, seed=3)[0]))
@@ -114,4 +114,4 @@ def test_a_sample_teaches_how_this_person_shows_a_gesture() -> None:
 
 def test_without_a_calibration_it_cannot_be_made() -> None:
     with pytest.raises(CannotRecognize, match="calibrate the glove first"):
-        PersonalRecognizer.made_from(Given(M2O2P_THRESHOLDS, GESTURES))
+        PersonalRecognizer.from_context(HandContext(M2O2P_THRESHOLDS, GESTURES))

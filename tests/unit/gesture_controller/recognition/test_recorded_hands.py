@@ -15,6 +15,7 @@ from benchmarks.recorded_hands import (
     WrongRecording,
     at_work,
     calibrated,
+    config_for,
     confirmed,
     half_way,
     look,
@@ -22,9 +23,8 @@ from benchmarks.recorded_hands import (
     population_without,
     read,
     report,
-    senses_for,
 )
-from services.gesture_controller.frames import Frame
+from services.gesture_controller.recognition.frames import Frame
 from services.gesture_controller.recognition.population import USUAL, learn
 from services.gesture_controller.recognition.registry import PERSONAL, THRESHOLDS
 
@@ -77,12 +77,12 @@ def test_no_frame_of_a_person_but_the_stated_seconds_tunes_anything_for_them(
     spoilt = beyond_the_stated_seconds_spoilt(honest, samples=samples)
     answers = []
     for person in (honest, spoilt):
-        senses = senses_for(person, [person, *others], recognizer, samples=samples)
-        reader, seen, told = senses.reader, None, []
+        config = config_for(person, [person, *others], recognizer, samples=samples)
+        reader, seen, told = config.recognizer, None, []
         for number, bend in enumerate(probes()):
             seen = reader.see(seen, Frame(number / 50, bend))
             told.append((seen.gesture, seen.states, seen.certainty))
-        answers.append((senses.thresholds, senses.calibration, told))
+        answers.append((config.thresholds, config.calibration, told))
     assert answers[0] == answers[1]
 
 
@@ -128,7 +128,7 @@ def test_thresholds_are_better_than_half_way_and_confirm_nothing_that_was_not_me
     people: list[Recording], name: str, least: float
 ) -> None:
     person = next(one for one in people if one.name.endswith(name))
-    score = measure(person, senses_for(person, people, THRESHOLDS))
+    score = measure(person, config_for(person, people, THRESHOLDS))
     assert score.accuracy(SIX) >= least
     assert score.accuracy(SIX) > half_way(person, whole_poses=False).accuracy(SIX) + 0.009
     assert {what: names for what, names in score.confirmed.items() if names} == {}
@@ -140,35 +140,35 @@ def test_a_fist_and_an_open_hand_suffice_for_gestures_in_use(
     people: list[Recording], name: str, least: float
 ) -> None:
     person = next(one for one in people if one.name.endswith(name))
-    senses = senses_for(person, people, PERSONAL, in_use=frozenset(CODES.values()))
+    config = config_for(person, people, PERSONAL, in_use=frozenset(CODES.values()))
     right = frames = 0
     for pose, code in CODES.items():
         used = person.hz if pose in {FIST, OPEN} else 0
-        seen = look(person.poses[pose], senses, person.hz)[used:]
-        right += sum(sight.states == code and sight.gesture is not None for sight in seen)
+        seen = look(person.poses[pose], config, person.hz)[used:]
+        right += sum(state.states == code and state.gesture is not None for state in seen)
         frames += len(seen)
     assert right / frames >= least
     for pose in ("7", "9"):
-        assert not {*confirmed(look(person.poses[pose], senses, person.hz))} - {"Fist"}
+        assert not {*confirmed(look(person.poses[pose], config, person.hz))} - {"Fist"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a", "b", "c"])
 def test_a_second_of_each_gesture_leaves_hardly_an_error(people: list[Recording], name: str) -> None:
     person = next(one for one in people if one.name.endswith(name))
-    senses = senses_for(person, people, PERSONAL, samples=True)
+    config = config_for(person, people, PERSONAL, samples=True)
     for pose in SIX:
-        seen = look(person.poses[pose], senses, person.hz)[person.hz :]
-        right = sum(sight.states == CODES[pose] and sight.gesture is not None for sight in seen)
+        seen = look(person.poses[pose], config, person.hz)[person.hz :]
+        right = sum(state.states == CODES[pose] and state.gesture is not None for state in seen)
         assert right / len(seen) >= 0.995
 
 
 @pytest.mark.parametrize("recognizer", [THRESHOLDS, PERSONAL])
 def test_a_minute_of_assembly_confirms_nothing(recognizer: str) -> None:
     person = made_up(1)
-    senses = senses_for(person, [person], recognizer)
+    config = config_for(person, [person], recognizer)
     for seed in range(2):
-        assert not {*confirmed(look(at_work(person, seed), senses, person.hz))} - {"Fist", "Open hand"}
+        assert not {*confirmed(look(at_work(person, seed), config, person.hz))} - {"Fist", "Open hand"}
 
 
 def test_any_folder_is_measured_and_what_cannot_be_is_named(
@@ -198,7 +198,7 @@ def test_any_folder_is_measured_and_what_cannot_be_is_named(
 
 def test_the_score_counts_frames_and_windows() -> None:
     person = made_up(1, "025")
-    score = measure(person, senses_for(person, [person], PERSONAL))
+    score = measure(person, config_for(person, [person], PERSONAL))
     assert score.accuracy(("2",)) == 1.0
     assert score.windows["2"] == 2
     assert score.reaching() == 1.0

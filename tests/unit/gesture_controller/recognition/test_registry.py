@@ -8,19 +8,19 @@ from typing import Any
 
 import pytest
 
-from services.gesture_controller.calibration.levels import calibrate
-from services.gesture_controller.frames import Frame
-from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
-from services.gesture_controller.glove import Glove
-from services.gesture_controller.pipeline import Senses, Sight, see
+from services.gesture_controller.gloves.glove import Glove
+from services.gesture_controller.recognition.frames import Frame
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.recognition.levels import calibrate
+from services.gesture_controller.recognition.pipeline import PipelineState, RecognitionConfig, process_frame
 from services.gesture_controller.recognition.registry import (
     PERSONAL,
     THRESHOLDS,
     UnknownRecognizer,
-    maker_of,
+    factory_of,
     recognizers,
 )
-from services.gesture_controller.thresholds import Threshold, Thresholds
+from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
 from tests.kit.paths import REPOSITORY
 
 SAME = Thresholds((Threshold(600, 400),) * 5)
@@ -54,34 +54,34 @@ def test_the_example_is_found_by_its_entry_point_and_works(
     monkeypatch.syspath_prepend(str(REPOSITORY / "examples" / "nearest_recognizer"))
     a_package(installed, "nearest", "nearest_recognizer:Nearest")
     assert "nearest" in recognizers()
-    senses = Senses(SAME, GESTURES, calibration=CALIBRATION, recognizer="nearest")
-    assert senses.missing is None
-    sight = see(Sight(), Frame(0.0, THUMB_UP), senses)
-    assert sight.gesture == "Thumbs up"
-    assert sight.recognition is not None
-    assert senses.reader.odds(sight.recognition)["Thumbs up"] == 1
-    assert "Thumbs up" in senses.reader.why(sight.recognition)
-    assert see(sight, Frame(0.02, [500.0] * 5), senses).gesture is None
+    config = RecognitionConfig(SAME, GESTURES, calibration=CALIBRATION, recognizer_name="nearest")
+    assert config.missing is None
+    state = process_frame(PipelineState(), Frame(0.0, THUMB_UP), config)
+    assert state.gesture == "Thumbs up"
+    assert state.recognition is not None
+    assert config.recognizer.odds(state.recognition)["Thumbs up"] == 1
+    assert "Thumbs up" in config.recognizer.why(state.recognition)
+    assert process_frame(state, Frame(0.02, [500.0] * 5), config).gesture is None
 
 
 def test_an_unknown_name_is_answered_with_those_there_are() -> None:
     with pytest.raises(UnknownRecognizer, match='no recognizer "thresolds"; there are thresholds, personal'):
-        maker_of("thresolds")
+        factory_of("thresolds")
 
 
 def test_a_package_that_cannot_be_imported_is_named(installed: Path) -> None:
     a_package(installed, "broken", "no_such_module:Thing")
     with pytest.raises(UnknownRecognizer, match=r'"broken" \(no_such_module:Thing\) cannot be loaded'):
-        maker_of("broken")
+        factory_of("broken")
 
 
 @pytest.mark.parametrize(
     ("name", "words"), [("personal", "calibrate the glove first"), ("gone", 'no recognizer "gone"')]
 )
 def test_where_the_chosen_one_cannot_work_thresholds_do_and_it_is_said(name: str, words: str) -> None:
-    senses = Senses(SAME, GESTURES, recognizer=name)
-    assert words in (senses.missing or "")
-    assert see(Sight(), Frame(0.0, THUMB_UP), senses).gesture == "Thumbs up"
+    config = RecognitionConfig(SAME, GESTURES, recognizer_name=name)
+    assert words in (config.missing or "")
+    assert process_frame(PipelineState(), Frame(0.0, THUMB_UP), config).gesture == "Thumbs up"
 
 
 def test_a_controller_that_uses_thresholds_does_not_load_numpy() -> None:
@@ -104,19 +104,19 @@ def test_a_recognizer_that_fails_at_work_takes_no_glove_away(
 ) -> None:
     (installed / "fails.py").write_text(FAILS)
     a_package(installed, "fails", "fails:Fails")
-    glove.sense_with(replace(glove.senses, recognizer="fails"))
+    glove.configure(replace(glove.reader.config, recognizer_name="fails"))
     hand.show("Thumbs up", 0.2)
-    assert glove.sight.gesture == "Thumbs up"
-    assert glove.senses.missing == "it failed with ZeroDivisionError: in the middle of the work"
-    assert glove.frames == 10
+    assert glove.reader.state.gesture == "Thumbs up"
+    assert glove.reader.config.missing == "it failed with ZeroDivisionError: in the middle of the work"
+    assert glove.connection.traffic.frames == 10
 
 
 def test_who_learns_other_gestures_goes_on_with_the_same_recognizer(glove: Glove, hand: Any) -> None:
     levels = calibrate([[300.0] * 5] * 20, [[700.0] * 5] * 20)
-    glove.sense_with(replace(glove.senses, calibration=levels, recognizer=PERSONAL))
+    glove.configure(replace(glove.reader.config, calibration=levels, recognizer_name=PERSONAL))
     hand.show("Horns", 0.3)
-    more = Gestures({**glove.senses.gestures.codes, "Four fingers": "20000"})
-    glove.equip(more, glove.commands)
-    assert glove.senses.missing is None
+    more = Gestures({**glove.reader.config.gestures.codes, "Four fingers": "20000"})
+    glove.equip(more, glove.responder.commands)
+    assert glove.reader.config.missing is None
     hand.make("20000", 0.5)
-    assert glove.sight.gesture == "Four fingers"
+    assert glove.reader.state.gesture == "Four fingers"

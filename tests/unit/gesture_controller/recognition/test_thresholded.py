@@ -11,21 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glove_sdk_bridge.simulated_hand import FIST, OPEN_HAND, Posture, SimulatedHand
-from services.gesture_controller.calibration.levels import BENT_BELOW, STRAIGHT_ABOVE, calibrate
-from services.gesture_controller.frames import Frame
-from services.gesture_controller.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.recognition.frames import Frame
+from services.gesture_controller.recognition.gestures import M2O2P_GESTURES, Gestures
+from services.gesture_controller.recognition.levels import BENT_BELOW, STRAIGHT_ABOVE, calibrate
 from services.gesture_controller.recognition.population import BEFOREHAND, Stand
-from services.gesture_controller.recognition.recognizer import Given, Recognition
+from services.gesture_controller.recognition.recognizer import HandContext, Recognition
 from services.gesture_controller.recognition.thresholded import (
     GRIP_APART,
-    KEEP_S,
     LEEWAY,
+    STEADY_S,
     ThresholdRecognizer,
 )
-from services.gesture_controller.thresholds import Threshold, Thresholds
+from services.gesture_controller.recognition.thresholds import Threshold, Thresholds
 
-RECOGNIZER = ThresholdRecognizer.made_from(
-    Given(Thresholds((Threshold(600, 400),) * 5), Gestures(M2O2P_GESTURES))
+RECOGNIZER = ThresholdRecognizer.from_context(
+    HandContext(Thresholds((Threshold(600, 400),) * 5), Gestures(M2O2P_GESTURES))
 )
 LEVELS = {"0": 700.0, "1": 500.0, "2": 300.0}
 
@@ -42,7 +42,7 @@ def show(codes: list[str], hz: float = 50) -> list[Recognition]:
 def test_a_finger_that_wavers_keeps_what_it_was_for_a_moment_at_any_rate(hz: int) -> None:
     seen = show(["02222"] * hz + ["12222"] * hz, hz)[hz:]
     kept = [one.gesture for one in seen].count("Thumbs up")
-    assert kept == pytest.approx(KEEP_S * hz, abs=1)
+    assert kept == pytest.approx(STEADY_S * hz, abs=1)
     assert {one.states for one in seen} == {"12222"}, "the page shows the fingers as they are"
     assert seen[-1].gesture is None
 
@@ -60,7 +60,7 @@ def test_a_finger_that_goes_through_is_what_it_becomes_at_once() -> None:
 def test_no_gesture_is_answered_whose_fingers_were_not_seen_in_their_states_lately(codes: list[str]) -> None:
     for number, seen in enumerate(show(codes)):
         if seen.gesture is not None:
-            lately = codes[max(0, number - round(KEEP_S * 50) - 1) : number + 1]
+            lately = codes[max(0, number - round(STEADY_S * 50) - 1) : number + 1]
             for place, state in enumerate(M2O2P_GESTURES[seen.gesture]):
                 assert any(code[place] == state for code in lately)
 
@@ -77,7 +77,7 @@ def test_it_says_why_and_how_near_each_gesture_is() -> None:
 
 
 HAND = calibrate([[300.0] * 5] * 20, [[700.0] * 5] * 20)
-CALIBRATED = ThresholdRecognizer.made_from(Given(HAND.thresholds, Gestures(M2O2P_GESTURES), HAND))
+CALIBRATED = ThresholdRecognizer.from_context(HandContext(HAND.thresholds, Gestures(M2O2P_GESTURES), HAND))
 
 
 def stand(*postures: Sequence[float], seconds: float = 1.0) -> list[Recognition]:
@@ -138,10 +138,10 @@ def test_a_hand_that_holds_something_shows_no_gesture_and_it_says_why(
 
 def test_a_tremble_towards_a_grip_does_not_break_a_hold_but_a_grip_ends_it() -> None:
     clear, gripped = (0.95, 0.1, 0.1, 0.1, 0.1), (0.7, 0.2, 0.2, 0.2, 0.2)
-    tremble = stand(clear, gripped, clear, seconds=0.9 * KEEP_S)
+    tremble = stand(clear, gripped, clear, seconds=0.9 * STEADY_S)
     assert {one.gesture for one in tremble} == {"Thumbs up"}
     ended = stand(clear, gripped, seconds=2)[100:]
-    assert [one.gesture for one in ended].count("Thumbs up") == pytest.approx(KEEP_S * 50, abs=1)
+    assert [one.gesture for one in ended].count("Thumbs up") == pytest.approx(STEADY_S * 50, abs=1)
     assert ended[-1].gesture is None
 
 
@@ -151,8 +151,8 @@ def test_hands_that_stand_anyhow_but_half_closed_show_no_gesture() -> None:
     fist = [list(hand.read()) for _ in range(50)]
     hand.move(OPEN_HAND, 0.2)
     calibration = calibrate(fist, [list(hand.read()) for _ in range(60)][10:])
-    reader = ThresholdRecognizer.made_from(
-        Given(calibration.thresholds, Gestures(M2O2P_GESTURES), calibration)
+    reader = ThresholdRecognizer.from_context(
+        HandContext(calibration.thresholds, Gestures(M2O2P_GESTURES), calibration)
     )
     for _ in range(100):
         posture: Posture = (

@@ -9,7 +9,7 @@ from sqlalchemy import Engine
 
 from handover.database import connect
 from services.gesture_controller.specifications import file, table
-from services.gesture_controller.specifications.database import SpecificationDatabase, State
+from services.gesture_controller.specifications.database import DatabaseState, SpecificationDatabase
 from services.gesture_controller.specifications.definition import Definition, needs_definition
 
 URN = "urn:ngsi-ld:TaskDefinition:demo:confirm"
@@ -50,7 +50,7 @@ async def test_a_definition_is_found_by_its_urn_before_the_last_part(
     assert await database.look_up(URN) == BIN
     assert await database.look_up("confirm") == GRIP
     assert await database.look_up("urn:ngsi-ld:TaskDefinition:demo:other") == Definition()
-    assert database.state == State("ok")
+    assert database.state == DatabaseState("ok")
     assert table.every(engine) == {"confirm": GRIP, URN: BIN}
 
 
@@ -65,13 +65,13 @@ async def test_a_table_that_is_not_there_is_told_of_and_found_when_it_is(
     assert "task_definitions" in database.state.detail
     assert "handover specification import" in database.state.detail
     fill(confirm=GRIP)
-    assert await database.look_up(URN, patience_s=10) == GRIP
+    assert await database.look_up(URN, timeout_s=10) == GRIP
     assert told == ["away", "ok"]
 
 
 async def test_a_database_that_nobody_made_is_no_fault_and_is_not_created(tmp_path: Path) -> None:
     database = SpecificationDatabase(f"sqlite:///{tmp_path / 'nothing.db'}")
-    assert await database.look_up(URN, patience_s=60) == Definition()
+    assert await database.look_up(URN, timeout_s=60) == Definition()
     assert database.state.name == "absent"
     assert not (tmp_path / "nothing.db").exists()
 
@@ -90,7 +90,7 @@ async def test_a_database_that_does_not_answer_is_told_of_without_its_password(u
     assert "secret" not in database.state.detail
     assert "secret" not in database.shown
     before_s = time.monotonic()
-    assert await database.look_up(URN, patience_s=0.1) == Definition()
+    assert await database.look_up(URN, timeout_s=0.1) == Definition()
     assert time.monotonic() - before_s < 30
 
 

@@ -1,0 +1,1 @@
+"""Accuracy tests: how reliably and how quickly the gestures of a person are recognized."""

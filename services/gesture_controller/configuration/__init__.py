@@ -1,0 +1,1 @@
+"""The gestures file of a site, and YAML files whose errors name the line."""

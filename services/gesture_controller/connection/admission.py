@@ -1,0 +1,106 @@
+"""Admission: which gloves may connect, and their tokens.
+
+A glove that has a token must send it. Any other glove must send the token of the site (HANDOVER_GLOVE_TOKEN)
+if one is set. Without a site token, no token is needed on loopback, and gloves are refused on any other
+address. New gloves that nobody declared are admitted up to a limit, so that invented names cannot block
+gloves in use.
+
+A token has 256 random bits. It is shown once, when it is made; the database has only its SHA-256.
+"""
+
+import hashlib
+import hmac
+import secrets
+
+from sqlalchemy import Engine, delete, insert, select
+
+from services.gesture_controller import tables
+from services.gesture_controller.gloves.connection_state import ConnectionRefused
+from services.gesture_controller.recognition.frames import Hello
+from services.gesture_controller.settings import ControllerSettings
+
+TOKEN_BYTES = 32
+
+
+class TokenStore:
+    """Hashes of the tokens of gloves in the database; every method blocks on the database."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def load(self) -> dict[str, str]:
+        """Return the hash of each glove's token."""
+        with self._engine.connect() as connection:
+            return {row.glove: row.sha256 for row in connection.execute(select(tables.tokens))}
+
+    def save(self, glove: str, sha256: str | None) -> None:
+        """Write the hash of the token of `glove`; None deletes it."""
+        with self._engine.begin() as connection:
+            connection.execute(delete(tables.tokens).where(tables.tokens.c.glove == glove))
+            if sha256 is not None:
+                connection.execute(insert(tables.tokens).values(glove=glove, sha256=sha256))
+
+
+class Admission:
+    """Decides which hello is accepted."""
+
+    def __init__(self, settings: ControllerSettings, store: TokenStore) -> None:
+        self._site_token = settings.token
+        self._is_exposed = not settings.is_local
+        self._max_undeclared = settings.max_undeclared_gloves
+        self._hashes = store.load()
+
+    def has_token(self, glove: str) -> bool:
+        """Return True if `glove` has its own token."""
+        return glove in self._hashes
+
+    def set_hash(self, glove: str, sha256: str | None) -> None:
+        """Set the hash of the token of `glove`; None removes the token."""
+        if sha256 is None:
+            self._hashes.pop(glove, None)
+        else:
+            self._hashes[glove] = sha256
+
+    def require_token(self, hello: Hello) -> None:
+        """Raise `ConnectionRefused` unless `hello` has the required token; compares in constant time."""
+        own, command = self._hashes.get(hello.glove), f"`handover glove token {hello.glove}`"
+        if own is not None:
+            if not hmac.compare_digest(own, hash_of(hello.token)):
+                raise ConnectionRefused(
+                    "wrong token",
+                    f"the token is wrong; {hello.glove} has a token of its own, so give it that one, or make "
+                    f"another with {command}",
+                )
+        elif self._site_token is not None:
+            if not hmac.compare_digest(self._site_token.encode(), hello.token.encode()):
+                raise ConnectionRefused(
+                    "wrong token",
+                    "the token is wrong; give the glove the HANDOVER_GLOVE_TOKEN of this site, or make one "
+                    f"of its own with {command}",
+                )
+        elif self._is_exposed:
+            raise ConnectionRefused(
+                "no token",
+                f"{hello.glove} has no token, and others can reach this port; make one with {command} and "
+                "give it to the glove as HANDOVER_GLOVE_TOKEN",
+            )
+
+    def require_slot(self, glove: str, undeclared: int) -> None:
+        """Raise `ConnectionRefused` if `undeclared` gloves are the limit already."""
+        if undeclared >= self._max_undeclared:
+            raise ConnectionRefused(
+                "too many undeclared",
+                f"{undeclared} gloves that nobody declared are known already; make a token for this one with "
+                f"`handover glove token {glove}`, or raise HANDOVER_MAX_UNDECLARED_GLOVES",
+                retry=True,
+            )
+
+
+def new_token() -> str:
+    """Return a random token."""
+    return secrets.token_urlsafe(TOKEN_BYTES)
+
+
+def hash_of(token: str) -> str:
+    """Return the SHA-256 of `token` as hexadecimal digits."""
+    return hashlib.sha256(token.encode()).hexdigest()

@@ -1,0 +1,1 @@
+"""A glove in use: its hand, its prompt, and what screens show of both."""

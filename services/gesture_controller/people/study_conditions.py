@@ -1,0 +1,63 @@
+"""Study conditions: whose gestures a participant of a study is asked for."""
+
+from dataclasses import dataclass
+
+from handover.errors import Problem
+from handover.messages import message
+
+
+@dataclass(frozen=True, slots=True)
+class StudyCondition:
+    """Whose gestures a participant is asked for: their `own`, the site's, or the usual ones (None)."""
+
+    participant: str
+    """The pseudonym."""
+    glove: str | None
+    person: str | None
+    own: bool | None = None
+
+    def overlaps(self, other: "StudyCondition") -> bool:
+        """Return True if both concern the same glove or the same person."""
+        same_glove = self.glove is not None and self.glove == other.glove
+        return same_glove or (self.person is not None and self.person == other.person)
+
+
+class StudyConditions:
+    """The conditions by study session; of the same glove or person, the newest one counts."""
+
+    def __init__(self) -> None:
+        self._conditions: dict[str, StudyCondition] = {}
+
+    def set(self, session: str, condition: StudyCondition) -> None:
+        """Add a condition; older ones of the same glove or person are dropped."""
+        self._conditions = {
+            key: one
+            for key, one in self._conditions.items()
+            if key != session and not one.overlaps(condition)
+        } | {session: condition}
+
+    def remove(self, session: str) -> bool:
+        """Remove the condition of a session; return False if it has none."""
+        return self._conditions.pop(session, None) is not None
+
+    def find(self, glove: str | None, person: str | None) -> StudyCondition | None:
+        """Return the condition of a glove or a person that decides whose gestures count, if any."""
+        wanted = StudyCondition("", glove, person)
+        found = (one for one in self._conditions.values() if one.overlaps(wanted) and one.own is not None)
+        return next(found, None)
+
+    def require_none(self, *, glove: str | None = None, person: str | None = None) -> None:
+        """Raise `Problem` 409 if a study decides whose gestures count for one of them."""
+        condition = self.find(glove, person)
+        if condition is not None:
+            raise Problem(
+                409,
+                "Study under way",
+                message(
+                    "people.in_study",
+                    "{participant} tries gestures in a study, so what {who} shows cannot change until this "
+                    "part is over; finish it on the page Study, or delete the session there",
+                    participant=condition.participant,
+                    who=person or glove,
+                ),
+            )

@@ -1,0 +1,112 @@
+"""Wearers: which person wears which glove, and the gestures and commands that each glove gets from it."""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from handover.telemetry import get_logger
+from services.gesture_controller.calibration.glove_fits import GloveFits
+from services.gesture_controller.calibration.glove_store import NOBODY, Fit
+from services.gesture_controller.gloves.glove import Glove
+from services.gesture_controller.gloves.known_gloves import KnownGloves
+from services.gesture_controller.people.people import People
+from services.gesture_controller.people.person import Person
+from services.gesture_controller.people.study_conditions import StudyCondition, StudyConditions
+from services.gesture_controller.recognition.gestures import Commands
+
+log = get_logger(__name__)
+
+
+class Wearers:
+    """Assigns gloves to people; `wearer_changed` is called with each glove that somebody else wears."""
+
+    def __init__(
+        self,
+        known: KnownGloves,
+        fits: GloveFits,
+        people: People,
+        wearer_changed: Callable[[Glove], None],
+    ) -> None:
+        self.people = people
+        self.conditions = StudyConditions()
+        self._known = known
+        self._fits = fits
+        self._wearer_changed = wearer_changed
+        self._assigning = asyncio.Lock()
+        fits.equip = self.equip
+        people.changed = self._equip_worn_by
+        people.also_known = lambda: {glove.person for glove in known if glove.person}
+
+    async def wear(self, glove: Glove, person: str | None) -> None:
+        """Store that `person` (None: nobody by name) wears `glove` from now on.
+
+        Another glove of the same hand that they wore has no wearer then. A current Task stays unchanged.
+        """
+        async with self._assigning:
+            if person == glove.person:
+                return
+            records = self._fits.records
+            taken_off = [one for one in self._known.worn_by(person) if one.hand == glove.hand]
+            await records.save(
+                *(replace(records.of(one), person=NOBODY) for one in taken_off),
+                replace(records.of(glove), person=person or NOBODY),
+            )
+            for one in taken_off:
+                self._assign(one, None)
+            self._assign(glove, person)
+        log.info("glove has another wearer", glove=glove.name, person=person or "nobody")
+
+    async def import_profile(self, person: Person, fits: Mapping[str, Fit]) -> None:
+        """Store and apply `person` and their fits in place of everything stored for them."""
+        async with self.people.changing, self._fits.records.writing:
+            stored = await self.people.save_profile(person, fits)
+            self._fits.records.replace_fits(person.name, stored)
+            self.people.replace(person)
+        for glove in self._known.worn_by(person.name):
+            self._assign(glove, person.name)
+
+    async def apply_condition(self, session: str, condition: StudyCondition, *, is_restart: bool) -> None:
+        """Ask a participant for the gestures of `condition` from the next Task on, with any glove.
+
+        The participant wears the glove of the session from now on. With `is_restart` the glove keeps its
+        wearer, since the session may be an old one that was never finished.
+        """
+        self.conditions.set(session, condition)
+        glove = self._known.get(condition.glove or "")
+        if glove is not None and condition.person is not None and not is_restart:
+            await self.wear(glove, condition.person)
+        self._equip_all()
+
+    def end_condition(self, session: str) -> None:
+        """Ask for everybody's usual gestures again."""
+        if self.conditions.remove(session):
+            self._equip_all()
+
+    def condition_of(self, glove: Glove) -> StudyCondition | None:
+        """Return the study condition that applies to `glove`, if any."""
+        return self.conditions.find(glove.name, glove.person)
+
+    def commands_of(self, glove: str, person: str | None) -> Commands:
+        """Return the commands of a glove on a person; a study condition may select those of the site."""
+        condition = self.conditions.find(glove, person)
+        return self.people.commands_of(None if condition is not None and not condition.own else person)
+
+    def equip(self, glove: Glove) -> None:
+        """Give `glove` the gestures and commands of its wearer; the current prompt stays unchanged."""
+        gestures = self.people.gestures_of(glove.person)
+        if glove.responder.prompt is not None:
+            gestures = gestures.with_parts(glove.responder.prompt.spec.all_parts)
+        glove.equip(gestures, self.commands_of(glove.name, glove.person))
+
+    def _equip_worn_by(self, person: str) -> None:
+        for glove in self._known.worn_by(person):
+            self.equip(glove)
+
+    def _equip_all(self) -> None:
+        for glove in self._known:
+            self.equip(glove)
+
+    def _assign(self, glove: Glove, person: str | None) -> None:
+        glove.person = person
+        self._fits.apply(glove)
+        self._wearer_changed(glove)

@@ -1,0 +1,224 @@
+"""Calibration with the real controller: guided by the hand's own frames, chosen, kept through `kill -9`."""
+
+import asyncio
+import sqlite3
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pytest
+
+from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, Posture, SimulatedHand
+from services.gesture_controller.calibration.drift_persistence import MIN_SAVED_CHANGE
+
+POINT: Posture = (0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+class SimulatedWearer:
+    """A simulated hand in a TCP glove; its clock runs as fast as frames are sent."""
+
+    def __init__(self, glove: Any) -> None:
+        self.glove = glove
+        self.hand = SimulatedHand(5, posture=AT_REST)
+
+    def show(self, posture: Posture, seconds: float) -> None:
+        """Move to `posture` and keep it."""
+        self.hand.move(posture, 0.3)
+        self.send([self.hand.read() for _ in range(round(seconds * 50))])
+
+    def send(self, frames: Sequence[Sequence[float]]) -> None:
+        """Send frames at 50 Hz of the glove's own clock."""
+        lines = []
+        for bend in frames:
+            self.glove.t_s = round(self.glove.t_s + 0.02, 3)
+            lines.append(
+                orjson.dumps({"type": "frame", "t": self.glove.t_s, "bend": [float(one) for one in bend]})
+            )
+        self.glove.link.sendall(b"\n".join(lines) + b"\n")
+
+
+@pytest.fixture
+def wearer(put_on: Callable[..., Any], bench: Any) -> SimulatedWearer:
+    """A person who has put on glove-1."""
+    worn = SimulatedWearer(put_on())
+    worn.show(AT_REST, 0.2)
+    return worn
+
+
+def guide(bench: Any, **new: Any) -> dict[str, Any]:
+    answer = bench.screen.post("/gloves/glove-1/calibration/guide", json=new)
+    assert answer.status_code == 201, answer.text
+    begun: dict[str, Any] = answer.json()
+    return begun
+
+
+def outcome(bench: Any) -> dict[str, Any] | None:
+    told: dict[str, Any] | None = bench.view()["calibration"]["outcome"]
+    return told
+
+
+async def test_a_hand_is_guided_and_read_by_what_it_showed_after_a_crash_too(
+    bench: Any,
+    wearer: SimulatedWearer,
+    put_on: Callable[..., Any],
+    running_cell: Any,
+    eventually: Callable[..., None],
+) -> None:
+    begun = guide(bench)
+    assert begun["message"]["key"] == "calibration.fist.soon"
+    assert bench.view()["testing"], "nothing that is shown meanwhile answers a Task"
+    wearer.show(FIST, 4.5)
+    eventually(lambda: bench.view()["calibration"]["step"] == "open")
+    wearer.show(OPEN_HAND, 5)
+    eventually(lambda: outcome(bench) is not None)
+    assert outcome(bench) == {"applied": True, "problem": None, "doubts": []}
+    view = bench.view()
+    assert not view["testing"]
+    assert 480 < view["thresholds"]["index"]["lower"] < view["thresholds"]["index"]["upper"] < 720
+    chosen = bench.screen.put("/gloves/glove-1/recognizer", json={"name": "personal"})
+    assert chosen.json()["missing"] is None
+
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    again = SimulatedWearer(put_on())
+    again.show(POINT, 1.5)
+    eventually(lambda: bench.view()["gesture"] == "Point with index")
+    assert bench.view()["recognizer"] == {"name": "personal", "missing": None}
+    told = bench.screen.get("/gloves/glove-1/recognition").json()
+    assert told["odds"]["Point with index"] > 0.9
+    assert "index" in told["why"]
+
+
+async def test_a_drift_that_was_followed_outlives_a_crash_and_ends_with_the_next_calibration(
+    bench: Any,
+    wearer: SimulatedWearer,
+    put_on: Callable[..., Any],
+    running_cell: Any,
+    eventually: Callable[..., None],
+) -> None:
+    frames = {"fist": [[300.0] * 5] * 50, "open": [[700.0] * 5] * 50}
+    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
+    wearer.send([[300.0, 636, 636, 300, 300]] * 4000)  # 84 % of the span, where it should be 92 %
+    eventually(lambda: bench.view()["frames"] > 4000)
+    followed = bench.view()["drift"]
+    assert followed["index"] < -20
+    database = running_cell.data_dir / "gesture_controller.db"
+    followed_to = pytest.approx(list(followed.values()), abs=MIN_SAVED_CHANGE * 400)
+    eventually(lambda: kept_drift(database) == followed_to)
+    kept = kept_drift(database)
+
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    assert list(bench.view()["drift"].values()) == pytest.approx(kept, abs=0.01)
+    again = SimulatedWearer(put_on())
+    again.send([[300.0, 636, 636, 300, 300]] * 10)
+    eventually(lambda: bench.view()["gesture"] == "Index and middle straight")
+    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    assert set(bench.view()["drift"].values()) == {0.0}, "it belonged to the calibration before"
+
+
+async def test_a_guide_that_a_crash_interrupted_is_told_of_until_another_begins(
+    bench: Any,
+    wearer: SimulatedWearer,
+    put_on: Callable[..., Any],
+    running_cell: Any,
+    eventually: Callable[..., None],
+) -> None:
+    thresholds = bench.view()["thresholds"]
+    guide(bench)
+    wearer.show(FIST, 4.5)
+    eventually(lambda: bench.view()["calibration"]["step"] == "open")
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    view = bench.view()
+    assert view["calibration"]["phase"] == "interrupted"
+    assert "nothing was changed, begin again" in view["calibration"]["outcome"]["problem"]
+    assert not view["testing"], "Tasks are answered again"
+    assert view["thresholds"] == thresholds
+    again = SimulatedWearer(put_on())
+    again.show(AT_REST, 0.2)
+    guide(bench, countdownMs=0)
+    again.show(FIST, 2)
+    again.show(OPEN_HAND, 3)
+    eventually(lambda: outcome(bench) == {"applied": True, "problem": None, "doubts": []})
+    running_cell.kill("gesture_controller")
+    running_cell.start("gesture_controller")
+    assert bench.view()["calibration"] is None
+
+
+def kept_drift(database: Path) -> list[float] | None:
+    """What the controller has kept so far of how glove-1 has drifted."""
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
+        rows = connection.execute("SELECT offsets FROM controller_drifts WHERE glove = 'glove-1'").fetchall()
+    return orjson.loads(rows[0][0]) if rows else None
+
+
+async def test_what_is_offered_counts_once_it_is_accepted(
+    bench: Any, wearer: SimulatedWearer, eventually: Callable[..., None]
+) -> None:
+    before = bench.view()["thresholds"]
+    guide(bench, apply=False, countdownMs=200)
+    wearer.show(FIST, 2)
+    wearer.show(OPEN_HAND, 3)
+    eventually(lambda: outcome(bench) is not None)
+    assert outcome(bench)["offered"]["levels"]["index"]["open"] > 600
+    assert bench.view()["thresholds"] == before
+    accepted = bench.screen.post("/gloves/glove-1/calibration/accept").json()
+    assert accepted["thresholds"] != before
+    assert not accepted["offered"]
+    assert bench.screen.post("/gloves/glove-1/calibration/accept").status_code == 409
+    restored = bench.screen.post("/gloves/glove-1/thresholds/restore").json()
+    assert restored["thresholds"] == before
+
+
+async def test_a_sample_is_shown_and_forgotten(
+    bench: Any, wearer: SimulatedWearer, eventually: Callable[..., None]
+) -> None:
+    refused = bench.screen.post("/gloves/glove-1/calibration/guide", json={"gesture": "Horns"})
+    assert refused.status_code == 409
+    assert "calibrate it with them first" in refused.json()["detail"]
+    hand = SimulatedHand(9, posture=FIST)
+    fist = [hand.read() for _ in range(50)]
+    hand = SimulatedHand(9, posture=OPEN_HAND)
+    open_hand = [hand.read() for _ in range(50)]
+    frames = {"fist": fist, "open": open_hand}
+    bench.screen.post("/gloves/glove-1/calibration", json=frames).raise_for_status()
+    guide(bench, gesture="point with index", countdownMs=0)
+    wearer.show(POINT, 3)
+    eventually(lambda: outcome(bench) is not None)
+    assert outcome(bench)["applied"]
+    samples = bench.screen.get("/gloves/glove-1/calibration").json()["samples"]
+    assert samples["20222"]["shares"][1] > 0.8
+    assert bench.screen.delete("/gloves/glove-1/samples/Point with index").status_code == 204
+    assert bench.screen.delete("/gloves/glove-1/samples/20222").status_code == 404
+    assert bench.screen.get("/gloves/glove-1/calibration").json()["samples"] == {}
+
+
+async def test_a_level_that_jumps_raises_an_alert_until_the_next_calibration(
+    bench: Any, wearer: SimulatedWearer, eventually: Callable[..., None]
+) -> None:
+    fist, open_hand = [[300.0] * 5] * 50, [[700.0] * 5] * 50
+    bench.screen.post("/gloves/glove-1/calibration", json={"fist": fist, "open": open_hand})
+    wearer.send(open_hand)
+    wearer.send([[700.0, 700, 700, 860, 700]] * 100)
+    eventually(lambda: bench.view()["calibrationNeeded"])
+    assert "ring jumped" in bench.view()["calibrationNeeded"]
+
+    async def standing() -> list[str]:
+        alerts = [one for one in await bench.alerts() if one["subCategory"]["value"] == "calibrationNeeded"]
+        return [one["id"] for one in alerts if "validTo" not in one]
+
+    await _until(standing, 1)
+    bench.screen.post("/gloves/glove-1/calibration", json={"fist": fist, "open": open_hand})
+    assert bench.view()["calibrationNeeded"] is None
+    await _until(standing, 0)
+
+
+async def _until(listed: Callable[[], Any], count: int) -> None:
+    async with asyncio.timeout(120):
+        while len(await listed()) != count:
+            await asyncio.sleep(0.05)
