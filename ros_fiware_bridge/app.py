@@ -12,7 +12,9 @@ from handover.errors import Problem
 from handover.messages import message
 from handover.service import create_app
 from handover.storage import storage_check
-from ros_fiware_bridge import graph_view, mapping
+from ros_fiware_bridge import mapping
+from ros_fiware_bridge.graph.joining import load_adapter
+from ros_fiware_bridge.inspection import graph_view
 from ros_fiware_bridge.joining import join
 from ros_fiware_bridge.mapping.document import Document
 from ros_fiware_bridge.rules import plan as planning
@@ -39,6 +41,7 @@ class _BridgeHolder:
 
 def make_app(settings: BridgeSettings) -> FastAPI:
     """Return the application. Raises `UsageError` if the settings or the mapping cannot work."""
+    load_adapter(settings.ros_adapter)
     document = read_mapping(settings)
     store = planning.type_store(document)
     planning.make(document, store, settings.factory)  # report errors of the mapping before anything starts

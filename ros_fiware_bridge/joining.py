@@ -1,7 +1,7 @@
 """Joins the ROS graph with the settings of the bridge."""
 
 from ros_fiware_bridge.graph import joining
-from ros_fiware_bridge.graph.joining import Adapter, JoinSettings
+from ros_fiware_bridge.graph.join_settings import JoinSettings
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.settings import BridgeSettings
 from ros_fiware_bridge.types.type_store import TypeStore
@@ -18,4 +18,4 @@ async def join(settings: BridgeSettings, store: TypeStore) -> RosGraph:
         max_message_bytes=settings.ros_max_message_bytes,
         rosbridge_url=settings.rosbridge_url,
     )
-    return await joining.join(store, asked, Adapter(settings.ros_adapter))
+    return await joining.join(store, asked, settings.ros_adapter)

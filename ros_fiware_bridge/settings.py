@@ -1,7 +1,7 @@
 """The settings of the ROS bridge, in addition to those that every component shares."""
 
 import os
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import Field
 
@@ -29,10 +29,11 @@ class BridgeSettings(Settings):
     ros_mapping: MaybePath = Field(
         None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
     )
-    ros_adapter: Literal["auto", "cyclone", "rclpy", "rosbridge"] = Field(
+    ros_adapter: str = Field(
         "auto",
+        min_length=1,
         description="the graph adapter: cyclone (DDS from a wheel), rclpy, a rosbridge server, or "
-        "auto: cyclone, and rclpy for services of nodes on Fast DDS, where it is installed",
+        "auto: cyclone, and rclpy for services of nodes on Fast DDS, where it is installed; or a plug-in",
     )
     ros_domain_id: int = Field(
         default_factory=_ros_domain_id,

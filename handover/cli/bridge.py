@@ -33,21 +33,22 @@ def check(
     wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
     """Say what a mapping would do, or what is wrong with it and where."""
-    from ros_fiware_bridge import explaining, mapping  # noqa: PLC0415 - only this command needs it
+    from ros_fiware_bridge import mapping  # noqa: PLC0415 - only this command needs it
+    from ros_fiware_bridge.inspection import description  # noqa: PLC0415
     from ros_fiware_bridge.rules import plan  # noqa: PLC0415
 
     settings = BridgeSettings.load()
     document = mapping.load(file)
     store = plan.type_store(document)
     if not live:
-        for line in explaining.lines(plan.make(document, store, settings.factory)):
+        for line in description.lines(plan.make(document, store, settings.factory)):
             print(line)
         return
 
     async def look(graph: Any) -> list[str]:
         types = {topic.name: topic.type_names for topic in graph.topics()}
         made = plan.make(document, store, settings.factory, lambda topic: types.get(topic, ()))
-        return [*explaining.lines(made), *explaining.against(made, graph)]
+        return [*description.lines(made), *description.problems(made, graph)]
 
     for line in asyncio.run(_on_the_graph(settings, store, wait_s, look)):
         print(line)
@@ -56,7 +57,7 @@ def check(
 @app.command()
 def graph(wait_s: WaitS = DISCOVERY_WAIT_S) -> None:
     """Print what is on the ROS graph, and the entities in the broker."""
-    from ros_fiware_bridge import graph_view  # noqa: PLC0415
+    from ros_fiware_bridge.inspection import graph_view  # noqa: PLC0415
     from ros_fiware_bridge.types.type_store import TypeStore  # noqa: PLC0415
 
     settings = BridgeSettings.load()
@@ -89,7 +90,7 @@ def scaffold(
     wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
     """Write a mapping for a topic to the standard output."""
-    from ros_fiware_bridge import scaffolding  # noqa: PLC0415
+    from ros_fiware_bridge.inspection import scaffolding  # noqa: PLC0415
     from ros_fiware_bridge.mapping import names  # noqa: PLC0415
     from ros_fiware_bridge.types.type_store import TypeStore  # noqa: PLC0415
 
@@ -125,15 +126,15 @@ def definitions(
     wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
     """Learn the definition of a topic's type from the node that publishes it (ROS 2 Jazzy and later)."""
-    from ros_fiware_bridge import learning  # noqa: PLC0415
+    from ros_fiware_bridge.inspection import definition_retrieval  # noqa: PLC0415
     from ros_fiware_bridge.types.type_store import TypeStore  # noqa: PLC0415
 
     async def look(found: Any) -> Any:
-        return await learning.learn(found, topic)
+        return await definition_retrieval.retrieve(found, topic)
 
-    learned = asyncio.run(_on_the_graph(BridgeSettings.load(), TypeStore(), wait_s, look))
-    learning.write(learned, to)
-    for name in sorted(learned):
+    retrieved = asyncio.run(_on_the_graph(BridgeSettings.load(), TypeStore(), wait_s, look))
+    definition_retrieval.write(retrieved, to)
+    for name in sorted(retrieved):
         print(to / name)
 
 

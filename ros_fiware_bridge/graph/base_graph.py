@@ -4,7 +4,7 @@ from typing import Any
 
 from ros_fiware_bridge.errors import GraphClosed, MessageTooBig
 from ros_fiware_bridge.graph import names
-from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.join_settings import JoinSettings
 from ros_fiware_bridge.types.type_store import TypeStore
 
 

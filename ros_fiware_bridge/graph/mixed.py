@@ -10,13 +10,16 @@ requests of Cyclone clients, and execute each request twice.
 
 import asyncio
 import contextlib
+import importlib.util
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import replace
 
 import structlog
 
 from ros_fiware_bridge.errors import GraphError, VendorNotShared
 from ros_fiware_bridge.graph.cyclone.graph import CycloneGraph
 from ros_fiware_bridge.graph.cyclone.services import VENDOR
+from ros_fiware_bridge.graph.join_settings import JoinSettings
 from ros_fiware_bridge.graph.port import (
     ActionClient,
     ActionHandler,
@@ -35,6 +38,7 @@ from ros_fiware_bridge.graph.port import (
 )
 from ros_fiware_bridge.graph.qos import DEFAULT, Qos
 from ros_fiware_bridge.graph.waiting import until
+from ros_fiware_bridge.types.type_store import TypeStore
 
 log = structlog.get_logger(__name__)
 
@@ -50,8 +54,24 @@ JoinRclpy = Callable[[], Awaitable[tuple[RosGraph, str]]]
 """Joins the graph through rclpy; returns it and the name of its RMW implementation."""
 
 
+async def join(store: TypeStore, settings: JoinSettings) -> RosGraph:
+    """Join the graph with Cyclone DDS, and with rclpy for services if it is installed; see `joining.Join`."""
+    own = await CycloneGraph.join(store, settings)
+    if importlib.util.find_spec("rclpy") is None:
+        return own
+    beside = replace(settings, node=f"{settings.node}_rclpy")
+    return MixedGraph(own, lambda: _join_rclpy(store, beside))
+
+
+async def _join_rclpy(store: TypeStore, settings: JoinSettings) -> tuple[RosGraph, str]:
+    from ros_fiware_bridge.graph.ros_installed.graph import RosInstalledGraph  # noqa: PLC0415 - if needed
+
+    graph = await RosInstalledGraph.join(store, settings)
+    return graph, graph.middleware
+
+
 class MixedGraph:
-    """See `port.RosGraph`. Created by `joining.join`; `join_rclpy` is called at most once."""
+    """See `port.RosGraph`. Created by `join`; `join_rclpy` is called at most once."""
 
     def __init__(self, own: CycloneGraph, join_rclpy: JoinRclpy) -> None:
         self.own = own

@@ -6,8 +6,9 @@ import secrets
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from ros_fiware_bridge.errors import CallTimeout, GoalRefused, GraphClosed
+from ros_fiware_bridge.errors import GoalRefused
 from ros_fiware_bridge.graph.cyclone.services import CycloneClient
+from ros_fiware_bridge.graph.goals import result_within
 from ros_fiware_bridge.graph.port import GoalResult, GoalStatus, Message, Received, Subscription
 from ros_fiware_bridge.graph.qos import DEFAULT, LATCHED, Qos
 from ros_fiware_bridge.types.wrappers import CANCEL_GOAL, GOAL_STATUS_ARRAY
@@ -50,14 +51,7 @@ class CycloneGoal:
         """Wait for the end of the goal."""
         if self._result is None or (self._result.done() and self._result.exception() is not None):
             self._result = asyncio.get_running_loop().create_task(self._client.ask_result(self))
-        try:
-            return await asyncio.wait_for(asyncio.shield(self._result), timeout_s)
-        except asyncio.CancelledError:
-            if self._result.cancelled():  # by `forget`, not by the caller
-                raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
-            raise
-        except TimeoutError:
-            raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
+        return await result_within(self._result, self._client.name, timeout_s)
 
     async def cancel(self, timeout_s: float = 5.0) -> bool:
         """Request the cancellation."""

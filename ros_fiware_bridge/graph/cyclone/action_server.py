@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import structlog
 
 from ros_fiware_bridge.errors import BadMessage, GraphError
+from ros_fiware_bridge.graph.goals import CancelSignal
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     GoalEnded,
@@ -41,10 +42,11 @@ class ActionTransport(Protocol):
         """Publish on a topic."""
 
 
-class CycloneServedGoal:
+class CycloneServedGoal(CancelSignal):
     """A goal that is being executed; see `port.ServedGoal`."""
 
     def __init__(self, server: "CycloneActionServer", goal_id: bytes, request: Message) -> None:
+        super().__init__()
         self.goal_id = goal_id
         self.request = request
         self.status = GoalStatus.ACCEPTED
@@ -53,7 +55,6 @@ class CycloneServedGoal:
         self.result: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
         self.task: asyncio.Task[None] | None = None
         self._server = server
-        self._cancel = asyncio.Event()
 
     @property
     def info(self) -> Message:
@@ -61,19 +62,10 @@ class CycloneServedGoal:
         sec, nanosec = divmod(self.accepted_ns, 10**9)
         return {"goal_id": {"uuid": self.goal_id}, "stamp": {"sec": sec, "nanosec": nanosec}}
 
-    @property
-    def cancel_requested(self) -> bool:
-        """Return whether the client has requested the cancellation."""
-        return self._cancel.is_set()
-
-    async def wait_cancel_requested(self) -> None:
-        """Wait until the client requests the cancellation."""
-        await self._cancel.wait()
-
     def cancel(self) -> None:
         """Record the request of the client."""
         self.status = GoalStatus.CANCELING
-        self._cancel.set()
+        self.request_cancel()
 
     def feedback(self, feedback: Message) -> None:
         """Send feedback to the client."""

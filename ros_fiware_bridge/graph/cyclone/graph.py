@@ -13,7 +13,7 @@ from ros_fiware_bridge.graph.cyclone.domain import DomainSettings
 from ros_fiware_bridge.graph.cyclone.node import OwnNode
 from ros_fiware_bridge.graph.cyclone.services import CycloneClient, CycloneServer, obstacle
 from ros_fiware_bridge.graph.cyclone.topics import CyclonePublisher, CycloneSubscription
-from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.join_settings import JoinSettings
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,

@@ -4,11 +4,13 @@ Pure functions of the state that discovery maintains.
 """
 
 from collections import defaultdict
+from collections.abc import Iterator
 
-from ros_fiware_bridge.errors import GraphError, IncompatibleQos, TypeHashDiffers, VendorNotShared
+from ros_fiware_bridge.errors import GraphError, VendorNotShared
 from ros_fiware_bridge.graph.cyclone import dds_names
 from ros_fiware_bridge.graph.cyclone.discovery import DiscoveredEndpoint, GraphSnapshot
 from ros_fiware_bridge.graph.cyclone.services import VENDOR, vendor_refused
+from ros_fiware_bridge.graph.peer_problems import topic_problems
 from ros_fiware_bridge.graph.port import ActionInfo, Endpoint, NodeInfo, ServiceInfo, TopicInfo
 
 _HIDDEN = "/_action/"
@@ -16,11 +18,15 @@ _SEND_GOAL = "/_action/send_goal"
 
 
 def topics(snapshot: GraphSnapshot) -> list[TopicInfo]:
-    """Return the topics by name."""
+    """Return the topics by name, without those of actions."""
+    return [one for one in _all_topics(snapshot) if _HIDDEN not in one.name]
+
+
+def _all_topics(snapshot: GraphSnapshot) -> list[TopicInfo]:
     found: dict[str, list[DiscoveredEndpoint]] = defaultdict(list)
     for one in snapshot.endpoints:
         name = dds_names.to_topic(one.topic)
-        if name is not None and _HIDDEN not in name:
+        if name is not None:
             found[name].append(one)
     return [
         TopicInfo(
@@ -98,51 +104,15 @@ def nodes(snapshot: GraphSnapshot) -> list[NodeInfo]:
 
 def problems(snapshot: GraphSnapshot) -> list[GraphError]:
     """Return the incompatibilities between our endpoints and their peers on topics and services."""
-    met: dict[str, list[DiscoveredEndpoint]] = defaultdict(list)
-    for one in snapshot.endpoints:
-        met[one.topic].append(one)
-    found: list[GraphError] = []
-    for ends in met.values():
-        for ours in ends:
+    return [*topic_problems(_all_topics(snapshot)), *_service_problems(snapshot)]
+
+
+def _service_problems(snapshot: GraphSnapshot) -> Iterator[GraphError]:
+    for name, requests in _requests(snapshot):
+        for ours in requests:
             if ours.participant != snapshot.own:
                 continue
-            for theirs in ends:
-                if theirs.participant != snapshot.own and theirs.writes is not ours.writes:
-                    fault = _between(snapshot, ours, theirs)
-                    if fault is not None:
-                        found.append(fault)
-    return found
-
-
-def _between(
-    snapshot: GraphSnapshot, ours: DiscoveredEndpoint, theirs: DiscoveredEndpoint
-) -> GraphError | None:
-    node = snapshot.node_of(theirs) or f"a program ({theirs.vendor})"
-    name = dds_names.to_topic(ours.topic)
-    if name is None:
-        service = dds_names.to_service(ours.topic)
-        if service is None or theirs.vendor == VENDOR or not service[1]:
-            return None
-        doing = "calls" if theirs.writes else "serves"
-        return VendorNotShared(vendor_refused(service[0], theirs, snapshot.node_of(theirs), doing))
-    wanted, given = dds_names.to_type(ours.dds_type), dds_names.to_type(theirs.dds_type)
-    does = "publishes" if theirs.writes else "subscribes to"
-    if wanted != given:
-        return TypeHashDiffers(f"{name}: {node} {does} {given}, we use {wanted}; give the rule that type")
-    if theirs.type_hash is not None and theirs.type_hash != ours.type_hash:
-        return TypeHashDiffers(
-            f"{name}: {node} {does} another definition of {wanted} (its hash is {theirs.type_hash}, ours is "
-            f"{ours.type_hash}); name the files of its definition in type_paths"
-        )
-    reader, writer = (theirs, ours) if ours.writes else (ours, theirs)
-    why = reader.qos.unmet(writer.qos)
-    if why is None:
-        return None
-    return IncompatibleQos(
-        f"{name}: {node} {does} it with {_short(theirs)}, we have {_short(ours)}; {why}, so nothing passes; "
-        f"change the quality of service of the rule"
-    )
-
-
-def _short(one: DiscoveredEndpoint) -> str:
-    return f"{one.qos.reliability.value}, {one.qos.durability.value}"
+            for theirs in requests:
+                if theirs.writes is not ours.writes and theirs.vendor != VENDOR:
+                    doing = "calls" if theirs.writes else "serves"
+                    yield VendorNotShared(vendor_refused(name, theirs, snapshot.node_of(theirs), doing))

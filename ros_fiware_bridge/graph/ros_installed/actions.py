@@ -9,7 +9,8 @@ from typing import Any
 
 import structlog
 
-from ros_fiware_bridge.errors import CallTimeout, GoalRefused, GraphClosed, ServiceUnavailable
+from ros_fiware_bridge.errors import CallTimeout, GoalRefused, ServiceUnavailable
+from ros_fiware_bridge.graph.goals import CancelSignal, result_within
 from ros_fiware_bridge.graph.port import ActionHandler, GoalEnded, GoalResult, GoalStatus, Message
 from ros_fiware_bridge.graph.ros_installed.own_node import (
     DISCOVERY_DELAY_S,
@@ -46,14 +47,7 @@ class RosGoal:
         """Wait for the end of the goal."""
         if self._ended is None or (self._ended.done() and self._ended.exception() is not None):
             self._ended = asyncio.get_running_loop().create_task(self._client.ask_result(self._handle))
-        try:
-            return await asyncio.wait_for(asyncio.shield(self._ended), timeout_s)
-        except asyncio.CancelledError:
-            if self._ended.cancelled():  # by `forget`, not by the caller
-                raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
-            raise
-        except TimeoutError:
-            raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
+        return await result_within(self._ended, self._client.name, timeout_s)
 
     async def cancel(self, timeout_s: float = 5.0) -> bool:
         """Request the cancellation."""
@@ -158,30 +152,17 @@ class RosActionClient:
             self._closed(self)
 
 
-class RosServedGoal:
+class RosServedGoal(CancelSignal):
     """A goal that is being executed; see `port.ServedGoal`."""
 
     def __init__(self, server: "RosActionServer", handle: Any, request: Message) -> None:
+        super().__init__()
         self.goal_id = bytes(handle.goal_id.uuid)
         self.request = request
         self._server = server
         self._handle = handle
-        self._cancel = asyncio.Event()
         if handle.is_cancel_requested:
-            self._cancel.set()
-
-    @property
-    def cancel_requested(self) -> bool:
-        """Return whether the client has requested the cancellation."""
-        return self._cancel.is_set()
-
-    async def wait_cancel_requested(self) -> None:
-        """Wait until the client requests the cancellation."""
-        await self._cancel.wait()
-
-    def cancel(self) -> None:
-        """Record the request of the client."""
-        self._cancel.set()
+            self.request_cancel()
 
     def feedback(self, feedback: Message) -> None:
         """Send feedback to the client."""
@@ -240,7 +221,7 @@ class RosActionServer:
     def _cancelled(self, handle: Any) -> Any:
         goal = self._goals.get(bytes(handle.goal_id.uuid))
         if goal is not None:
-            call(self._loop, goal.cancel)
+            call(self._loop, goal.request_cancel)
         return self._cancel_response.ACCEPT
 
     def _execute(self, handle: Any) -> Any:

@@ -7,7 +7,8 @@ from typing import Any
 from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.base_graph import BaseGraph
-from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.join_settings import JoinSettings
+from ros_fiware_bridge.graph.peer_problems import topic_problems
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,
@@ -152,7 +153,7 @@ class RosInstalledGraph(BaseGraph):
 
     def problems(self) -> Sequence[GraphError]:
         """Return the present incompatibilities with peers."""
-        return view.problems(self.topics())
+        return topic_problems(self.topics())
 
     async def close(self) -> None:
         """Leave the graph."""

@@ -14,7 +14,7 @@ from typing import Any
 import structlog
 
 from ros_fiware_bridge.errors import AdapterUnavailable, TypeHashDiffers, UnknownType
-from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.join_settings import JoinSettings
 from ros_fiware_bridge.graph.port import Message
 from ros_fiware_bridge.graph.qos import Durability, History, Qos, Reliability
 from ros_fiware_bridge.types.type_store import TypeStore

@@ -1,10 +1,9 @@
 """The graph as the port reports it, from the functions of an installed ROS."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from ros_fiware_bridge.errors import GraphError, IncompatibleQos, TypeHashDiffers
 from ros_fiware_bridge.graph.port import ActionInfo, Endpoint, NodeInfo, ServiceInfo, TopicInfo
 from ros_fiware_bridge.graph.ros_installed.own_node import hash_of, offered
 
@@ -107,42 +106,3 @@ def nodes(node: Any, ours: str, vendor: str) -> list[NodeInfo]:
         for name, namespace, enclave in node.get_node_names_and_namespaces_with_enclaves()
     ]
     return sorted(found, key=lambda one: one.full_name)
-
-
-def problems(seen: Sequence[TopicInfo]) -> list[GraphError]:
-    """Return the incompatibilities between our endpoints and those of others on the same topics."""
-    found: list[GraphError] = []
-    for topic in seen:
-        for reader in topic.subscribers:
-            for writer in topic.publishers:
-                if reader.ours is not writer.ours:
-                    fault = _between(topic.name, reader, writer)
-                    if fault is not None:
-                        found.append(fault)
-    return found
-
-
-def _between(topic: str, reader: Endpoint, writer: Endpoint) -> GraphError | None:
-    theirs, ours = (writer, reader) if reader.ours else (reader, writer)
-    node = theirs.node or f"a program ({theirs.vendor})"
-    does = "publishes" if theirs is writer else "subscribes to"
-    if theirs.type_name != ours.type_name:
-        return TypeHashDiffers(
-            f"{topic}: {node} {does} {theirs.type_name}, we use {ours.type_name}; give the rule that type"
-        )
-    if theirs.type_hash is not None and theirs.type_hash != ours.type_hash:
-        return TypeHashDiffers(
-            f"{topic}: {node} {does} another definition of {ours.type_name} (its hash is {theirs.type_hash}, "
-            f"ours is {ours.type_hash}); build both from the same definition"
-        )
-    why = reader.qos.unmet(writer.qos)
-    if why is None:
-        return None
-    return IncompatibleQos(
-        f"{topic}: {node} {does} it with {_short(theirs)}, we have {_short(ours)}; {why}, so nothing passes; "
-        "change the quality of service of the rule"
-    )
-
-
-def _short(one: Endpoint) -> str:
-    return f"{one.qos.reliability.value}, {one.qos.durability.value}"

@@ -14,13 +14,13 @@ import structlog
 
 from ros_fiware_bridge.errors import (
     BadMessage,
-    CallTimeout,
     GoalRefused,
     GraphClosed,
     GraphError,
     PublishBlocked,
     ServiceUnavailable,
 )
+from ros_fiware_bridge.graph.goals import CancelSignal, result_within
 from ros_fiware_bridge.graph.port import ActionHandler, GoalEnded, GoalResult, GoalStatus, Message
 from ros_fiware_bridge.graph.rosbridge.connection import Connection, Operation
 from ros_fiware_bridge.graph.rosbridge.json_codec import JsonCodec
@@ -52,15 +52,7 @@ class RosbridgeGoal:
 
     async def result(self, timeout_s: float | None = None) -> GoalResult:
         """Wait for the end of the goal."""
-        try:
-            ended = await asyncio.wait_for(asyncio.shield(self._ended), timeout_s)
-        except asyncio.CancelledError:
-            if self._ended.cancelled():
-                raise GraphClosed(f"{self._client.name} was closed before the goal ended") from None
-            raise
-        except TimeoutError:
-            raise CallTimeout(f"{self._client.name}: the goal did not end within {timeout_s} s") from None
-        return self._client.made(ended)
+        return self._client.made(await result_within(self._ended, self._client.name, timeout_s))
 
     async def cancel(self, timeout_s: float = 5.0) -> bool:  # noqa: ARG002 - the port has it
         """Request the cancellation; the result shows whether it succeeded. False once the goal has ended."""
@@ -181,28 +173,19 @@ class RosbridgeActionClient:
             self._closed(self)
 
 
-class RosbridgeServedGoal:
+class RosbridgeServedGoal(CancelSignal):
     """A goal that is being executed; see `port.ServedGoal`."""
 
     def __init__(self, server: "RosbridgeActionServer", goal_id: str, request: Message) -> None:
+        super().__init__()
         self.goal_id = goal_id.encode()[:16].ljust(16, b"\0")
         self.request = request
         self._server = server
         self._id = goal_id
-        self.cancelling = asyncio.Event()
 
     def feedback(self, feedback: Message) -> None:
         """Send feedback to the client."""
         self._server.send_feedback(self._id, feedback)
-
-    @property
-    def cancel_requested(self) -> bool:
-        """Return whether the client has requested the cancellation."""
-        return self.cancelling.is_set()
-
-    async def wait_cancel_requested(self) -> None:
-        """Wait until the client requests the cancellation."""
-        await self.cancelling.wait()
 
 
 class RosbridgeActionServer:
@@ -256,7 +239,7 @@ class RosbridgeActionServer:
 
     def _cancel(self, operation: Operation) -> None:
         if (goal := self._goals.get(str(operation.get("id")))) is not None:
-            goal.cancelling.set()
+            goal.request_cancel()
 
     async def _work(self, goal_id: str, operation: Operation) -> None:
         self.calls += 1

@@ -7,7 +7,7 @@ from contextlib import suppress
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph import names
 from ros_fiware_bridge.graph.base_graph import BaseGraph
-from ros_fiware_bridge.graph.joining import JoinSettings
+from ros_fiware_bridge.graph.join_settings import JoinSettings
 from ros_fiware_bridge.graph.port import (
     ActionHandler,
     ActionInfo,

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge import explaining
 from ros_fiware_bridge.errors import IncompatibleQos, VendorNotShared
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
 from ros_fiware_bridge.graph.port import RosGraph
 from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA
+from ros_fiware_bridge.inspection import description
 from ros_fiware_bridge.mapping import parse
 from ros_fiware_bridge.rules import plan
 from ros_fiware_bridge.types.type_store import TypeStore
@@ -115,6 +115,6 @@ services: {repeat: {service: /repeat, type: rcl_interfaces/ListParameters, task:
 actions: {count: {action: /fibonacci, type: test_msgs/Fibonacci, task: b, resource: Device:r}}
 """
     await true(lambda: "/repeat" in {one.name for one in graph.services()} and graph.actions())
-    described = list(explaining.against(plan.make(parse(mapping), store, "demo"), graph))
+    described = list(description.problems(plan.make(parse(mapping), store, "demo"), graph))
     assert [one.partition(":")[0] for one in described] == ["repeat", "count"]
     assert all("serves it with fastdds, whose services cannot be reached" in one for one in described)

@@ -3,9 +3,9 @@
 import pytest
 
 from ros_fiware_bridge.graph.qos import LATCHED, SENSOR_DATA, Durability, Qos, Reliability
+from ros_fiware_bridge.inspection.scaffolding import mapping_for
 from ros_fiware_bridge.mapping import parse
 from ros_fiware_bridge.rules import plan
-from ros_fiware_bridge.scaffolding import mapping_for
 from ros_fiware_bridge.types.type_store import TypeStore
 
 TYPES = TypeStore()

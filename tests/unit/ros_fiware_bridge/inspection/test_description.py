@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ros_fiware_bridge import explaining
+from ros_fiware_bridge.inspection import description
 from ros_fiware_bridge.mapping import load
 from ros_fiware_bridge.rules import plan
 from ros_fiware_bridge.types.type_store import TypeStore
@@ -11,7 +11,7 @@ TYPES = TypeStore()
 
 
 def described(name: str) -> list[str]:
-    return list(explaining.lines(plan.make(load(Path(name)), TYPES, "demo")))
+    return list(description.lines(plan.make(load(Path(name)), TYPES, "demo")))
 
 
 def test_a_rule_is_described_with_its_type_entity_and_rate() -> None:

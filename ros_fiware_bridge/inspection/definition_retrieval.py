@@ -21,7 +21,7 @@ Definitions = Mapping[str, str]
 """The texts of definition files by path, such as `cell_msgs/msg/Part.msg`."""
 
 
-async def learn(graph: RosGraph, topic: str, timeout_s: float = 10.0) -> Definitions:
+async def retrieve(graph: RosGraph, topic: str, timeout_s: float = 10.0) -> Definitions:
     """Return the definitions of a topic's type and of all types that it contains.
 
     Raises:

@@ -37,7 +37,7 @@ def lines(plan: Plan) -> Iterator[str]:
         yield "no rules"
 
 
-def against(plan: Plan, graph: RosGraph) -> Iterator[str]:
+def problems(plan: Plan, graph: RosGraph) -> Iterator[str]:
     """Yield the reasons why rules do not work with the present graph."""
     topics = {topic.name: topic for topic in graph.topics()}
     for planned in plan.ros_to_ngsild:

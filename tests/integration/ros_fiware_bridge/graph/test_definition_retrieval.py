@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from ros_fiware_bridge import learning
 from ros_fiware_bridge.errors import GraphError, UnknownType
 from ros_fiware_bridge.graph.joining import Adapter, JoinSettings, installed, join
+from ros_fiware_bridge.inspection import definition_retrieval
 from ros_fiware_bridge.types.type_store import TypeStore
 from tests.integration.ros_fiware_bridge.graph.conftest import true
 from tests.kit.skipping import NO_ROS
@@ -59,13 +59,13 @@ async def test_a_message_is_decoded_with_definitions_of_its_node(domain_id: int,
             return any(end.node == "/cell/genuine" for end in ends)
 
         await true(is_named, 30)
-        learned = await learning.learn(graph, "/nested", 30)
-        assert set(learned) == {"test_msgs/msg/Nested.msg", "test_msgs/msg/BasicTypes.msg"}
+        retrieved = await definition_retrieval.retrieve(graph, "/nested", 30)
+        assert set(retrieved) == {"test_msgs/msg/Nested.msg", "test_msgs/msg/BasicTypes.msg"}
         with pytest.raises(GraphError, match="/nothing cannot be retrieved: no node uses it"):
-            await learning.learn(graph, "/nothing")
+            await definition_retrieval.retrieve(graph, "/nothing")
     finally:
         await graph.close()
-    learning.write(learned, tmp_path)
+    definition_retrieval.write(retrieved, tmp_path)
     graph = await join(TypeStore([tmp_path]), settings)
     try:
         got: asyncio.Queue[Any] = asyncio.Queue()

@@ -1,0 +1,1 @@
+"""Descriptions, scaffolds and views of mappings and graphs, for the command line and the REST interface."""
