@@ -1,4 +1,4 @@
-"""The trajectory tool's face: the robot's state over REST, its joints as a WebSocket stream."""
+"""REST interface of the trajectory tool, and the WebSocket stream of joint states."""
 
 import math
 from collections.abc import AsyncIterator
@@ -18,13 +18,13 @@ from services.trajectory_tool.robot import RobotFault
 from services.trajectory_tool.settings import TrajectorySettings
 
 STREAM_HZ = 30.0
-MOST_HZ = 125.0
+MAX_HZ = 125.0
 
 RobotView = dict[str, Any]
 
 
 def make_app(settings: TrajectorySettings) -> FastAPI:
-    """Return the application; raises `UsageError` when it could not work as it is set."""
+    """Return the application; raise `UsageError` for settings that do not work."""
     broker = BrokerClient(settings)
     controller = Controller(settings, broker)
 
@@ -50,7 +50,7 @@ def make_app(settings: TrajectorySettings) -> FastAPI:
 
 
 def view_of(controller: Controller) -> RobotView:
-    """Return what there is to say of the robot at this moment."""
+    """Return the present state of the robot."""
     cell, work = controller.cell, controller.work
     return {
         "id": controller.robot_name,
@@ -74,13 +74,13 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
 
     @app.get("/robots/{robot}", tags=["robots"])
     async def one_robot(robot: str) -> RobotView:
-        """Return the state of a robot: joints, tool pose, gripper, and the Task it does."""
+        """Return the state of a robot: joints, tool pose, gripper, and its Task."""
         _require_known(controller, robot)
         return view_of(controller)
 
     @app.get("/robots/{robot}/scene", tags=["robots"])
     async def scene(robot: str) -> dict[str, Any]:
-        """Return the cell round a robot, seen from its base: bins, fixtures, and where each part lies now."""
+        """Return the cell in the frame of the robot's base: bins, fixtures, and the pose of each part."""
         _require_known(controller, robot)
         cell = controller.cell
         parts = [{"part": one.part, "place": one.place, **one.pose.written()} for one in cell.contents.lying]
@@ -88,7 +88,7 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
 
     @app.post("/robots/{robot}/gripper/free", tags=["robots"])
     async def free(robot: str) -> RobotView:
-        """Open the gripper so that a person can take the part out of it; 409 while the robot does a Task."""
+        """Open the gripper so that a person can remove the part; 409 while the robot executes a Task."""
         _require_known(controller, robot)
         if controller.work is not None:
             raise Problem(
@@ -96,7 +96,7 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
                 "Robot at work",
                 message(
                     "robot.robot_at_work",
-                    "{robot} does {task}; wait for its end or cancel it",
+                    "{robot} executes {task}; wait for its end or cancel it",
                     robot=robot,
                     task=controller.work.task,
                 ),
@@ -109,7 +109,7 @@ def _add_robots(app: FastAPI, controller: Controller) -> None:
                 "Robot fault",
                 message("robot.robot_fault", "the gripper cannot be opened: {fault}", fault=text_of(fault)),
             ) from fault
-        controller.device.tell(controller.device.state)
+        controller.device.set_state(controller.device.state)
         return view_of(controller)
 
 
@@ -147,14 +147,14 @@ def _rate(asked: str | None) -> float:
         hz = float(asked)
     except ValueError:
         hz = math.nan
-    if not 0 < hz <= MOST_HZ:
+    if not 0 < hz <= MAX_HZ:
         raise Problem(
             400,
             "No such rate",
             message(
                 "robot.no_such_rate",
                 "hz must be a number above 0 and at most {limit}",
-                limit=f"{MOST_HZ:.0f}",
+                limit=f"{MAX_HZ:.0f}",
             ),
         )
     return hz

@@ -1,4 +1,4 @@
-"""The cell: robot, camera and parts, as they are now and as they are remembered."""
+"""The cell: robot, camera and parts, with their stored state."""
 
 import asyncio
 from typing import Self
@@ -6,7 +6,7 @@ from typing import Self
 from handover.broker import BrokerClient
 from handover.telemetry import get_logger
 from services.trajectory_tool.camera import Camera
-from services.trajectory_tool.contents import Contents, Lying, fresh
+from services.trajectory_tool.contents import Contents, Lying, initial
 from services.trajectory_tool.memory import Act, Memory, MemoryFile
 from services.trajectory_tool.poses import Pose
 from services.trajectory_tool.robot import Joints, Robot
@@ -21,7 +21,7 @@ class Cell:
     """One robot with its gripper, the camera, the scene around it and the parts in it.
 
     An asynchronous context manager while the robot is switched on. A robot behind ROS is reached through
-    `broker`. Raises `UsageError` when the memory in the data directory cannot be used.
+    `broker`. Raises `UsageError` when the stored state cannot be used.
     """
 
     def __init__(
@@ -37,11 +37,11 @@ class Cell:
         self.file = MemoryFile(settings.data_dir / "trajectory_tool" / f"{settings.robot_name}.json")
         self.camera = Camera(settings.detection_rate, settings.scan_seed)
         known = self.file.load(scene.digest())
-        self.contents: Contents = known.contents if known else fresh(scene)
+        self.contents: Contents = known.contents if known else initial(scene)
         self.last_act: Act | None = known.last_act if known else None
         self.seen: str | None = known.seen if known else None
         self.in_hand = asyncio.Lock()
-        """Held by whoever has the robot or its gripper in hand: one Task, or a person."""
+        """Locked while a Task or a person uses the robot or its gripper."""
         self.robot: Robot = self._robot(settings, known, clock, broker)
 
     async def __aenter__(self) -> Self:
@@ -53,16 +53,16 @@ class Cell:
         try:
             await self.remember()
         except OSError:
-            log.exception("the cell is not remembered as it is now", file=str(self.file.path))
+            log.exception("state of the cell not stored", file=str(self.file.path))
 
     @property
     def joints(self) -> Joints:
-        """Return the joint angles as they are now, in rad."""
+        """Return the present joint angles in rad."""
         return self.robot.state().positions
 
     @property
     def tool_pose(self) -> Pose:
-        """Return where the tips of the gripper are now."""
+        """Return the present pose of the gripper's tips."""
         return self.arm.tool_pose(self.joints)
 
     @property
@@ -71,7 +71,7 @@ class Cell:
         return self.contents.held
 
     async def remember(self) -> None:
-        """Keep the state of the cell as it is now, safe from a power cut. Raises `OSError`."""
+        """Store the state of the cell durably. Raises `OSError`."""
         memory = Memory(
             scene=self.scene.digest(),
             joints=self.joints,
@@ -83,7 +83,7 @@ class Cell:
         await asyncio.to_thread(self.file.save, memory)
 
     async def grip(self, task: str) -> str | None:
-        """Close the gripper for `task`; return the part it holds then, None (and open) if there is none."""
+        """Close the gripper for `task`; return the gripped part, None (and open again) without one."""
         pose = self.tool_pose
         part = self._between_fingers(pose) if await self.robot.close_gripper() else None
         if part is None:
@@ -95,7 +95,7 @@ class Cell:
         return part
 
     async def release(self, task: str, place: str | None) -> None:
-        """Open the gripper for `task`; what it held lies where it is, in the fixture `place` if given."""
+        """Open the gripper for `task`; the part stays at its pose, in the fixture `place` if given."""
         pose, part = self.tool_pose, self.held
         await self.robot.open_gripper()
         if part is not None:
@@ -104,7 +104,7 @@ class Cell:
         await self.remember()
 
     async def free(self) -> str | None:
-        """Open the gripper and let a person take the part away; return which part it was."""
+        """Open the gripper so that a person can remove the part; return that part."""
         async with self.in_hand:
             part = self.held
             await self.robot.open_gripper()
@@ -121,18 +121,18 @@ class Cell:
         return self.contents.in_place(place)
 
     def look_into(self, bin_name: str) -> Lying | None:
-        """Return the part that the camera sees in a bin; None if it sees none this time."""
+        """Return the part that the camera detects in a bin; None without one."""
         found = self.camera.look([one.part for one in self.parts_in(bin_name)])
         self.seen = found or self.seen
         return self.contents.find(found) if found else None
 
     def found_empty(self, bin_name: str) -> None:
-        """Take notice that a bin was found empty; in a cell where people fill it, it is full after that."""
+        """Handle an empty bin; a bin that people fill is full afterwards."""
         if self.scene.bins[bin_name].refilled:
             self.contents = self.contents.filled(self.scene, bin_name)
 
     def nest_in(self, fixture: str) -> Pose | None:
-        """Return a free nest of a fixture; a full one that the next station empties is emptied before."""
+        """Return a free nest of a fixture; a full fixture is emptied first if the next station does so."""
         nest = self.contents.free_nest(self.scene, fixture)
         if nest is None and self.scene.fixtures[fixture].emptied:
             self.contents = self.contents.emptied(fixture)

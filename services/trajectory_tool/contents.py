@@ -1,6 +1,6 @@
-"""Contents: which part lies where at the moment, and which one the gripper holds.
+"""Contents: the poses of all parts, and the part in the gripper.
 
-Pure: every act gives the contents as they are after it.
+The values are immutable: every action returns the contents after it.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ SAME_NEST_M = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Lying:
-    """A part that lies in a bin or a fixture (`place`), or just somewhere (None)."""
+    """A part in a bin or a fixture (`place`), or elsewhere (None)."""
 
     part: str
     place: str | None
@@ -22,7 +22,7 @@ class Lying:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """All parts of the cell; `numbered` is how many there have ever been, for their names."""
+    """All parts of the cell; `numbered` counts all parts so far, for their names."""
 
     lying: tuple[Lying, ...] = ()
     held: str | None = None
@@ -33,30 +33,30 @@ class Contents:
         return [one for one in self.lying if one.place == place]
 
     def find(self, part: str) -> Lying | None:
-        """Return where a part lies; None if it does not lie anywhere."""
+        """Return the part `part`; None if it is not in the cell."""
         return next((one for one in self.lying if one.part == part), None)
 
     def between_fingers(self, tool: Pose, opening_m: float) -> str | None:
-        """Return the part that a gripper at `tool` would hold if it closed; None if there is none."""
+        """Return the part that a gripper at `tool` would grip; None if there is none."""
         near = [one for one in self.lying if one.pose.distance_m(tool) <= opening_m]
         return min(near, key=lambda one: one.pose.distance_m(tool)).part if near else None
 
     def gripped(self, part: str) -> "Contents":
-        """Return the contents once the gripper holds `part`."""
+        """Return the contents after the gripper gripped `part`."""
         return replace(self, lying=tuple(one for one in self.lying if one.part != part), held=part)
 
     def freed(self) -> "Contents":
-        """Return the contents once a person has taken the part out of the gripper and away."""
+        """Return the contents after a person removed the part from the gripper."""
         return replace(self, held=None)
 
     def released(self, place: str | None, pose: Pose) -> "Contents":
-        """Return the contents once the part that was held lies at `pose`."""
+        """Return the contents after the held part was released at `pose`."""
         if self.held is None:
             return self
         return replace(self, lying=(*self.lying, Lying(self.held, place, pose)), held=None)
 
     def filled(self, scene: Scene, bin_name: str) -> "Contents":
-        """Return the contents once a bin has been filled with new parts."""
+        """Return the contents after a bin was filled with new parts."""
         new = tuple(
             Lying(f"part-{number}", bin_name, spot.pose)
             for number, spot in enumerate(scene.bins[bin_name].parts, self.numbered + 1)
@@ -64,19 +64,19 @@ class Contents:
         return replace(self, lying=self.lying + new, numbered=self.numbered + len(new))
 
     def emptied(self, place: str) -> "Contents":
-        """Return the contents once the parts in a fixture have been taken away."""
+        """Return the contents after the parts of a fixture were removed."""
         return replace(self, lying=tuple(one for one in self.lying if one.place != place))
 
     def free_nest(self, scene: Scene, fixture: str) -> Pose | None:
-        """Return the first nest of a fixture in which no part lies."""
+        """Return the first free nest of a fixture."""
         for nest in scene.fixtures[fixture].nests:
             if self.between_fingers(nest.pose, SAME_NEST_M) is None:
                 return nest.pose
         return None
 
 
-def fresh(scene: Scene) -> Contents:
-    """Return the contents of the cell on its first day."""
+def initial(scene: Scene) -> Contents:
+    """Return the initial contents of a cell."""
     contents = Contents()
     for name in scene.bins:
         contents = contents.filled(scene, name)

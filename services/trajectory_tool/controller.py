@@ -1,4 +1,4 @@
-"""The controller: takes the Tasks that involve the robot and has the robot do them, one after another."""
+"""The controller: the performer of the robot. It executes Tasks one after another."""
 
 import asyncio
 import time
@@ -27,7 +27,7 @@ PROGRESS_EVERY_S = 0.25
 
 
 class Controller(Performer):
-    """Acts for one robot. Raises `UsageError` when the scene or the memory of the cell cannot be used."""
+    """The performer of one robot. Raises `UsageError` when the scene or the stored state is invalid."""
 
     def __init__(self, settings: TrajectorySettings, broker: BrokerClient) -> None:
         super().__init__(
@@ -41,7 +41,7 @@ class Controller(Performer):
         self.device = RobotDevice(settings.entity_id("Device", settings.robot_name), self.cell, broker)
 
     def mount(self, app: FastAPI) -> None:
-        """Add the routes that the broker notifies."""
+        """Add the routes for notifications."""
         super().mount(app)
         self.cell.robot.mount(app)
 
@@ -56,23 +56,23 @@ class Controller(Performer):
         await self._on.aclose()
 
     async def perform(self, job: Job) -> Mapping[str, Any]:
-        """Do the operation that the Task asks for; return its result."""
+        """Execute the operation of the Task and return its result."""
         name = _operation_of(job)
         began_s = time.monotonic()
-        with _counted(name), self._told():
+        with _counted(name), self._device_state():
             operation = operations.known(name)
-            asked = parameters.read(operation.parameters, name, job.parameters)
-            speed = self._speed * asked.speed
+            given = parameters.read(operation.parameters, name, job.parameters)
+            speed = self._speed * given.speed
             self.work = work = Work(job.task.id, name, self.cell, _Steering(job, self.device), speed)
-            log.info("robot begins", task=job.task.id, operation=name, again=job.resumed)
-            async with self.cell.in_hand, _progress_told(job, work):
-                result = await operation.perform(work, asked)
+            log.info("robot starts", task=job.task.id, operation=name, again=job.resumed)
+            async with self.cell.in_hand, _progress_reports(job, work):
+                result = await operation.perform(work, given)
         return {**result, "durationS": round(time.monotonic() - began_s, 2), "progress": 1.0}
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Keep the Device's state true while the robot works, and afterwards."""
-        self.device.tell(DeviceState.BUSY)
+    def _device_state(self) -> Iterator[None]:
+        """Write the Device's state during and after the work."""
+        self.device.set_state(DeviceState.BUSY)
         after = DeviceState.IDLE
         try:
             yield
@@ -85,7 +85,7 @@ class Controller(Performer):
             raise TaskFailed(
                 message(
                     "robot.state_not_stored",
-                    "the state of the cell cannot be kept in {path}: {error}; make room for it or set "
+                    "the state of the cell cannot be stored in {path}: {error}; free disk space or set "
                     "HANDOVER_DATA_DIR",
                     path=str(self.cell.file.path),
                     error=error.strerror,
@@ -93,11 +93,11 @@ class Controller(Performer):
             ) from error
         finally:
             self.work = None
-            self.device.tell(after)
+            self.device.set_state(after)
 
 
 class _Steering:
-    """What is wished of the Task holds its work up or ends it."""
+    """Pauses or ends the work as the Task's requested action demands."""
 
     def __init__(self, job: Job, device: RobotDevice) -> None:
         self._job = job
@@ -108,9 +108,9 @@ class _Steering:
 
     async def rest(self) -> None:
         if self._job.requested_action is RequestedAction.PAUSE:
-            self._device.tell(DeviceState.PAUSED)
+            self._device.set_state(DeviceState.PAUSED)
         await self._job.checkpoint()
-        self._device.tell(DeviceState.BUSY)
+        self._device.set_state(DeviceState.BUSY)
 
 
 def _operation_of(job: Job) -> str:
@@ -119,19 +119,19 @@ def _operation_of(job: Job) -> str:
 
 
 @asynccontextmanager
-async def _progress_told(job: Job, work: Work) -> AsyncIterator[None]:
-    async def tell() -> None:
+async def _progress_reports(job: Job, work: Work) -> AsyncIterator[None]:
+    async def report() -> None:
         while True:
             await job.progress(work.progress())
             await asyncio.sleep(PROGRESS_EVERY_S)
 
-    telling = asyncio.create_task(tell())
+    reporting = asyncio.create_task(report())
     try:
         yield
     finally:
-        telling.cancel()
+        reporting.cancel()
         with suppress(asyncio.CancelledError):
-            await telling
+            await reporting
 
 
 @contextmanager

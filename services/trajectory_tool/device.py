@@ -1,23 +1,17 @@
-"""The Device entity of the robot: kept current in the broker, without ever holding up a motion.
+"""The Device entity of the robot: kept current in the broker without delaying a motion.
 
-It is written when the state of the robot changes, with where the robot stands then; not while it moves.
+It is written when the state of the robot changes, with the joints at that time; not during a motion.
 """
 
-import asyncio
-from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any, Self
 
 from datamodels.entities import DeviceState
 from datamodels.times import iso
-from handover.broker import BrokerClient, BrokerError, BrokerUnavailable
-from handover.telemetry import get_logger
+from handover.broker import BrokerClient
+from handover.latest_value_writer import LatestValueWriter
 from services.trajectory_tool.cell import Cell
-from services.trajectory_tool.metrics import UNTOLD
-
-log = get_logger(__name__)
-
-FIRST_RETRY_S, LAST_RETRY_S = 0.1, 2.0
+from services.trajectory_tool.metrics import DEVICE_WRITES_REJECTED
 
 
 class RobotDevice:
@@ -28,46 +22,21 @@ class RobotDevice:
         self.state = DeviceState.IDLE
         self._cell = cell
         self._broker = broker
-        self._untold: dict[str, Any] | None = None
-        self._something_to_tell = asyncio.Event()
-        self._writer: asyncio.Task[None] | None = None
+        self._writer = LatestValueWriter(on_rejected=lambda _: DEVICE_WRITES_REJECTED.inc())
 
     async def __aenter__(self) -> Self:
-        self._writer = asyncio.create_task(self._write())
-        self.tell(self.state)
+        await self._writer.__aenter__()
+        self.set_state(self.state)
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        if self._writer is not None:
-            self._writer.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._writer
+        await self._writer.__aexit__()
 
-    def tell(self, state: DeviceState) -> None:
-        """Have the robot's state written soon; nobody waits for it, and only the newest is kept."""
+    def set_state(self, state: DeviceState) -> None:
+        """Write the robot's state in the background; the latest state replaces a waiting one."""
         self.state = state
-        self._untold = self._entity()
-        self._something_to_tell.set()
-
-    async def _write(self) -> None:
-        retry_s = FIRST_RETRY_S
-        while True:
-            await self._something_to_tell.wait()
-            self._something_to_tell.clear()
-            entity = self._untold
-            if entity is None:
-                continue
-            try:
-                await self._broker.upsert([entity])
-                retry_s = FIRST_RETRY_S
-            except BrokerUnavailable as error:
-                log.warning("broker away, the robot's state waits", device=self.id, error=str(error))
-                self._something_to_tell.set()
-                await asyncio.sleep(retry_s)
-                retry_s = min(2 * retry_s, LAST_RETRY_S)
-            except BrokerError:
-                UNTOLD.inc()
-                log.exception("broker refused the robot's state", device=self.id)
+        entity = self._entity()
+        self._writer.put(self.id, lambda: self._broker.upsert([entity]))
 
     def _entity(self) -> dict[str, Any]:
         cell, now = self._cell, iso(datetime.now(UTC))

@@ -1,6 +1,6 @@
-"""Joint states: the joints as a stream for whoever shows or records them.
+"""Joint states: a WebSocket stream of the joints for display and recording.
 
-A reader that is too slow gets fewer of them, always the newest; the robot never waits for a reader.
+A slow client gets fewer states, always the latest; the robot never waits for a client.
 """
 
 import asyncio
@@ -14,7 +14,7 @@ from services.trajectory_tool.robot import JOINT_NAMES, JointState, Robot
 
 
 def written(state: JointState) -> dict[str, Any]:
-    """Return the joints as they stand in the stream: `stamp` in s since 1970, rad, rad/s and Nm."""
+    """Return a joint state as JSON: `stamp` in s since 1970, rad, rad/s and Nm."""
     message: dict[str, Any] = {
         "stamp": round(state.stamp_s, 6),
         "name": JOINT_NAMES,
@@ -27,7 +27,7 @@ def written(state: JointState) -> dict[str, Any]:
 
 
 async def stream(robot: Robot, reader: WebSocket, hz: float) -> None:
-    """Send the joints `hz` times a second until the reader goes."""
+    """Send the joints `hz` times a second until the client disconnects."""
     await reader.accept()
     sending = asyncio.create_task(_send(robot, reader, 1 / hz))
     leaving = asyncio.create_task(_until_gone(reader))
@@ -57,4 +57,4 @@ async def _send(robot: Robot, reader: WebSocket, period_s: float) -> None:
 
 async def _until_gone(reader: WebSocket) -> None:
     while (await reader.receive())["type"] != "websocket.disconnect":
-        pass  # nothing that a reader says matters here
+        pass  # messages of the client are ignored

@@ -1,7 +1,7 @@
-"""Memory: what the simulated robot and its cell must still know after the power was cut.
+"""Memory: the state of the simulated robot and its cell that survives a power cut.
 
-One small file, replaced as a whole at every act of the gripper and whenever the arm comes to rest. It also
-says for which Task the gripper last acted, so that no part is picked or placed twice.
+One small file, replaced atomically at every action of the gripper and at the end of every motion. It includes
+the Task of the gripper's last action, so that no part is picked or placed twice.
 """
 
 import os
@@ -22,7 +22,7 @@ log = get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Act:
-    """The gripper gripped or released `part` at `pose` for the Task `task`; `place` is where it lies then."""
+    """The gripper gripped or released `part` at `pose` for the Task `task`; `place` is its bin or fixture."""
 
     task: str
     kind: Literal["gripped", "released"]
@@ -33,7 +33,7 @@ class Act:
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """The state of robot and cell; `seen` is the part that the last successful scan found."""
+    """The state of robot and cell; `seen` is the part of the last successful scan."""
 
     scene: str
     joints: Joints
@@ -47,15 +47,15 @@ _FORM = TypeAdapter(Memory)
 
 
 class MemoryFile:
-    """Where the memory is kept."""
+    """The file of the memory."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def load(self, scene: str) -> Memory | None:
-        """Return what is remembered of `scene`; None if nothing is, or of another scene.
+        """Return the memory of `scene`; None if there is none, or of another scene.
 
-        Raises `UsageError` when the file cannot be read or is not ours.
+        Raises `UsageError` when the file cannot be read or is invalid.
         """
         try:
             written = self.path.read_bytes()
@@ -71,15 +71,15 @@ class MemoryFile:
             memory = None
         if memory is None or len(memory.joints) != len(JOINT_NAMES):
             raise UsageError(
-                f"the state of the cell, {self.path}, is damaged; delete it to begin with a fresh cell"
+                f"the state of the cell, {self.path}, is damaged; delete it to start with the initial cell"
             )
         if memory.scene != scene:
-            log.warning("the scene was changed, the cell begins afresh", file=str(self.path))
+            log.warning("scene changed, the cell starts with its initial contents", file=str(self.path))
             return None
         return memory
 
     def save(self, memory: Memory) -> None:
-        """Write the memory; it is there, as a whole, once this returns. Raises `OSError`."""
+        """Write the memory atomically and durably. Raises `OSError`."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         new = self.path.with_suffix(".new")
         with new.open("wb") as file:

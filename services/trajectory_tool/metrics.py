@@ -1,18 +1,20 @@
-"""Metrics: what the trajectory tool counts for Prometheus."""
+"""The metrics of the trajectory tool."""
 
 from prometheus_client import Counter
 
 TASKS = Counter(
-    "handover_trajectory_tool_tasks_total", "Tasks by operation and how they ended", ["operation", "outcome"]
+    "handover_trajectory_tool_tasks_total", "Tasks by operation and outcome", ["operation", "outcome"]
 )
 OVERRUNS = Counter(
-    "handover_trajectory_tool_cycle_overruns_total", "Cycles of control that were missed for being late"
+    "handover_trajectory_tool_cycle_overruns_total", "Control cycles that were skipped because they were late"
 )
-MOTION_SECONDS = Counter("handover_trajectory_tool_motion_seconds_total", "Time that robots were in motion")
-SCANS = Counter("handover_trajectory_tool_scans_total", "Scans by whether a part was found", ["found"])
+MOTION_SECONDS = Counter(
+    "handover_trajectory_tool_motion_seconds_total", "Time in which robots were in motion"
+)
+SCANS = Counter("handover_trajectory_tool_scans_total", "Scans, by whether a part was found", ["found"])
 DROPPED = Counter(
-    "handover_trajectory_tool_joint_states_dropped_total", "Joint states that a slow reader did not get"
+    "handover_trajectory_tool_joint_states_dropped_total", "Joint states that were not sent to a slow client"
 )
-UNTOLD = Counter(
-    "handover_trajectory_tool_device_writes_rejected_total", "Writes of the Device that the broker refused"
+DEVICE_WRITES_REJECTED = Counter(
+    "handover_trajectory_tool_device_writes_rejected_total", "Writes of the Device that the broker rejected"
 )

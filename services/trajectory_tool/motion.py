@@ -1,6 +1,6 @@
-"""Motion: what joints a pose or a joint target comes down to, with the gripper that the arm carries.
+"""Motion: the joints for a target pose, including the gripper.
 
-A target that the arm cannot or must not take is refused before anything moves.
+A target that is unreachable or outside the limits is refused before the motion.
 """
 
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ class Arm:
         return Frame(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, self.tool_m))
 
     def tool_pose(self, joints: Joints) -> Pose:
-        """Return where the tip of the tool is for joint angles in rad."""
+        """Return the pose of the tool's tip for joint angles in rad."""
         return Pose.of(forward(joints) @ self._tool)
 
     def reach(self, pose: Pose, near: Joints) -> Joints:
         """Return the joints in rad, nearest to `near`, with the tip of the tool at `pose`.
 
-        Raises `Unreachable`, which says how far away the pose is.
+        Raises `Unreachable` with the distance of the pose.
         """
         try:
             return nearest(pose.frame() @ self._tool.inverse(), near)

@@ -1,6 +1,7 @@
-"""Operations: what the robot can do for a Task, as motions and acts of the gripper.
+"""Operations: the Tasks of the robot as motions and actions of the gripper.
 
-Each can be begun again after a power cut: what the gripper has already done for the Task is not done twice.
+Each can be restarted after a power cut: an action that the gripper has performed for the Task is not
+repeated.
 """
 
 from collections.abc import Awaitable, Callable, Mapping
@@ -19,12 +20,12 @@ from services.trajectory_tool.work import Work
 Result = dict[str, Any]
 
 AT_THE_SPOT_M = 0.01
-"""The tool is still where the gripper acted."""
+"""Within this distance the tool is still at the pose of the gripper's action."""
 
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """One operation: the parameters it takes and how it is done."""
+    """An operation: its parameters and its execution."""
 
     parameters: type[given.Home]
     perform: Callable[[Work, Any], Awaitable[Result]]
@@ -55,7 +56,7 @@ async def move_to(work: Work, asked: given.MoveTo) -> Result:
 
 
 async def scan(work: Work, asked: given.Scan) -> Result:
-    """Look into a bin from above and say which part lies free, and where."""
+    """Look into a bin from above and return the part on top and its pose."""
     cell = work.cell
     if asked.bin not in cell.scene.bins:
         raise TaskFailed(_unknown_bin("scan", asked.bin, cell.scene.bins))
@@ -78,7 +79,7 @@ async def scan(work: Work, asked: given.Scan) -> Result:
 
 
 async def pick(work: Work, asked: given.Pick) -> Result:
-    """Grip a part: from above, down, close, up again."""
+    """Grip a part: approach from above, move down, close, move up."""
     cell = work.cell
     if cell.held is not None:
         return await _already_picked(work, asked, cell.held)
@@ -98,8 +99,8 @@ async def pick(work: Work, asked: given.Pick) -> Result:
         raise TaskFailed(
             message(
                 "robot.other_part_there",
-                '"{part}" lies at {position} where "{asked}" was asked for; '
-                "scan the bin again and give the part and the pose it says",
+                '"{part}" lies at {position} where "{asked}" was requested; '
+                "scan the bin again and give the part and the pose of the result",
                 part=part,
                 position=_position(spot),
                 asked=asked.part,
@@ -110,7 +111,7 @@ async def pick(work: Work, asked: given.Pick) -> Result:
         raise TaskFailed(
             message(
                 "robot.no_part_there",
-                "there was no part at {position}; scan the bin again and give the pose it says",
+                "there was no part at {position}; scan the bin again and give the pose of the result",
                 position=_position(spot),
             )
         )
@@ -118,7 +119,7 @@ async def pick(work: Work, asked: given.Pick) -> Result:
 
 
 async def place(work: Work, asked: given.Place) -> Result:
-    """Put the part that is held down: from above, down, open, up again."""
+    """Put the held part down: approach from above, move down, open, move up."""
     cell = work.cell
     if cell.held is None:
         return await _already_placed(work)
@@ -143,7 +144,7 @@ OPERATIONS: Mapping[str, Operation] = {
 
 
 def known(name: str) -> Operation:
-    """Return the operation called `name`. Raises `TaskFailed` with the names there are."""
+    """Return the operation `name`. Raises `TaskFailed` with the known names."""
     if name not in OPERATIONS:
         raise TaskFailed(
             message(
@@ -187,7 +188,7 @@ async def _already_placed(work: Work) -> Result:
 
 
 async def _leave(work: Work) -> None:
-    """Rise from where the gripper acted before the work was cut short, if the arm is still down there."""
+    """Move up from the pose of the gripper's action if the arm is still there after an interruption."""
     cell = work.cell
     act = cell.last_act
     if act is None or cell.tool_pose.distance_m(act.pose) > AT_THE_SPOT_M:
@@ -227,7 +228,7 @@ def _where_to_pick(work: Work, asked: given.Pick) -> Pose:
         raise TaskFailed(
             message(
                 "robot.unknown_part",
-                'no part "{part}" lies in the cell; scan a bin and give the part it says',
+                'no part "{part}" lies in the cell; scan a bin and give the part of the result',
                 part=part,
             )
         )

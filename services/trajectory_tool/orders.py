@@ -1,7 +1,7 @@
-"""Orders: Tasks that the tool itself gives to whoever drives the arm, and whose end it waits for.
+"""Orders: Tasks that the tool posts for the performer that drives the arm.
 
-The tool plans, another performer (the ROS bridge, say) drives: they meet in the broker like everybody else.
-An order is taken out of the broker once it has ended: the Task that a person sees is the tool's own.
+The tool plans, and another performer, such as the ROS bridge, drives the arm. An order is deleted from the
+broker after its end: people see only the Task of the tool.
 """
 
 import asyncio
@@ -16,6 +16,7 @@ from datamodels.entities import RequestedStatus, Task, TaskStatus
 from datamodels.times import iso
 from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFound
 from handover.messages import message, text_of
+from handover.retry import Backoff, retry
 from handover.settings import Settings
 from handover.task_life import FINISHED
 from handover.telemetry import get_logger
@@ -23,47 +24,48 @@ from services.trajectory_tool.robot import RobotFault
 
 log = get_logger(__name__)
 
-TAKEN_UP_WITHIN_S = 10.0
-GIVEN_UP_WITHIN_S = 10.0
-LOOK_EVERY_S = 1.0
-"""Notifications are hints: the broker is asked so often as well."""
+ACCEPT_TIMEOUT_S = 10.0
+CANCEL_TIMEOUT_S = 10.0
+CANCEL_RETRY_S = 0.1
+QUERY_EVERY_S = 1.0
+"""Notifications are hints, so the broker is queried as well."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How an order ended, and what was told with it."""
+    """The end of an order with its outputParameters."""
 
     completed: bool
     outputs: Mapping[str, Any]
 
     @property
     def cancelled(self) -> bool:
-        """Say whether it ended because it was not wanted any more."""
+        """Return whether it ended because of its cancellation."""
         return not self.completed and self.outputs.get("reason") == "cancelled"
 
     @property
     def reason(self) -> str:
         """Return why it failed."""
-        return str(self.outputs.get("reason", "it failed without saying why"))
+        return str(self.outputs.get("reason", "it failed without a reason"))
 
 
 class Orders:
-    """Gives orders to the performer of `resource` (a URN), one at a time; `name` begins their ids."""
+    """Posts orders for `resource` (a URN), one at a time; `name` is the prefix of their ids."""
 
     def __init__(self, name: str, resource: str, settings: Settings, broker: BrokerClient) -> None:
         self.resource = resource
         self.prefix = settings.entity_id("Task", f"{name}-order-")
         self._settings = settings
         self._broker = broker
-        self._news = asyncio.Event()
+        self._changed = asyncio.Event()
         self._task: Task | None = None
 
     def wake(self) -> None:
-        """Take the hint that an order may have moved."""
-        self._news.set()
+        """Check the order soon: a notification says that it may have changed."""
+        self._changed.set()
 
     def subscription(self, endpoint: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the subscription by which the broker tells how orders stand."""
+        """Return the subscription to changes of orders."""
         return {
             "id": self._settings.entity_id("Subscription", f"{self.prefix.rsplit(':', 1)[-1]}s"),
             "type": "Subscription",
@@ -74,7 +76,7 @@ class Orders:
         }
 
     async def give(self, operation: str, **parameters: Any) -> str:
-        """Give an order and return its id. Raises `RobotFault` when the broker does not take it."""
+        """Post an order and return its id. Raises `RobotFault` when the broker rejects it."""
         task = self._order(operation, parameters)
         try:
             await self._broker.create(task)
@@ -82,7 +84,7 @@ class Orders:
             raise RobotFault(
                 message(
                     "robot.order_refused",
-                    "the order to {resource} could not be given: {error}",
+                    "the order for {resource} was not posted: {error}",
                     resource=self.resource,
                     error=text_of(error),
                 )
@@ -93,7 +95,8 @@ class Orders:
     async def end_of(self, order: str, within_s: float) -> Ended:
         """Wait for the end of `order`.
 
-        Raises `RobotFault` when nobody takes it up, or when it does not end `within_s`; it is withdrawn then.
+        Raises `RobotFault` when no performer accepts it, or when it does not end `within_s`; it is then
+        cancelled.
         """
         clock = asyncio.get_running_loop().time
         given_s = clock()
@@ -115,42 +118,38 @@ class Orders:
                     )
                 )
             waits = self._task is None or self._task.status.value is TaskStatus.PENDING
-            if waits and clock() - given_s > TAKEN_UP_WITHIN_S:
+            if waits and clock() - given_s > ACCEPT_TIMEOUT_S:
                 await self._withdraw(order)
                 raise RobotFault(
                     message(
                         "robot.order_not_accepted",
-                        "nobody takes up what is asked of {resource}; start the ROS bridge with a "
+                        "no performer accepts orders for {resource}; start the ROS bridge with a "
                         "mapping that does (handover run ros-bridge; HANDOVER_ROS_MAPPING=arm)",
                         resource=self.resource,
                     )
                 )
-            await self._a_while()
+            await self._wait_for_change()
 
     async def cancel(self, order: str) -> None:
-        """Wish for the end of `order`; repeated until the broker has it, `GIVEN_UP_WITHIN_S` at most."""
-        wish = {"type": "Property", "value": RequestedStatus.CANCELLED.value, "observedAt": iso(_now())}
-        with suppress(TimeoutError):
-            async with asyncio.timeout(GIVEN_UP_WITHIN_S):
-                while True:
-                    try:
-                        await self._broker.append(order, {"requestedStatus": wish})
-                    except BrokerUnavailable as error:
-                        log.warning("broker away, the wish to stop waits", order=order, error=str(error))
-                        await asyncio.sleep(0.1)
-                    except BrokerError as error:
-                        log.info("an order could not be cancelled", order=order, error=str(error))
-                        return
-                    else:
-                        return
+        """Request the cancellation of `order`; repeated for at most `CANCEL_TIMEOUT_S`."""
+        requested = {"type": "Property", "value": RequestedStatus.CANCELLED.value, "observedAt": iso(_now())}
+        try:
+            async with asyncio.timeout(CANCEL_TIMEOUT_S):
+                await retry(
+                    lambda: self._broker.append(order, {"requestedStatus": requested}),
+                    on=BrokerUnavailable,
+                    backoff=Backoff(CANCEL_RETRY_S, CANCEL_RETRY_S),
+                )
+        except (BrokerError, TimeoutError) as error:
+            log.warning("order not cancelled", order=order, error=str(error))
 
     async def end_old(self) -> None:
-        """End what an earlier run of the tool has left under way. Raises `BrokerError`, `RobotFault`."""
+        """End the orders of an earlier run of the tool. Raises `BrokerError`, `RobotFault`."""
         for old in await self._broker.find(Task, id_pattern=f"^{self.prefix}.*"):
-            log.info("an order of an earlier run is ended", order=old.id)
+            log.info("order of an earlier run cancelled", order=old.id)
             self._task = old
             await self.cancel(old.id)
-            await self.end_of(old.id, GIVEN_UP_WITHIN_S)
+            await self.end_of(old.id, CANCEL_TIMEOUT_S)
 
     def _order(self, operation: str, parameters: Mapping[str, Any]) -> Task:
         definition = self._settings.entity_id("TaskDefinition", operation)
@@ -169,27 +168,27 @@ class Orders:
         )
 
     async def _look(self, order: str) -> Task | None:
-        """Return the order as the broker has it; None while the broker cannot be asked."""
+        """Return the order as the broker has it; None while the broker is unavailable."""
         try:
             self._task = await self._broker.get(order, Task)
         except NotFound:
             raise RobotFault(
                 message(
                     "robot.order_deleted",
-                    "the order {order} was deleted by somebody else",
+                    "another client has deleted the order {order}",
                     order=order,
                 )
             ) from None
         except BrokerError as error:
-            log.info("the broker cannot be asked for an order", order=order, error=str(error))
+            log.info("order not read", order=order, error=str(error))
             return None
         return self._task
 
-    async def _a_while(self) -> None:
+    async def _wait_for_change(self) -> None:
         with suppress(TimeoutError):
-            async with asyncio.timeout(LOOK_EVERY_S):
-                await self._news.wait()
-        self._news.clear()
+            async with asyncio.timeout(QUERY_EVERY_S):
+                await self._changed.wait()
+        self._changed.clear()
 
     async def _withdraw(self, order: str) -> None:
         await self.cancel(order)

@@ -1,6 +1,6 @@
-"""Parameters: what a Task asks of the robot, checked before anything moves.
+"""Parameters: the workParameters of a Task for the robot, validated before any motion.
 
-What is wrong is told to whoever asked: which parameter, what it must be, and what to write instead.
+A fault names the parameter, the rule and a correct value.
 """
 
 import math
@@ -21,7 +21,7 @@ from handover.performer import TaskFailed
 from services.trajectory_tool import poses
 
 SILENT = frozenset({"operation", "description"})
-"""Parameters that say what is to be done, but not how."""
+"""Parameters that describe the work, not its execution."""
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 
@@ -46,7 +46,7 @@ def _unit(given: poses.Quaternion) -> poses.Quaternion:
 
 Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
 Name = Annotated[str, BeforeValidator(_last_part), Field(min_length=1)]
-"""The name of a bin, fixture or part; of a URN the last part counts."""
+"""The name of a bin, fixture or part; of a URN the last part is used."""
 
 
 class _Given(BaseModel):
@@ -54,25 +54,25 @@ class _Given(BaseModel):
 
 
 class GivenPose(_Given):
-    """A position in m and a quaternion (x, y, z, w); the tool points straight down if none is given."""
+    """A position in m and a quaternion (x, y, z, w); by default the tool points straight down."""
 
     position: tuple[Number, Number, Number]
     orientation: Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)] = DOWN
 
     @property
     def pose(self) -> poses.Pose:
-        """Return the pose for calculations."""
+        """Return the pose for computations."""
         return poses.Pose(self.position, self.orientation)
 
 
 class Home(_Given):
-    """Go home; `speed` scales the robot's usual speed, for every operation."""
+    """Move home; `speed` scales the robot's normal speed, in every operation."""
 
     speed: Annotated[Number, Field(ge=0.01, le=1)] = 1.0
 
 
 class MoveTo(Home):
-    """Go to joint angles in rad, or with the tool to a pose."""
+    """Move to joint angles in rad, or the tool to a pose."""
 
     joints: Annotated[tuple[Number, ...], Field(min_length=6, max_length=6)] | None = None
     pose: GivenPose | None = None
@@ -91,7 +91,7 @@ class Scan(Home):
 
 
 class Pick(Home):
-    """Pick a part: at a pose, by its name, from a bin, or, with nothing given, the one last seen."""
+    """Pick a part at a pose, by name or from a bin; by default the last detected part."""
 
     part: Name | None = None
     pose: GivenPose | None = None
@@ -99,7 +99,7 @@ class Pick(Home):
 
 
 class Place(Home):
-    """Put down the part that is held: in a fixture, or at a pose."""
+    """Put the held part into a fixture or at a pose."""
 
     location: Name | None = None
     pose: GivenPose | None = None
@@ -112,7 +112,7 @@ class Place(Home):
 
 
 def read(model: type[Home], operation: str, given: Mapping[str, Any]) -> Home:
-    """Return the parameters of `operation` as `model`. Raises `TaskFailed`, which names every fault."""
+    """Return the parameters of `operation` as `model`. Raises `TaskFailed` with all faults."""
     try:
         return model.model_validate({name: value for name, value in given.items() if name not in SILENT})
     except ValidationError as error:

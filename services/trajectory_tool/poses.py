@@ -1,4 +1,4 @@
-"""Poses: where a hand, a part or a nest is, and which way it points.
+"""Poses: position and orientation of the tool, a part or a nest.
 
 A pose is a position in metres and a unit quaternion (x, y, z, w), as ROS writes them. All poses of the cell
 are given in the frame of the robot's base (the frame "base" of Universal Robots, not ROS's "base_link").
@@ -15,7 +15,7 @@ Rotation = tuple[Vector, Vector, Vector]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A rotation matrix (rows) and a translation in m: the same as a pose, as arithmetic likes it."""
+    """A pose as a rotation matrix (rows) and a translation in m."""
 
     rotation: Rotation
     position: Vector
@@ -31,7 +31,7 @@ class Frame:
         return Frame(transposed((columns[0], columns[1], columns[2])), moved)
 
     def inverse(self) -> "Frame":
-        """Return the frame that undoes this one."""
+        """Return the inverse frame."""
         back = transposed(self.rotation)
         x, y, z = turn(back, self.position)
         return Frame(back, (-x, -y, -z))
@@ -56,7 +56,7 @@ class Pose:
 
     @classmethod
     def of(cls, frame: Frame) -> "Pose":
-        """Return the pose that `frame` is; the quaternion is the one with w not negative."""
+        """Return the pose of `frame`; w of the quaternion is not negative."""
         return cls(frame.position, _quaternion(frame.rotation))
 
     def raised(self, height_m: float) -> "Pose":
@@ -65,11 +65,11 @@ class Pose:
         return Pose((x, y, z + height_m), self.orientation)
 
     def distance_m(self, other: "Pose") -> float:
-        """Return how far the two positions are apart."""
+        """Return the distance of the two positions."""
         return math.dist(self.position, other.position)
 
     def written(self) -> dict[str, Any]:
-        """Return the pose as it stands in parameters and results, rounded (and without -0)."""
+        """Return the pose as JSON of parameters and results, rounded (and without -0)."""
         return {
             "position": [round(value, 5) + 0.0 for value in self.position],
             "orientation": [round(value, 6) + 0.0 for value in self.orientation],
@@ -100,7 +100,7 @@ def transposed(rows: Rotation) -> Rotation:
 
 def _quaternion(rows: Rotation) -> Quaternion:
     (a, b, c), (d, e, f), (g, h, i) = rows
-    # Four ways to the same quaternion; the one that divides by the largest member is exact enough.
+    # Of four formulas for the same quaternion, the one that divides by the largest element is exact enough.
     squares = (1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i)
     ways = (
         (squares[0], b + d, c + g, h - f),

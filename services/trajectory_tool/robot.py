@@ -1,7 +1,7 @@
-"""A robot as the tool sees one: six joints that can be sent somewhere, and a gripper.
+"""The interface of a robot: six joints and a gripper.
 
-Whatever moves, a simulation, a physics engine or a vendor's driver, stands behind this. To pause is to stop
-smoothly and to be told the same target again later.
+A simulation, a physics engine or a vendor's driver implements it. A pause is a smooth stop, followed later by
+another motion to the same target.
 """
 
 from abc import ABC, abstractmethod
@@ -24,16 +24,16 @@ JOINT_NAMES = (
     "wrist_2_joint",
     "wrist_3_joint",
 )
-"""The joints as ROS names those of Universal Robots, from the base to the flange."""
+"""The joint names of Universal Robots in ROS, from the base to the flange."""
 
 
 class RobotFault(HandoverError):
-    """The robot cannot move; the message says why and what a person has to do."""
+    """The robot cannot move; the message has the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointState:
-    """The joints at one moment: `stamp_s` in s since 1970, positions in rad, velocities in rad/s.
+    """The joints at one time: `stamp_s` in s since 1970, positions in rad, velocities in rad/s.
 
     `efforts` are torques in Nm, None for a robot that does not measure them.
     """
@@ -48,32 +48,32 @@ class Robot(ABC):
     """An arm with a gripper; an asynchronous context manager while it is switched on."""
 
     def mount(self, app: FastAPI) -> None:  # noqa: B027 - most robots have none
-        """Add routes of the robot's own, such as one for notifications."""
+        """Add routes of the robot, such as one for notifications."""
 
     @abstractmethod
     def state(self) -> JointState:
-        """Return the joints as they are now; cheap, from any thread."""
+        """Return the present joints; cheap and thread-safe."""
 
     @abstractmethod
     def remaining_s(self) -> float:
-        """Return how long the motion under way will still take; 0 at rest."""
+        """Return the remaining time of the motion; 0 at rest."""
 
     @abstractmethod
     def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
-        """Return how long a motion from rest at `start` to rest at `target` takes at `speed`."""
+        """Return the duration of a motion from rest at `start` to rest at `target` at `speed`."""
 
     @abstractmethod
     async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
-        """Move to `target` at `speed`, a fraction from 0 to 1 of what the joints may do.
+        """Move to `target` at `speed`, a fraction from 0 to 1 of the joint limits.
 
-        Returns True at rest at the target. `may_go` is asked in each cycle of control: once it answers
-        False the joints are brought to rest within their limits, and False is returned; to go on, call
-        again. `may_go` may be asked from another thread. Raises `RobotFault`.
+        Returns True at rest at the target. Each control cycle calls `may_go`, possibly from another thread.
+        Once it returns False, the joints stop within their limits and False is returned; call again to
+        continue. Raises `RobotFault`.
         """
 
     @abstractmethod
     async def close_gripper(self) -> bool:
-        """Close the gripper; True when there is something between its fingers. Raises `RobotFault`."""
+        """Close the gripper; return True when an object is between its fingers. Raises `RobotFault`."""
 
     @abstractmethod
     async def open_gripper(self) -> None:
@@ -82,7 +82,7 @@ class Robot(ABC):
     @property
     @abstractmethod
     def gripper_closed(self) -> bool:
-        """Say whether the gripper is closed."""
+        """Return whether the gripper is closed."""
 
     @abstractmethod
     async def __aenter__(self) -> Self: ...

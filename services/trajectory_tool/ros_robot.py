@@ -1,9 +1,9 @@
-"""A robot behind ROS 2: its trajectory controller follows what the tool plans, by way of the ROS bridge.
+"""A robot behind ROS 2: its trajectory controller follows the plan of the tool through the ROS bridge.
 
-The bridge keeps a Device of the arm (`jointNames`, `jointPositions`, `jointVelocities`) and does three kinds
-of Tasks for it: `followTrajectory`, `closeGripper`, `openGripper` (the mapping `arm` that ships with it).
-The tool plans as for its own robots: a straight line in joint space within the limits. Nothing moves from
-joints that are not known to be those of this moment.
+The bridge maintains a Device of the arm (`jointNames`, `jointPositions`, `jointVelocities`) and executes
+three kinds of Tasks: `followTrajectory`, `closeGripper`, `openGripper` (the mapping `arm`). The tool plans as
+for its own robots: a straight line in joint space within the limits. A motion starts only from current joint
+positions.
 """
 
 import asyncio
@@ -31,33 +31,33 @@ from services.trajectory_tool.trajectory import Course, Limits, Setpoint, durati
 
 log = get_logger(__name__)
 
-FRESH_S = 15.0
-"""The joints of an arm that have not been told for so long are not known any more."""
-KNOWN_WITHIN_S = 10.0
-STEP_S, MOST_POINTS = 0.1, 200
+MAX_AGE_S = 15.0
+"""Older joint positions do not count as known."""
+JOINTS_TIMEOUT_S = 10.0
+STEP_S, MAX_POINTS = 0.1, 200
 """A trajectory has a point every 100 ms, and no more than 200."""
-MAY_GO_EVERY_S = 0.02
+CHECK_EVERY_S = 0.02
 STILL_S, STILL_RAD, STILL_RAD_S = 0.3, 0.003, 0.02
-"""An arm rests whose joints turn slower than this, or that for 0.3 s have turned no further."""
-RESTS_WITHIN_S = 10.0
+"""An arm is at rest when its joints turn slower, or have turned no further for 0.3 s."""
+REST_TIMEOUT_S = 10.0
 NOTIFIED_AT = "/notifications/arm"
 
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """A motion under way: a straight line in joint space."""
+    """A running motion: a straight line in joint space."""
 
     start: Joints
     target: Joints
     planned_s: float
 
     def remaining_s(self, positions: Joints) -> float:
-        left = _apart(positions, self.target) / _apart(self.start, self.target)
+        left = _distance_rad(positions, self.target) / _distance_rad(self.start, self.target)
         return max(self.planned_s * min(left, 1.0), 0.01)
 
 
 class RosRobot(Robot):
-    """The arm whose Device is `settings.ros_arm`; until its joints are told they are `joints` (rad)."""
+    """The arm with the Device `settings.ros_arm`; `joints` (rad) are used until the first report."""
 
     def __init__(
         self,
@@ -79,14 +79,14 @@ class RosRobot(Robot):
         self._orders = Orders(settings.robot_name, self.arm, settings, broker)
         self._state = JointState(time.time(), joints, (0.0,) * len(joints))
         self._stamp = ""
-        self._told_s: float | None = None
+        self._reported_s: float | None = None
         self._gripper_closed = gripper_closed
         self._gripper_s = gripper_s
-        self._resync = Resync(self._ask, settings.reconcile_s)
-        self._asking: asyncio.Task[None] | None = None
+        self._resync = Resync(self._try_reconcile, settings.reconcile_s)
+        self._resync_task: asyncio.Task[None] | None = None
         self._ready = asyncio.Event()
         self._motion: _Motion | None = None
-        self._fault = f"the ROS bridge has not told of {self.arm} yet"
+        self._fault = f"the ROS bridge has not reported {self.arm} yet"
 
     @classmethod
     def from_context(cls, context: RobotContext) -> Self:
@@ -102,11 +102,11 @@ class RosRobot(Robot):
         )
 
     def mount(self, app: FastAPI) -> None:
-        """Add the route by which the broker tells of the arm and of orders."""
+        """Add the route for notifications about the arm and orders."""
 
         @app.post(NOTIFIED_AT, status_code=204, tags=["notifications"])
         async def notify(request: Request) -> Response:
-            """Read the joints from the broker when they have changed, and have orders that did looked at."""
+            """Read changed joints from the broker, and check changed orders."""
             for notified in await self._receiver.receive(request):
                 if notified.get("id") == self.arm:
                     await self._read_joints()
@@ -116,33 +116,33 @@ class RosRobot(Robot):
 
     async def __aenter__(self) -> Self:
         self._receiver.require_key()
-        self._asking = asyncio.create_task(self._resync.run())
+        self._resync_task = asyncio.create_task(self._resync.run())
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        if self._asking is not None:
-            self._asking.cancel()
+        if self._resync_task is not None:
+            self._resync_task.cancel()
             with suppress(asyncio.CancelledError):
-                await self._asking
+                await self._resync_task
 
     def state(self) -> JointState:
-        """Return the joints as they were told last."""
+        """Return the last reported joints."""
         return self._state
 
     def remaining_s(self) -> float:
-        """Return how long the motion under way will still take from where the joints are; 0 at rest.
+        """Return the remaining time of the motion from the present joints; 0 at rest.
 
-        It does not shrink while the joints do not move, so neither does the progress of a Task climb.
+        It is constant while the joints do not move, and so is the progress of the Task.
         """
         return 0.0 if self._motion is None else self._motion.remaining_s(self._state.positions)
 
     def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
-        """Return how long a motion from rest to rest takes."""
+        """Return the duration of a motion from rest to rest."""
         return duration_s(start, target, self._limits.slowed(speed))
 
     async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
         """Have the arm follow a trajectory to `target`; see `Robot.move`."""
-        start = await self._joints_of_now()
+        start = await self._current_joints()
         cruise = self._limits.slowed(speed)
         course = Course(start, target, cruise, self._limits, began_s=0.0)
         planned_s = course.remaining_s(0.0)
@@ -156,7 +156,7 @@ class RosRobot(Robot):
         began_s = time.monotonic()
         self._motion = _Motion(start, target, planned_s)
         try:
-            ended = await self._watched(order, may_go, 2 * planned_s + 10)
+            ended = await self._supervise(order, may_go, 2 * planned_s + 10)
             if not ended.completed and not ended.cancelled:
                 raise RobotFault(
                     message(
@@ -176,7 +176,7 @@ class RosRobot(Robot):
         return ended.completed
 
     async def close_gripper(self) -> bool:
-        """Close the gripper; True when something has kept it from closing wholly."""
+        """Close the gripper; return True when an object stopped it."""
         ended = await self._grip("closeGripper")
         self._gripper_closed = True
         stalled = ended.outputs.get("stalled") is True
@@ -207,31 +207,31 @@ class RosRobot(Robot):
 
     @property
     def gripper_closed(self) -> bool:
-        """Say whether the gripper was closed last."""
+        """Return whether the last command closed the gripper."""
         return self._gripper_closed
 
     async def _grip(self, operation: str) -> Ended:
-        await self._joints_of_now()
+        await self._current_joints()
         order = await self._orders.give(operation)
         return await self._orders.end_of(order, self._gripper_s + 20)
 
-    async def _watched(self, order: str, may_go: Callable[[], bool], within_s: float) -> Ended:
-        """Wait for the end of a motion, and wish it to end once it may not go on."""
+    async def _supervise(self, order: str, may_go: Callable[[], bool], within_s: float) -> Ended:
+        """Wait for the end of a motion, and cancel it once `may_go` returns False."""
         end = asyncio.ensure_future(self._orders.end_of(order, within_s))
         stopping = False
         began_s = time.monotonic()
         try:
             while not end.done():
-                silent_s = time.monotonic() - max(began_s, self._told_s or began_s)
-                if silent_s > FRESH_S:
+                silent_s = time.monotonic() - max(began_s, self._reported_s or began_s)
+                if silent_s > MAX_AGE_S:
                     await self._orders.cancel(order)
-                    await asyncio.wait({end}, timeout=RESTS_WITHIN_S)
+                    await asyncio.wait({end}, timeout=REST_TIMEOUT_S)
                     raise RobotFault(
                         f"the joints of {self.arm} have not been reported for {silent_s:.0f} s while it "
-                        "should move, and its goal was cancelled; look after the arm, its driver and the ROS "
+                        "should move, and its goal was cancelled; check the arm, its driver and the ROS "
                         "bridge"
                     )
-                await asyncio.wait({end}, timeout=MAY_GO_EVERY_S if not stopping else 1.0)
+                await asyncio.wait({end}, timeout=CHECK_EVERY_S if not stopping else 1.0)
                 if not stopping and not end.done() and not may_go():
                     stopping = True
                     await self._orders.cancel(order)
@@ -240,30 +240,30 @@ class RosRobot(Robot):
             end.cancel()
 
     async def _rest(self) -> None:
-        """Wait until the joints told are those of an arm that stands still. Raises `RobotFault`."""
+        """Wait until the reported joints are at rest. Raises `RobotFault`."""
         before, since_s = self._state, time.monotonic()
-        deadline_s = since_s + RESTS_WITHIN_S
+        deadline_s = since_s + REST_TIMEOUT_S
         while time.monotonic() < deadline_s:
-            await asyncio.sleep(MAY_GO_EVERY_S)
+            await asyncio.sleep(CHECK_EVERY_S)
             now = self._state
             if now is not before and max(map(abs, now.velocities)) < STILL_RAD_S:
                 return
-            if _apart(now.positions, before.positions) > STILL_RAD:
+            if _distance_rad(now.positions, before.positions) > STILL_RAD:
                 before, since_s = now, time.monotonic()
             elif time.monotonic() - since_s >= STILL_S:
                 return
         raise RobotFault(
             message(
                 "robot.not_at_rest",
-                "{arm} was told to stop and has not come to rest; look after it",
+                "{arm} was stopped and is not at rest; check it",
                 arm=self.arm,
             )
         )
 
-    async def _joints_of_now(self) -> Joints:
-        """Return where the joints are, asked of the broker. Raises `RobotFault` when nobody knows."""
+    async def _current_joints(self) -> Joints:
+        """Return the current joints from the broker. Raises `RobotFault` when they are unknown."""
         with suppress(TimeoutError):
-            async with asyncio.timeout(KNOWN_WITHIN_S):
+            async with asyncio.timeout(JOINTS_TIMEOUT_S):
                 await self._ready.wait()
                 while True:
                     if await self._look() and self._is_fresh():
@@ -272,23 +272,23 @@ class RosRobot(Robot):
         raise RobotFault(
             message(
                 "robot.joints_unknown",
-                "where the joints of {arm} are is not known: {fault}; start its driver, and the "
-                "ROS bridge with a mapping that tells of it (handover bridge check arm)",
+                "the joints of {arm} are unknown: {fault}; start its driver, and the "
+                "ROS bridge with a mapping that reports them (handover bridge check arm)",
                 arm=self.arm,
                 fault=self._fault,
             )
         )
 
     def _is_fresh(self) -> bool:
-        fresh = self._told_s is not None and time.monotonic() - self._told_s < FRESH_S
-        if not fresh and self._told_s is not None:
-            self._fault = f"they were told {time.monotonic() - self._told_s:.0f} s ago for the last time"
+        fresh = self._reported_s is not None and time.monotonic() - self._reported_s < MAX_AGE_S
+        if not fresh and self._reported_s is not None:
+            self._fault = f"the last report is {time.monotonic() - self._reported_s:.0f} s old"
         return fresh
 
-    # What is told of the arm
+    # Reports about the arm
 
-    async def _ask(self) -> bool:
-        """One round: subscriptions in place, old orders ended, the arm looked at."""
+    async def _try_reconcile(self) -> bool:
+        """Ensure the subscriptions, end old orders and read the arm."""
         try:
             await self._broker.ensure_subscription(self._subscription())
             await self._broker.ensure_subscription(self._orders.subscription(self._endpoint()))
@@ -300,8 +300,8 @@ class RosRobot(Robot):
             self._fault = str(fault)
             return False
         except BrokerError as error:
-            self._fault = f"the broker cannot be asked: {error}"
-            log.warning("cannot ask the broker for the arm", arm=self.arm, error=str(error))
+            self._fault = f"the broker is unavailable: {error}"
+            log.warning("arm not read", arm=self.arm, error=str(error))
             return False
 
     async def _look(self) -> bool:
@@ -310,37 +310,37 @@ class RosRobot(Robot):
         except NotFound:
             self._fault = "the broker has no such Device"
         except BrokerError as error:
-            self._fault = f"the broker cannot be asked: {error}"
+            self._fault = f"the broker is unavailable: {error}"
             return False
         return True
 
     async def _read_joints(self) -> None:
-        """Read the arm from the broker, with one query for all notifications that come meanwhile."""
+        """Read the arm from the broker; one query serves all notifications that arrive meanwhile."""
         try:
             for entity in await self._receiver.read("Device", [self.arm]):
                 self._take(entity)
         except BrokerError as error:
-            log.warning("cannot read the arm", arm=self.arm, error=str(error))
+            log.warning("arm not read", arm=self.arm, error=str(error))
             self._resync.request()
 
     def _take(self, entity: Mapping[str, Any]) -> None:
-        """Take the joints of an arm as the bridge has written them; older ones are no news."""
-        positions = _told(entity, "jointPositions")
-        names = _told(entity, "jointNames")
+        """Apply the joints that the bridge has written; older ones are ignored."""
+        positions = _value(entity, "jointPositions")
+        names = _value(entity, "jointNames")
         stamp = str(entity.get("jointPositions", {}).get("observedAt", ""))
         if stamp <= self._stamp:
             return
         try:
-            told = in_order(names, positions)
-            velocities = _told(entity, "jointVelocities")
-            turning = in_order(names, velocities) if velocities else (0.0,) * len(told)
+            reported = in_order(names, positions)
+            velocities = _value(entity, "jointVelocities")
+            turning = in_order(names, velocities) if velocities else (0.0,) * len(reported)
         except RobotFault as fault:
             self._fault = str(fault)
             return
-        if self._stamp:  # what was there before we looked for the first time may be long past
-            self._told_s = time.monotonic()
+        if self._stamp:  # the positions of the first read may be old
+            self._reported_s = time.monotonic()
         self._stamp = stamp
-        self._state = JointState(time.time(), told, turning)
+        self._state = JointState(time.time(), reported, turning)
 
     def _subscription(self) -> dict[str, Any]:
         return {
@@ -360,12 +360,12 @@ class RosRobot(Robot):
 
 
 def points(course: Course) -> list[dict[str, Any]]:
-    """Return the points of a trajectory that a controller follows, the last one at rest at the target.
+    """Return the points of a trajectory for a controller; the last one is at rest at the target.
 
     Each has `positions` in rad, `velocities` in rad/s, `accelerations` in rad/s^2 and `time_from_start`.
     """
     whole_s = course.remaining_s(0.0)
-    count = min(max(math.ceil(whole_s / STEP_S), 1), MOST_POINTS)
+    count = min(max(math.ceil(whole_s / STEP_S), 1), MAX_POINTS)
     made = []
     for number in range(1, count + 1):
         at_s = whole_s * number / count
@@ -382,15 +382,15 @@ def points(course: Course) -> list[dict[str, Any]]:
 
 
 def in_order(names: Any, values: Any) -> Joints:
-    """Return the values of our joints out of those told by name. Raises `RobotFault`.
+    """Return the values of the arm's joints from values by name. Raises `RobotFault`.
 
-    Drivers put the joints of a gripper, or of a second arm, into the same message, in any order.
+    Drivers report the joints of a gripper, or of a second arm, in the same message, in any order.
     """
     if not isinstance(names, Sequence) or not isinstance(values, Sequence) or len(names) != len(values):
         raise RobotFault(
             message(
                 "robot.joint_count_differs",
-                "{names} joints and {values} values are told of the arm",
+                "{names} joint names and {values} values are reported",
                 names=len(names or ()),
                 values=len(values or ()),
             )
@@ -401,7 +401,7 @@ def in_order(names: Any, values: Any) -> Joints:
         raise RobotFault(
             message(
                 "robot.joints_missing",
-                "nothing is told of {missing}; the joints told are {given}",
+                "{missing} are not reported; the reported joints are {given}",
                 missing=", ".join(missing),
                 given=", ".join(by_name),
             )
@@ -409,10 +409,10 @@ def in_order(names: Any, values: Any) -> Joints:
     return tuple(float(by_name[name]) for name in JOINT_NAMES)
 
 
-def _told(entity: Mapping[str, Any], attribute: str) -> Any:
+def _value(entity: Mapping[str, Any], attribute: str) -> Any:
     found = entity.get(attribute)
     return found.get("value") if isinstance(found, Mapping) else None
 
 
-def _apart(some: Joints, others: Joints) -> float:
+def _distance_rad(some: Joints, others: Joints) -> float:
     return max(abs(one - other) for one, other in zip(some, others, strict=True))

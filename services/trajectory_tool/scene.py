@@ -1,6 +1,6 @@
-"""The scene: how the cell is laid out, with its bins, fixtures and the gripper, as a YAML file says.
+"""The scene: the layout of the cell with bins, fixtures and gripper, read from a YAML file.
 
-What lies where at the moment is not here but in `contents.py`.
+The present positions of parts are in `contents.py`.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ class _Written(BaseModel):
 
 
 class Spot(_Written):
-    """A place for the tips of the gripper, which points straight down there."""
+    """A position of the gripper's tips, with the gripper pointing straight down."""
 
     position: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
     yaw_deg: FiniteFloat = 0.0
@@ -40,7 +40,7 @@ class Spot(_Written):
 
 
 class Gripper(_Written):
-    """The gripper at the flange, and how it comes to a part."""
+    """The gripper at the flange, and its approach to a part."""
 
     length_m: Length
     opening_m: Length
@@ -49,7 +49,7 @@ class Gripper(_Written):
 
 
 class Bin(_Written):
-    """A bin, where the camera looks into it from, and how parts lie in it at first, the topmost first."""
+    """A bin, its camera position, and its initial parts, the topmost first."""
 
     view: Spot
     looks_for_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = 0.5
@@ -79,12 +79,12 @@ class Scene(_Written):
         return Arm(self.gripper.length_m)
 
     def digest(self) -> str:
-        """Return what tells this scene from any other."""
+        """Return a hash that identifies this scene."""
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
 
 
 def load(file: Path | None) -> Scene:
-    """Return the scene of `file`, or the built-in one. Raises `UsageError`, one line a fault."""
+    """Return the scene of `file`, or the built-in one. Raises `UsageError` with one line for each fault."""
     path = file or BUILT_IN
     try:
         written = yaml.safe_load(path.read_text(encoding="utf-8"))

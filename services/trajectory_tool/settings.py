@@ -1,4 +1,4 @@
-"""The settings of the trajectory tool, beside those that every component shares."""
+"""The settings of the trajectory tool, in addition to the common ones."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,15 +12,15 @@ PerJoint = tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...]
 
 
 class TrajectorySettings(Settings):
-    """Which robot is moved, how fast, and in which cell."""
+    """The robot, its limits and its cell."""
 
     trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
     trajectory_url: str | None = Field(
-        None, description="where the broker reaches the trajectory tool; http://host:port of it if absent"
+        None, description="the URL of the trajectory tool for the broker; by default http://host:port"
     )
     robot: str = Field(
         "simulated",
-        description="what moves: simulated (a UR10), ros (an arm of a ROS graph, through the ROS bridge), or "
+        description="the robot driver: simulated (a UR10), ros (an arm behind the ROS bridge), or "
         "a robot that another package registers",
     )
     ros_arm: str = Field(
@@ -29,12 +29,14 @@ class TrajectorySettings(Settings):
         description="the Device of the arm that the ROS bridge moves, where robot is ros",
     )
     robot_name: str = Field(
-        "ur10-1", pattern=r"^[A-Za-z0-9_.-]+$", description="the robot, as the last part of its Device's id"
+        "ur10-1",
+        pattern=r"^[A-Za-z0-9_.-]+$",
+        description="the name of the robot in the id of its Device",
     )
     robot_speed: float = Field(
-        0.6, gt=0, le=1, description="how fast the robot moves at most, as a fraction of its joint limits"
+        0.6, gt=0, le=1, description="the maximum speed of the robot, as a fraction of its joint limits"
     )
-    control_hz: float = Field(125.0, ge=20, le=1000, description="cycles of control a second")
+    control_hz: float = Field(125.0, ge=20, le=1000, description="control cycles per second")
     max_joint_speed_rad_s: PerJoint = Field(
         (2.09, 2.09, 3.14, 3.14, 3.14, 3.14),
         min_length=6,
@@ -51,18 +53,18 @@ class TrajectorySettings(Settings):
         None, description="YAML file of the cell: bins, parts, fixtures; the built-in cell if absent"
     )
     detection_rate: float = Field(
-        0.7, ge=0, le=1, description="how often the simulated camera sees a part that is there"
+        0.7, ge=0, le=1, description="probability that the simulated camera detects a part"
     )
-    scan_seed: int = Field(174, description="seed of the simulated camera: the same seed, the same scans")
+    scan_seed: int = Field(174, description="seed of the simulated camera; it determines the scans")
 
     @property
     def notify_url(self) -> str:
-        """Return where the broker sends notifications of Tasks."""
+        """Return the URL for notifications of Tasks."""
         return f"{self.url_of(self.trajectory_port, self.trajectory_url)}/notifications"
 
     @property
     def limits(self) -> Limits:
-        """Return what the joints may do at most."""
+        """Return the joint limits."""
         return Limits(
             self.max_joint_speed_rad_s, self.max_joint_acceleration_rad_s2, self.max_joint_jerk_rad_s3
         )

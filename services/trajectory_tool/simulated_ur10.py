@@ -1,6 +1,6 @@
-"""A simulated UR10: its joints are where the trajectory says, 125 times a second, without any physics.
+"""A simulated UR10: kinematic, its joints follow the trajectory 125 times a second.
 
-The cycles of control have a thread of their own, so that nothing the HTTP side does can hold them up.
+The control cycles run in a separate thread, so that HTTP requests do not delay them.
 """
 
 import asyncio
@@ -20,9 +20,9 @@ T = TypeVar("T")
 
 
 class SimulatedUR10(Robot):
-    """Joints that begin at rest at `joints` (rad) and a gripper that takes `gripper_s` to act.
+    """Joints that start at rest at `joints` (rad) and a gripper that takes `gripper_s` for an action.
 
-    `something_there` says whether a gripper that closes with the joints as given closes on something.
+    `something_there` returns whether a gripper that closes at given joints grips an object.
     """
 
     def __init__(
@@ -68,26 +68,26 @@ class SimulatedUR10(Robot):
         await asyncio.to_thread(self._control.shutdown)
 
     def state(self) -> JointState:
-        """Return the joints as they are now."""
+        """Return the present joints."""
         setpoint = self._setpoint
         return JointState(time.time(), setpoint.positions, setpoint.velocities)
 
     def remaining_s(self) -> float:
-        """Return how long the motion under way will still take."""
+        """Return the remaining time of the motion."""
         course = self._course
         return 0.0 if course is None else course.remaining_s(self._clock.now_s())
 
     def estimate_s(self, start: Joints, target: Joints, speed: float) -> float:
-        """Return how long a motion from rest to rest takes."""
+        """Return the duration of a motion from rest to rest."""
         return duration_s(start, target, self._limits.slowed(speed))
 
     @property
     def gripper_closed(self) -> bool:
-        """Say whether the gripper is closed."""
+        """Return whether the gripper is closed."""
         return self._gripper_closed
 
     async def move(self, target: Joints, speed: float, may_go: Callable[[], bool]) -> bool:
-        """Move to `target`; False if it came to rest on the way because it might not go on."""
+        """Move to `target`; return False if it stopped on the way because of `may_go`."""
         given_up = Event()
 
         def unhindered() -> bool:
@@ -96,7 +96,7 @@ class SimulatedUR10(Robot):
         return await self._in_control(lambda: self._drive(target, speed, unhindered), given_up.set)
 
     async def close_gripper(self) -> bool:
-        """Close the gripper; True when it closes on something."""
+        """Close the gripper; return True when it grips an object."""
         await self._in_control(lambda: self._clock.wait_s(self._gripper_s))
         self._gripper_closed = True
         return self._something_there(self._setpoint.positions)
@@ -107,7 +107,7 @@ class SimulatedUR10(Robot):
         self._gripper_closed = False
 
     async def _in_control(self, work: Callable[[], T], give_up: Callable[[], None] | None = None) -> T:
-        """Do `work` in the thread of control; who stops waiting for it waits until it is at rest."""
+        """Run `work` in the control thread; a cancelled caller waits until the robot is at rest."""
         if self._switched_off.is_set():
             raise RobotFault(
                 message(
@@ -142,7 +142,7 @@ class SimulatedUR10(Robot):
             MOTION_SECONDS.inc(self._clock.now_s() - began_s)
 
     def _next_cycle(self, due_s: float) -> float:
-        """Return when the next cycle is due; those that are past already are counted and left out."""
+        """Return when the next cycle is due; late cycles are counted and skipped."""
         due_s += self._cycle_s
         missed = int((self._clock.now_s() - due_s) / self._cycle_s)
         if missed > 0:

@@ -1,7 +1,7 @@
-"""A trajectory: where each joint is at each moment of a motion, within its limits.
+"""A trajectory: the joint positions as a function of time, within the joint limits.
 
-It is a function of time, so a control cycle that comes late is at the right place all the same. A motion is
-a straight line in joint space, and a stop stays on that line. The profile along the line is ruckig's.
+A late control cycle therefore still uses the correct position. A motion is a straight line in joint space,
+and a stop stays on that line. ruckig computes the profile along the line.
 """
 
 import math
@@ -15,19 +15,19 @@ from handover.messages import message, text_of
 from services.trajectory_tool.robot import Joints, RobotFault
 
 NOTHING_RAD = 1e-9
-"""A joint that turns by less need not turn."""
+"""A smaller rotation is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What each joint may do at most: rad/s, rad/s^2, rad/s^3."""
+    """The limits of each joint: rad/s, rad/s^2, rad/s^3."""
 
     velocity: Joints
     acceleration: Joints
     jerk: Joints
 
     def slowed(self, speed: float) -> "Limits":
-        """Return the limits under which a motion looks the same, played back at `speed` (0 to 1)."""
+        """Return the limits for the same motion at `speed` (0 to 1)."""
         return Limits(
             tuple(speed * value for value in self.velocity),
             tuple(speed**2 * value for value in self.acceleration),
@@ -37,7 +37,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Where the joints are, how fast, and how that changes: rad, rad/s, rad/s^2."""
+    """Position, velocity and acceleration of the joints: rad, rad/s, rad/s^2."""
 
     positions: Joints
     velocities: Joints
@@ -45,14 +45,14 @@ class Setpoint:
 
     @classmethod
     def at_rest(cls, positions: Joints) -> "Setpoint":
-        """Return the setpoint of joints that stand still."""
+        """Return the setpoint of joints at rest."""
         still = (0.0,) * len(positions)
         return cls(positions, still, still)
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """The way from `start` to `target`, as a place that goes from 0 to 1."""
+    """The line from `start` to `target`, parametrized from 0 to 1."""
 
     start: Joints
     target: Joints
@@ -62,7 +62,7 @@ class _Line:
         return tuple(there - here for here, there in zip(self.start, self.target, strict=True))
 
     def along(self, limits: Limits) -> tuple[float, float, float]:
-        """Return how fast, and how suddenly, the place may change so that no joint exceeds its limits."""
+        """Return the limits of the parameter such that no joint exceeds its limits."""
         return (
             min(_allowed(limits.velocity, self.way)),
             min(_allowed(limits.acceleration, self.way)),
@@ -79,10 +79,10 @@ class _Line:
 
 
 class Course:
-    """A motion under way: to its target, or, once it may not go on, to rest. Time is given to it.
+    """A motion to its target or, after `may_go` was False, to rest. The time is an argument.
 
-    `cruise` are the limits of the motion, `limits` those of the robot, with which it stops; both hold for
-    every joint. Raises `RobotFault` when there is no such motion.
+    `cruise` are the limits of the motion, `limits` those of the robot, which apply to a stop. Raises
+    `RobotFault` when there is no such motion.
     """
 
     def __init__(self, start: Joints, target: Joints, cruise: Limits, limits: Limits, began_s: float) -> None:
@@ -105,7 +105,7 @@ class Course:
             self._follow(_to_the_end(self._line.along(cruise)))
 
     def at(self, now_s: float, *, may_go: bool = True) -> Setpoint:
-        """Return the setpoint of this moment; the first time that `may_go` is False the stop begins."""
+        """Return the setpoint at a time; the stop starts when `may_go` is False for the first time."""
         since_s = min(max(now_s - self._began_s, 0.0), self._duration_s)
         if self.is_over(now_s) and not self.stopping:
             return Setpoint.at_rest(self._line.target)
@@ -119,11 +119,11 @@ class Course:
         return self._line.at(place, velocity, acceleration)
 
     def remaining_s(self, now_s: float) -> float:
-        """Return how long it still takes until the joints are at rest."""
+        """Return the time until the joints are at rest."""
         return max(self._began_s + self._duration_s - now_s, 0.0)
 
     def is_over(self, now_s: float) -> bool:
-        """Say whether the joints are at rest: at the target, or, if it was `stopping`, on the way."""
+        """Return whether the joints are at rest: at the target or, after a stop, on the way."""
         return now_s - self._began_s >= self._duration_s
 
     def _follow(self, given: Any) -> None:
@@ -152,7 +152,7 @@ class Course:
 
 
 def duration_s(start: Joints, target: Joints, cruise: Limits) -> float:
-    """Return how long the motion from rest at `start` to rest at `target` takes. Raises `RobotFault`."""
+    """Return the duration of the motion from rest to rest. Raises `RobotFault`."""
     return Course(start, target, cruise, cruise, began_s=0.0).remaining_s(0.0)
 
 

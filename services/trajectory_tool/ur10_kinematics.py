@@ -1,7 +1,7 @@
-"""The kinematics of a UR10: from six joint angles to the flange, and back again in closed form.
+"""The forward kinematics of a UR10, and the inverse in closed form.
 
-The arm is a turntable, a planar arm of two links and a wrist; the way back solves each in turn, and finds
-up to eight ways to reach a pose. Dimensions: Universal Robots, "DH parameters for calculations of kinematics
+The arm is a turntable, a planar arm of two links and a wrist; the inverse solves each in turn, and finds
+up to eight solutions for a pose. Dimensions: Universal Robots, "DH parameters for calculations of kinematics
 and dynamics", UR10 (CB3).
 """
 
@@ -18,10 +18,10 @@ A2, A3 = -0.612, -0.5723
 """The Denavit-Hartenberg lengths in m."""
 
 REACH_M = abs(A2) + abs(A3) + D5
-"""How far the last wrist joint gets from the shoulder at the very most."""
+"""The maximum distance of the last wrist joint from the shoulder."""
 
 JOINT_LIMIT_RAD = 2 * math.pi
-"""Each joint turns by one full turn either way."""
+"""Each joint turns by one full turn in both directions."""
 
 _TWISTS = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
 _LENGTHS = (0.0, A2, A3, 0.0, 0.0, 0.0)
@@ -35,7 +35,7 @@ free."""
 
 
 class Unreachable(HandoverError):
-    """No way of holding the arm brings the flange there; the message says how far it is."""
+    """The flange cannot reach the pose; the message has the distance."""
 
 
 def forward(joints: Joints) -> Frame:
@@ -48,10 +48,10 @@ def forward(joints: Joints) -> Frame:
 
 
 def inverse(flange: Frame, near: Joints) -> list[Joints]:
-    """Return all ways to hold the arm (rad, each joint in -pi..pi) so that the flange is at `flange`.
+    """Return all solutions (rad, each joint in -pi..pi) with the flange at `flange`.
 
-    `near` says which angle a joint takes that does not matter there, as joint 6 when the axes of joints 4 and
-    6 are parallel. The list is empty when the pose cannot be reached.
+    `near` has the value of a free joint, such as joint 6 when the axes of joints 4 and 6 are parallel. The
+    list is empty when the pose is unreachable.
     """
     return [
         joints
@@ -62,9 +62,9 @@ def inverse(flange: Frame, near: Joints) -> list[Joints]:
 
 
 def nearest(flange: Frame, current: Joints) -> Joints:
-    """Return the way to reach `flange` that is nearest to `current`: its largest turn is the smallest.
+    """Return the solution for `flange` nearest to `current`: with the smallest maximum rotation.
 
-    Joints may end anywhere within their limits of a full turn either way. Raises `Unreachable`.
+    Joints are within their limits of a full turn in both directions. Raises `Unreachable`.
     """
     solutions = inverse(flange, current)
     if not solutions:
@@ -103,7 +103,7 @@ def _shoulder_angles(flange: Frame) -> Iterator[float]:
 
 
 def _wrist_angles(flange: Frame, shoulder: float, near: Joints) -> Iterator[tuple[float, float]]:
-    """Yield joints 5 and 6: the wrist may be turned either way, unless it is straight."""
+    """Yield joints 5 and 6: the wrist has two solutions, unless it is straight."""
     s1, c1 = math.sin(shoulder), math.cos(shoulder)
     across = [s1 * x - c1 * y for x, y in zip(flange.rotation[0], flange.rotation[1], strict=True)]
     sine = math.hypot(across[0], across[1])
@@ -117,10 +117,10 @@ def _wrist_angles(flange: Frame, shoulder: float, near: Joints) -> Iterator[tupl
 
 
 def _free_tool_angles(flange: Frame, shoulder: float, wrist: float, wanted: float) -> list[float]:
-    """Return joint 6 for a wrist that is straight: as `wanted`, or else just so that the arm reaches.
+    """Return joint 6 for a straight wrist: `wanted` if the arm reaches, else the nearest possible value.
 
-    The axes of joints 4 and 6 are parallel then, D5 apart: turning joint 6 leads the end of the forearm along
-    a circle, and only a part of that circle may be within the reach of the two links.
+    The axes of joints 4 and 6 are parallel then, D5 apart: joint 6 moves the end of the forearm along a
+    circle, and only a part of that circle may be within the reach of the two links.
     """
     east, north, west = (
         _forearm_end(flange, shoulder, wrist, angle).position for angle in (0.0, math.pi / 2, math.pi)

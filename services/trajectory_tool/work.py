@@ -1,7 +1,4 @@
-"""Work: one Task in the hands of the robot, from its first motion to its last.
-
-It knows how far it has come and how long it will take, and comes to rest where it is when it may not go on.
-"""
+"""Work: the execution of one Task by the robot, with its progress and its pauses."""
 
 import asyncio
 from collections.abc import Iterator
@@ -13,17 +10,17 @@ from services.trajectory_tool.robot import Joints
 
 
 class Steering(Protocol):
-    """Whoever may hold the work up or end it."""
+    """Pauses or ends the work."""
 
     def may_go(self) -> bool:
-        """Say whether the work may go on; cheap, asked in each cycle of control from its thread."""
+        """Return whether the work may continue; cheap, called in each control cycle from its thread."""
 
     async def rest(self) -> None:
-        """Return when the work, which is at rest, may go on; raise if it is not wanted any more."""
+        """Return when the paused work may continue; raise if it was cancelled."""
 
 
 class Work:
-    """The motions and acts of the gripper of one Task, at `speed` (0 to 1 of what the joints may do)."""
+    """The motions and gripper actions of one Task, at `speed` (0 to 1 of the joint limits)."""
 
     def __init__(self, task: str, operation: str, cell: Cell, steering: Steering, speed: float) -> None:
         self.task = task
@@ -31,28 +28,28 @@ class Work:
         self.cell = cell
         self._steering = steering
         self._speed = speed
-        self._ahead: list[float] = []
-        self._in_hand_s = 0.0
+        self._planned: list[float] = []
+        self._current_s = 0.0
         self._moving = False
         self._total_s = 0.0
         self._progress = 0.0
 
     def intend(self, *steps: Joints | float) -> None:
-        """Say what is ahead: joints to move to in rad, and acts that take so many seconds.
+        """Set the planned steps: joints to move to in rad, and actions with their duration in s.
 
         Raises `RobotFault` when there is no such motion.
         """
-        self._ahead = list(self._durations(steps))
-        self._total_s = sum(self._ahead)
+        self._planned = list(self._durations(steps))
+        self._total_s = sum(self._planned)
 
     def remaining_s(self) -> float:
-        """Return how long the work still takes if nothing holds it up."""
-        return max(self.cell.robot.remaining_s(), self._in_hand_s) + sum(self._ahead)
+        """Return the remaining time without pauses."""
+        return max(self.cell.robot.remaining_s(), self._current_s) + sum(self._planned)
 
     def progress(self) -> float:
-        """Return how far the work is, from 0 to 1; it never goes back.
+        """Return the progress from 0 to 1; it never decreases.
 
-        A motion that has just come to rest tells nothing until it is known whether it rests at its target.
+        It is unchanged after a stop until it is known whether the robot is at its target.
         """
         just_at_rest = self._moving and self.cell.robot.remaining_s() == 0.0
         if self._total_s > 0 and not just_at_rest:
@@ -60,13 +57,13 @@ class Work:
         return self._progress
 
     async def go(self, target: Joints) -> None:
-        """Move to joints in rad, resting on the way as often as it must; at rest there when it returns."""
+        """Move to joints in rad, with pauses on the way if requested; at rest there when it returns."""
         self._begin_next()
-        self._in_hand_s = 0.0
+        self._current_s = 0.0
         while not await self._move(target):
             await self.cell.remember()
             await self._steering.rest()
-            self._in_hand_s = 0.0
+            self._current_s = 0.0
         await self.cell.remember()
 
     async def _move(self, target: Joints) -> bool:
@@ -74,35 +71,35 @@ class Work:
         try:
             arrived = await self.cell.robot.move(target, self._speed, self._may_go)
             if not arrived:
-                self._in_hand_s = self.cell.robot.estimate_s(self.cell.joints, target, self._speed)
+                self._current_s = self.cell.robot.estimate_s(self.cell.joints, target, self._speed)
             return arrived
         finally:
             self._moving = False
 
     def _may_go(self) -> bool:
-        """Ask whether the motion may go on; from where it may not, its way to the target is still ahead."""
+        """Return whether the motion may continue; after a stop the rest of the motion is still planned."""
         may_go = self._steering.may_go()
-        if not may_go and self._in_hand_s == 0.0:
-            self._in_hand_s = self.cell.robot.remaining_s()
+        if not may_go and self._current_s == 0.0:
+            self._current_s = self.cell.robot.remaining_s()
         return may_go
 
     async def grip(self) -> str | None:
-        """Close the gripper; return the part it holds then, None (and open) if there is none."""
+        """Close the gripper; return the gripped part, None (and open again) without one."""
         await self._begin_act()
         return await self.cell.grip(self.task)
 
     async def release(self, place: str | None) -> None:
-        """Open the gripper; what it held lies in the fixture `place`, or just where it is."""
+        """Open the gripper; the part stays at its pose, in the fixture `place` if given."""
         await self._begin_act()
         await self.cell.release(self.task, place)
 
     async def wait(self, seconds: float) -> None:
-        """Stand still for so long, the camera looking."""
+        """Wait for the camera."""
         await self._begin_act()
         await asyncio.sleep(seconds)
 
     def done_before(self) -> Act | None:
-        """Return what the gripper has already done for this Task, in a run that was cut short perhaps."""
+        """Return the gripper's action for this Task in an earlier, interrupted run."""
         return self.cell.done_for(self.task)
 
     async def _begin_act(self) -> None:
@@ -111,7 +108,7 @@ class Work:
         self._begin_next()
 
     def _begin_next(self) -> None:
-        self._in_hand_s = self._ahead.pop(0) if self._ahead else 0.0
+        self._current_s = self._planned.pop(0) if self._planned else 0.0
 
     def _durations(self, steps: tuple[Joints | float, ...]) -> Iterator[float]:
         here = self.cell.joints

@@ -161,7 +161,7 @@ async def no_orders(shop: Shop) -> bool:
 
 async def test_an_arm_without_joint_states_is_not_moved(shop: Shop) -> None:
     silent = await comes_to(shop, await ask(shop, "moveTo", joints=HOME), TaskStatus.FAILED)
-    assert "where the joints of urn:ngsi-ld:Device:demo:arm-1 are is not known" in silent["reason"]
+    assert "the joints of urn:ngsi-ld:Device:demo:arm-1 are unknown" in silent["reason"]
 
 
 async def test_a_task_moves_the_arm_along_a_trajectory_to_its_target(shop: Shop, arm: Arm) -> None:

@@ -90,7 +90,7 @@ def test_the_robot_is_shown_and_its_joints_are_streamed(tool: Cell) -> None:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_answered_says_why(tool: Cell) -> None:
+def test_an_invalid_request_is_refused_with_the_reason(tool: Cell) -> None:
     assert httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9/scene").status_code == 404
     unknown = httpx.get(f"{tool.url('trajectory_tool')}/robots/ur10-9")
     assert unknown.status_code == 404

@@ -153,7 +153,7 @@ async def test_a_task_reports_its_progress_while_the_robot_moves(shop: Shop) -> 
     assert any(0.1 < fraction < 0.9 for fraction in fractions)
 
 
-async def test_the_device_says_what_the_robot_does(shop: Shop) -> None:
+async def test_the_device_shows_the_state_of_the_robot(shop: Shop) -> None:
     device = await shop.device_is(DeviceState.IDLE)
     assert device.category is not None
     assert device.category.value == ("robot",)
@@ -208,7 +208,7 @@ async def test_a_paused_task_can_be_cancelled(shop: Shop) -> None:
     await shop.device_is(DeviceState.IDLE)
 
 
-async def test_a_task_that_cannot_be_done_says_why(shop: Shop) -> None:
+async def test_a_task_that_cannot_be_done_fails_with_the_reason(shop: Shop) -> None:
     assert "moveTo, scan, pick, place, home" in await shop.refused("dance")
     assert 'no operation "work"' in await shop.refused("")
     assert "at least 6" in await shop.refused("moveTo", joints=[0, 0])
@@ -217,7 +217,7 @@ async def test_a_task_that_cannot_be_done_says_why(shop: Shop) -> None:
     assert (await shop.done("home"))["joints"] == HOME
 
 
-async def test_a_motion_cut_short_by_a_power_cut_is_done_again(shop: Shop) -> None:
+async def test_a_motion_is_repeated_after_a_power_cut(shop: Shop) -> None:
     task = await shop.ask("moveTo", joints=AWAY, speed=0.4)
     await shop.in_motion()
     shop.cell.kill("trajectory_tool")
@@ -244,7 +244,7 @@ async def test_a_pick_cut_short_after_the_grip_takes_no_second_part(new_shop: Sh
     assert (await new_shop.done("pick", bin="bin-1"))["part"] == "part-2"
 
 
-async def test_the_device_is_written_again_after_the_broker_was_away(shop: Shop) -> None:
+async def test_the_device_is_written_again_after_the_broker_was_unavailable(shop: Shop) -> None:
     await shop.device_is(DeviceState.IDLE)
     shop.cell.kill("context_broker")
     shop.cell.start("context_broker")

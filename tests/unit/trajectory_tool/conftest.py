@@ -16,7 +16,7 @@ from tests.kit.waiting import until
 
 
 class JumpingTime:
-    """A clock on which waiting takes no time; `on_wait` is told the time after each wait."""
+    """A clock on which waiting takes no time; `on_wait` gets the time after each wait."""
 
     def __init__(self) -> None:
         self.time_s = 1000.0

@@ -18,7 +18,7 @@ def test_the_same_seed_gives_the_same_scans() -> None:
     assert {None, "part-1"} == set(scans)
 
 
-def test_parts_are_seen_as_often_as_the_detection_rate_says() -> None:
+def test_parts_are_detected_at_the_detection_rate() -> None:
     camera = Camera(0.7, 1)
     seen = sum(camera.look(PARTS) is not None for _ in range(10_000))
     assert 6_800 < seen < 7_200

@@ -1,18 +1,18 @@
-from services.trajectory_tool.contents import fresh
+from services.trajectory_tool.contents import initial
 from services.trajectory_tool.scene import load
 
 SCENE = load(None)
 
 
-def test_the_parts_of_a_fresh_cell_lie_in_its_bin() -> None:
-    contents = fresh(SCENE)
+def test_the_parts_of_a_new_cell_lie_in_its_bin() -> None:
+    contents = initial(SCENE)
     parts = [one.part for one in contents.in_place("bin-1")]
     assert parts == ["part-1", "part-2", "part-3", "part-4", "part-5", "part-6"]
     assert contents.held is None
 
 
 def test_a_part_moves_from_the_bin_to_the_gripper_to_the_fixture() -> None:
-    gripped = fresh(SCENE).gripped("part-2")
+    gripped = initial(SCENE).gripped("part-2")
     assert gripped.held == "part-2"
     assert gripped.find("part-2") is None
     nest = gripped.free_nest(SCENE, "fixture-1")
@@ -24,7 +24,7 @@ def test_a_part_moves_from_the_bin_to_the_gripper_to_the_fixture() -> None:
 
 
 def test_a_nest_with_a_part_is_not_free() -> None:
-    contents = fresh(SCENE)
+    contents = initial(SCENE)
     for number in range(1, 5):
         nest = contents.free_nest(SCENE, "fixture-1")
         assert nest is not None
@@ -34,7 +34,7 @@ def test_a_nest_with_a_part_is_not_free() -> None:
 
 
 def test_the_gripper_closes_on_the_nearest_part_or_on_nothing() -> None:
-    contents = fresh(SCENE)
+    contents = initial(SCENE)
     first = contents.find("part-1")
     assert first is not None
     assert contents.between_fingers(first.pose.raised(0.005), 0.02) == "part-1"
@@ -42,6 +42,6 @@ def test_the_gripper_closes_on_the_nearest_part_or_on_nothing() -> None:
 
 
 def test_a_bin_that_is_filled_again_has_new_parts() -> None:
-    contents = fresh(SCENE).emptied("bin-1").filled(SCENE, "bin-1")
+    contents = initial(SCENE).emptied("bin-1").filled(SCENE, "bin-1")
     assert contents.in_place("bin-1")[0].part == "part-7"
     assert len(contents.lying) == 6

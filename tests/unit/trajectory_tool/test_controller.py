@@ -72,17 +72,17 @@ async def test_a_fault_of_the_robot_fails_the_task_and_shows_on_the_device(contr
     assert controller.device.state is DeviceState.ERROR
 
 
-async def test_a_disk_that_cannot_be_written_fails_the_task_in_plain_words(controller: Controller) -> None:
+async def test_a_full_disk_fails_the_task_with_the_reason(controller: Controller) -> None:
     in_the_way = controller.cell.file.path.with_suffix(".new")
     in_the_way.mkdir(parents=True)
-    with pytest.raises(TaskFailed, match=r"cannot be kept in .*ur10-1\.json: .*HANDOVER_DATA_DIR"):
+    with pytest.raises(TaskFailed, match=r"cannot be stored in .*ur10-1\.json: .*HANDOVER_DATA_DIR"):
         await controller.perform(a_job(controller))
     assert controller.device.state is DeviceState.IDLE
     in_the_way.rmdir()
     await controller.perform(a_job(controller))
 
 
-async def test_what_the_robot_stands_like_is_remembered_when_it_is_switched_off(tmp_path: Path) -> None:
+async def test_the_joints_are_stored_when_the_robot_is_switched_off(tmp_path: Path) -> None:
     settings = TrajectorySettings.load(data_dir=tmp_path)
     async with BrokerClient(settings) as broker:
         controller = Controller(settings, broker)

@@ -14,7 +14,7 @@ TARGET = (1.0, -1.2, 1.1, -1.4, -1.5, 0.3)
 
 
 class Reader:
-    """The far end of a WebSocket: takes each message in `takes_s`, and leaves when told."""
+    """The far end of a WebSocket: takes each message in `takes_s`, and disconnects on request."""
 
     def __init__(self, takes_s: float = 0.0) -> None:
         self.takes_s = takes_s

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from handover.errors import UsageError
-from services.trajectory_tool.contents import fresh
+from services.trajectory_tool.contents import initial
 from services.trajectory_tool.memory import Act, Memory, MemoryFile
 from services.trajectory_tool.poses import pointing_down
 from services.trajectory_tool.scene import load
@@ -13,7 +13,7 @@ MEMORY = Memory(
     scene=SCENE.digest(),
     joints=(0.1, -1.2, 1.3, -1.4, -1.5, 1.6),
     gripper_closed=True,
-    contents=fresh(SCENE).gripped("part-3"),
+    contents=initial(SCENE).gripped("part-3"),
     last_act=Act("urn:ngsi-ld:Task:demo:t", "gripped", "part-3", pointing_down((0.1, 0.2, 0.3), 0.4)),
     seen="part-3",
 )
@@ -24,33 +24,33 @@ def file(tmp_path: Path) -> MemoryFile:
     return MemoryFile(tmp_path / "trajectory_tool" / "ur10-1.json")
 
 
-def test_what_is_saved_is_remembered_to_the_last_digit(file: MemoryFile) -> None:
+def test_a_saved_memory_is_loaded_with_full_precision(file: MemoryFile) -> None:
     file.save(MEMORY)
     assert file.load(SCENE.digest()) == MEMORY
 
 
-def test_nothing_is_remembered_on_the_first_day(file: MemoryFile) -> None:
+def test_without_a_file_there_is_no_memory(file: MemoryFile) -> None:
     assert file.load(SCENE.digest()) is None
 
 
-def test_a_write_that_was_cut_short_leaves_the_memory_before_it(file: MemoryFile) -> None:
+def test_an_interrupted_write_keeps_the_earlier_memory(file: MemoryFile) -> None:
     file.save(MEMORY)
     file.path.with_suffix(".new").write_bytes(b'{"scene": "')
     assert file.load(SCENE.digest()) == MEMORY
 
 
-def test_another_scene_begins_afresh(file: MemoryFile) -> None:
+def test_the_memory_of_another_scene_is_ignored(file: MemoryFile) -> None:
     file.save(MEMORY)
     assert file.load("another") is None
 
 
 @pytest.mark.parametrize("text", ["", "{", "{}", "[1]", '{"scene": 1}'])
-def test_a_damaged_memory_says_how_to_go_on(file: MemoryFile, text: str) -> None:
+def test_a_damaged_memory_is_refused_with_the_way_out(file: MemoryFile, text: str) -> None:
     file.save(MEMORY)
     file.path.write_text(text)
-    with pytest.raises(UsageError, match=r"ur10-1\.json, is damaged; delete it") as told:
+    with pytest.raises(UsageError, match=r"ur10-1\.json, is damaged; delete it") as refused:
         file.load(SCENE.digest())
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(refused.value)
 
 
 def test_a_memory_that_cannot_be_read_is_named(file: MemoryFile) -> None:

@@ -65,7 +65,7 @@ async def test_an_unreachable_pose_says_how_far_the_reach_is_and_moves_nothing(w
     assert worker.cell.joints == before
 
 
-async def test_a_bin_that_does_not_exist_is_told_those_that_do(worker: Any) -> None:
+async def test_a_bin_that_does_not_exist_is_refused_with_the_known_ones(worker: Any) -> None:
     with pytest.raises(TaskFailed, match=r'no bin "bin-9"; the cell has bin-1'):
         await worker.do("scan", bin="bin-9")
     with pytest.raises(TaskFailed, match=r'no bin "bin-9"; the cell has bin-1'):
@@ -98,7 +98,7 @@ async def test_a_pick_where_no_part_lies_fails_with_the_gripper_open_and_the_arm
 
 async def test_a_pick_of_another_part_than_lies_there_puts_it_back(worker: Any) -> None:
     lying = worker.cell.contents.find("part-2")
-    with pytest.raises(TaskFailed, match=r'"part-2" lies at .* where "part-1" was asked for'):
+    with pytest.raises(TaskFailed, match=r'"part-2" lies at .* where "part-1" was requested'):
         await worker.do("pick", part="part-1", pose=lying.pose.written())
     assert worker.cell.held is None
     assert worker.cell.contents.find("part-2").place == "bin-1"
@@ -129,7 +129,7 @@ async def test_a_place_with_an_empty_gripper_fails(worker: Any) -> None:
         await worker.do("place", location="fixture-1")
 
 
-async def test_a_place_that_does_not_exist_is_told_those_that_do(worker: Any) -> None:
+async def test_a_place_that_does_not_exist_is_refused_with_the_known_ones(worker: Any) -> None:
     await picked(worker)
     with pytest.raises(TaskFailed, match=r'no fixture "shelf"; the cell has fixture-1'):
         await worker.do("place", location="shelf")

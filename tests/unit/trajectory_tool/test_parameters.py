@@ -25,7 +25,7 @@ def read(operation: str, /, **given: Any) -> Any:
         ("moveTo", {"pose": {"position": [0, 0, 1], "orientation": [1, 1, 0, 0]}}, "of length 1; .* 1.414"),
         ("moveTo", {"joints": [0] * 6, "speed": 1.5}, r'"speed" of moveTo: .*less than or equal to 1'),
         ("home", {"speed": 0}, r'"speed" of home: .*greater than or equal to 0\.01'),
-        ("home", {"speeed": 0.5}, r'home knows no parameter "speeed"; it knows speed'),
+        ("home", {"tempo": 0.5}, r'home knows no parameter "tempo"; it knows speed'),
         ("scan", {}, r'"bin" of scan: field required'),
         ("scan", {"bin": 7}, r'"bin" of scan'),
         ("place", {}, r'place needs either "location"'),
@@ -38,13 +38,13 @@ def test_a_wrong_parameter_is_named_with_its_rule(
         read(operation, **given)
 
 
-def test_every_fault_is_told_at_once() -> None:
-    with pytest.raises(TaskFailed, match=r'"speed".*; .*"joints"') as told:
+def test_all_faults_are_reported_at_once() -> None:
+    with pytest.raises(TaskFailed, match=r'"speed".*; .*"joints"') as refused:
         read("moveTo", joints=[1], speed=7)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(refused.value)
 
 
-def test_an_unknown_operation_is_told_the_known_ones() -> None:
+def test_an_unknown_operation_is_refused_with_the_known_ones() -> None:
     with pytest.raises(TaskFailed, match=r'no operation "dance".*moveTo, scan, pick, place, home'):
         operations.known("dance")
 
@@ -53,7 +53,7 @@ def test_a_urn_names_a_bin_by_its_last_part() -> None:
     assert read("scan", bin="urn:ngsi-ld:Location:demo:bin-1").bin == "bin-1"
 
 
-def test_what_describes_the_work_is_no_parameter_of_it() -> None:
+def test_a_description_is_ignored_by_the_operation() -> None:
     assert read("home", operation="home", description="Go home").speed == 1.0
 
 

@@ -1,9 +1,9 @@
-"""What a robot behind ROS is told, and what is read of it."""
+"""A robot behind ROS: the trajectory that is sent, and the joints that are read."""
 
 import pytest
 
 from services.trajectory_tool.robot import JOINT_NAMES, RobotFault
-from services.trajectory_tool.ros_robot import MOST_POINTS, in_order, points
+from services.trajectory_tool.ros_robot import MAX_POINTS, in_order, points
 from services.trajectory_tool.settings import TrajectorySettings
 from services.trajectory_tool.trajectory import Course
 
@@ -20,7 +20,7 @@ def course(speed: float) -> Course:
 def test_a_trajectory_ends_at_rest_at_its_target_after_the_time_planned(speed: float) -> None:
     planned = course(speed)
     made = points(planned)
-    assert len(made) <= MOST_POINTS
+    assert len(made) <= MAX_POINTS
     assert made[-1]["positions"] == list(AWAY)
     assert made[-1]["velocities"] == [0.0] * 6
     times_s = [one["time_from_start"]["sec"] + one["time_from_start"]["nanosec"] / 1e9 for one in made]
@@ -35,7 +35,7 @@ def test_no_point_of_a_trajectory_is_faster_than_the_joints_may_turn() -> None:
             assert abs(turns) <= 0.5 * may + 1e-6
 
 
-def test_joints_are_read_by_name_in_whatever_order_and_company_they_come() -> None:
+def test_joints_are_read_by_name_in_any_order_and_beside_other_joints() -> None:
     names = ["finger_joint", *reversed(JOINT_NAMES)]
     assert in_order(names, [9.0, *reversed(AWAY)]) == AWAY
 
@@ -46,14 +46,14 @@ def test_joints_are_read_by_name_in_whatever_order_and_company_they_come() -> No
         (
             JOINT_NAMES[:5],
             AWAY[:5],
-            "nothing is told of wrist_3_joint; the joints told are shoulder_pan_joint",
+            "wrist_3_joint are not reported; the reported joints are shoulder_pan_joint",
         ),
-        (JOINT_NAMES, AWAY[:5], "6 joints and 5 values are told"),
-        (JOINT_NAMES, (*AWAY[:5], None), "nothing is told of wrist_3_joint"),
-        (None, AWAY, "0 joints and 6 values"),
-        (None, None, "0 joints and 0 values"),
+        (JOINT_NAMES, AWAY[:5], "6 joint names and 5 values are reported"),
+        (JOINT_NAMES, (*AWAY[:5], None), "wrist_3_joint are not reported"),
+        (None, AWAY, "0 joint names and 6 values"),
+        (None, None, "0 joint names and 0 values"),
     ],
 )
-def test_joints_that_are_not_all_told_are_not_known(names: object, values: object, why: str) -> None:
+def test_incomplete_joints_are_refused(names: object, values: object, why: str) -> None:
     with pytest.raises(RobotFault, match=why):
         in_order(names, values)

@@ -23,7 +23,7 @@ def test_the_built_in_cell_has_the_bin_and_the_fixture_of_the_process() -> None:
     assert "fixture-1" in scene.fixtures
 
 
-def test_a_scene_of_ones_own_is_read(tmp_path: Path) -> None:
+def test_a_scene_file_is_read(tmp_path: Path) -> None:
     scene = load(written(tmp_path, ("bin-1:", "crate:"), ("looks_for_s: 0.5", "looks_for_s: 2")))
     assert scene.bins["crate"].looks_for_s == 2
     assert scene.digest() != load(None).digest()

@@ -76,7 +76,7 @@ async def test_remaining_time_counts_down_to_nothing(robot: SimulatedUR10, time:
     assert robot.remaining_s() == 0.0
 
 
-async def test_the_gripper_takes_its_time_and_feels_what_is_there(robot: SimulatedUR10, time: Any) -> None:
+async def test_the_gripper_takes_time_and_detects_an_object(robot: SimulatedUR10, time: Any) -> None:
     began_s = time.time_s
     assert not await robot.close_gripper()
     assert robot.gripper_closed
@@ -107,7 +107,7 @@ async def test_cycles_that_were_missed_are_counted_and_the_arm_is_where_it_shoul
     assert overruns() - before == 5
 
 
-async def test_who_stops_waiting_for_a_motion_stops_it(eventually_true: Any) -> None:
+async def test_a_cancelled_caller_stops_the_motion(eventually_true: Any) -> None:
     async with a_robot() as robot:
         moving = asyncio.create_task(robot.move(FAR, 1.0, lambda: True))
         await eventually_true(lambda: robot.state().velocities[0] > 0.5)

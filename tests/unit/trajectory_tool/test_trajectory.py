@@ -89,7 +89,7 @@ def test_after_a_stop_the_target_is_reached(start: Joints, target: Joints, share
     assert onward[-1] == Setpoint.at_rest(target)
 
 
-def test_velocity_begins_to_fall_within_100_ms_and_standstill_comes_in_half_a_second() -> None:
+def test_velocity_begins_to_fall_within_100_ms_and_the_stop_takes_half_a_second() -> None:
     course = a_course((0.0,) * 6, (6.0,) * 6)
     asked_s = 1.5
     followed = list(sampled(course, may_go_until_s=asked_s))
