@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from tests.kit.waiting import Bound
+
 from .writers import ALL_WAYS, Writer, compare, things_of
 
 CUTS = int(os.environ.get("HANDOVER_TEST_CRASHES", "4"))
@@ -29,9 +31,9 @@ def test_power_cuts_take_nothing_back_that_was_acknowledged(own_broker: Any) -> 
         goal = sum(writer.count for writer in writers) + 60 + 40 * (cut % 4)
         for writer in writers:
             writer.start()
-        deadline_s = time.monotonic() + 30
+        bound = Bound(30)
         while sum(writer.count for writer in writers) < goal:
-            assert time.monotonic() < deadline_s, "the writers do not get on"
+            bound.check("the writers do not advance")
             time.sleep(0.001)
         own_broker.kill()
         for writer in writers:

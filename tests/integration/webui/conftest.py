@@ -1,14 +1,15 @@
 """A cell with the screen's server in it, and a page that looks: what a browser keeps, without a browser."""
 
-import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import httpx
 import orjson
 import pytest
 from websockets.sync.client import ClientConnection, connect
+
+from tests.kit.waiting import Bound
 
 Condition = Callable[[], object]
 
@@ -22,7 +23,7 @@ class Viewer:
         self.kinds: list[str] = []
         self._link = link
 
-    def read(self, timeout_s: float = 10.0) -> dict[str, Any]:
+    def read(self, timeout_s: float = 120.0) -> dict[str, Any]:
         """Take in the next batch."""
         batch: dict[str, Any] = orjson.loads(self._link.recv(timeout=timeout_s))
         self.kinds.append(batch["type"])
@@ -39,14 +40,11 @@ class Viewer:
 
     def read_until(self, condition: Condition, within_s: float = 40.0) -> None:
         """Take in batches until `condition` holds."""
-        deadline_s = time.monotonic() + within_s
+        bound = Bound(within_s)
         while not condition():
-            left_s = deadline_s - time.monotonic()
-            assert left_s > 0, f"it never came; known: {sorted(self.topics)}; events: {self.happened()[-20:]}"
-            try:
-                self.read(left_s)
-            except TimeoutError:
-                continue
+            bound.check(lambda: f"not seen; known: {sorted(self.topics)}; events: {self.happened()[-20:]}")
+            with suppress(TimeoutError):
+                self.read(5.0)
 
     def want(self, *topics: str) -> None:
         """Say what is wanted beyond the usual."""

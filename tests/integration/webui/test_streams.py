@@ -11,6 +11,7 @@ import httpx
 import pytest
 
 from tests.kit.cell import Cell
+from tests.kit.waiting import Bound
 
 pytestmark = pytest.mark.slow
 
@@ -67,9 +68,9 @@ def test_eighty_trickling_uploads_block_no_service(
     xml = {"Content-Type": "application/xml"}
     links = [upload(cell.ports["webui"], THROUGH, sent) for _ in range(UPLOADS)]
     said: dict[socket.socket, bytes] = {}
-    deadline_s = time.monotonic() + 90
+    bound = Bound(90)
     while len(said) < UPLOADS:
-        assert time.monotonic() < deadline_s, f"{len(said)} of {UPLOADS} uploads were ended"
+        bound.check(lambda: f"{len(said)} of {UPLOADS} uploads were ended")
         assert page.get(definitions).status_code == 200
         assert page.post(definitions, content=shipped, headers=xml).status_code == 200
         for link in links:
