@@ -1,4 +1,4 @@
-"""The lamp of the README takes real Tasks from a real broker."""
+"""The lamp of the tutorial takes real Tasks from a real broker."""
 
 import os
 import signal
@@ -16,6 +16,7 @@ from handover.broker import AlreadyExists, BrokerClient, BrokerError, BrokerUnav
 from handover.settings import Settings
 from tests.kit.cell import Cell
 from tests.kit.context_sources import ScriptedSource
+from tests.kit.paths import REPOSITORY
 from tests.kit.ports import next_free_port
 
 pytestmark = pytest.mark.slow
@@ -38,7 +39,7 @@ def a_task(name: str, **parameters: Any) -> Task:
 
 
 class LampProcess:
-    """The lamp of the README, as a process on a port of its own."""
+    """The lamp of the tutorial, as a process on a port of its own."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
@@ -284,10 +285,10 @@ async def test_the_client_says_what_went_wrong(broker: BrokerClient, cell: Cell,
         await broker.retrieve(task.id)
 
 
-def test_the_readme_shows_the_lamp_as_it_is() -> None:
-    readme = (HERE.parents[2] / "README.md").read_text()
-    shown = readme.split("## A component of your own", 1)[1].split("```python\n", 1)[1].split("```", 1)[0]
-    assert shown.strip() in (HERE / "lamp.py").read_text()
+def test_the_tutorial_shows_the_lamp() -> None:
+    tutorial = (REPOSITORY / "docs" / "tutorials" / "first-component.md").read_text()
+    shown = tutorial.split("```python\n", 1)[1].split("```", 1)[0]
+    assert shown == (HERE / "lamp.py").read_text()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

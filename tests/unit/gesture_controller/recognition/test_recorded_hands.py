@@ -1,4 +1,4 @@
-"""The numbers of `make bench-gestures` come from the stated seconds alone, and are what the README says."""
+"""The numbers of `make bench-gestures` come from the stated seconds alone (docs/measurements.md)."""
 
 import random
 from pathlib import Path

@@ -1,0 +1,135 @@
+"""Links, commands and examples of the documentation are right."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+from typer.main import get_command
+
+from docs.site.hooks import INCLUDED
+from glove_sdk_bridge.command_line import parse
+from handover.cli.main import app
+from services.task_orchestrator.definition_registry import plan_of
+from tests.kit.paths import REPOSITORY
+
+DOCUMENTS = sorted(
+    [
+        *REPOSITORY.glob("*.md"),
+        *(REPOSITORY / "docs").rglob("*.md"),
+        *(REPOSITORY / "examples").rglob("*.md"),
+        *(REPOSITORY / path for path in INCLUDED),
+    ]
+)
+FENCE = re.compile(r"^[ >]*```(?P<language>\w*)\n(?P<content>.*?)^[ >]*```", re.MULTILINE | re.DOTALL)
+CODE = re.compile(r"`[^`\n]+`")
+LINK = re.compile(r"\[[^\]]*\]\((?P<target>[^)\s]+)\)")
+MAX_README_LINES = 150
+NOT_OURS = {
+    "apt", "cd", "curl", "docker", "export", "git", "gh", "pip", "python3", "sudo",
+}  # fmt: skip
+"""Programs whose words are not checked."""
+
+
+def name(path: Path) -> str:
+    return path.relative_to(REPOSITORY).as_posix()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name)
+def test_every_link_leads_somewhere(document: Path) -> None:
+    text = CODE.sub("", FENCE.sub("", document.read_text(encoding="utf-8")))
+    dead = []
+    for link in LINK.finditer(text):
+        target, _, anchor = link["target"].partition("#")
+        if re.match(r"[a-z]+:", target):
+            continue
+        path = (document.parent / target).resolve() if target else document
+        is_dead = not path.exists() or (path.suffix == ".md" and anchor and anchor not in anchors(path))
+        if is_dead:
+            dead.append(link["target"])
+    assert dead == []
+
+
+def anchors(document: Path) -> set[str]:
+    """Return the anchors of the headings of a document, as MkDocs and GitHub make them."""
+    text = FENCE.sub("", document.read_text(encoding="utf-8"))
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+def commands() -> Iterator[tuple[str, str]]:
+    for document in DOCUMENTS:
+        for block in FENCE.finditer(document.read_text(encoding="utf-8")):
+            if block["language"] == "sh":
+                for line in block["content"].replace("\\\n", " ").splitlines():
+                    for part in re.split(r"\s(?:&&|&|\|)\s", line.partition(" #")[0]):
+                        if part.strip():
+                            yield name(document), part.strip()
+
+
+@pytest.mark.parametrize(("document", "command"), [*commands()])
+def test_every_command_exists(document: str, command: str) -> None:
+    words = shlex.split(command)
+    while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
+        words = words[1:]
+    program = words[0].removeprefix(".venv/bin/")
+    if program in {"python", "python3"} and words[1:2] == ["-m"]:
+        program, words = words[2], words[2:]
+    if program == "handover":
+        check_handover(words[1:])
+    elif program == "glove_sdk_bridge":
+        parse(words[1:], program)
+    elif program == "make":
+        makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+        for target in words[1:]:
+            assert "=" in target or re.search(rf"^{re.escape(target)}:", makefile, re.MULTILINE), target
+    else:
+        assert program in {*NOT_OURS, "venv", "pytest"} or program.endswith((".py", "/run")), program
+
+
+def check_handover(words: list[str]) -> None:
+    """Fail if the command line does not accept `words`."""
+    if words[0] == "glove" and words[1] != "token":
+        if words[1] != "udp":  # of an example
+            parse(words[1:], "handover glove")
+        return
+    command: click.Command = get_command(app)
+    context = click.Context(command)
+    while isinstance(command, click.Group) or hasattr(command, "commands"):
+        found = command.get_command(context, words[0])
+        assert found is not None, f"no command {words[0]}"
+        command, words = found, words[1:]
+    command.make_context("handover", list(words))
+
+
+def test_process_of_the_tutorial_can_be_deployed() -> None:
+    plan = plan_of((REPOSITORY / "docs" / "tutorials" / "check-part.bpmn").read_bytes())
+    assert plan.definition.name == "check-part"
+    assert list(plan.definition.activities) == ["go_home", "check_part"]
+
+
+def test_tutorial_shows_a_part_of_its_process() -> None:
+    tutorial = (REPOSITORY / "docs" / "tutorials" / "first-cell.md").read_text(encoding="utf-8")
+    shown = tutorial.split("```xml\n", 1)[1].split("```", 1)[0]
+    process = (REPOSITORY / "docs" / "tutorials" / "check-part.bpmn").read_text(encoding="utf-8")
+    assert [line.strip() for line in shown.splitlines() if line.strip() not in process] == []
+
+
+def test_files_that_the_architecture_names_exist() -> None:
+    architecture = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:services|handover|ros_fiware_bridge|webui)/[\w/.]+)`", architecture)
+    assert len(named) >= 8
+    assert [path for path in named if not (REPOSITORY / path).exists()] == []
+
+
+def test_readme_is_short_and_says_what_fast_dds_needs_on_the_first_screen() -> None:
+    lines = (REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= MAX_README_LINES
+    assert "Fast DDS" in " ".join(lines[:14])
+
+
+def test_every_record_of_a_decision_has_its_own_number() -> None:
+    numbers = [path.name[:4] for path in (REPOSITORY / "docs" / "adr").glob("[0-9]*.md")]
+    assert len(numbers) == len(set(numbers))
