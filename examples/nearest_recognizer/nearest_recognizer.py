@@ -8,10 +8,10 @@ NEAR = 0.35
 class Nearest:
     """Compares where the fingers stand, from 0 (fist) to 1 (open hand), with where each gesture has them."""
 
-    def __init__(self, given: HandContext) -> None:
-        if given.calibration is None:
+    def __init__(self, context: HandContext) -> None:
+        if context.calibration is None:
             raise CannotRecognize("it compares with your fist and your open hand; calibrate the glove first")
-        self.levels, self.codes = given.calibration.levels, given.gestures.codes
+        self.levels, self.codes = context.calibration.levels, context.gestures.codes
 
     def see(self, before, frame):
         """Return the gesture whose worst finger is nearest; it needs no memory, so `before` is left alone."""
