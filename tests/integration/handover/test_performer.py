@@ -93,7 +93,7 @@ async def comes_to(broker: BrokerClient, task: Task, status: TaskStatus, within_
     import asyncio
 
     seen = task
-    async with asyncio.timeout(within_s):
+    async with asyncio.timeout(120 + within_s):
         while (seen := await broker.get(task.id, Task)).status.value is not status:
             await asyncio.sleep(0.02)
     return seen

@@ -55,7 +55,7 @@ class Shop:
 
     async def comes_to(self, task_id: str, status: TaskStatus, within_s: float = 30.0) -> dict[str, Any]:
         """Wait until a Task is in `status`; return its outputParameters."""
-        async with asyncio.timeout(within_s):
+        async with asyncio.timeout(120 + within_s):
             while (task := await self.broker.get(task_id, Task)).status.value is not status:
                 await asyncio.sleep(0.02)
         return dict(task.output_parameters.value) if task.output_parameters else {}
