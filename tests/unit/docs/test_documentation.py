@@ -1,5 +1,6 @@
 """Links, commands and examples of the documentation are right."""
 
+import itertools
 import re
 import shlex
 from collections.abc import Iterator
@@ -60,13 +61,28 @@ def anchors(document: Path) -> set[str]:
 
 
 def commands() -> Iterator[tuple[str, str]]:
+    """Yield the document and the text of each command in a block of the language sh."""
     for document in DOCUMENTS:
         for block in FENCE.finditer(document.read_text(encoding="utf-8")):
             if block["language"] == "sh":
-                for line in block["content"].replace("\\\n", " ").splitlines():
-                    for part in re.split(r"\s(?:&&|&|\|)\s", line.partition(" #")[0]):
-                        if part.strip():
-                            yield name(document), part.strip()
+                for command in commands_of(block["content"]):
+                    yield name(document), command
+
+
+def commands_of(script: str) -> Iterator[str]:
+    """Yield the commands of a script; a quoted argument may have several lines."""
+    unfinished = ""
+    for line in script.replace("\\\n", " ").splitlines():
+        text = unfinished + line.strip()
+        try:
+            words = shlex.split(text, comments=True)
+        except ValueError:  # a quote is open
+            unfinished = f"{text}\n"
+            continue
+        unfinished = ""
+        for is_operator, part in itertools.groupby(words, lambda word: word in {"&&", "&", "|"}):
+            if not is_operator:
+                yield shlex.join(itertools.takewhile(lambda word: word != ">", part))
 
 
 @pytest.mark.parametrize(("document", "command"), [*commands()])
