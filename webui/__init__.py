@@ -1,1 +1,1 @@
-"""The screen: what operators in gloves and engineers at a laptop look at, and the server it comes from."""
+"""The web UI: the pages for operators in gloves and engineers at a laptop, and the server behind them."""

@@ -1,4 +1,4 @@
-"""Run the server of the screen: `python -m webui`."""
+"""Run the web UI server: `python -m webui`."""
 
 from handover.serving import run
 from webui.server import make_app

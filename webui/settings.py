@@ -1,4 +1,4 @@
-"""The settings of the screen's server: its own port, and where it finds the services behind it."""
+"""The settings of the web UI server: its own port, and the addresses of the services."""
 
 import ipaddress
 from collections.abc import Mapping
@@ -16,16 +16,17 @@ ROS_BRIDGE = "ros-bridge"
 
 
 class WebuiSettings(Settings):
-    """Where the screen is served, and where the services it shows are reached."""
+    """The settings of the web UI server."""
 
-    webui_port: int = Field(54400, ge=1, le=65535, description="the port of the screen")
+    webui_port: int = Field(54400, ge=1, le=65535, description="the port of the web UI")
     webui_url: str | None = Field(
-        None, description="where the broker reaches the screen's server; http://host:port of it if absent"
+        None,
+        description="where the broker reaches the web UI; http://host:port of it if absent",
     )
     emergency_stop: str | None = Field(
         None,
         max_length=120,
-        description="where the real emergency stop is, as the operator's page says it; the red button on the "
+        description="the location of the emergency stop, as shown on the Work page; the red button on the "
         "cell if absent",
     )
     orchestrator_port: int = Field(54200, ge=0, le=65535, description="the port the orchestrator listens on")
@@ -36,15 +37,18 @@ class WebuiSettings(Settings):
         54210, ge=1, le=65535, description="REST and WebSocket port of the controller"
     )
     controller_url: str | None = Field(
-        None, description="where the broker reaches the controller; http://host:port of it if absent"
+        None,
+        description="where the broker reaches the controller; http://host:port of it if absent",
     )
     trajectory_port: int = Field(54220, ge=1, le=65535, description="REST and WebSocket port of the tool")
     trajectory_url: str | None = Field(
-        None, description="where the broker reaches the trajectory tool; http://host:port of it if absent"
+        None,
+        description="where the broker reaches the trajectory tool; http://host:port of it if absent",
     )
     bridge_port: int = Field(54100, ge=1, le=65535, description="REST port of the ROS bridge")
     bridge_url: str | None = Field(
-        None, description="where the broker reaches the ROS bridge; http://host:port of it if absent"
+        None,
+        description="where the broker reaches the ROS bridge; http://host:port of it if absent",
     )
     ros_mapping: MaybePath = Field(
         None, description="YAML file of the rules, or the name of a shipped one; no rules if absent"
@@ -57,15 +61,12 @@ class WebuiSettings(Settings):
 
     @property
     def own_url(self) -> str:
-        """Return where the broker reaches this server."""
+        """The URL at which the broker reaches this server."""
         return self.url_of(self.webui_port, self.webui_url)
 
     @property
     def service_urls(self) -> Mapping[str, str]:
-        """Return where each service behind the screen answers, by its name.
-
-        The ROS bridge is one of them where a mapping is set: a cell without it lacks nothing.
-        """
+        """The URL of each service, by its name; the ROS bridge only if `ros_mapping` is set."""
         urls = {
             BROKER: self.broker_url,
             ORCHESTRATOR: self.url_of(self.orchestrator_port, self.orchestrator_url),
@@ -77,11 +78,10 @@ class WebuiSettings(Settings):
         return urls
 
     @property
-    def gloves_awaited_at(self) -> str:
-        """Return the host to which a glove on this machine connects.
+    def glove_server_host(self) -> str:
+        """The host to which a glove on this machine connects.
 
-        Where the controller awaits gloves on all its addresses, or is another machine, that is the host of
-        its URL.
+        If the controller listens for gloves on all its addresses or on loopback, this is the host of its URL.
         """
         behind_url = urlsplit(self.service_urls[CONTROLLER]).hostname or self.glove_host
         try:

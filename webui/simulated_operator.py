@@ -1,6 +1,6 @@
-"""The simulated operator: a hand in a glove that does what the Tasks ask for, started from the page.
+"""The simulated operator: a process that wears a glove and answers Tasks, started from the page.
 
-It is a process of its own, the same that the demonstration starts, and never outlives this server.
+It is the same program that the demonstration starts. It ends with this server.
 """
 
 import asyncio
@@ -18,38 +18,39 @@ from handover.messages import message
 from handover.retry import Backoff
 from handover.settings import LIFELINE
 from handover.telemetry import get_logger
-from webui.events import EventLog, Happening, now
+from webui.live.event_log import Event, EventLog, timestamp
+from webui.live.live_state import LiveState
+from webui.live.views import OperatorView
 from webui.settings import CONTROLLER, WebuiSettings
-from webui.world import World
 
 log = get_logger(__name__)
 
-FIRST_GLOVE: Final = "glove-1"
+DEFAULT_GLOVE: Final = "glove-1"
 GLOVE_NAME: Final = re.compile(r"^[A-Za-z0-9._-]{1,64}$")
-NO_USE: Final = 2
-"""What it ends with when starting it again would not help."""
-STOP_WITHIN_S: Final = 2.0
+EXIT_NO_RETRY: Final = 2
+"""The exit status when a restart would not help."""
+STOP_TIMEOUT_S: Final = 2.0
 INITIAL_RESTART_S, MAX_RESTART_S = 0.2, 5.0
 
 
 class SimulatedOperator:
-    """At most one, for one glove; an asynchronous context manager while it may run."""
+    """At most one process, for one glove; an asynchronous context manager."""
 
     def __init__(
-        self, settings: WebuiSettings, http: httpx.AsyncClient, world: World, events: EventLog
+        self, settings: WebuiSettings, http: httpx.AsyncClient, state: LiveState, events: EventLog
     ) -> None:
         self._settings = settings
         self._http = http
-        self._world = world
+        self._state = state
         self._events = events
-        self._glove = FIRST_GLOVE
+        self._glove = DEFAULT_GLOVE
         self._detail: str | None = None
         self._process: asyncio.subprocess.Process | None = None
         self._watcher: asyncio.Task[None] | None = None
         self._changing = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
-        self._tell()
+        self._publish()
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -57,70 +58,73 @@ class SimulatedOperator:
             await self._end()
 
     @property
-    def running(self) -> bool:
-        """Say whether it runs, or is about to run again."""
+    def is_running(self) -> bool:
+        """Whether it runs, or is about to be restarted."""
         return self._watcher is not None and not self._watcher.done()
 
-    def view(self) -> dict[str, Any]:
-        """Return the operator as pages get it."""
-        return {"running": self.running, "glove": self._glove, "detail": self._detail}
+    def view(self) -> OperatorView:
+        """Return the operator as sent to pages."""
+        return {"running": self.is_running, "glove": self._glove, "detail": self._detail}
 
-    async def start(self, glove: str) -> dict[str, Any]:
-        """Put the glove on and begin.
+    async def start(self, glove: str) -> OperatorView:
+        """Start the process for `glove`.
 
-        Raises `Problem`: 400 for a name that no glove has, 409 if one runs or somebody wears the glove.
+        Raises `Problem`: 400 for an invalid name, 409 if it is running or the glove is in use.
         """
         if not GLOVE_NAME.match(glove):
             raise Problem(
                 400,
                 "No such name",
-                message("page.no_such_name", 'a glove is named by 1 to 64 letters, digits, ".", "_" or "-"'),
+                message(
+                    "page.no_such_name", 'a glove name consists of 1 to 64 of a-z, A-Z, 0-9, ".", "_" or "-"'
+                ),
             )
         async with self._changing:
-            if self.running:
+            if self.is_running:
                 raise Problem(
                     409,
                     "Operator at work",
                     message(
                         "page.operator_at_work",
-                        "the simulated operator wears {glove}; stop it first to start it with {wanted}",
+                        "the simulated operator is running with {glove}; stop it before you start it "
+                        "with {wanted}",
                         glove=self._glove,
                         wanted=glove,
                     ),
                 )
-            if await self._is_worn(glove):
+            if await self._is_in_use(glove):
                 raise Problem(
                     409,
                     "Glove in use",
                     message(
                         "page.glove_in_use",
-                        "{glove} is connected, so somebody wears it; take it off first, or choose "
+                        "{glove} is connected, so a person may be wearing it; disconnect it, or choose "
                         "another glove",
                         glove=glove,
                     ),
                 )
             self._glove, self._detail = glove, None
             self._watcher = asyncio.create_task(self._keep_running())
-            self._say("started", f"the simulated operator puts on {glove}")
-            self._tell()
+            self._record("started", f"simulated operator started with {glove}")
+            self._publish()
             return self.view()
 
-    async def stop(self) -> dict[str, Any]:
-        """Take the glove off; does nothing if it is not worn."""
+    async def stop(self) -> OperatorView:
+        """Stop the process; has no effect if it is not running."""
         async with self._changing:
-            if self.running:
+            if self.is_running:
                 await self._end()
                 self._detail = None
-                self._say("stopped", f"the simulated operator takes off {self._glove}")
-                self._tell()
+                self._record("stopped", f"simulated operator with {self._glove} stopped")
+                self._publish()
             return self.view()
 
-    async def _is_worn(self, glove: str) -> bool:
+    async def _is_in_use(self, glove: str) -> bool:
         url = self._settings.service_urls[CONTROLLER]
         with suppress(httpx.HTTPError, ValueError):
-            answer = await self._http.get(f"{url}/gloves/{glove}", timeout=2.0)
-            return answer.is_success and bool(answer.json().get("connected"))
-        return False  # the operator waits for a controller that is away
+            response = await self._http.get(f"{url}/gloves/{glove}", timeout=2.0)
+            return response.is_success and bool(response.json().get("connected"))
+        return False  # the process waits for an unreachable controller
 
     async def _keep_running(self) -> None:
         backoff = Backoff(INITIAL_RESTART_S, MAX_RESTART_S)
@@ -128,15 +132,15 @@ class SimulatedOperator:
         while True:
             began_s = clock()
             code = await self._run()
-            log.warning("simulated operator ended", code=code, said=self._detail)
-            if code == NO_USE:
-                self._say("failed", f"the simulated operator cannot work: {self._detail}", "attention")
+            log.warning("simulated operator ended", code=code, output=self._detail)
+            if code == EXIT_NO_RETRY:
+                self._record("failed", f"simulated operator failed: {self._detail}", "attention")
                 self._watcher = None
-                self._tell()
+                self._publish()
                 return
             if clock() - began_s > MAX_RESTART_S:
                 backoff.reset()
-            self._tell()
+            self._publish()
             await backoff.wait()
 
     async def _run(self) -> int:
@@ -154,15 +158,15 @@ class SimulatedOperator:
         assert process.stderr is not None  # noqa: S101 - it was asked for
         while line := await _line(process.stderr):
             self._detail = line.removeprefix("glove: ")
-            log.info("simulated operator", said=line)
-            self._tell()
+            log.info("simulated operator", output=line)
+            self._publish()
         return await process.wait()
 
     def _command(self) -> Sequence[str]:
         settings = self._settings
         return [
             sys.executable, "-m", "glove_sdk_bridge", "simulate",
-            "--host", settings.gloves_awaited_at,
+            "--host", settings.glove_server_host,
             "--port", str(settings.glove_port),
             "--controller", settings.service_urls[CONTROLLER],
             "--glove", self._glove,
@@ -179,20 +183,20 @@ class SimulatedOperator:
         with suppress(ProcessLookupError):
             process.terminate()
         try:
-            async with asyncio.timeout(STOP_WITHIN_S):
+            async with asyncio.timeout(STOP_TIMEOUT_S):
                 await process.wait()
         except TimeoutError:
             with suppress(ProcessLookupError):
                 process.kill()
             await process.wait()
 
-    def _tell(self) -> None:
-        self._world.tell("operator", self.view())
+    def _publish(self) -> None:
+        self._state.publish("operator", self.view())
 
-    def _say(self, act: str, text: str, level: Any = "info") -> None:
-        at = now()
+    def _record(self, act: str, text: str, level: Any = "info") -> None:
+        at = timestamp()
         self._events.record(
-            Happening(
+            Event(
                 subject="operator",
                 mark=f"{act}@{at}",
                 key=f"operator.{act}",
@@ -206,7 +210,7 @@ class SimulatedOperator:
 
 
 async def _line(stream: asyncio.StreamReader) -> str:
-    """Return the next line that says something, empty at the end; of a line that is too long, nothing."""
+    """Return the next non-empty line, "" at the end; lines that are too long are skipped."""
     while True:
         try:
             line = await stream.readline()

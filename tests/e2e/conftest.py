@@ -1,4 +1,4 @@
-"""A browser for tests of the screen: Debian's Chromium, and pages that fail a test when they log an error."""
+"""A browser for tests of the page: Debian's Chromium, and pages that fail a test on any error."""
 
 import shutil
 from collections.abc import Callable, Iterator

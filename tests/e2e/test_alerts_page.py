@@ -1,4 +1,4 @@
-"""Alerts on the screen: one and five hundred, acknowledged, shelved, announced on *Work* and *Start*."""
+"""Alerts on the page: one and five hundred, acknowledged, shelved, announced on *Work* and *Start*."""
 
 import re
 import time
@@ -101,7 +101,7 @@ def test_five_hundred_alerts_are_counted_filtered_and_acknowledged_at_once(
     expect(table).to_have_attribute("aria-rowcount", "501")
     rows = table.locator(".vtable__line")
     expect(rows.first).to_contain_text("Conveyor 0 is blocked")
-    assert rows.count() < 60, "only what is in sight is in the document"
+    assert rows.count() < 60, "only visible rows are in the document"
     accessible(page)
     keep(page, "alerts-500")
 
@@ -117,12 +117,12 @@ def test_five_hundred_alerts_are_counted_filtered_and_acknowledged_at_once(
     page.get_by_label("Group by").select_option("source")
     expect(table.locator(".vtable__group").first).to_contain_text("conveyor-0 (15)")
     page.get_by_role("searchbox", name="Search").fill("conveyor blocked")
-    expect(page.locator(".alert-acts__count")).to_have_text("100 alerts")
+    expect(page.locator(".alert-actions__count")).to_have_text("100 alerts")
     expect(page).to_have_url(re.compile("severity=critical.*group=source"))
     page.get_by_role("checkbox", name="Select all").check()
     keep(page, "alerts-selected")
     page.get_by_role("button", name="Acknowledge 100").click()
-    expect(page.locator(".alert-acts__count")).to_have_text("100 alerts")
+    expect(page.locator(".alert-actions__count")).to_have_text("100 alerts")
     expect(rows.first).to_contain_text("Acknowledged")
     kept = states(cell)
     done = [one for one in kept.values() if one.get("alertState") == "acknowledged"]
@@ -133,7 +133,7 @@ def test_five_hundred_alerts_are_counted_filtered_and_acknowledged_at_once(
     expect(page.locator(".attention")).not_to_contain_text("critical")
 
 
-def test_one_alert_is_explained_shelved_with_an_end_and_unshelved(
+def test_an_alert_is_explained_shelved_and_unshelved(
     alert_screen: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     cell = alert_screen
@@ -151,14 +151,14 @@ def test_one_alert_is_explained_shelved_with_an_end_and_unshelved(
     expect(detail).to_contain_text("Shelved by Aino")
     accessible(page)
     expect(page.get_by_role("link", name="System", exact=True)).to_be_visible()
-    expect(page.locator(".alert-acts__count")).to_have_text("0 alerts")
+    expect(page.locator(".alert-actions__count")).to_have_text("0 alerts")
     page.get_by_label("State").select_option("shelved")
-    expect(page.locator(".alert-acts__count")).to_have_text("1 alert")
+    expect(page.locator(".alert-actions__count")).to_have_text("1 alert")
     detail.get_by_role("button", name="Unshelve").click()
     expect(detail.locator(".alert__states")).to_contain_text("New")
 
 
-def test_new_alerts_do_not_move_the_list_that_somebody_reads(alert_screen: Cell, open_page: OpenPage) -> None:
+def test_new_alerts_do_not_move_the_list(alert_screen: Cell, open_page: OpenPage) -> None:
     cell = alert_screen
     write(cell, *(alert(number) for number in range(10, 13)))
     page = open_page("/system?tab=alerts", forgives=AWAY)
@@ -174,7 +174,7 @@ def test_new_alerts_do_not_move_the_list_that_somebody_reads(alert_screen: Cell,
     expect(rows.first).to_contain_text("Conveyor 0")
 
 
-def test_a_sound_is_played_by_choice_only_and_once_for_many(alert_screen: Cell, open_page: OpenPage) -> None:
+def test_alert_sounds_are_optional_and_played_once_for_many(alert_screen: Cell, open_page: OpenPage) -> None:
     cell = alert_screen
     page = open_page("/system?tab=alerts", forgives=AWAY)
     page.add_init_script(COUNT_TONES)
@@ -187,7 +187,7 @@ def test_a_sound_is_played_by_choice_only_and_once_for_many(alert_screen: Cell, 
     page.wait_for_function("window.tones.length === 2")
     write(cell, *(alert(number, "critical") for number in range(2, 60)))
     page.wait_for_function("window.tones.length >= 4")
-    expect(page.locator(".alert-acts__count")).to_have_text("59 alerts")
+    expect(page.locator(".alert-actions__count")).to_have_text("59 alerts")
     write(cell, *(alert(number, "low") for number in range(60, 70)))
-    expect(page.locator(".alert-acts__count")).to_have_text("69 alerts")
+    expect(page.locator(".alert-actions__count")).to_have_text("69 alerts")
     assert page.evaluate("window.tones.length") == 4

@@ -1,4 +1,4 @@
-"""The Calibrate page with a real controller: thresholds are stepped, dragged, saved, and taken back."""
+"""The Calibrate page with a real controller: thresholds are stepped, dragged, saved and reverted."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +29,7 @@ def thresholds(cell: Cell) -> dict[str, Any]:
 
 
 @pytest.mark.usefixtures("glove_screen")
-def test_thresholds_count_once_they_are_saved_and_can_be_exchanged_with_the_ones_before(
+def test_saved_thresholds_apply_and_can_be_reverted(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     before = thresholds(cell)
@@ -52,7 +52,7 @@ def test_thresholds_count_once_they_are_saved_and_can_be_exchanged_with_the_ones
 
 
 @pytest.mark.usefixtures("glove_screen")
-def test_a_line_is_dragged_over_the_live_signal_and_let_go_unsaved(cell: Cell, open_page: OpenPage) -> None:
+def test_a_dragged_threshold_can_be_discarded(cell: Cell, open_page: OpenPage) -> None:
     before = thresholds(cell)
     page = open_page("/calibrate?glove=glove-1&finger=ring")
     plot = page.get_by_role("img", name="Signal of the ring finger")
@@ -80,7 +80,7 @@ def test_a_line_is_dragged_over_the_live_signal_and_let_go_unsaved(cell: Cell, o
 
 
 @pytest.mark.usefixtures("glove_screen")
-def test_what_cannot_be_a_threshold_is_never_sent(cell: Cell, open_page: OpenPage) -> None:
+def test_invalid_thresholds_are_not_sent(cell: Cell, open_page: OpenPage) -> None:
     before = thresholds(cell)
     page = open_page("/calibrate?glove=glove-1&finger=thumb")
     lower = page.get_by_role("textbox", name="Lower threshold of the thumb")
@@ -93,7 +93,7 @@ def test_what_cannot_be_a_threshold_is_never_sent(cell: Cell, open_page: OpenPag
     assert thresholds(cell) == before
 
 
-def test_a_hand_is_led_through_a_calibration_that_names_the_finger_in_doubt(
+def test_a_guided_calibration_names_the_doubtful_finger(
     glove_screen: Cell,
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],
@@ -121,7 +121,7 @@ def test_a_hand_is_led_through_a_calibration_that_names_the_finger_in_doubt(
 
 @pytest.mark.parametrize("language", ["en", "de", "fi"])
 @pytest.mark.usefixtures("glove_screen")
-def test_no_number_is_cut_on_a_phone(
+def test_numbers_are_not_truncated_on_a_phone(
     open_page: OpenPage, keep: Callable[[Page, str], Path], language: str
 ) -> None:
     page = open_page("/calibrate?glove=glove-1", language=language, viewport={"width": 390, "height": 844})

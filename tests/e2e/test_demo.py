@@ -1,4 +1,4 @@
-"""The demonstration as a newcomer sees it: `handover demo` in a terminal."""
+"""The demonstration: `handover demo` in a terminal."""
 
 import re
 import signal
@@ -58,7 +58,7 @@ def services_of(process: subprocess.Popen[str]) -> dict[str, psutil.Process]:
     return found
 
 
-def test_the_demo_completes_and_can_be_run_again_on_the_same_data(handover: Start, cell: Any) -> None:
+def test_the_demo_completes_and_runs_again_on_the_same_data(handover: Start, cell: Any) -> None:
     for _ in range(2):
         process = handover("demo", "--once", "--data-dir", str(cell.data_dir / "data"))
         story, _ = process.communicate(timeout=180)
@@ -101,7 +101,7 @@ def test_no_service_outlives_a_killed_launcher(handover: Start, eventually: Call
     ],
     ids=lambda killed: "-".join(service for _, service in killed),
 )
-def test_services_killed_in_the_middle_are_started_again_and_the_process_completes(
+def test_killed_services_are_restarted_and_the_process_completes(
     handover: Start, killed: list[tuple[str, str]]
 ) -> None:
     process = handover("demo", "--once", "--timeout", "150")
@@ -113,18 +113,18 @@ def test_services_killed_in_the_middle_are_started_again_and_the_process_complet
         if left and left[0][0] in line:
             services_of(process)[left.pop(0)[1]].kill()
     assert process.wait(timeout=180) == 0, "".join(story)
-    told = "".join(story)
-    assert told.count("SIGKILL") == len(killed), told
-    assert "process   completed" in told
-    assert told.count("pick done") == 1, told
-    assert told.count("place done") == 1, told
+    output = "".join(story)
+    assert output.count("SIGKILL") == len(killed), output
+    assert "process   completed" in output
+    assert output.count("pick done") == 1, output
+    assert output.count("place done") == 1, output
 
 
 @pytest.mark.parametrize(
     ("taken", "setting"),
     [("gesture_controller", "HANDOVER_CONTROLLER_PORT"), ("glove", "HANDOVER_GLOVE_PORT")],
 )
-def test_a_taken_port_is_one_readable_line(handover: Start, cell: Any, taken: str, setting: str) -> None:
+def test_a_port_in_use_is_reported_in_one_line(handover: Start, cell: Any, taken: str, setting: str) -> None:
     with socket.create_server(("127.0.0.1", cell.ports[taken])):
         process = handover("demo", "--once")
         said, _ = process.communicate(timeout=120)
@@ -135,7 +135,7 @@ def test_a_taken_port_is_one_readable_line(handover: Start, cell: Any, taken: st
     assert "Traceback" not in said
 
 
-def test_a_data_directory_that_cannot_be_used_is_one_readable_line(handover: Start, tmp_path: Path) -> None:
+def test_an_unusable_data_directory_is_reported_in_one_line(handover: Start, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a directory")
     process = handover("up", "--data-dir", str(tmp_path / "file"))
     said, _ = process.communicate(timeout=120)

@@ -1,4 +1,4 @@
-"""Every page in both themes, three languages and the sizes it is made for: nothing cut off, axe content."""
+"""Every page in both themes, three languages and all sizes: nothing truncated, no axe violations."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -59,7 +59,7 @@ def nothing_is_cut_off(page: Page) -> None:
 
 
 @pytest.mark.usefixtures("screen")
-def test_every_page_looks_right_in_every_look(
+def test_pages_fit_and_are_accessible_in_all_themes_languages_and_sizes(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     for theme, language, size in LOOKS:
@@ -75,7 +75,7 @@ def test_every_page_looks_right_in_every_look(
 
 
 @pytest.mark.usefixtures("screen")
-def test_pages_for_engineers_fit_a_phone(
+def test_engineer_pages_fit_a_phone(
     open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page(viewport=PHONE, has_touch=True, is_mobile=True)
@@ -88,12 +88,12 @@ def test_pages_for_engineers_fit_a_phone(
 
 
 @pytest.mark.usefixtures("screen")
-def test_no_table_collides_on_a_tablet(open_page: OpenPage, keep: Callable[[Page, str], Path]) -> None:
+def test_tables_do_not_overlap_on_a_tablet(open_page: OpenPage, keep: Callable[[Page, str], Path]) -> None:
     for language in ("fi", "de"):
         page = open_page(language=language, viewport=TABLET)
         for tab in ("services", "devices", "alerts"):
             page.goto(f"/system?tab={tab}")
-            page.locator("[role=row], .empty").first.wait_for()
+            page.locator("[role=row], .empty-state").first.wait_for()
             nothing_is_cut_off(page)
             assert page.evaluate(COLLIDING) == []
             keep(page, f"tablet-{tab}-{language}")
@@ -109,7 +109,7 @@ def test_no_table_collides_on_a_tablet(open_page: OpenPage, keep: Callable[[Page
 
 
 @pytest.mark.usefixtures("screen")
-def test_a_time_in_a_table_is_no_tab_stop_and_its_row_is_one(open_page: OpenPage) -> None:
+def test_table_rows_are_tab_stops_and_their_times_are_not(open_page: OpenPage) -> None:
     page = open_page("/system")
     rows = page.get_by_role("table", name="Services").locator("tbody [role=row]")
     rows.first.wait_for()
@@ -123,7 +123,7 @@ def test_a_time_in_a_table_is_no_tab_stop_and_its_row_is_one(open_page: OpenPage
 
 
 @pytest.mark.usefixtures("screen")
-def test_the_first_steps_are_hidden_for_good_and_shown_when_asked(open_page: OpenPage) -> None:
+def test_first_steps_are_dismissed_and_shown_on_request(open_page: OpenPage) -> None:
     page = open_page("/")
     steps = page.get_by_role("heading", name="Connect a glove")
     expect(steps).to_be_visible()
@@ -137,7 +137,7 @@ def test_the_first_steps_are_hidden_for_good_and_shown_when_asked(open_page: Ope
 
 
 @pytest.mark.usefixtures("screen")
-def test_language_theme_and_name_are_chosen_once_and_kept(open_page: OpenPage) -> None:
+def test_language_theme_and_name_are_stored(open_page: OpenPage) -> None:
     page = open_page("/", who="")
     page.get_by_role("button", name="Appearance, language and name").click()
     page.get_by_role("radio", name="Suomi").click()
@@ -166,7 +166,7 @@ def test_the_keyboard_reaches_every_page_and_lists_its_keys(open_page: OpenPage)
 
 
 @pytest.mark.usefixtures("screen")
-def test_nothing_is_fetched_from_anywhere_else(open_page: OpenPage) -> None:
+def test_nothing_is_loaded_from_other_hosts(open_page: OpenPage) -> None:
     fetched: set[str] = set()
     page = open_page("/")
     page.on("request", lambda request: fetched.add(request.url))

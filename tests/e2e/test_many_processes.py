@@ -1,4 +1,4 @@
-"""Five hundred processes on the screen: told apart by their keys, filtered, sorted, scrolled, counted."""
+"""Five hundred processes on the page: identified by key, filtered, sorted, scrolled, counted."""
 
 import re
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def process_screen(cell: Cell) -> Cell:
     return cell
 
 
-def test_five_hundred_processes_are_told_apart_filtered_and_scrolled(
+def test_five_hundred_processes_are_distinguished_filtered_and_scrolled(
     process_screen: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     cell = process_screen
@@ -46,7 +46,7 @@ def test_five_hundred_processes_are_told_apart_filtered_and_scrolled(
     expect(first).to_contain_text(f"order {MANY - 1}")
     expect(first).to_contain_text("Confirm that the cell is clear")
     assert not re.search(r"[0-9a-f]{8}", first.inner_text()), "no hash where there is a key"
-    assert table.locator(".vtable__line").count() < 60, "only what is in sight is in the document"
+    assert table.locator(".vtable__line").count() < 60, "only visible rows are in the document"
     accessible(page)
     keep(page, "processes-500")
     table.locator("[role=row][tabindex='0']").focus()

@@ -1,4 +1,4 @@
-"""The whole bin-picking process from the Work page: keyboard only, mouse only, glove only."""
+"""The bin-picking process from the Work page: keyboard only, mouse only, glove only."""
 
 import contextlib
 import json
@@ -61,7 +61,7 @@ def test_with_the_keyboard_only(
     page.get_by_role("heading", name="Nothing to do right now").wait_for()
     accessible(page)
     keep(page, "work-idle")
-    page.wait_for_timeout(700)  # a key counts once the step has been in sight for a moment
+    page.wait_for_timeout(700)  # a key counts once the step has been visible for a moment
     page.keyboard.press("Enter")
     page.get_by_role("heading", name="Confirm that nobody").wait_for()
     accessible(page)
@@ -122,7 +122,7 @@ def test_with_the_mouse_only(
     ],
 )
 @pytest.mark.usefixtures("quiet_screen")
-def test_what_is_lost_is_said_and_comes_back_under_the_page(
+def test_lost_components_are_named_and_recover_while_the_page_is_open(
     cell: Cell,
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],
@@ -236,7 +236,7 @@ def test_with_the_glove_only(
 
 
 @pytest.mark.usefixtures("quiet_screen")
-def test_a_lost_glove_is_the_whole_page_until_it_is_back(
+def test_a_lost_glove_fills_the_page_until_it_reconnects(
     open_page: OpenPage,
     put_on: Callable[[], Wearer],
     keep: Callable[[Page, str], Path],

@@ -1,4 +1,4 @@
-"""The page of people and gestures: a person is added, puts on the glove, and gives commands their own way."""
+"""The People page: a person is added, wears the glove, and customizes gestures."""
 
 import re
 from collections.abc import Callable
@@ -43,7 +43,7 @@ def pick(page: Page, label: str, gesture: str) -> None:
 
 
 @pytest.mark.usefixtures("glove_screen")
-def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
+def test_a_person_is_added_and_exchanges_two_gestures(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page("/people")
@@ -66,7 +66,7 @@ def test_a_person_is_added_puts_on_the_glove_and_exchanges_two_gestures(
 
 
 @pytest.mark.usefixtures("glove_screen")
-def test_two_browsers_show_the_same_without_being_loaded_again(cell: Cell, open_page: OpenPage) -> None:
+def test_two_browsers_show_the_same_without_a_reload(cell: Cell, open_page: OpenPage) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/eva", json={}).raise_for_status()
     one, other = open_page("/people?person=eva"), open_page("/people?person=eva")
     for page in (one, other):
@@ -80,7 +80,7 @@ def test_two_browsers_show_the_same_without_being_loaded_again(cell: Cell, open_
 
 
 @pytest.mark.usefixtures("glove_screen")
-def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is_one_like_it(
+def test_a_custom_gesture_is_defined_by_fingers_and_rejected_if_ambiguous(
     cell: Cell, open_page: OpenPage, accessible: Callable[[Page], None]
 ) -> None:
     httpx.put(f"{cell.url('gesture_controller')}/people/ben", json={}).raise_for_status()
@@ -100,9 +100,7 @@ def test_a_gesture_of_their_own_is_told_by_its_fingers_and_refused_when_there_is
     wait_for(lambda: "Mine" in person(cell, "ben")["ownGestures"])
 
 
-def test_a_gesture_is_recorded_by_making_it_and_taken_along_in_the_profile(
-    glove_screen: Cell, open_page: OpenPage
-) -> None:
+def test_a_gesture_is_recorded_and_exported_in_the_profile(glove_screen: Cell, open_page: OpenPage) -> None:
     controller = glove_screen.url("gesture_controller")
     for name in ("carl", "dora"):
         httpx.put(f"{controller}/people/{name}", json={}).raise_for_status()

@@ -1,4 +1,4 @@
-"""The Processes page with real services: a process followed, cancelled, retried; files tried and deployed."""
+"""The Processes page with real services: monitor, cancel and retry; check and deploy files."""
 
 import re
 from collections.abc import Callable
@@ -54,7 +54,7 @@ def upload(page: Page, file: Path) -> None:
 
 
 @pytest.mark.usefixtures("quiet_screen")
-def test_a_process_is_started_followed_and_cancelled(
+def test_a_process_is_started_monitored_and_cancelled(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     page = open_page("/processes")
@@ -68,7 +68,7 @@ def test_a_process_is_started_followed_and_cancelled(
     has_look(page, "confirm_clear", "token")
     expect(page.get_by_role("button", name=re.compile("^Confirm that the cell is clear, "))).to_be_visible()
 
-    # The token goes on without the drawing being made anew.
+    # The token moves without a new layout of the diagram.
     page.locator(".djs-container svg").first.evaluate("drawing => { drawing.dataset.first = 'yes' }")
     process = ask(cell, "GET", "processes")[0]
     [task] = ask(cell, "GET", f"processes/{process['id']}")["tasks"]
@@ -100,7 +100,7 @@ def test_a_process_is_started_followed_and_cancelled(
 
 
 @pytest.mark.usefixtures("quiet_screen")
-def test_a_failed_task_is_seen_at_its_element_and_retried(
+def test_a_failed_task_is_marked_at_its_element_and_retried(
     cell: Cell, open_page: OpenPage, keep: Keep
 ) -> None:
     process = ask(cell, "POST", "processes", json={"definition": "bin-picking"})
@@ -119,7 +119,7 @@ def test_a_failed_task_is_seen_at_its_element_and_retried(
 
 
 @pytest.mark.usefixtures("quiet_screen")
-def test_what_is_wrong_with_a_file_stands_at_its_element(
+def test_errors_of_a_file_are_marked_at_its_elements(
     open_page: OpenPage, tmp_path: Path, keep: Keep, accessible: Accessible
 ) -> None:
     bad = tmp_path / "bad.bpmn"
@@ -142,9 +142,7 @@ def test_what_is_wrong_with_a_file_stands_at_its_element(
 
 
 @pytest.mark.usefixtures("quiet_screen")
-def test_the_diagram_is_moved_with_the_keyboard_and_leaves_nothing_behind(
-    cell: Cell, open_page: OpenPage
-) -> None:
+def test_the_diagram_is_moved_with_the_keyboard_and_leaks_nothing(cell: Cell, open_page: OpenPage) -> None:
     ids = [ask(cell, "POST", "processes", json={"definition": "bin-picking"})["id"] for _ in range(2)]
     page = open_page(f"/processes/{ids[0]}")
     has_look(page, "confirm_clear", "token")
@@ -164,7 +162,7 @@ def test_the_diagram_is_moved_with_the_keyboard_and_leaves_nothing_behind(
 
 
 @pytest.mark.usefixtures("quiet_screen")
-def test_a_file_without_a_drawing_is_drawn_and_becomes_a_new_version(
+def test_a_file_without_a_layout_is_laid_out_and_deployed_as_a_new_version(
     cell: Cell, open_page: OpenPage, tmp_path: Path, keep: Keep, accessible: Accessible
 ) -> None:
     bare = tmp_path / "bare.bpmn"

@@ -1,4 +1,4 @@
-"""Real hands: recorded frames, replayed over TCP, complete the Tasks of a real process."""
+"""Recorded frames, replayed over TCP, complete the Tasks of a real process."""
 
 import itertools
 import subprocess
@@ -51,7 +51,7 @@ def glove_command(cell: Any, *words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, env=cell.environment, cwd=cell.data_dir, stderr=subprocess.PIPE)
 
 
-def test_five_recorded_gestures_of_person_b_complete_five_tasks_and_no_wrong_one_does(
+def test_five_recorded_gestures_complete_five_tasks(
     cell: Any, recordings: Path, eventually: Callable[..., None]
 ) -> None:
     cell.start("context_broker", "task_orchestrator", "gesture_controller")

@@ -1,4 +1,4 @@
-"""The System page of a cell with a ROS bridge: its rules, what they pass on, and how one is switched off."""
+"""The System page of a cell with a ROS bridge: its rules, their counts, and how one is disabled."""
 
 import random
 import re
@@ -51,7 +51,7 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
         yield made
 
 
-def test_rules_are_seen_at_work_and_switched_off_and_on(
+def test_rules_are_monitored_and_switched_off_and_on(
     cell: Cell, open_page: OpenPage, keep: Callable[[Page, str], Path], accessible: Callable[[Page], None]
 ) -> None:
     page = open_page("/system")
@@ -87,7 +87,7 @@ def test_rules_are_seen_at_work_and_switched_off_and_on(
         keep(other, f"system-ros-{language}-{theme}")
 
 
-def test_a_cell_without_a_bridge_lacks_nothing(open_page: OpenPage, cell: Cell) -> None:
+def test_a_cell_without_a_bridge_has_no_ros_section(open_page: OpenPage, cell: Cell) -> None:
     cell.kill("webui")
     del cell.extra["HANDOVER_ROS_MAPPING"]
     cell.start("webui")

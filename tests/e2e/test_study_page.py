@@ -1,4 +1,4 @@
-"""The Study page: a participant is led from consent to thanks, by keyboard too; the answers are shown."""
+"""The Study page: a participant completes it, also by keyboard, and the answers are shown."""
 
 import re
 from collections.abc import Callable
@@ -59,7 +59,7 @@ def tlx(page: Page, keep: Callable[[Page, str], Path], name: str, steps_up: int)
         page.locator(".pair button").first.click()
 
 
-def test_a_participant_is_led_through_the_study_and_the_answers_are_shown(
+def test_a_participant_completes_the_study_and_the_answers_are_shown(
     glove_screen: Cell,
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],
@@ -113,7 +113,7 @@ def test_a_participant_is_led_through_the_study_and_the_answers_are_shown(
     page.get_by_text("No sessions yet").wait_for()
 
 
-def test_a_participant_reads_their_own_language_whatever_the_screen_speaks(
+def test_a_participant_reads_the_study_in_their_own_language(
     glove_screen: Cell,
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],
@@ -131,7 +131,7 @@ def test_a_participant_reads_their_own_language_whatever_the_screen_speaks(
     keep(page, "study-sus-phone-fi")
 
 
-def test_a_participant_stays_in_the_study_and_can_pause_or_withdraw_at_any_time(
+def test_a_participant_can_pause_or_withdraw_at_any_time(
     glove_screen: Cell,
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],

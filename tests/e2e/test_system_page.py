@@ -1,4 +1,4 @@
-"""The System page with real services: what is unwell, who knows of it, how the robot moves, what happened."""
+"""The System page with real services: health, alerts, the moving robot, events."""
 
 import json
 import re
@@ -42,7 +42,7 @@ def cell(shared_cell: Cell) -> Cell:
 
 
 @pytest.mark.usefixtures("screen")
-def test_a_service_that_dies_is_named_with_why_and_is_well_again(
+def test_a_failed_service_is_shown_with_the_reason_and_recovers(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     page = open_page("/system", forgives=FORGIVEN)
@@ -62,7 +62,7 @@ def test_a_service_that_dies_is_named_with_why_and_is_well_again(
 
 
 @pytest.mark.usefixtures("screen")
-def test_an_alert_is_taken_care_of_by_name_and_that_survives_a_restart(
+def test_an_acknowledgement_with_a_name_survives_a_restart(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     process = start_process(cell)
@@ -100,7 +100,7 @@ def test_an_alert_is_taken_care_of_by_name_and_that_survives_a_restart(
 
 
 @pytest.mark.usefixtures("screen")
-def test_the_robot_is_seen_moving_and_its_gripper_is_freed_only_when_it_rests(
+def test_the_robot_moves_and_its_gripper_is_released_only_when_idle(
     cell: Cell, open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     start_process(cell)
@@ -131,7 +131,7 @@ def test_the_robot_is_seen_moving_and_its_gripper_is_freed_only_when_it_rests(
 
 
 @pytest.mark.usefixtures("screen")
-def test_a_newcomer_lets_somebody_simulated_wear_the_glove_and_the_event_log_is_saved(
+def test_the_simulated_operator_is_started_and_the_event_log_is_exported(
     open_page: OpenPage, keep: Keep, accessible: Accessible
 ) -> None:
     page = open_page("/")

@@ -1,4 +1,4 @@
-"""The Test page: a person sees what the glove makes of the hand, and is led through an accuracy test."""
+"""The Test page: recognized gestures, and an accuracy test."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,7 +28,7 @@ def glove(glove_screen: Cell) -> Iterator[TcpGlove]:
     made.close()
 
 
-def test_a_gesture_is_green_when_the_glove_sees_it_and_red_when_not(
+def test_a_gesture_is_marked_recognized_or_not(
     glove: TcpGlove,
     open_page: OpenPage,
     keep: Callable[[Page, str], Path],
@@ -49,7 +49,7 @@ def test_a_gesture_is_green_when_the_glove_sees_it_and_red_when_not(
     page.get_by_text("Test mode is off").wait_for()
 
 
-def test_an_accuracy_test_is_led_to_its_report(
+def test_an_accuracy_test_ends_with_a_report(
     cell: Cell,
     glove: TcpGlove,
     open_page: OpenPage,

@@ -1,4 +1,4 @@
-"""The Work page from where an operator stands: type by its angle, what is in sight, contrast, no blank."""
+"""The Work page at the distance of an operator: angular size of type, visibility, contrast."""
 
 import math
 from collections.abc import Callable
@@ -83,8 +83,8 @@ SEEN = """() => {
       contrast: (Math.max(one, other) + 0.05) / (Math.min(one, other) + 0.05),
       disabled: element.closest("[disabled], [data-disabled]") !== null,
       gesture: element.closest(".work__gesture") !== null && element.closest(".work__show") === null,
-      corrective: element.closest(".work__said") !== null,
-      instruction: element.closest(".work__what") !== null,
+      corrective: element.closest(".work__message") !== null,
+      instruction: element.closest(".work__task") !== null,
     });
   }
   return seen;
@@ -183,7 +183,7 @@ def readable(page: Page, size: str) -> list[dict[str, Any]]:
     return seen
 
 
-def in_sight(page: Page, name: str) -> None:
+def assert_visible(page: Page, name: str) -> None:
     """Check that a button lies within the screen as a whole, and is large enough for a glove."""
     box = page.get_by_role("button", name=name).last.bounding_box()
     screen = page.viewport_size
@@ -196,7 +196,7 @@ def in_sight(page: Page, name: str) -> None:
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_what_is_asked_is_read_from_the_station_and_answered_without_scrolling(
+def test_the_prompt_is_readable_from_the_station_and_answered_without_scrolling(
     asked: Callable[[], str], open_page: OpenPage, keep: Callable[[Page, str], Path], size: str
 ) -> None:
     asked()
@@ -207,14 +207,14 @@ def test_what_is_asked_is_read_from_the_station_and_answered_without_scrolling(
         corrective = {one["capPx"] for one in seen if one["corrective"]}
         assert corrective == {one["capPx"] for one in seen if one["instruction"]}
         assert any(one["gesture"] for one in seen)
-        in_sight(page, MAIN[language])
-        in_sight(page, NOT_GOOD[language])
+        assert_visible(page, MAIN[language])
+        assert_visible(page, NOT_GOOD[language])
         keep(page, f"work-asked-{size}-{language}-{theme}")
         hand = page.locator(".figure .hand").bounding_box()
         assert hand is not None
         if size in {"4k", "desk"}:
             assert hand["height"] >= 0.6 * SIZES[size]["height"]
-            words = page.locator(".work__words").bounding_box()
+            words = page.locator(".work__text").bounding_box()
             figure = page.locator(".figure").bounding_box()
             assert words is not None
             assert figure is not None
@@ -222,7 +222,7 @@ def test_what_is_asked_is_read_from_the_station_and_answered_without_scrolling(
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_paused_and_failed_are_seen_from_afar(
+def test_paused_and_failed_states_are_readable_from_a_distance(
     cell: Cell,
     asked: Callable[[], str],
     open_page: OpenPage,
@@ -239,7 +239,7 @@ def test_paused_and_failed_are_seen_from_afar(
         fills_the_stage(page, size, "attention")
         keep(page, f"work-paused-{size}-{language}-{theme}")
     look(page, "en", "light")
-    in_sight(page, "Resume")
+    assert_visible(page, "Resume")
     page.get_by_role("button", name="Resume").last.click()
     page.locator("[data-situation=asked]").wait_for()
     task = httpx.get(glove).json()["task"]["id"]
@@ -248,7 +248,7 @@ def test_paused_and_failed_are_seen_from_afar(
     page.locator("[data-situation=failed]").wait_for()
     for language, theme in LOOKS[2:5]:
         look(page, language, theme)
-        assert "There is a scratch on the left side" in page.locator(".standstill").inner_text()
+        assert "There is a scratch on the left side" in page.locator(".full-page-state").inner_text()
         fills_the_stage(page, size, "stop")
         keep(page, f"work-failed-{size}-{language}-{theme}")
 
@@ -256,7 +256,7 @@ def test_paused_and_failed_are_seen_from_afar(
 def fills_the_stage(page: Page, size: str, tone: str) -> None:
     """Check a state of the whole page: an icon, a word as large as a gesture's, a colour that fills it."""
     readable(page, size)
-    state = page.locator(f".standstill--{tone}")
+    state = page.locator(f".full-page-state--{tone}")
     box, stage = state.bounding_box(), page.locator(".work__stage").bounding_box()
     assert box is not None
     assert stage is not None
@@ -269,7 +269,7 @@ def fills_the_stage(page: Page, size: str, tone: str) -> None:
 
 
 @pytest.mark.parametrize("outcome", ["Not good", "Problem"])
-def test_a_person_says_no_on_the_screen_with_a_note(
+def test_a_person_reports_not_good_with_a_note(
     cell: Cell,
     asked: Callable[[], str],
     open_page: OpenPage,
@@ -299,12 +299,12 @@ def test_a_person_says_no_on_the_screen_with_a_note(
     assert (outputs["note"], outputs["operator"], outputs["by"]) == ("scratched", "Anna", "screen")
 
 
-def test_the_station_is_set_on_the_page_and_kept(
+def test_station_settings_are_stored(
     asked: Callable[[], str], open_page: OpenPage, keep: Callable[[Page, str], Path]
 ) -> None:
     asked()
     page = open_page(WORK, viewport=SIZES["desk"])
-    texts = "[...document.querySelectorAll('.work :is(p, h1, .state)')]"
+    texts = "[...document.querySelectorAll('.work :is(p, h1, .status-badge)')]"
     smallest = f"Math.min(...{texts}.map((one) => parseFloat(getComputedStyle(one).fontSize)))"
     page.locator("[data-situation=asked]").wait_for()
     page.evaluate("document.fonts.ready.then(() => true)")
@@ -320,10 +320,10 @@ def test_the_station_is_set_on_the_page_and_kept(
     page.reload()
     page.locator("[data-situation=asked]").wait_for()
     assert page.evaluate(smallest) == pytest.approx(before * 2.5 / 2.0, rel=0.02)
-    in_sight(page, MAIN["en"])
+    assert_visible(page, MAIN["en"])
 
 
-def test_test_mode_has_a_way_out_on_the_page(
+def test_testing_mode_can_be_ended_on_the_page(
     cell: Cell, asked: Callable[[], str], open_page: OpenPage, keep: Callable[[Page, str], Path]
 ) -> None:
     asked()
@@ -332,7 +332,7 @@ def test_test_mode_has_a_way_out_on_the_page(
     page = open_page(WORK, viewport=SIZES["phone"])
     page.get_by_text("Test mode: gestures are shown but not sent.").wait_for()
     readable(page, "phone")
-    in_sight(page, "Leave test mode")
+    assert_visible(page, "Leave test mode")
     keep(page, "work-testing")
     page.get_by_role("button", name="Leave test mode").click()
     page.get_by_role("button", name="Complete by hand").wait_for()
@@ -353,7 +353,7 @@ def test_the_page_is_never_blank_between_two_steps(open_page: OpenPage) -> None:
     assert page.evaluate("window.blanks") == []
 
 
-def test_gestures_for_other_answers_are_shown_and_a_lost_glove_is_seen_from_afar(
+def test_answer_gestures_and_a_lost_glove_are_readable_from_a_distance(
     cell: Cell, asked: Callable[[], str], open_page: OpenPage, keep: Callable[[Page, str], Path]
 ) -> None:
     process = asked()
@@ -381,5 +381,5 @@ def test_gestures_for_other_answers_are_shown_and_a_lost_glove_is_seen_from_afar
     page.get_by_role("heading", name="Connection to glove-1 lost").wait_for()
     page.evaluate(STILL)
     fills_the_stage(page, "desk", "stop")
-    in_sight(page, "Complete by hand")
+    assert_visible(page, "Complete by hand")
     keep(page, "work-lost")

@@ -1,4 +1,1 @@
-"""Sources: where what the screen shows comes from, one module a source.
-
-A source follows its part of the cell until it is cancelled, and tells the world what it sees there.
-"""
+"""Sources: each follows one part of the cell and publishes it to the live state, one module per source."""

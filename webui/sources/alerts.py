@@ -1,8 +1,8 @@
-"""Alerts as pages see them, and the acts of a person on them: acknowledge, shelve, unshelve.
+"""Alerts: what pages show of them, and the actions acknowledge, shelve and unshelve.
 
-The broker holds the state, so that it survives a restart and every component sees the same. What is shown is
-derived from the attributes and the time: an Alert of another component may lack those of ours, and a
-shelving ends by itself. When a shelving ends, this server writes the earlier state back to the broker.
+The broker stores the state, so it survives a restart and all components see the same. The view is derived
+from the attributes and the time, because an Alert of another component may lack ours, and a shelving ends by
+itself. When a shelving ends, this server writes the earlier state back to the broker.
 """
 
 import asyncio
@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import orjson
 
@@ -22,21 +22,22 @@ from handover.broker import BrokerClient, BrokerError, BrokerUnavailable, NotFou
 from handover.errors import Problem
 from handover.messages import message
 from handover.telemetry import get_logger
-from webui.events import EventLog, Happening, Level, in_milliseconds
-from webui.sources.devices import short
-from webui.sources.entities import Kind
+from webui.live.event_log import Event, EventLog, Level, normalized_timestamp
+from webui.live.live_state import LiveState
+from webui.live.views import AcknowledgementView, AlertProblem, AlertsResult, AlertView
+from webui.sources.broker_entities import EntityHandler
+from webui.sources.devices import short_name
 from webui.sources.source import Source
-from webui.world import World
 
 log = get_logger(__name__)
 
-KEPT_PAST: Final = 50
+MAX_PAST_ALERTS: Final = 50
 MAX_ALERTS_AT_ONCE: Final = 1000
 MAX_SHELVING: Final = timedelta(days=7)
 MAX_CONCURRENT_WRITES: Final = 16
-ASKED_AT_ONCE: Final = 40
+QUERY_BATCH_SIZE: Final = 40
 MAX_WAIT_S: Final = 3600.0
-LEAST_PAUSE_S: Final = 0.05
+MIN_INTERVAL_S: Final = 0.05
 RETRY_S: Final = 2.0
 
 LEVELS: Final[Mapping[Severity, Level]] = {
@@ -47,24 +48,22 @@ LEVELS: Final[Mapping[Severity, Level]] = {
     Severity.CRITICAL: "stop",
 }
 
-OURS: Final = (
+OWN_ATTRIBUTES: Final = (
     "alertState", "priority", "acknowledgedBy", "shelvedUntil", "descriptionCode", "descriptionParameters",
 )  # fmt: skip
-"""Attributes that we have added to Alert; another component may use these names for something else."""
+"""Attributes added to the published Alert model; other components may use these names otherwise."""
 
-AlertView = dict[str, Any]
-Outcome = dict[str, Any]
 Change = Callable[[Alert], Mapping[str, Any]]
-"""What to write on an Alert as it is now; raises `Problem` if nothing may be written."""
+"""Returns the attributes to write for the current Alert; raises `Problem` if the action is not allowed."""
 
 
-class Alerts(Kind, Source):
-    """Publishes Alerts to the world and writes to the broker what people do with them."""
+class Alerts(EntityHandler, Source):
+    """Publishes Alerts, and writes the actions of people to the broker."""
 
     ngsi_type = "Alert"
 
-    def __init__(self, world: World, events: EventLog, broker: BrokerClient) -> None:
-        self._world = world
+    def __init__(self, state: LiveState, events: EventLog, broker: BrokerClient) -> None:
+        self._state = state
         self._events = events
         self._broker = broker
         self._digests: dict[str, int] = {}
@@ -74,34 +73,34 @@ class Alerts(Kind, Source):
         self._due_changed = asyncio.Event()
         self._writing = asyncio.Lock()
 
-    def take(self, entity: Mapping[str, Any]) -> None:
-        """Take an Alert as it is now; one that has not changed costs no validation."""
+    def update(self, entity: Mapping[str, Any]) -> None:
+        """Handle the current state of an Alert; an unchanged one is not validated again."""
         digest = hash(orjson.dumps(entity, option=orjson.OPT_SORT_KEYS))
         alert_id = str(entity.get("id"))
         if self._digests.get(alert_id) != digest:
             self._show(alert_in(entity))
             self._digests[alert_id] = digest
 
-    def still_open(self) -> Collection[str]:
-        """Return all that are known: one that is over may be raised again."""
+    def active_ids(self) -> Collection[str]:
+        """Return all known Alerts: one that returned to normal may be raised again."""
         return self._active.keys() | self._past.keys()
 
-    def gone(self, entity_id: str) -> None:
+    def remove(self, entity_id: str) -> None:
         """Forget an Alert."""
         self._digests.pop(entity_id, None)
         self._active.pop(entity_id, None)
         self._past.pop(entity_id, None)
         self._due.pop(entity_id, None)
-        self._world.forget(f"alert/{entity_id}")
+        self._state.remove(f"alert/{entity_id}")
 
-    async def follow(self) -> None:
-        """End shelvings, and show what is over, when their time comes."""
+    async def run(self) -> None:
+        """Publish Alerts when their shelving or their validity ends."""
         while True:
             self._due_changed.clear()
             now = datetime.now(UTC)
-            due = [alert_id for alert_id, moment in self._due.items() if moment <= now]
+            due = [alert_id for alert_id, timestamp in self._due.items() if timestamp <= now]
             if due:
-                await asyncio.sleep(LEAST_PAUSE_S if await self._end_shelvings(due) else RETRY_S)
+                await asyncio.sleep(MIN_INTERVAL_S if await self._end_shelvings(due) else RETRY_S)
                 continue
             try:
                 async with asyncio.timeout(self._seconds_to_next(now)):
@@ -109,28 +108,24 @@ class Alerts(Kind, Source):
             except TimeoutError:
                 continue
 
-    # Acts of people
-
     async def acknowledge(self, alert_id: str, by: str) -> AlertView:
-        """Write that `by` has acknowledged an Alert, and return it as it is then.
+        """Acknowledge an Alert as `by`, and return its view.
 
-        Raises `Problem`: 404 if there is none, 409 if somebody has acknowledged it.
+        Raises `Problem`: 404 for an unknown Alert, 409 if it is acknowledged already.
         """
         return await self._change(alert_id, lambda alert: _acknowledgement(alert, by))
 
-    async def acknowledge_many(self, alert_ids: Sequence[str], by: str) -> Outcome:
-        """Acknowledge many Alerts; return `done` (their ids) and `failed` (each with the reason)."""
+    async def acknowledge_many(self, alert_ids: Sequence[str], by: str) -> AlertsResult:
+        """Acknowledge Alerts; return `done` (ids) and `failed` (problem details with the id as `alert`)."""
         return await self._change_many(alert_ids, lambda alert: _acknowledgement(alert, by))
 
-    async def shelve_many(self, alert_ids: Sequence[str], by: str, until: datetime) -> Outcome:
-        """Shelve many Alerts until a moment; return `done` and `failed`."""
+    async def shelve_many(self, alert_ids: Sequence[str], by: str, until: datetime) -> AlertsResult:
+        """Shelve Alerts until a time; return `done` and `failed`."""
         return await self._change_many(alert_ids, lambda alert: _shelving(alert, by, until))
 
-    async def unshelve_many(self, alert_ids: Sequence[str], by: str) -> Outcome:
-        """End the shelving of many Alerts now; return `done` and `failed`."""
+    async def unshelve_many(self, alert_ids: Sequence[str], by: str) -> AlertsResult:
+        """End the shelving of Alerts now; return `done` and `failed`."""
         return await self._change_many(alert_ids, lambda alert: _unshelving(alert, by))
-
-    # Within
 
     async def _change(self, alert_id: str, change: Change) -> AlertView:
         async with self._writing:
@@ -140,36 +135,36 @@ class Alerts(Kind, Source):
                 raise self._missing(alert_id) from None
             return await self._write(alert, change)
 
-    async def _change_many(self, alert_ids: Sequence[str], change: Change) -> Outcome:
-        """Change Alerts, a few at a time; when the broker is away, the rest fail without another wait."""
-        asked = list(dict.fromkeys(alert_ids))
+    async def _change_many(self, alert_ids: Sequence[str], change: Change) -> AlertsResult:
+        """Change Alerts concurrently; once the broker is unreachable, the rest fail at once."""
+        requested = list(dict.fromkeys(alert_ids))
         slots = asyncio.Semaphore(MAX_CONCURRENT_WRITES)
-        away: list[Problem] = []
+        unreachable: list[Problem] = []
 
-        async def failure(alert_id: str, alert: Alert | None) -> Outcome | None:
+        async def failure(alert_id: str, alert: Alert | None) -> AlertProblem | None:
             async with slots:
                 try:
-                    if away:
-                        raise away[0]
+                    if unreachable:
+                        raise unreachable[0]
                     if alert is None:
                         raise self._missing(alert_id)
                     await self._write(alert, change)
                 except Problem as problem:
-                    if isinstance(problem, BrokerUnavailable) and not away:
-                        away.append(problem)
-                    return {**problem.body(), "alert": alert_id}
+                    if isinstance(problem, BrokerUnavailable) and not unreachable:
+                        unreachable.append(problem)
+                    return cast("AlertProblem", {**problem.body(), "alert": alert_id})
             return None
 
         async with self._writing:
             found: dict[str, Alert] = {}
-            for start in range(0, len(asked), ASKED_AT_ONCE):
-                ids = asked[start : start + ASKED_AT_ONCE]
+            for start in range(0, len(requested), QUERY_BATCH_SIZE):
+                ids = requested[start : start + QUERY_BATCH_SIZE]
                 for entity in await self._broker.query(type=Alert.ngsi_type(), id=ids):
-                    with suppress(DataModelError):  # such a one is not shown either
+                    with suppress(DataModelError):  # pages do not show it either
                         found[str(entity["id"])] = alert_in(entity)
-            failures = await asyncio.gather(*(failure(each, found.get(each)) for each in asked))
+            failures = await asyncio.gather(*(failure(each, found.get(each)) for each in requested))
         return {
-            "done": [each for each, failed in zip(asked, failures, strict=True) if failed is None],
+            "done": [each for each, failed in zip(requested, failures, strict=True) if failed is None],
             "failed": [failed for failed in failures if failed is not None],
         }
 
@@ -180,11 +175,11 @@ class Alerts(Kind, Source):
         except NotFound:
             raise self._missing(alert.id) from None
         changed = Alert.from_ngsild({**alert.to_normalized(), **attributes})
-        self.take(changed.to_normalized())
+        self.update(changed.to_normalized())
         return view_of(changed)
 
     def _missing(self, alert_id: str) -> Problem:
-        self.gone(alert_id)
+        self.remove(alert_id)
         return Problem(
             404,
             "No such alert",
@@ -194,24 +189,24 @@ class Alerts(Kind, Source):
     def _show(self, alert: Alert) -> None:
         view = view_of(alert)
         alert_id = alert.id
-        if view["state"] == AlertState.RETURNED_TO_NORMAL:
+        if view["state"] == "returnedToNormal":
             self._active.pop(alert_id, None)
-            self._keep_past(alert_id, in_milliseconds(view["validTo"] or view["dateIssued"]))
+            self._keep_past(alert_id, normalized_timestamp(view["validTo"] or view["dateIssued"]))
         else:
             self._past.pop(alert_id, None)
             self._active[alert_id] = alert
         if alert_id in self._active or alert_id in self._past:
-            self._world.tell(f"alert/{alert_id}", view)
+            self._state.publish(f"alert/{alert_id}", view)
         self._log(view)
-        moment = _next_change(alert)
-        if moment is None:
+        timestamp = _next_change(alert)
+        if timestamp is None:
             self._due.pop(alert_id, None)
-        elif self._due.get(alert_id) != moment:
-            self._due[alert_id] = moment
+        elif self._due.get(alert_id) != timestamp:
+            self._due[alert_id] = timestamp
             self._due_changed.set()
 
     async def _end_shelvings(self, due: Sequence[str]) -> bool:
-        """Show the Alerts whose time has come; return whether the broker has the new states too."""
+        """Publish the due Alerts; return whether their states were written to the broker."""
         written = True
         for alert_id in due:
             del self._due[alert_id]
@@ -224,10 +219,10 @@ class Alerts(Kind, Source):
             try:
                 await self._change(alert_id, _end_of_shelving)
             except BrokerError as error:
-                log.warning("the end of a shelving could not be written", alert=alert_id, error=str(error))
+                log.warning("end of shelving not written", alert=alert_id, error=str(error))
                 written = False
             except Problem:
-                continue  # it has been deleted, or another server was first
+                continue  # it was deleted, or another server has written it
         return written
 
     def _seconds_to_next(self, now: datetime) -> float:
@@ -236,40 +231,43 @@ class Alerts(Kind, Source):
 
     def _keep_past(self, alert_id: str, over_at: str) -> None:
         self._past[alert_id] = over_at
-        while len(self._past) > KEPT_PAST:
+        while len(self._past) > MAX_PAST_ALERTS:
             oldest = min(self._past, key=self._past.__getitem__)
             del self._past[oldest]
-            self._world.forget(f"alert/{oldest}")
+            self._state.remove(f"alert/{oldest}")
 
     def _log(self, view: AlertView) -> None:
-        said = view["description"]
+        description = view["description"]
         level = LEVELS[Severity(view["severity"])]
-        self._record(view, "raised", view["dateIssued"], f"alert: {said}", level=level)
-        if (known := view["acknowledged"]) is not None:
-            text = f"{known['by'] or 'somebody'} acknowledged: {said}"
-            self._record(view, "acknowledged", known["at"], text, by=known["by"])
-        if view["state"] == AlertState.SHELVED:
+        self._record(view, "raised", view["dateIssued"], f"alert: {description}", level=level)
+        if (acknowledged := view["acknowledged"]) is not None:
+            text = f"{acknowledged['by'] or 'somebody'} acknowledged: {description}"
+            self._record(view, "acknowledged", acknowledged["at"], text, by=acknowledged["by"])
+        if view["state"] == "shelved":
             who, end = view["shelvedBy"] or "", view["shelvedUntil"] or ""
-            text = f"{who or 'somebody'} shelved until {end}: {said}"
+            text = f"{who or 'somebody'} shelved until {end}: {description}"
             self._record(view, "shelved", view["stateAt"] or end, text, by=who, until=end)
         elif view["shelvedUntil"] is not None and view["shelvedUntil"] <= iso(datetime.now(UTC)):
-            text = f"no longer shelved: {said}"
+            text = f"no longer shelved: {description}"
             self._record(view, "unshelved", view["shelvedUntil"], text)
-        if view["state"] == AlertState.RETURNED_TO_NORMAL:
+        if view["state"] == "returnedToNormal":
             self._record(
-                view, "over", view["validTo"] or view["stateAt"] or view["dateIssued"], f"alert over: {said}"
+                view,
+                "over",
+                view["validTo"] or view["stateAt"] or view["dateIssued"],
+                f"alert over: {description}",
             )
 
     def _record(
-        self, view: AlertView, act: str, moment: str, text: str, *, level: Level = "info", **values: str
+        self, view: AlertView, act: str, timestamp: str, text: str, *, level: Level = "info", **values: str
     ) -> None:
-        at = in_milliseconds(moment)
+        at = normalized_timestamp(timestamp)
         self._events.record(
-            Happening(
+            Event(
                 subject=view["id"],
                 mark=f"{act}@{at}",
                 key=f"alert.{act}",
-                source=short(view["source"]),
+                source=short_name(view["source"]),
                 text=text,
                 at=at,
                 level=level,
@@ -286,16 +284,16 @@ class Alerts(Kind, Source):
 
 
 def alert_in(entity: Mapping[str, Any]) -> Alert:
-    """Return the Alert that an entity states, without attributes of ours that have another meaning in it.
+    """Return the Alert of an entity, without those of `OWN_ATTRIBUTES` that have another meaning in it.
 
-    Raises `DataModelError` if the rest is no Alert either.
+    Raises `DataModelError` if the entity is not a valid Alert even without them.
     """
     try:
         return Alert.from_ngsild(entity)
     except DataModelError:
-        others = {name: value for name, value in entity.items() if name not in OURS}
+        others = {name: value for name, value in entity.items() if name not in OWN_ATTRIBUTES}
         alert = Alert.from_ngsild(others)
-        for name in OURS:
+        for name in OWN_ATTRIBUTES:
             if name in entity:
                 with suppress(DataModelError):
                     alert = Alert.from_ngsild({**others, name: entity[name]})
@@ -304,7 +302,7 @@ def alert_in(entity: Mapping[str, Any]) -> Alert:
 
 
 def view_of(alert: Alert, now: datetime | None = None) -> AlertView:
-    """Return an Alert as pages get it, `now` or at this moment; what it does not state is derived."""
+    """Return an Alert as sent to pages; missing attributes are derived."""
     now = now or datetime.now(UTC)
     state = state_of(alert, now)
     severity = alert.severity.value if alert.severity else Severity.MEDIUM
@@ -330,7 +328,7 @@ def view_of(alert: Alert, now: datetime | None = None) -> AlertView:
 
 
 def state_of(alert: Alert, now: datetime) -> AlertState:
-    """Return the state at a moment: what has ended by then counts as ended, whatever is written."""
+    """Return the state at `now`: an end that has passed counts, whatever state is stored."""
     written = alert.alert_state.value if alert.alert_state else None
     if alert.valid_to is not None and alert.valid_to.value <= now:
         return AlertState.RETURNED_TO_NORMAL
@@ -341,8 +339,8 @@ def state_of(alert: Alert, now: datetime) -> AlertState:
     return AlertState.NEW if _acknowledged(alert) is None else AlertState.ACKNOWLEDGED
 
 
-def _acknowledged(alert: Alert) -> dict[str, str] | None:
-    """Return by whom and when it was acknowledged: as we write it, or as another component may have."""
+def _acknowledged(alert: Alert) -> AcknowledgementView | None:
+    """Return who acknowledged it and when, from our attributes or from those of another component."""
     verified, state, person = alert.human_verified, alert.alert_state, alert.acknowledged_by
     is_verified = verified is not None and verified.value
     is_acknowledged = state is not None and state.value is AlertState.ACKNOWLEDGED
@@ -350,42 +348,42 @@ def _acknowledged(alert: Alert) -> dict[str, str] | None:
         return None
     by = _by(verified)
     if not by and person is not None:
-        by = short(person.object) if isinstance(person, Relationship) else person.value
+        by = short_name(person.object) if isinstance(person, Relationship) else person.value
     seen = (verified.observed_at if verified else None) or (state.observed_at if state else None)
     return {"by": by, "at": iso(seen or alert.date_issued.value)}
 
 
 def _next_change(alert: Alert) -> datetime | None:
-    """Return when time alone will change the state, None if it will not."""
+    """Return when the state will change by itself, None if it will not."""
     now = datetime.now(UTC)
-    moments = [alert.valid_to.value] if alert.valid_to else []
+    timestamps = [alert.valid_to.value] if alert.valid_to else []
     if alert.shelved_until and alert.alert_state and alert.alert_state.value is AlertState.SHELVED:
         if state_of(alert, now) not in {AlertState.SHELVED, AlertState.RETURNED_TO_NORMAL}:
-            return alert.shelved_until.value  # it has ended, and the broker does not have that yet
-        moments.append(alert.shelved_until.value)
-    return min((moment for moment in moments if moment > now), default=None)
+            return alert.shelved_until.value  # it has ended, but the broker does not know yet
+        timestamps.append(alert.shelved_until.value)
+    return min((timestamp for timestamp in timestamps if timestamp > now), default=None)
 
 
 def _acknowledgement(alert: Alert, by: str) -> Mapping[str, Any]:
     view = view_of(alert)
-    known = view["acknowledged"]
-    if known is not None:
+    acknowledged = view["acknowledged"]
+    if acknowledged is not None:
         raise Problem(
             409,
-            "Acknowledged already",
+            "Already acknowledged",
             message(
                 "alert.acknowledged",
-                "{by} acknowledged it at {at}; nothing more is needed",
-                by=known["by"] or "somebody",
-                at=known["at"],
+                "{by} acknowledged the alert at {at}",
+                by=acknowledged["by"] or "somebody",
+                at=acknowledged["at"],
             ),
-            extra={"acknowledged": known},
+            extra={"acknowledged": acknowledged},
         )
     verified = {**_property(True), "observedAt": iso(datetime.now(UTC)), "by": _property(by)}
     is_person = by.startswith("urn:ngsi-ld:Person:")
     who = {"type": "Relationship", "object": by} if is_person else _property(by)
     written = {"humanVerified": verified, "acknowledgedBy": who}
-    # A shelved Alert stays shelved, and one that is over stays so.
+    # A shelved Alert stays shelved, and one that returned to normal stays normal.
     return (
         {**written, "alertState": _state(AlertState.ACKNOWLEDGED, by)} if view["state"] == "new" else written
     )
@@ -393,22 +391,22 @@ def _acknowledgement(alert: Alert, by: str) -> Mapping[str, Any]:
 
 def _shelving(alert: Alert, by: str, until: datetime) -> Mapping[str, Any]:
     if state_of(alert, datetime.now(UTC)) is AlertState.RETURNED_TO_NORMAL:
-        over = message("alert.over", "the alert has returned to normal; it needs no shelving")
-        raise Problem(409, "Over already", over)
-    return {"alertState": _state(AlertState.SHELVED, by), "shelvedUntil": _moment(until)}
+        over = message("alert.over", "the alert has returned to normal and cannot be shelved")
+        raise Problem(409, "Already returned to normal", over)
+    return {"alertState": _state(AlertState.SHELVED, by), "shelvedUntil": _date_time(until)}
 
 
 def _unshelving(alert: Alert, by: str) -> Mapping[str, Any]:
     if state_of(alert, datetime.now(UTC)) is not AlertState.SHELVED:
-        unshelved = message("alert.not_shelved", "the alert is not shelved; nothing more is needed")
+        unshelved = message("alert.not_shelved", "the alert is not shelved")
         raise Problem(409, "Not shelved", unshelved)
-    return {"alertState": _state(_unshelved(alert), by), "shelvedUntil": _moment(datetime.now(UTC))}
+    return {"alertState": _state(_unshelved(alert), by), "shelvedUntil": _date_time(datetime.now(UTC))}
 
 
 def _end_of_shelving(alert: Alert) -> Mapping[str, Any]:
     if _next_change(alert) is None or state_of(alert, datetime.now(UTC)) is AlertState.SHELVED:
-        changed = message("alert.changed", "the alert was changed when its shelving ended")
-        raise Problem(409, "Changed meanwhile", changed)
+        changed = message("alert.changed", "the alert was changed before its shelving ended")
+        raise Problem(409, "Changed in the meantime", changed)
     return {"alertState": _state(_unshelved(alert), "")}
 
 
@@ -425,8 +423,8 @@ def _property(value: Any) -> dict[str, Any]:
     return {"type": "Property", "value": value}
 
 
-def _moment(moment: datetime) -> dict[str, Any]:
-    return _property({"@type": "DateTime", "@value": iso(moment)})
+def _date_time(timestamp: datetime) -> dict[str, Any]:
+    return _property({"@type": "DateTime", "@value": iso(timestamp)})
 
 
 def _by(attribute: Any) -> str:

@@ -1,7 +1,7 @@
-"""People: a revision of the controller's list, so that every open People page shows the same.
+"""People: a revision of the controller's list, so that all open People pages show the same.
 
-A page asks the controller itself; this source only says when to ask again. It looks at once when something
-was written through this server, and every few seconds for what was written elsewhere, while a page wants it.
+The page fetches the list from the controller; this source publishes when to fetch it again. It checks after
+each write through this server, and every `POLL_INTERVAL_S` for other writes, while a page subscribes.
 """
 
 import asyncio
@@ -11,40 +11,40 @@ from typing import Final
 import orjson
 
 from webui.settings import CONTROLLER
-from webui.sources.looked_at import LookedAt, Lookout
+from webui.sources.on_demand import OnDemandSource, SourceContext
 
 TOPIC: Final = "people"
-LOOK_EVERY_S: Final = 3.0
+POLL_INTERVAL_S: Final = 3.0
 
 
-class People(LookedAt):
-    """Publishes a revision of the people, their gestures and who wears what, while a page wants it."""
+class People(OnDemandSource):
+    """Publishes a digest of the people, their gestures and their gloves, while a page subscribes."""
 
     service, family = CONTROLLER, "people"
 
-    def __init__(self, lookout: Lookout) -> None:
-        super().__init__(lookout)
-        self._written = asyncio.Event()
+    def __init__(self, context: SourceContext) -> None:
+        super().__init__(context)
+        self._write_event = asyncio.Event()
 
-    def written(self, service: str) -> None:
-        """Look at once: something was written to `service`."""
+    def on_write(self, service: str) -> None:
+        """Check now: a client changed something in `service`."""
         if service == self.service:
-            self._written.set()
+            self._write_event.set()
 
-    async def follow(self) -> None:
-        """Look again and again while a page wants to know."""
+    async def run(self) -> None:
+        """Poll while a page subscribes."""
         while True:
-            await self._audience.until(lambda: self._audience.wants(TOPIC))
-            self._written.clear()
-            await self.look()
+            await self._viewers.wait_until(lambda: self._viewers.is_subscribed(TOPIC))
+            self._write_event.clear()
+            await self.refresh()
             try:
-                async with asyncio.timeout(LOOK_EVERY_S):
-                    await self._written.wait()
+                async with asyncio.timeout(POLL_INTERVAL_S):
+                    await self._write_event.wait()
             except TimeoutError:
                 continue
 
-    async def look(self) -> None:
-        """Ask for the people and publish the digest of the answer."""
-        if self._audience.wants(TOPIC) and (views := await self._ask()) is not None:
+    async def refresh(self) -> None:
+        """Fetch the people and publish the digest of the response."""
+        if self._viewers.is_subscribed(TOPIC) and (views := await self._fetch()) is not None:
             digest = hashlib.sha256(orjson.dumps(views)).hexdigest()[:16]
-            self._world.tell(TOPIC, {"revision": digest})
+            self._state.publish(TOPIC, {"revision": digest})

@@ -1,4 +1,4 @@
-"""A source: follows a part of the cell for as long as the server runs, whatever goes wrong there."""
+"""A source: a supervised background task that follows a part of the cell while the server runs."""
 
 import asyncio
 from abc import ABC, abstractmethod
@@ -9,33 +9,33 @@ from handover.telemetry import get_logger
 
 log = get_logger(__name__)
 
-AFTER_A_FAULT_S = 2.0
+RESTART_DELAY_S = 2.0
 
 
 class Source(ABC):
-    """Something that is followed; what can be expected to go wrong, `follow` deals with itself."""
+    """A background task of the server. `run` handles expected errors itself."""
 
     @abstractmethod
-    async def follow(self) -> None:
-        """Follow it until cancelled."""
+    async def run(self) -> None:
+        """Run until cancelled."""
 
 
 @asynccontextmanager
-async def followed(sources: Sequence[Source]) -> AsyncIterator[None]:
-    """Follow `sources` while the context lasts."""
-    chores = [asyncio.create_task(_keep_following(source)) for source in sources]
+async def run_sources(sources: Sequence[Source]) -> AsyncIterator[None]:
+    """Run `sources` while the context is open."""
+    tasks = [asyncio.create_task(_supervise(source)) for source in sources]
     try:
         yield
     finally:
-        for chore in chores:
-            chore.cancel()
-        await asyncio.gather(*chores, return_exceptions=True)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _keep_following(source: Source) -> None:
+async def _supervise(source: Source) -> None:
     while True:
         try:
-            await source.follow()
+            await source.run()
         except Exception:
-            log.exception("a source of the screen failed; following it anew", source=type(source).__name__)
-        await asyncio.sleep(AFTER_A_FAULT_S)
+            log.exception("source failed; restarting it", source=type(source).__name__)
+        await asyncio.sleep(RESTART_DELAY_S)

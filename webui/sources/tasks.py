@@ -1,4 +1,4 @@
-"""Tasks: each move of each becomes an event, and has the process it belongs to looked at."""
+"""Tasks: records an event for each change of status, and has the Task's process refreshed."""
 
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final
@@ -7,93 +7,94 @@ from datamodels.entities import Task, TaskStatus
 from datamodels.times import iso
 from handover.messages import message_in, with_code
 from handover.task_life import FINISHED, is_news
-from webui.events import EventLog, Happening, Level, in_milliseconds
+from webui.live.event_log import Event, EventLog, Level, normalized_timestamp
 from webui.settings import BROKER
-from webui.sources.devices import Devices, short
-from webui.sources.entities import Kind
-from webui.sources.services import Services
+from webui.sources.broker_entities import EntityHandler
+from webui.sources.devices import Devices, short_name
+from webui.sources.services import ServiceMonitor
 
-UNFINISHED: Final = ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
+ACTIVE_STATUSES: Final = ",".join(f'"{status}"' for status in TaskStatus if status not in FINISHED)
 
 LEVELS: Final[Mapping[TaskStatus, Level]] = {TaskStatus.FAILED: "stop", TaskStatus.PAUSED: "attention"}
 
-WORDS: Final[Mapping[TaskStatus, str]] = {
-    TaskStatus.PENDING: "is asked of",
-    TaskStatus.ASSIGNED: "is taken up by",
-    TaskStatus.IN_PROGRESS: "is begun by",
-    TaskStatus.PAUSED: "is paused by",
-    TaskStatus.COMPLETED: "is completed by",
-    TaskStatus.FAILED: "fails with",
+STATUS_TEXTS: Final[Mapping[TaskStatus, str]] = {
+    TaskStatus.PENDING: "created for",
+    TaskStatus.ASSIGNED: "accepted by",
+    TaskStatus.IN_PROGRESS: "started by",
+    TaskStatus.PAUSED: "paused by",
+    TaskStatus.COMPLETED: "completed by",
+    TaskStatus.FAILED: "failed with",
 }
 
 
-class Tasks(Kind):
-    """Follows the Tasks that are not finished."""
+class Tasks(EntityHandler):
+    """Handles the Tasks that are not finished."""
 
     ngsi_type = "Task"
-    open_q = f"status=={UNFINISHED}"
+    active_q = f"status=={ACTIVE_STATUSES}"
 
     def __init__(
         self,
         events: EventLog,
         devices: Devices,
-        services: Services,
-        process_moves: Callable[[str], None],
+        services: ServiceMonitor,
+        refresh_process: Callable[[str], None],
     ) -> None:
         self._events = events
         self._devices = devices
         self._services = services
-        self._process_moves = process_moves
-        self._open: dict[str, Task | None] = {}
-        self._looked_back = False
+        self._refresh_process = refresh_process
+        self._active: dict[str, Task | None] = {}
+        self._is_restored = False
 
-    def take(self, entity: Mapping[str, Any]) -> None:
-        """Take a Task as it is now."""
+    def update(self, entity: Mapping[str, Any]) -> None:
+        """Handle the current state of a Task."""
         task = Task.from_ngsild(entity)
-        known = self._open.get(task.id)
+        known = self._active.get(task.id)
         if known is not None and not is_news(known, task):
             return
         if task.status.value in FINISHED:
-            self._open.pop(task.id, None)
+            self._active.pop(task.id, None)
         else:
-            self._open[task.id] = task
-        if known is None or _move(known) != _move(task):
-            self._process_moves(task.id)
+            self._active[task.id] = task
+        if known is None or _status_and_time(known) != _status_and_time(task):
+            self._refresh_process(task.id)
             self._log(task)
         elif task.output_parameters != known.output_parameters:
-            self._process_moves(task.id)
+            self._refresh_process(task.id)
 
-    def still_open(self) -> Collection[str]:
-        """Return the Tasks that were not finished when last seen, before a restart of this server too."""
-        if not self._looked_back:
-            self._looked_back = True
-            for subject, mark in self._events.subjects().items():
+    def active_ids(self) -> Collection[str]:
+        """Return the Tasks known to be unfinished, including those from before a restart."""
+        if not self._is_restored:
+            self._is_restored = True
+            for subject, mark in self._events.last_marks().items():
                 if subject.startswith("urn:ngsi-ld:Task:") and mark.partition("@")[0] not in FINISHED:
-                    self._open.setdefault(subject, None)
-        return self._open.keys()
+                    self._active.setdefault(subject, None)
+        return self._active.keys()
 
-    def gone(self, entity_id: str) -> None:
+    def remove(self, entity_id: str) -> None:
         """Forget a Task."""
-        self._open.pop(entity_id, None)
-        self._process_moves(entity_id)
+        self._active.pop(entity_id, None)
+        self._refresh_process(entity_id)
 
     def _log(self, task: Task) -> None:
-        status, at = _move(task)
+        status, at = _status_and_time(task)
         who = next((link.object for link in task.involves or ()), "")
-        asked = dict(task.work_parameters.value) if task.work_parameters else {}
-        given = dict(task.output_parameters.value) if task.output_parameters else {}
-        kind = short(task.is_defined_by.object)
-        said = asked.get("description") or (task.description.value if task.description else None)
-        name = str(said or asked.get("operation") or kind)
-        reason = (message_in(given, "reason") or "") if status is TaskStatus.FAILED else ""
-        text = f'"{name}" {WORDS[status]} {short(who) or "nobody"}' + (f": {reason}" if reason else "")
-        self._services.heard(self._devices.performer_of(who) or BROKER, text, at)
+        inputs = dict(task.work_parameters.value) if task.work_parameters else {}
+        outputs = dict(task.output_parameters.value) if task.output_parameters else {}
+        kind = short_name(task.is_defined_by.object)
+        description = inputs.get("description") or (task.description.value if task.description else None)
+        name = str(description or inputs.get("operation") or kind)
+        reason = (message_in(outputs, "reason") or "") if status is TaskStatus.FAILED else ""
+        text = f'"{name}" {STATUS_TEXTS[status]} {short_name(who) or "nobody"}'
+        text += f": {reason}" if reason else ""
+        self._services.record_message(self._devices.performer_of(who) or BROKER, text, at)
         self._events.record(
-            Happening(
+            Event(
                 subject=task.id,
                 mark=f"{status.value}@{at}",
                 key=f"task.{status.value}",
-                source=short(who) or kind,
+                source=short_name(who) or kind,
                 text=text,
                 at=at,
                 level="attention" if reason == "cancelled" else LEVELS.get(status, "info"),
@@ -101,16 +102,16 @@ class Tasks(Kind):
                     "task": task.id,
                     "kind": kind,
                     "name": name,
-                    "who": short(who),
+                    "who": short_name(who),
                     **with_code("reason", reason),
-                    "by": str(given.get("operator") or given.get("by") or ""),
-                    "outcome": str(given.get("outcome", "")),
-                    "note": str(given.get("note", "")),
+                    "by": str(outputs.get("operator") or outputs.get("by") or ""),
+                    "outcome": str(outputs.get("outcome", "")),
+                    "note": str(outputs.get("note", "")),
                 },
             )
         )
 
 
-def _move(task: Task) -> tuple[TaskStatus, str]:
+def _status_and_time(task: Task) -> tuple[TaskStatus, str]:
     seen = task.status.observed_at
-    return task.status.value, in_milliseconds(iso(seen)) if seen else ""
+    return task.status.value, normalized_timestamp(iso(seen)) if seen else ""

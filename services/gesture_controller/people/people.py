@@ -185,7 +185,7 @@ class People:
                     409,
                     "Too near",
                     message(
-                        "people.find_rejection",
+                        "people.too_near",
                         '"{gesture}" cannot be kept: {why}',
                         gesture=gesture,
                         why=rejection.why,

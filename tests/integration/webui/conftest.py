@@ -1,4 +1,4 @@
-"""A cell with the screen's server in it, and a page that looks: what a browser keeps, without a browser."""
+"""A cell with the web UI server, and a WebSocket client that keeps what a browser would keep."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
@@ -15,7 +15,7 @@ Condition = Callable[[], object]
 
 
 class Viewer:
-    """A page that is open: it reads whenever it waits for something."""
+    """A client of the live WebSocket: it reads while it waits for a condition."""
 
     def __init__(self, link: ClientConnection) -> None:
         self.topics: dict[str, Any] = {}
@@ -24,7 +24,7 @@ class Viewer:
         self._link = link
 
     def read(self, timeout_s: float = 120.0) -> dict[str, Any]:
-        """Take in the next batch."""
+        """Read the next message."""
         batch: dict[str, Any] = orjson.loads(self._link.recv(timeout=timeout_s))
         self.kinds.append(batch["type"])
         if batch["type"] == "snapshot":
@@ -39,19 +39,22 @@ class Viewer:
         return batch
 
     def read_until(self, condition: Condition, within_s: float = 40.0) -> None:
-        """Take in batches until `condition` holds."""
+        """Read messages until `condition` holds."""
         bound = Bound(within_s)
         while not condition():
-            bound.check(lambda: f"not seen; known: {sorted(self.topics)}; events: {self.happened()[-20:]}")
+            bound.check(self._known)
             with suppress(TimeoutError):
                 self.read(5.0)
 
-    def want(self, *topics: str) -> None:
-        """Say what is wanted beyond the usual."""
-        self._link.send(orjson.dumps({"type": "want", "topics": topics}).decode())
+    def _known(self) -> str:
+        return f"topics: {sorted(self.topics)}; events: {[event['text'] for event in self.events[-20:]]}"
 
-    def happened(self, family: str = "") -> list[str]:
-        """What has happened, in order."""
+    def subscribe(self, *topics: str) -> None:
+        """Subscribe to on-demand topics."""
+        self._link.send(orjson.dumps({"type": "subscribe", "topics": topics}).decode())
+
+    def event_keys(self, family: str = "") -> list[str]:
+        """The keys of the received events, in order."""
         return [event["key"] for event in self.events if event["key"].startswith(family)]
 
     def service(self, name: str) -> dict[str, Any]:
@@ -60,7 +63,7 @@ class Viewer:
         return next((row for row in rows if row["name"] == name), {"state": None, "since": ""})
 
     def process(self) -> dict[str, Any]:
-        """The one process that there is."""
+        """The only process."""
         found: list[dict[str, Any]] = [
             value for topic, value in self.topics.items() if topic.startswith("process/")
         ]
@@ -84,7 +87,7 @@ def look(cell: Any) -> Iterator[Callable[[], Viewer]]:
 
 @pytest.fixture
 def browser(cell: Any) -> Iterator[httpx.Client]:
-    """What a page calls, with the headers that a browser sends."""
+    """An HTTP client with the headers of a browser."""
     url = cell.url("webui")
     with httpx.Client(base_url=url, headers={"Origin": url}, timeout=120, trust_env=False) as client:
         yield client
@@ -92,7 +95,7 @@ def browser(cell: Any) -> Iterator[httpx.Client]:
 
 @pytest.fixture
 def whole_cell(cell: Any) -> Any:
-    """A cell in which everything runs; started one after the other, since five at once are slow to come."""
+    """A cell with all services, started one after the other."""
     for service in ("context_broker", "task_orchestrator", "gesture_controller", "trajectory_tool", "webui"):
         cell.run(service)
     return cell

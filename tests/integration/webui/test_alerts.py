@@ -1,4 +1,4 @@
-"""Alerts for pages: raised, acknowledged, shelved, returned to normal, one and five hundred."""
+"""Alerts: raised, acknowledged, shelved, returned to normal; one and five hundred."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -43,7 +43,7 @@ def topic_of(number: int) -> str:
     return f"alert/{foreign(number)['id']}"
 
 
-async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
+async def test_an_alert_is_acknowledged_once_with_the_name_of_the_person(
     cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
     cell.start("context_broker", "webui")
@@ -91,8 +91,8 @@ async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
         assert stored["alertState"]["value"] == "new"
         assert not {"acknowledgedBy", "humanVerified", "validTo"} & stored.keys()
         moves = ["alert.raised", "alert.acknowledged", "alert.over", "alert.raised"]
-        viewer.read_until(lambda: len(viewer.happened("alert.")) == len(moves))
-        assert viewer.happened("alert.") == moves
+        viewer.read_until(lambda: len(viewer.event_keys("alert.")) == len(moves))
+        assert viewer.event_keys("alert.") == moves
 
         await broker.delete(urn)
         viewer.read_until(lambda: topic not in viewer.topics)
@@ -102,7 +102,7 @@ async def test_an_alert_is_acknowledged_once_and_it_is_known_by_whom(
     assert away.status_code == 503
 
 
-async def test_many_are_acknowledged_at_once_and_each_failure_is_reported(
+async def test_bulk_acknowledgement_reports_each_failure(
     cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
     cell.start("context_broker", "webui")
@@ -134,7 +134,7 @@ async def test_many_are_acknowledged_at_once_and_each_failure_is_reported(
     assert browser.post("/api/alerts/acknowledge", json={"alerts": [], "by": "Aino"}).status_code == 422
 
 
-async def test_a_shelved_alert_returns_by_itself_after_a_restart_too(
+async def test_shelving_ends_by_itself_also_after_a_restart(
     cell: Any, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
     cell.start("context_broker", "webui")
@@ -174,7 +174,7 @@ async def test_a_shelved_alert_returns_by_itself_after_a_restart_too(
                 == ["new", "acknowledged", "shelved"]
             )
         )
-        viewer.read_until(lambda: viewer.happened("alert.unshelved"))
+        viewer.read_until(lambda: viewer.event_keys("alert.unshelved"))
 
         async def are_unshelved() -> bool:
             states = [(await broker.retrieve(one))["alertState"]["value"] for one in (first, second)]
@@ -183,9 +183,7 @@ async def test_a_shelved_alert_returns_by_itself_after_a_restart_too(
         await until(are_unshelved)
 
 
-async def test_an_alert_that_is_shelved_stays_so_when_it_is_raised_again(
-    cell: Any, browser: httpx.Client
-) -> None:
+async def test_a_shelved_alert_stays_shelved_when_raised_again(cell: Any, browser: httpx.Client) -> None:
     cell.start("context_broker", "webui")
     settings = Settings.load(broker_url=cell.url("context_broker"))
     async with BrokerClient(settings) as broker:
@@ -205,7 +203,7 @@ async def test_an_alert_that_is_shelved_stays_so_when_it_is_raised_again(
 
 
 @pytest.mark.parametrize("mark", ["after", "before"])
-def test_a_seq_beyond_every_integer_is_refused(cell: Any, browser: httpx.Client, mark: str) -> None:
+def test_sequence_numbers_out_of_range_are_rejected(cell: Any, browser: httpx.Client, mark: str) -> None:
     cell.start("context_broker", "webui")
     for digits in ("9" * 20, "9" * 400):
         refused = browser.get(f"/api/events?{mark}={digits}")

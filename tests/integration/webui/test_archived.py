@@ -1,4 +1,4 @@
-"""A process whose entities have left the broker is on the page all the same, with its Tasks."""
+"""Archived processes are shown with their Tasks after their entities have left the broker."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from tests.unit.task_orchestrator.drawing import ONE_STEP, drawing
 pytestmark = pytest.mark.slow
 
 
-def test_a_page_opened_after_a_process_was_archived_shows_it(cell: Cell, look: Any) -> None:
+def test_archived_processes_are_shown(cell: Cell, look: Any) -> None:
     cell.extra["HANDOVER_RETENTION_H"] = "0.0001"
     cell.start("context_broker", "task_orchestrator", "webui")
     entities = f"{cell.url('context_broker')}/ngsi-ld/v1/entities"

@@ -1,4 +1,4 @@
-"""Everything live over one WebSocket: what happens in the cell arrives, whatever dies and comes back."""
+"""The live WebSocket: changes in the cell arrive, also after restarts of services."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -9,15 +9,17 @@ import httpx
 import orjson
 import pytest
 import uvicorn
+from pydantic import TypeAdapter
 from starlette.applications import Starlette
 from starlette.routing import WebSocketRoute
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as connect_now
 
-from webui.audience import Audience
-from webui.live import Live
-from webui.world import World
+from webui.live.live_socket import LiveSocket
+from webui.live.live_state import LiveState
+from webui.live.viewers import Viewers
+from webui.live.views import TOPICS, LiveEvent, type_of_topic
 
 pytestmark = pytest.mark.slow
 
@@ -40,7 +42,7 @@ def entity(entity_id: str, status: str, at: str) -> dict[str, Any]:
 
 
 class Broker:
-    """The broker, as another program writes to it."""
+    """A client that writes to the broker like another program."""
 
     def __init__(self, http: httpx.Client) -> None:
         self._http = http
@@ -70,7 +72,7 @@ def task_moves(viewer: Any, task: str = TASK) -> list[str]:
     return [event["key"] for event in viewer.events if event["values"].get("task") == task]
 
 
-def test_a_page_begins_with_everything_and_is_told_of_every_move(
+def test_a_page_receives_a_snapshot_and_every_change(
     whole_cell: Any, look: Callable[[], Any], broker: Broker
 ) -> None:
     viewer = look()
@@ -89,23 +91,37 @@ def test_a_page_begins_with_everything_and_is_told_of_every_move(
     viewer.read_until(lambda: task_moves(viewer) == ["task.pending"])
     broker.move(TASK, "assigned", "2999-01-01T00:00:01.000Z")
     broker.move(TASK, "inProgress", "2999-01-01T00:00:02.000Z")
-    broker.move(TASK, "pending", "2999-01-01T00:00:00.000Z")  # a late writer: not believed
+    broker.move(TASK, "pending", "2999-01-01T00:00:00.000Z")  # a late write: rejected
     broker.move(TASK, "failed", "2999-01-01T00:00:03.000Z", reason="the mop is lost")
     viewer.read_until(lambda: "task.failed" in task_moves(viewer))
     assert task_moves(viewer) == ["task.pending", "task.assigned", "task.inProgress", "task.failed"]
     failed = viewer.events[-1]
     assert failed["level"] == "stop"
     assert failed["values"]["reason"] == "the mop is lost"
-    assert failed["text"] == '"Wipe the table" fails with mop-1: the mop is lost'
+    assert failed["text"] == '"Wipe the table" failed with mop-1: the mop is lost'
 
     assert JOINTS not in viewer.topics
-    viewer.want(JOINTS)
+    viewer.subscribe(JOINTS)
     viewer.read_until(lambda: JOINTS in viewer.topics)
     stamp = viewer.topics[JOINTS]["stamp"]
     viewer.read_until(lambda: viewer.topics[JOINTS]["stamp"] > stamp)
 
 
-def test_a_broker_that_dies_is_said_to_be_down_and_is_followed_again_when_it_is_back(
+def test_all_topics_match_their_types(
+    whole_cell: Any, look: Callable[[], Any], browser: httpx.Client
+) -> None:
+    viewer = look()
+    viewer.subscribe(JOINTS)
+    browser.post("/api/task-orchestrator/processes", json={"definition": "bin-picking"}).raise_for_status()
+    families = {name.rstrip("/") for name in TOPICS} - {"people", "alert"}
+    viewer.read_until(lambda: JOINTS in viewer.topics and viewer.process().get("tasks"))
+    viewer.read_until(lambda: families <= {topic.partition("/")[0] for topic in viewer.topics})
+    for topic, value in viewer.topics.items():
+        TypeAdapter(type_of_topic(topic)).validate_python(value, strict=True)
+    TypeAdapter(list[LiveEvent]).validate_python(viewer.events, strict=True)
+
+
+def test_a_killed_broker_is_shown_as_down_and_followed_again_after_its_restart(
     cell: Any, look: Callable[[], Any], broker: Broker
 ) -> None:
     cell.start("context_broker", "webui")
@@ -123,11 +139,11 @@ def test_a_broker_that_dies_is_said_to_be_down_and_is_followed_again_when_it_is_
     viewer.read_until(lambda: task_moves(viewer) == ["task.pending", "task.assigned"])
     broker.move(TASK, "inProgress", "2999-01-01T00:00:02.000Z")
     viewer.read_until(lambda: "task.inProgress" in task_moves(viewer))
-    told = [event["key"] for event in viewer.events if event["source"] == "context-broker"]
-    assert told == ["service.down", "service.up"]
+    received = [event["key"] for event in viewer.events if event["source"] == "context-broker"]
+    assert received == ["service.down", "service.up"]
 
 
-def test_a_server_started_anew_tells_what_happened_meanwhile_and_nothing_twice(
+def test_a_restarted_server_reports_missed_events_once(
     cell: Any, look: Callable[[], Any], broker: Broker
 ) -> None:
     cell.start("context_broker", "webui")
@@ -151,9 +167,7 @@ def test_a_server_started_anew_tells_what_happened_meanwhile_and_nothing_twice(
     assert all(event["at"] for event in asked)
 
 
-def test_a_device_that_is_deleted_is_gone_from_the_page(
-    cell: Any, look: Callable[[], Any], broker: Broker
-) -> None:
+def test_deleted_devices_disappear_from_the_page(cell: Any, look: Callable[[], Any], broker: Broker) -> None:
     cell.start("context_broker", "webui")
     viewer = look()
     lamp = "urn:ngsi-ld:Device:demo:lamp-1"
@@ -168,13 +182,13 @@ def test_a_device_that_is_deleted_is_gone_from_the_page(
     )
     viewer.read_until(lambda: f"device/{lamp}" in viewer.topics)
     assert viewer.topics[f"device/{lamp}"]["batteryLevel"] == 0.5
-    viewer.read_until(lambda: "device.state" in viewer.happened())
+    viewer.read_until(lambda: "device.state" in viewer.event_keys())
     assert viewer.events[-1]["level"] == "stop"
     broker.delete(lamp)
     viewer.read_until(lambda: f"device/{lamp}" not in viewer.topics)
 
 
-def test_a_page_of_another_site_or_by_a_foreign_name_hears_nothing(cell: Any) -> None:
+def test_live_connections_of_other_origins_are_rejected(cell: Any) -> None:
     cell.start("context_broker", "webui")
     url = f"ws{cell.url('webui').removeprefix('http')}/api/live"
     for headers in ({"Origin": "http://evil.example"}, {"Origin": "null"}):
@@ -183,13 +197,13 @@ def test_a_page_of_another_site_or_by_a_foreign_name_hears_nothing(cell: Any) ->
         assert refused.value.response.status_code == 403
 
 
-# A page that does not read, against the real WebSocket but a world of our own, which says much.
+# A page that does not read, with a real WebSocket and a live state that changes often.
 
 
 @asynccontextmanager
-async def shown(world: World, port: int, patience_s: float) -> AsyncIterator[str]:
-    live = Live(world, Audience(), patience_s)
-    app = Starlette(routes=[WebSocketRoute("/live", live.show)])
+async def serve_live(state: LiveState, port: int, send_timeout_s: float) -> AsyncIterator[str]:
+    live = LiveSocket(state, Viewers(), send_timeout_s)
+    app = Starlette(routes=[WebSocketRoute("/live", live.serve)])
     server = uvicorn.Server(
         uvicorn.Config(
             app, port=port, log_config=None, timeout_graceful_shutdown=1, ws_per_message_deflate=False
@@ -205,8 +219,8 @@ async def shown(world: World, port: int, patience_s: float) -> AsyncIterator[str
         await serving
 
 
-async def newest(link: ClientConnection) -> int:
-    """The number in the next batch that has one."""
+async def next_number(link: ClientConnection) -> int:
+    """Return the number in the next batch with one."""
     while True:
         batch = orjson.loads(await link.recv())
         if "numbers" in batch["topics"]:
@@ -218,11 +232,13 @@ async def read_to_the_end(link: ClientConnection) -> None:
         await link.recv()
 
 
-async def test_a_page_that_does_not_read_slows_nobody_and_is_let_go(free_port: Callable[[], int]) -> None:
-    world = World()
+async def test_a_page_that_does_not_read_is_disconnected(
+    free_port: Callable[[], int],
+) -> None:
+    state = LiveState()
     ballast = "x" * 500_000
     clock = asyncio.get_running_loop().time
-    async with shown(world, free_port(), patience_s=1.5) as url:
+    async with serve_live(state, free_port(), send_timeout_s=1.5) as url:
         async with (
             connect(url, proxy=None, max_size=None, ping_interval=None) as quick,
             connect(url, proxy=None, max_size=None, max_queue=1, ping_interval=None) as slow,
@@ -231,11 +247,11 @@ async def test_a_page_that_does_not_read_slows_nobody_and_is_let_go(free_port: C
             number, worst_s, began_s = 0, 0.0, clock()
             while clock() - began_s < 4.0:
                 number += 1
-                told_s = clock()
-                world.tell("numbers", [number, ballast])
-                while await newest(quick) < number:
+                published_s = clock()
+                state.publish("numbers", [number, ballast])
+                while await next_number(quick) < number:
                     pass
-                worst_s = max(worst_s, clock() - told_s)
+                worst_s = max(worst_s, clock() - published_s)
             assert number > 30
             assert worst_s < 1.0
             with pytest.raises(ConnectionClosed):
@@ -246,18 +262,18 @@ async def test_a_page_that_does_not_read_slows_nobody_and_is_let_go(free_port: C
             assert first["topics"]["numbers"][0] == number
 
 
-async def test_a_page_that_reads_slowly_gets_the_newest_and_not_a_queue(free_port: Callable[[], int]) -> None:
-    world = World()
+async def test_a_slow_page_receives_the_newest_values_only(free_port: Callable[[], int]) -> None:
+    state = LiveState()
     async with (
-        shown(world, free_port(), patience_s=30.0) as url,
+        serve_live(state, free_port(), send_timeout_s=30.0) as url,
         connect(url, proxy=None, max_size=None, max_queue=1, ping_interval=None) as page,
     ):
         await page.recv()
         ballast = "x" * 500_000
         for number in range(1, 301):
-            world.tell("numbers", [number, ballast])
+            state.publish("numbers", [number, ballast])
             await asyncio.sleep(0.005)
         batches = 0
-        while await newest(page) < 300:
+        while await next_number(page) < 300:
             batches += 1
         assert batches < 60

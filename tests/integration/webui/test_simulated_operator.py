@@ -1,4 +1,4 @@
-"""The simulated operator, started from the page: works a process through, and never outlives the server."""
+"""The simulated operator, started from the page: completes a process, and ends with the server."""
 
 import socket
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def operators(cell: Cell) -> list[psutil.Process]:
     return found
 
 
-def test_it_works_the_process_through_while_the_page_looks(
+def test_the_operator_completes_a_process(
     whole_cell: Cell, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
     viewer = look()
@@ -54,24 +54,24 @@ def test_it_works_the_process_through_while_the_page_looks(
     viewer.read_until(completed, 150)
     assert max(seen_holds) > 1000
     assert len(seen_progress) > 5
-    viewer.read_until(lambda: "process.completed" in viewer.happened())
+    viewer.read_until(lambda: "process.completed" in viewer.event_keys())
     tasks = viewer.topics[f"process/{process['id']}"]["tasks"]
     for task in tasks:
         moves = [event["key"] for event in viewer.events if event["values"].get("task") == task["id"]]
         assert moves[0] == "task.pending"
         assert moves[-1] == "task.completed"
         assert len(moves) == len(set(moves))
-    assert viewer.happened().count("process.started") == 1
+    assert viewer.event_keys().count("process.started") == 1
 
     stopped = browser.delete("/api/operator")
     assert stopped.json()["running"] is False
     assert operators(whole_cell) == []
     assert browser.delete("/api/operator").status_code == 200
     viewer.read_until(lambda: not viewer.topics["glove/glove-1"]["connected"])
-    viewer.read_until(lambda: viewer.happened("operator.") == ["operator.started", "operator.stopped"])
+    viewer.read_until(lambda: viewer.event_keys("operator.") == ["operator.started", "operator.stopped"])
 
 
-def test_it_is_started_again_when_it_dies_and_dies_with_the_server(
+def test_the_operator_is_restarted_and_ends_with_the_server(
     cell: Cell, browser: httpx.Client, eventually: Callable[..., None]
 ) -> None:
     cell.run("context_broker", "gesture_controller", "webui")
@@ -85,7 +85,7 @@ def test_it_is_started_again_when_it_dies_and_dies_with_the_server(
     eventually(lambda: not second.is_running() or second.status() == psutil.STATUS_ZOMBIE, 30)
 
 
-def test_it_takes_no_glove_that_somebody_wears(
+def test_a_connected_glove_is_not_taken_over(
     cell: Cell, look: Callable[[], Any], browser: httpx.Client
 ) -> None:
     cell.run("context_broker", "gesture_controller", "webui")

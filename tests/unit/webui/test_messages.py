@@ -1,10 +1,10 @@
-"""The messages of all services: the page has their English, and what cannot be translated is refused."""
+"""The message catalogue: the page has all English texts, and invalid messages are rejected."""
 
 from pathlib import Path
 
 import pytest
 
-from webui.messages import ENGLISH, WrongMessage, english, found_messages, written
+from webui.messages import ENGLISH, InvalidMessage, english, found_messages, serialized
 
 
 def module(tmp_path: Path, *calls: str) -> Path:
@@ -14,13 +14,13 @@ def module(tmp_path: Path, *calls: str) -> Path:
     return tmp_path
 
 
-def test_the_page_has_the_english_of_the_source() -> None:
-    assert ENGLISH.read_text(encoding="utf-8") == written(english(found_messages())), (
+def test_the_english_texts_of_the_page_match_the_source() -> None:
+    assert ENGLISH.read_text(encoding="utf-8") == serialized(english(found_messages())), (
         "run python -m webui.messages, and translate what is new in de/server.json and fi/server.json"
     )
 
 
-def test_messages_are_found_and_nested_by_their_codes(tmp_path: Path) -> None:
+def test_messages_are_extracted_and_nested_by_code(tmp_path: Path) -> None:
     root = module(
         tmp_path, 'message("arm.away", "the arm {robot} is away", robot=name)', 'message("b", "{{x}}")'
     )
@@ -40,6 +40,6 @@ def test_messages_are_found_and_nested_by_their_codes(tmp_path: Path) -> None:
         ('message("a", "x"), message("a.b", "y")', "begins with"),
     ],
 )
-def test_what_cannot_be_translated_is_refused(tmp_path: Path, call: str, why: str) -> None:
-    with pytest.raises(WrongMessage, match=why):
+def test_untranslatable_messages_are_rejected(tmp_path: Path, call: str, why: str) -> None:
+    with pytest.raises(InvalidMessage, match=why):
         english(found_messages(module(tmp_path, call)))

@@ -1,6 +1,6 @@
-"""Services: what their counters say, as so much a second."""
+"""Service health: rates from counters."""
 
-from webui.sources.services import Row, summed
+from webui.sources.services import ServiceRow, sum_counters
 
 METRICS = """# HELP handover_broker_requests_total Requests answered
 # TYPE handover_broker_requests_total counter
@@ -18,30 +18,30 @@ COUNTERS = {
 }
 
 
-def test_labels_are_added_up_and_what_is_not_counted_is_zero() -> None:
-    assert summed(METRICS, COUNTERS) == {"requests": 42.0, "notifications": 7.0, "absent": 0.0}
+def test_labels_are_summed_and_missing_counters_are_zero() -> None:
+    assert sum_counters(METRICS, COUNTERS) == {"requests": 42.0, "notifications": 7.0, "absent": 0.0}
 
 
-def test_a_rate_is_the_difference_over_the_last_looks() -> None:
-    row = Row("context-broker")
+def test_rates_are_computed_over_the_last_samples() -> None:
+    row = ServiceRow("context-broker")
     assert row.rates() == {}
     for look in range(10):
-        row.counted(100.0 + 2 * look, {"requests": 50.0 * look})
+        row.add_sample(100.0 + 2 * look, {"requests": 50.0 * look})
     assert row.rates() == {"requests": 25.0}
-    assert len(row.counts) <= 5
+    assert len(row.samples) <= 5
 
 
-def test_a_service_that_was_started_anew_has_no_negative_rate() -> None:
-    row = Row("context-broker")
-    row.counted(0.0, {"requests": 1000.0})
-    row.counted(2.0, {"requests": 5.0})
+def test_a_restarted_service_has_no_negative_rate() -> None:
+    row = ServiceRow("context-broker")
+    row.add_sample(0.0, {"requests": 1000.0})
+    row.add_sample(2.0, {"requests": 5.0})
     assert row.rates() == {}
-    row.counted(4.0, {"requests": 25.0})
+    row.add_sample(4.0, {"requests": 25.0})
     assert row.rates() == {"requests": 10.0}
 
 
-def test_a_look_out_of_turn_makes_no_rate() -> None:
-    row = Row("context-broker")
-    row.counted(0.0, {"requests": 10.0})
-    row.counted(0.01, {"requests": 20.0})
+def test_samples_in_quick_succession_give_no_rate() -> None:
+    row = ServiceRow("context-broker")
+    row.add_sample(0.0, {"requests": 10.0})
+    row.add_sample(0.01, {"requests": 20.0})
     assert row.rates() == {}

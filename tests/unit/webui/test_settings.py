@@ -1,8 +1,8 @@
-"""The settings: where gloves are, under which names the page may be opened."""
+"""The settings: URLs of services, the host for gloves, the emergency stop."""
 
 import pytest
 
-from webui.server import cell_of
+from webui.server import cell_view
 from webui.settings import WebuiSettings
 
 
@@ -22,12 +22,12 @@ def _no_settings_of_this_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: obje
         ("gloves.hall.example", None, "gloves.hall.example"),
     ],
 )
-def test_a_glove_finds_the_controller(glove_host: str, controller_url: str | None, reached_at: str) -> None:
+def test_the_glove_server_host(glove_host: str, controller_url: str | None, reached_at: str) -> None:
     settings = WebuiSettings.load(glove_host=glove_host, controller_url=controller_url)
-    assert settings.gloves_awaited_at == reached_at
+    assert settings.glove_server_host == reached_at
 
 
-def test_every_service_has_a_door() -> None:
+def test_every_service_has_a_url() -> None:
     urls = WebuiSettings.load(
         broker_url="http://orion:1026", orchestrator_url="http://orchestrator:54200/"
     ).service_urls
@@ -36,13 +36,13 @@ def test_every_service_has_a_door() -> None:
     assert urls["trajectory-tool"] == "http://127.0.0.1:54220"
 
 
-def test_the_ros_bridge_has_a_door_where_it_has_a_mapping() -> None:
+def test_the_ros_bridge_has_a_url_if_a_mapping_is_set() -> None:
     assert "ros-bridge" not in WebuiSettings.load().service_urls
     assert WebuiSettings.load(ros_mapping="arm").service_urls["ros-bridge"] == "http://127.0.0.1:54100"
 
 
-def test_a_site_says_where_its_real_emergency_stop_is() -> None:
-    assert "emergencyStop" not in cell_of(WebuiSettings.load())
-    assert "emergencyStop" not in cell_of(WebuiSettings.load(emergency_stop=""))
-    told = cell_of(WebuiSettings.load(emergency_stop="the grey cord over the bench"))
-    assert told["emergencyStop"] == "the grey cord over the bench"
+def test_the_location_of_the_emergency_stop_is_published() -> None:
+    assert "emergencyStop" not in cell_view(WebuiSettings.load())
+    assert "emergencyStop" not in cell_view(WebuiSettings.load(emergency_stop=""))
+    view = cell_view(WebuiSettings.load(emergency_stop="the grey cord over the bench"))
+    assert view["emergencyStop"] == "the grey cord over the bench"

@@ -1,5 +1,5 @@
 // What the first page costs over the network, compressed: the document, everything it loads before it can be
-// used, and the letters of the alphabet. More than the limit fails the check.
+// used, and the characters of the alphabet. More than the limit fails the check.
 import { readFileSync, statSync } from "node:fs";
 import { join } from "node:path";
 import { gzipSync } from "node:zlib";

@@ -3,9 +3,9 @@ import { lazy, Suspense } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, Route, Switch, useLocation } from "wouter";
 import { RouterProvider } from "react-aria-components";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import { Shell } from "~/shell/Shell";
-import { Stumble } from "~/shell/Stumble";
+import { ErrorBoundary } from "~/shell/ErrorBoundary";
 import StartPage from "~/start/StartPage";
 import { useParticipantMode } from "~/study/participantMode";
 
@@ -26,7 +26,7 @@ export function App() {
       <RouterProvider navigate={go}>
         <Suspense fallback={null}>
           <ParticipantFrame mode={participant}>
-            <Stumble key={path}>{path === "/work" ? <WorkPage /> : <StudyPage />}</Stumble>
+            <ErrorBoundary key={path}>{path === "/work" ? <WorkPage /> : <StudyPage />}</ErrorBoundary>
           </ParticipantFrame>
         </Suspense>
       </RouterProvider>
@@ -35,7 +35,7 @@ export function App() {
   return (
     <RouterProvider navigate={go}>
       <Shell>
-        <Stumble key={path.split("/")[1]}>
+        <ErrorBoundary key={path.split("/")[1]}>
           <Switch>
             <Route path="/" component={StartPage} />
             <Route path="/work" component={WorkPage} />
@@ -47,7 +47,7 @@ export function App() {
             <Route path="/study" component={StudyPage} />
             <Route component={UnknownPage} />
           </Switch>
-        </Stumble>
+        </ErrorBoundary>
       </Shell>
     </RouterProvider>
   );
@@ -55,5 +55,5 @@ export function App() {
 
 function UnknownPage() {
   const { t } = useTranslation("common");
-  return <Empty title={t("unknownPage.title")} act={<Link href="/">{t("unknownPage.act")}</Link>} />;
+  return <EmptyState title={t("unknownPage.title")} act={<Link href="/">{t("unknownPage.act")}</Link>} />;
 }

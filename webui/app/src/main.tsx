@@ -1,20 +1,20 @@
 /** Where the page begins: words, theme, the link to the cell, then the pages. */
 import { createRoot } from "react-dom/client";
-import { eventsAfter } from "~/api/acts";
+import { eventsAfter } from "~/api/actions";
 import { App } from "~/App";
 import "~/design/base.css";
-import { startWords } from "~/i18n";
-import { Connection } from "~/live/connection";
+import { initI18n } from "~/i18n";
+import { LiveConnection } from "~/live/connection";
 import { Live } from "~/live/hooks";
 import { LiveStore } from "~/live/store";
-import { startTheme } from "~/shell/theme";
+import { initTheme } from "~/shell/theme";
 
 const live = new LiveStore();
 const scheme = location.protocol === "https:" ? "wss" : "ws";
-new Connection(live, { url: `${scheme}://${location.host}/api/live`, fetchEvents: eventsAfter });
+new LiveConnection(live, { url: `${scheme}://${location.host}/api/live`, fetchEvents: eventsAfter });
 
-startTheme();
-await startWords();
+initTheme();
+await initI18n();
 
 const root = document.getElementById("root");
 if (root === null) throw new Error("index.html has no #root");

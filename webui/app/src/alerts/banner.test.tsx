@@ -1,6 +1,6 @@
 import { render, screen } from "@testing-library/react";
 import { beforeAll, expect, test } from "vitest";
-import { speak, startWords } from "~/i18n";
+import { setLanguage, initI18n } from "~/i18n";
 import { Live } from "~/live/hooks";
 import { LiveStore } from "~/live/store";
 import type { AlertView } from "~/live/messages";
@@ -8,13 +8,13 @@ import { alertOf } from "./alert.fixture";
 import { AttentionBanner, AttentionCount } from "./AttentionBanner";
 
 beforeAll(async () => {
-  await startWords();
-  await speak("en");
+  await initI18n();
+  await setLanguage("en");
 });
 
 function shown(alerts: AlertView[]) {
   const live = new LiveStore();
-  live.take({ type: "snapshot", at: "", topics: Object.fromEntries(alerts.map((alert) => [`alert/${alert.id}`, alert])), events: [] });
+  live.apply({ type: "snapshot", at: "", topics: Object.fromEntries(alerts.map((alert) => [`alert/${alert.id}`, alert])), events: [] });
   return render(
     <Live value={live}>
       <AttentionBanner large={false} />

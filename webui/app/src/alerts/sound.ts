@@ -3,7 +3,7 @@ import { useEffect, useRef, useSyncExternalStore } from "react";
 import { useFamily, useLive } from "~/live/hooks";
 import { isUrgent } from "./attention";
 
-const KEPT = "handover.sound";
+const STORAGE_KEY = "handover.sound";
 /** However many Alerts come, one tone in so many ms. */
 const MIN_PAUSE_MS = 5000;
 const TONE_S = 0.18;
@@ -12,7 +12,7 @@ const listeners = new Set<() => void>();
 let context: AudioContext | null = null;
 
 export function isSoundOn(): boolean {
-  return localStorage.getItem(KEPT) === "on";
+  return localStorage.getItem(STORAGE_KEY) === "on";
 }
 
 export function useSound(): boolean {
@@ -24,7 +24,7 @@ export function useSound(): boolean {
 
 /** Switch the sound on (with one tone as a sample) or off. */
 export function setSound(on: boolean): void {
-  localStorage.setItem(KEPT, on ? "on" : "off");
+  localStorage.setItem(STORAGE_KEY, on ? "on" : "off");
   for (const listener of listeners) listener();
   if (on) playTone();
 }
@@ -56,7 +56,7 @@ export function useAlertSound(): void {
   const known = useRef<Set<string> | null>(null);
   const playedAt = useRef(-Infinity);
   useEffect(() => {
-    if (!live.told) return;
+    if (!live.hasSnapshot) return;
     const urgent = new Set(alerts.filter(isUrgent).map((alert) => `${alert.id} ${alert.dateIssued}`));
     const before = known.current;
     known.current = urgent;

@@ -1,7 +1,7 @@
 /** What an Alert is called, in the language of the page where it knows the kind. */
 import { useCallback } from "react";
 import { useTranslation } from "react-i18next";
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import type { AlertView } from "~/live/messages";
 import { kindOf } from "./attention";
 
@@ -10,7 +10,7 @@ export function useAlertTitle(): (alert: AlertView) => string {
   return useCallback(
     (alert: AlertView) => {
       const kind = kindOf(alert);
-      return kind === "other" ? (wordsIn(alert, "description") ?? alert.description) : t(`alertKind.${kind}`);
+      return kind === "other" ? (localizedText(alert, "description") ?? alert.description) : t(`alertKind.${kind}`);
     },
     [t],
   );

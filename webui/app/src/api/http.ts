@@ -1,5 +1,5 @@
-/** REST through the one door: `/api/<service>/<path>`. What is refused comes as a `Refusal` in plain words. */
-import { wordsIn } from "~/i18n/server";
+/** REST of the services, through the proxy at `/api/<service>/<path>`. Error responses throw `ApiError`. */
+import { localizedText } from "~/i18n/server";
 
 export type Service = "context-broker" | "task-orchestrator" | "gesture-controller" | "trajectory-tool" | "ros-bridge";
 
@@ -11,31 +11,31 @@ export interface ProblemDetails {
   [more: string]: unknown;
 }
 
-export class Refusal extends Error {
+export class ApiError extends Error {
   readonly problem: ProblemDetails;
 
   constructor(problem: ProblemDetails) {
     super(problem.detail);
-    this.name = "Refusal";
+    this.name = "ApiError";
     this.problem = problem;
   }
 }
 
 /** The server could not be reached at all. */
-export class Unreachable extends Error {
+export class NetworkError extends Error {
   constructor() {
     super("the server of this page does not answer; it may be starting, or the network is down");
-    this.name = "Unreachable";
+    this.name = "NetworkError";
   }
 }
 
 /** Say what went wrong, in the language of the page where the server gave a code. */
-export function describe(error: unknown): string {
-  if (error instanceof Refusal) return wordsIn(error.problem, "detail") ?? error.message;
+export function errorText(error: unknown): string {
+  if (error instanceof ApiError) return localizedText(error.problem, "detail") ?? error.message;
   return error instanceof Error ? error.message : String(error);
 }
 
-export interface Call {
+export interface RequestOptions {
   method?: "GET" | "POST" | "PUT" | "PATCH" | "DELETE";
   json?: unknown;
   body?: BodyInit;
@@ -43,8 +43,8 @@ export interface Call {
   signal?: AbortSignal;
 }
 
-/** Call `path` (from `/api/`) and return what it answers: JSON, or text where it is no JSON. */
-export async function call<T>(path: string, { method = "GET", json, body, type, signal }: Call = {}): Promise<T> {
+/** RequestOptions `path` (from `/api/`) and return what it answers: JSON, or text where it is no JSON. */
+export async function request<T>(path: string, { method = "GET", json, body, type, signal }: RequestOptions = {}): Promise<T> {
   const headers: Record<string, string> = { Accept: "application/json" };
   if (json !== undefined) headers["Content-Type"] = "application/json";
   if (type !== undefined) headers["Content-Type"] = type;
@@ -59,20 +59,20 @@ export async function call<T>(path: string, { method = "GET", json, body, type, 
     });
   } catch (error) {
     if (signal?.aborted === true) throw error;
-    throw new Unreachable();
+    throw new NetworkError();
   }
   const text = await answer.text();
   const isJson = (answer.headers.get("Content-Type") ?? "").includes("json");
-  if (!answer.ok) throw new Refusal(problemOf(answer, isJson ? (JSON.parse(text) as unknown) : text));
+  if (!answer.ok) throw new ApiError(problemOf(answer, isJson ? (JSON.parse(text) as unknown) : text));
   return (isJson && text !== "" ? JSON.parse(text) : text) as T;
 }
 
-export function callService<T>(service: Service, path: string, options?: Call): Promise<T> {
-  return call<T>(`${service}/${path.replace(/^\//, "")}`, options);
+export function requestService<T>(service: Service, path: string, options?: RequestOptions): Promise<T> {
+  return request<T>(`${service}/${path.replace(/^\//, "")}`, options);
 }
 
 function problemOf(answer: Response, body: unknown): ProblemDetails {
-  const told = typeof body === "object" && body !== null ? (body as Partial<ProblemDetails>) : {};
-  const title = told.title ?? answer.statusText;
-  return { ...told, title, detail: told.detail ?? title, status: answer.status };
+  const received = typeof body === "object" && body !== null ? (body as Partial<ProblemDetails>) : {};
+  const title = received.title ?? answer.statusText;
+  return { ...received, title, detail: received.detail ?? title, status: answer.status };
 }

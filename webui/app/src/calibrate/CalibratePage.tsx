@@ -1,17 +1,17 @@
 /** The Calibrate page: how a glove fits the hand that wears it, finger by finger, over the live signal. */
 import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { callService, describe } from "~/api/http";
+import { requestService, errorText } from "~/api/http";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
-import { Choice } from "~/design/Choice";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
-import { GlovePick, NoGlove, useChosenGlove } from "~/glove/ChosenGlove";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
+import { GloveSelect, NoGlove, useSelectedGlove } from "~/glove/GloveSelect";
 import { fingers } from "~/hand/geometry";
-import { usePick } from "~/live/hooks";
+import { useTopicSelector } from "~/live/hooks";
 import { shortName } from "~/live/urn";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
 import { bounds, changesOf, moved, steps, topOf, type Bound, type Step, type Thresholds } from "./draft";
 import { FingerColumn } from "./FingerColumn";
@@ -22,14 +22,14 @@ const LivePlot = lazy(() => import("./LivePlot"));
 
 export default function CalibratePage() {
   const { t } = useTranslation("calibrate");
-  const glove = useChosenGlove();
+  const glove = useSelectedGlove();
   return (
     <div className="calibrate">
       <header className="calibrate__head">
         <h1>{t("title")}</h1>
         {glove !== undefined && (
           <>
-            <GlovePick glove={glove} />
+            <GloveSelect glove={glove} />
             <Wearer glove={glove} />
           </>
         )}
@@ -48,11 +48,11 @@ export default function CalibratePage() {
 
 function Wearer({ glove }: { glove: string }) {
   const { t } = useTranslation("calibrate");
-  const person = usePick(`glove/${glove}`, (view) => view?.person ?? null);
-  const isConnected = usePick(`glove/${glove}`, (view) => view?.connected) === true;
+  const person = useTopicSelector(`glove/${glove}`, (view) => view?.person ?? null);
+  const isConnected = useTopicSelector(`glove/${glove}`, (view) => view?.connected) === true;
   return (
     <p className="calibrate__wearer">
-      {isConnected ? <State tone="ok">{t("connected")}</State> : <State tone="attention">{t("away")}</State>}
+      {isConnected ? <StatusBadge tone="ok">{t("connected")}</StatusBadge> : <StatusBadge tone="attention">{t("away")}</StatusBadge>}
       <span className="quiet">{person === null ? t("nobody") : t("worn", { person: shortName(person) })}</span>
     </p>
   );
@@ -61,12 +61,12 @@ function Wearer({ glove }: { glove: string }) {
 /** Thresholds by hand: changed here, and counting only once they are saved. */
 function ByHand({ glove }: { glove: string }) {
   const { t } = useTranslation(["calibrate", "hand"]);
-  const told = usePick(`glove/${glove}`, (view) => (view === undefined ? "" : JSON.stringify(view.thresholds)));
-  const saved = useMemo(() => (told === "" ? null : (JSON.parse(told) as Thresholds)), [told]);
+  const received = useTopicSelector(`glove/${glove}`, (view) => (view === undefined ? "" : JSON.stringify(view.thresholds)));
+  const saved = useMemo(() => (received === "" ? null : (JSON.parse(received) as Thresholds)), [received]);
   const [draft, setDraft] = useState<Thresholds | null>(null);
-  const [step, setStep] = useQuery("step", "25");
-  const [bound, setBound] = useQuery("bound", "upper");
-  const [asked, setFinger] = useQuery("finger", "thumb");
+  const [step, setStep] = useQueryParameter("step", "25");
+  const [bound, setBound] = useQueryParameter("bound", "upper");
+  const [asked, setFinger] = useQueryParameter("finger", "thumb");
   const [failure, setFailure] = useState<string | null>(null);
   const [said, setSaid] = useState<"saved" | "restored" | null>(null);
   const finger = fingers.find((one) => one === asked) ?? "thumb";
@@ -87,11 +87,11 @@ function ByHand({ glove }: { glove: string }) {
   const act = async (path: string, method: "PUT" | "POST", words: "saved" | "restored", json?: unknown) => {
     setFailure(null);
     try {
-      await callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/${path}`, { method, ...(json === undefined ? {} : { json }) });
+      await requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/${path}`, { method, ...(json === undefined ? {} : { json }) });
       setDraft(null);
       setSaid(words);
     } catch (error) {
-      setFailure(describe(error));
+      setFailure(errorText(error));
     }
   };
   const save = () => {
@@ -117,7 +117,7 @@ function ByHand({ glove }: { glove: string }) {
   return (
     <Card
       title={t("byHand")}
-      aside={<Choice<Step> label={t("step")} value={String(size) as Step} options={steps.map((one) => ({ value: one, name: t("stepOf", { step: one }) }))} onChange={setStep} />}
+      aside={<SegmentedControl<Step> label={t("step")} value={String(size) as Step} options={steps.map((one) => ({ value: one, name: t("stepOf", { step: one }) }))} onChange={setStep} />}
     >
       <p className="quiet">{t("means")}</p>
       <Suspense fallback={<div className="calibrate__plot" />}>
@@ -139,8 +139,8 @@ function ByHand({ glove }: { glove: string }) {
           />
         ))}
       </div>
-      {failure !== null && <Problem>{failure}</Problem>}
-      <div className="calibrate__acts" data-unsaved={changes !== null || undefined}>
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+      <div className="calibrate__actions" data-unsaved={changes !== null || undefined}>
         <Button kind="main" isDisabled={changes === null} onPress={save}>
           {t("save")}
         </Button>
@@ -150,9 +150,9 @@ function ByHand({ glove }: { glove: string }) {
         <Button onPress={restore}>{t("restore")}</Button>
         <p role="status">
           {changes !== null ? (
-            <State tone="attention">{t("unsaved", { count: Object.keys(changes).length })}</State>
+            <StatusBadge tone="attention">{t("unsaved", { count: Object.keys(changes).length })}</StatusBadge>
           ) : (
-            said !== null && <State tone="ok">{t(`said.${said}`)}</State>
+            said !== null && <StatusBadge tone="ok">{t(`said.${said}`)}</StatusBadge>
           )}
         </p>
       </div>

@@ -5,7 +5,7 @@ import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { number, typedNumber } from "~/design/numbers";
 import { fingers } from "~/hand/geometry";
-import { usePick } from "~/live/hooks";
+import { useTopicSelector } from "~/live/hooks";
 import type { Finger } from "~/live/messages";
 import { bounds, stateUnder, type Bound, type Thresholds } from "./draft";
 
@@ -50,7 +50,7 @@ export function FingerColumn({ glove, finger, isChosen, saved, thresholds, step,
 function Gauge({ glove, finger, thresholds, top }: { glove: string; finger: Finger; thresholds: Thresholds[Finger]; top: number }) {
   const { t, i18n } = useTranslation(["calibrate", "hand"]);
   const place = fingers.indexOf(finger);
-  const bend = usePick(`glove/${glove}`, (view) => view?.bend?.[place] ?? null);
+  const bend = useTopicSelector(`glove/${glove}`, (view) => view?.bend?.[place] ?? null);
   const share = (value: number) => `${Math.min(Math.max(value / top, 0), 1) * 100}%`;
   const state = bend === null ? null : stateUnder(thresholds, bend);
   return (

@@ -2,16 +2,16 @@
 import { Hand as HandIcon } from "lucide-react";
 import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { callService, describe } from "~/api/http";
-import { useAsked } from "~/api/useAsked";
+import { requestService, errorText } from "~/api/http";
+import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
-import { Choice } from "~/design/Choice";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { GesturePicker } from "~/hand/GesturePicker";
-import { usePick } from "~/live/hooks";
+import { useTopicSelector } from "~/live/hooks";
 import type { GuideView } from "~/live/messages";
 
 const SERVICE = "gesture-controller";
@@ -25,36 +25,36 @@ interface Gesture {
 
 export function GuidedCard({ glove }: { glove: string }) {
   const { t } = useTranslation("calibrate");
-  const told = usePick(`glove/${glove}`, (view) => JSON.stringify(view?.calibration ?? null));
-  const guide = useMemo(() => JSON.parse(told) as GuideView | null, [told]);
-  const isConnected = usePick(`glove/${glove}`, (view) => view?.connected) === true;
-  const isDue = typeof usePick(`glove/${glove}`, (view) => view?.calibrationNeeded) === "string";
+  const received = useTopicSelector(`glove/${glove}`, (view) => JSON.stringify(view?.calibration ?? null));
+  const guide = useMemo(() => JSON.parse(received) as GuideView | null, [received]);
+  const isConnected = useTopicSelector(`glove/${glove}`, (view) => view?.connected) === true;
+  const isDue = typeof useTopicSelector(`glove/${glove}`, (view) => view?.calibrationNeeded) === "string";
   const [failure, setFailure] = useState<string | null>(null);
   const act = (path: string, method: "POST" | "PUT" | "DELETE", json?: unknown) => {
     setFailure(null);
-    callService(SERVICE, `gloves/${encodeURIComponent(glove)}/${path}`, { method, ...(json === undefined ? {} : { json }) }).catch(
-      (error: unknown) => setFailure(describe(error)),
+    requestService(SERVICE, `gloves/${encodeURIComponent(glove)}/${path}`, { method, ...(json === undefined ? {} : { json }) }).catch(
+      (error: unknown) => setFailure(errorText(error)),
     );
   };
   const isOnItsWay = guide !== null && guide.outcome === null;
   return (
     <Card title={t("guided.title")} aside={<Reader glove={glove} act={act} />}>
-      {isDue && <State tone="attention">{t("guided.due")}</State>}
-      {failure !== null && <Problem>{failure}</Problem>}
+      {isDue && <StatusBadge tone="attention">{t("guided.due")}</StatusBadge>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {isOnItsWay ? (
         <OnItsWay guide={guide} glove={glove} onStop={() => act("calibration/guide", "DELETE")} />
       ) : (
         <>
           <p className="quiet">{t(isConnected ? "guided.means" : "guided.away")}</p>
           {guide?.phase === "interrupted" ? (
-            <State tone="attention">{t("guided.interrupted")}</State>
+            <StatusBadge tone="attention">{t("guided.interrupted")}</StatusBadge>
           ) : (
             guide?.outcome != null && <Outcome outcome={guide.outcome} />
           )}
           {guide?.gesture != null && guide.outcome?.applied === true && (
             <Learnt glove={glove} onUse={() => act("recognizer", "PUT", { name: "personal" })} />
           )}
-          <div className="guided__acts">
+          <div className="guided__actions">
             <Button kind="main" size="large" icon={<HandIcon aria-hidden size={28} />} isDisabled={!isConnected} onPress={() => act("calibration/guide", "POST", {})}>
               {t("guided.act")}
             </Button>
@@ -70,7 +70,7 @@ export function GuidedCard({ glove }: { glove: string }) {
 function OnItsWay({ guide, glove, onStop }: { guide: GuideView; glove: string; onStop: () => void }) {
   const { t } = useTranslation(["calibrate", "hand"]);
   const gestureName = useGestureName();
-  const side = usePick(`glove/${glove}`, (view) => view?.hand) ?? "right";
+  const side = useTopicSelector(`glove/${glove}`, (view) => view?.hand) ?? "right";
   const isCounting = guide.phase === "countdown";
   const share = 1 - guide.remainingMs / (isCounting ? COUNTDOWN_MS : STILL_MS);
   const fingers = guide.restless.map((finger) => t(`hand:finger.${finger}`)).join(", ");
@@ -99,11 +99,11 @@ function Outcome({ outcome }: { outcome: NonNullable<GuideView["outcome"]> }) {
   const { t } = useTranslation(["calibrate", "hand"]);
   return (
     <div className="guided__outcome">
-      {outcome.problem === null ? <State tone="ok">{t("guided.fits")}</State> : <Problem>{outcome.problem}</Problem>}
+      {outcome.problem === null ? <StatusBadge tone="ok">{t("guided.fits")}</StatusBadge> : <ErrorMessage>{outcome.problem}</ErrorMessage>}
       <ul>
         {outcome.doubts.map(({ finger, why }) => (
           <li key={finger}>
-            <State tone="attention">{t(`hand:finger.${finger}`)}</State> {t(`guided.doubt.${why}`)}
+            <StatusBadge tone="attention">{t(`hand:finger.${finger}`)}</StatusBadge> {t(`guided.doubt.${why}`)}
           </li>
         ))}
       </ul>
@@ -114,7 +114,7 @@ function Outcome({ outcome }: { outcome: NonNullable<GuideView["outcome"]> }) {
 /** A sample was taken, but thresholds read the hand: they learn nothing from it. */
 function Learnt({ glove, onUse }: { glove: string; onUse: () => void }) {
   const { t } = useTranslation("calibrate");
-  const name = usePick(`glove/${glove}`, (view) => view?.recognizer?.name ?? "");
+  const name = useTopicSelector(`glove/${glove}`, (view) => view?.recognizer?.name ?? "");
   if (name !== "thresholds") {
     return null;
   }
@@ -128,7 +128,7 @@ function Learnt({ glove, onUse }: { glove: string; onUse: () => void }) {
 /** A second of any gesture: what a person's own way of making it looks like. */
 function Sample({ isDisabled, onShow }: { isDisabled: boolean; onShow: (gesture: string) => void }) {
   const { t } = useTranslation("calibrate");
-  const gestures = (useAsked<Gesture[]>(SERVICE, "gestures").value ?? []).filter((one) => one.code !== undefined);
+  const gestures = (useServiceQuery<Gesture[]>(SERVICE, "gestures").value ?? []).filter((one) => one.code !== undefined);
   const [chosen, choose] = useState("");
   const gesture = chosen || (gestures[0]?.name ?? "");
   return (
@@ -149,14 +149,14 @@ function Sample({ isDisabled, onShow }: { isDisabled: boolean; onShow: (gesture:
 /** What reads the hand. */
 function Reader({ glove, act }: { glove: string; act: (path: string, method: "PUT", json: unknown) => void }) {
   const { t, i18n } = useTranslation("calibrate");
-  const names = useAsked<string[]>(SERVICE, "recognizers").value ?? [];
-  const name = usePick(`glove/${glove}`, (view) => view?.recognizer?.name ?? "");
-  const missing = usePick(`glove/${glove}`, (view) => view?.recognizer?.missing ?? null);
+  const names = useServiceQuery<string[]>(SERVICE, "recognizers").value ?? [];
+  const name = useTopicSelector(`glove/${glove}`, (view) => view?.recognizer?.name ?? "");
+  const missing = useTopicSelector(`glove/${glove}`, (view) => view?.recognizer?.missing ?? null);
   return (
     <span className="guided__reader">
-      {missing !== null && <State tone="attention">{missing}</State>}
+      {missing !== null && <StatusBadge tone="attention">{missing}</StatusBadge>}
       {names.length > 1 && (
-        <Choice
+        <SegmentedControl
           label={t("guided.reader")}
           value={name}
           options={names.map((one) => ({ value: one, name: i18n.exists(`calibrate:guided.readers.${one}`) ? t(`guided.readers.${one}`) : one }))}

@@ -22,7 +22,7 @@ describe("thresholds that are being changed", () => {
     expect(moved(saved, "thumb", "lower", 5000).thumb).toEqual({ upper: 1000, lower: 1000 });
   });
 
-  it("are told to the controller as far as they differ", () => {
+  it("are sent to the controller only where they differ", () => {
     expect(changesOf(saved, saved)).toBeNull();
     expect(changesOf(saved, moved(saved, "ring", "lower", 825))).toEqual({ ring: { upper: 1800, lower: 825 } });
     expect(changesOf(saved, moved(moved(saved, "ring", "lower", 825), "ring", "lower", 800))).toBeNull();

@@ -1,5 +1,5 @@
 /**
- * A table of any length: only the rows in sight are in the document. It is one tab stop; the arrow keys move
+ * A table of any length: only the rows visible are in the document. It is one tab stop; the arrow keys move
  * between rows, Space selects and Enter opens one. On a narrow screen a row is a card without columns.
  */
 import { defaultRangeExtractor, useVirtualizer, type Range } from "@tanstack/react-virtual";
@@ -42,7 +42,7 @@ export interface VirtualTableProps<T> {
   /** The row that is open elsewhere on the page. */
   openKey?: string | null;
   onOpen?: (row: T) => void;
-  /** Called when the last rows come into sight. */
+  /** Called when the last rows come into view. */
   onEnd?: (() => void) | undefined;
   children?: ReactNode;
 }
@@ -57,11 +57,11 @@ export function VirtualTable<T>(props: VirtualTableProps<T>) {
   const firstRow = lines.findIndex((line) => line.kind === "row");
   const found = lines.findIndex((line) => line.kind === "row" && line.key === activeKey);
   const active = found === -1 ? firstRow : found;
-  // The row that Tab reaches is in the document even when it is scrolled out of sight.
+  // The row that Tab reaches is in the document even when it is scrolled out of view.
   const rangeExtractor = useCallback(
     (range: Range) => {
-      const inSight = defaultRangeExtractor(range);
-      return active < 0 || inSight.includes(active) ? inSight : [...inSight, active].sort((a, b) => a - b);
+      const scrollIntoView = defaultRangeExtractor(range);
+      return active < 0 || scrollIntoView.includes(active) ? scrollIntoView : [...scrollIntoView, active].sort((a, b) => a - b);
     },
     [active],
   );
@@ -83,8 +83,8 @@ export function VirtualTable<T>(props: VirtualTableProps<T>) {
     row.focus({ preventScroll: true });
   });
 
-  const lastInSight = virtualizer.getVirtualItems().at(-1)?.index ?? 0;
-  const isAtEnd = lastInSight >= lines.length - 3;
+  const lastVisible = virtualizer.getVirtualItems().at(-1)?.index ?? 0;
+  const isAtEnd = lastVisible >= lines.length - 3;
   useEffect(() => {
     if (isAtEnd) onEnd?.();
   });

@@ -1,6 +1,6 @@
 /** How the states of Tasks, Processes, Devices and Alerts look: one place, so that every page agrees. */
 import type { AlertPriority, AlertState, DeviceState, ServiceHealth, Severity, Status } from "~/live/messages";
-import type { Tone } from "./State";
+import type { Tone } from "./StatusBadge";
 
 export const statusTone: Record<Status, Tone> = {
   pending: "neutral",

@@ -6,7 +6,7 @@ import { ArrowRight, ChevronDown, Search } from "lucide-react";
 import { Fragment, useId, useState } from "react";
 import { Button as AriaButton, Dialog, Heading, Input, Label, ListBox, ListBoxItem, Modal, ModalOverlay, SearchField } from "react-aria-components";
 import { useTranslation } from "react-i18next";
-import "~/design/Ask.css";
+import "~/design/ConfirmDialog.css";
 import { Button } from "~/design/Button";
 import { Hand, useGestureName } from "./Hand";
 import "./GesturePicker.css";
@@ -57,10 +57,10 @@ export function GesturePicker({ label, value, options, onChange }: GesturePicker
         <span id={`${id}-value`}>{chosen === undefined ? "–" : nameOf(chosen)}</span>
         <ChevronDown aria-hidden size={18} />
       </AriaButton>
-      <ModalOverlay className="ask__veil" isOpen={isOpen} onOpenChange={open} isDismissable>
-        <Modal className="ask gesture-picker__panel">
-          <Dialog className="ask__dialog gesture-picker__dialog">
-            <Heading slot="title" className="ask__title">
+      <ModalOverlay className="confirm-dialog__overlay" isOpen={isOpen} onOpenChange={open} isDismissable>
+        <Modal className="confirm-dialog gesture-picker__panel">
+          <Dialog className="confirm-dialog__dialog gesture-picker__dialog">
+            <Heading slot="title" className="confirm-dialog__title">
               {label}
             </Heading>
             <SearchField className="gesture-picker__search" value={search} onChange={setSearch} autoFocus>
@@ -92,7 +92,7 @@ export function GesturePicker({ label, value, options, onChange }: GesturePicker
                 </ListBoxItem>
               )}
             </ListBox>
-            <div className="ask__acts">
+            <div className="confirm-dialog__actions">
               <Button onPress={() => open(false)}>{t("picker.cancel")}</Button>
             </div>
           </Dialog>

@@ -21,14 +21,14 @@ export interface HandProps {
   closeUp?: boolean;
   /** Fingers to point out. */
   differs?: readonly Finger[];
-  /** What it is called, "Thumbs up"; else the fingers are told one by one. */
+  /** What it is called, "Thumbs up"; else the states of the fingers are listed. */
   label?: string;
 }
 
 const noFingers: readonly Finger[] = [];
 
 export function Hand({ states, side = "right", animateFrom, moveMs = 450, size, closeUp = false, differs = noFingers, label }: HandProps) {
-  const told = useFingers(states);
+  const description = useFingers(states);
   const bends = useEased(bendsOf(states), moveMs, animateFrom === undefined ? undefined : bendsOf(animateFrom));
   const frame = closeUp ? frameOf(bendsOf(states)) : { x: 0, y: 0, ...box };
   const left = side === "left" ? box.width - frame.x - frame.width : frame.x;
@@ -38,7 +38,7 @@ export function Hand({ states, side = "right", animateFrom, moveMs = 450, size, 
       className="hand"
       viewBox={[left, frame.y, frame.width, frame.height].map((part) => Math.round(part * 10) / 10).join(" ")}
       role="img"
-      aria-label={label === undefined ? told : `${label}: ${told}`}
+      aria-label={label === undefined ? description : `${label}: ${description}`}
       {...(style === undefined ? {} : { style })}
     >
       <g {...(side === "left" ? { transform: `translate(${box.width} 0) scale(-1 1)` } : {})}>

@@ -3,7 +3,7 @@
  *
  * Seen is the palm of a right hand, fingers up, thumb at the right; a left hand is its mirror image. A finger
  * bends in depth, towards who looks: its phalanges shorten, and past a right angle lie over the palm with the
- * nail in sight. The thumb bends across the palm, below the folded fingers.
+ * nail visible. The thumb bends across the palm, below the folded fingers.
  */
 import type { Finger } from "~/live/messages";
 // The proportions: the gesture controller draws its pictures from the same file (pictures/hand.json there).
@@ -27,9 +27,9 @@ export interface Phalanx {
 export interface FingerShape {
   finger: Finger;
   phalanges: readonly [Phalanx, Phalanx, Phalanx];
-  /** The nail, if it is in sight. */
+  /** The nail, if it is visible. */
   nail: readonly Point[] | null;
-  /** The creases of the joints, if they are in sight. */
+  /** The creases of the joints, if they are visible. */
   creases: readonly (readonly [Point, Point])[];
 }
 
@@ -161,7 +161,7 @@ function chain(points: readonly Point[], radii: readonly number[], folded: reado
   return [phalanx(0), phalanx(1), phalanx(2)];
 }
 
-/** A nail sits on the back of the tip; `angle` says how far that has turned into sight. */
+/** A nail sits on the back of the tip; `angle` says how far that has turned into view. */
 function nailOf({ from, to, toRadius }: Phalanx, angle: number): Point[] {
   const way = Math.atan2(to[1] - from[1], to[0] - from[0]);
   const long = toRadius * Math.min(1, Math.sin(rad(Math.min(angle, 180) - 90)) + 0.35) * 0.72;

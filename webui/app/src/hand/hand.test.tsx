@@ -47,7 +47,7 @@ describe("a hand", () => {
     expect(Math.min(...points.map(([, y]) => y))).toBeGreaterThan(4);
   });
 
-  it("folds a bent finger over the palm with its nail in sight, and hides the nail of a straight one", () => {
+  it("folds a bent finger over the palm with its nail visible, and hides the nail of a straight one", () => {
     const [, straight] = shapeOf(bendsOf("00000"));
     const [, bent] = shapeOf(bendsOf("02000"));
     expect(straight?.nail).toBeNull();

@@ -11,16 +11,16 @@ import fi from "./fi/common.json";
 export const languages = { en: "English", de: "Deutsch", fi: "Suomi" } as const;
 export type Language = keyof typeof languages;
 
-const KEPT = "handover.language";
+const STORAGE_KEY = "handover.language";
 
 const files = import.meta.glob<{ default: Record<string, unknown> }>(["./*/*.json", "!./*/common.json"]);
 
 export function preferredLanguage(): Language {
-  const wished = [localStorage.getItem(KEPT) ?? "", ...navigator.languages].map((tag) => tag.slice(0, 2));
+  const wished = [localStorage.getItem(STORAGE_KEY) ?? "", ...navigator.languages].map((tag) => tag.slice(0, 2));
   return wished.find((tag): tag is Language => tag in languages) ?? "en";
 }
 
-export async function startWords(): Promise<void> {
+export async function initI18n(): Promise<void> {
   await i18next
     .use(initReactI18next)
     .use({
@@ -55,7 +55,7 @@ export async function startWords(): Promise<void> {
   });
 }
 
-export async function speak(language: Language): Promise<void> {
-  localStorage.setItem(KEPT, language);
+export async function setLanguage(language: Language): Promise<void> {
+  localStorage.setItem(STORAGE_KEY, language);
   await i18next.changeLanguage(language);
 }

@@ -12,7 +12,7 @@ export interface Said {
 }
 
 /** Read the member `name` of a JSON object with its code and parameters; null where there is no text. */
-export function saidIn(members: object, name: string): Said | null {
+export function eventText(members: object, name: string): Said | null {
   const of = members as Record<string, unknown>;
   const text = of[name];
   if (typeof text !== "string") return null;
@@ -33,13 +33,13 @@ export function inWords({ text, code, parameters }: Said): string {
 }
 
 /** Return the member `name` of a JSON object in the language of the page; null where there is no text. */
-export function wordsIn(members: object, name: string): string | null {
-  const said = saidIn(members, name);
+export function localizedText(members: object, name: string): string | null {
+  const said = eventText(members, name);
   return said === null ? null : inWords(said);
 }
 
 function asWord(value: unknown): string {
   if (typeof value === "number") return number(value, i18next.language, { maximumFractionDigits: 3 });
-  if (typeof value === "object" && value !== null) return wordsIn(value, "text") ?? "";
+  if (typeof value === "object" && value !== null) return localizedText(value, "text") ?? "";
   return typeof value === "string" || typeof value === "boolean" ? String(value) : "";
 }

@@ -1,4 +1,4 @@
-/** One clock for all "12 s ago" of a page: it ticks once a second, and not while nobody looks. */
+/** A shared clock for all relative times: it ticks once a second while the page is visible. */
 import { useSyncExternalStore } from "react";
 
 const listeners = new Set<() => void>();
@@ -23,7 +23,7 @@ function watch(listener: () => void): () => void {
   };
 }
 
-/** The time in ms, anew every second. */
+/** The time in ms, updated every second. */
 export function useNow(): number {
   return useSyncExternalStore(watch, () => now);
 }

@@ -2,49 +2,49 @@
  * The link to the server: one WebSocket that comes back by itself. After every break the server sends a
  * snapshot, so that nothing is shown that is no longer so.
  */
-import type { Batch, LiveEvent, Want } from "./messages";
+import type { Batch, LiveEvent, SubscribeMessage } from "./messages";
 import type { LiveStore } from "./store";
 
-const FIRST_RETRY_MS = 250;
-const LAST_RETRY_MS = 5000;
+const MIN_RETRY_MS = 250;
+const MAX_RETRY_MS = 5000;
 /** The server says something at least every five seconds; silence for longer is a broken link. */
-const SILENCE_MS = 12_000;
+const HEARTBEAT_TIMEOUT_MS = 12_000;
 
-export interface ConnectionOptions {
+export interface LiveConnectionOptions {
   url: string;
   /** Fetches events after a `seq`, when the link has left some out. */
   fetchEvents: (after: number) => Promise<LiveEvent[]>;
 }
 
-export class Connection {
+export class LiveConnection {
   readonly #store: LiveStore;
-  readonly #options: ConnectionOptions;
+  readonly #options: LiveConnectionOptions;
   #socket: WebSocket | null = null;
-  #retryMs = FIRST_RETRY_MS;
+  #retryMs = MIN_RETRY_MS;
   #retry: ReturnType<typeof setTimeout> | undefined;
-  #silence: ReturnType<typeof setTimeout> | undefined;
-  #ended = false;
+  #timeout: ReturnType<typeof setTimeout> | undefined;
+  #isClosed = false;
 
-  constructor(store: LiveStore, options: ConnectionOptions) {
+  constructor(store: LiveStore, options: LiveConnectionOptions) {
     this.#store = store;
     this.#options = options;
-    store.onWant = () => this.#sendWant();
-    addEventListener("online", this.#again);
-    document.addEventListener("visibilitychange", this.#again);
+    store.onSubscriptionsChange = () => this.#sendSubscriptions();
+    addEventListener("online", this.#reconnect);
+    document.addEventListener("visibilitychange", this.#reconnect);
     this.#connect();
   }
 
   close(): void {
-    this.#ended = true;
-    removeEventListener("online", this.#again);
-    document.removeEventListener("visibilitychange", this.#again);
+    this.#isClosed = true;
+    removeEventListener("online", this.#reconnect);
+    document.removeEventListener("visibilitychange", this.#reconnect);
     clearTimeout(this.#retry);
-    clearTimeout(this.#silence);
+    clearTimeout(this.#timeout);
     this.#socket?.close();
   }
 
-  readonly #again = (): void => {
-    if (this.#socket === null && !this.#ended && !document.hidden) {
+  readonly #reconnect = (): void => {
+    if (this.#socket === null && !this.#isClosed && !document.hidden) {
       clearTimeout(this.#retry);
       this.#connect();
     }
@@ -54,53 +54,53 @@ export class Connection {
     const socket = new WebSocket(this.#options.url);
     this.#socket = socket;
     socket.onopen = () => {
-      this.#retryMs = FIRST_RETRY_MS;
-      this.#listen(socket);
-      this.#sendWant();
+      this.#retryMs = MIN_RETRY_MS;
+      this.#restartTimeout(socket);
+      this.#sendSubscriptions();
     };
     socket.onmessage = (message: MessageEvent<string>) => {
-      this.#listen(socket);
-      this.#take(JSON.parse(message.data) as Batch);
+      this.#restartTimeout(socket);
+      this.#receive(JSON.parse(message.data) as Batch);
     };
-    socket.onclose = () => this.#lost(socket);
+    socket.onclose = () => this.#onClose(socket);
   }
 
-  #listen(socket: WebSocket): void {
-    clearTimeout(this.#silence);
-    this.#silence = setTimeout(() => {
+  #restartTimeout(socket: WebSocket): void {
+    clearTimeout(this.#timeout);
+    this.#timeout = setTimeout(() => {
       // A cable that was pulled never says goodbye, and closing would wait for it.
       socket.onclose = null;
       socket.close();
-      this.#lost(socket);
-    }, SILENCE_MS);
+      this.#onClose(socket);
+    }, HEARTBEAT_TIMEOUT_MS);
   }
 
-  #lost(socket: WebSocket): void {
+  #onClose(socket: WebSocket): void {
     if (this.#socket !== socket) return;
     this.#socket = null;
-    clearTimeout(this.#silence);
-    if (this.#ended) return;
+    clearTimeout(this.#timeout);
+    if (this.#isClosed) return;
     this.#store.setLink("lost");
     this.#retry = setTimeout(() => this.#connect(), this.#retryMs);
-    this.#retryMs = Math.min(2 * this.#retryMs, LAST_RETRY_MS);
+    this.#retryMs = Math.min(2 * this.#retryMs, MAX_RETRY_MS);
   }
 
-  #take(batch: Batch): void {
+  #receive(batch: Batch): void {
     const last = this.#store.events.at(-1)?.seq;
     const first = batch.events[0]?.seq;
-    this.#store.take(batch);
+    this.#store.apply(batch);
     this.#store.setLink("open");
     if (last !== undefined && first !== undefined && first > last + 1) {
       void this.#options.fetchEvents(last).then(
-        (events) => this.#store.takeEvents(events),
-        () => undefined, // the link is lost again: the next gap asks anew
+        (events) => this.#store.addEvents(events),
+        () => undefined, // the connection is lost again: the next gap is fetched later
       );
     }
   }
 
-  #sendWant(): void {
+  #sendSubscriptions(): void {
     if (this.#socket?.readyState !== WebSocket.OPEN) return;
-    const want: Want = { type: "want", topics: this.#store.wanted };
-    this.#socket.send(JSON.stringify(want));
+    const message: SubscribeMessage = { type: "subscribe", topics: this.#store.subscriptions };
+    this.#socket.send(JSON.stringify(message));
   }
 }

@@ -3,7 +3,7 @@ import { createContext, useContext, useEffect, useSyncExternalStore } from "reac
 import type {
   AlertView, DefinitionView, DeviceView, GloveView, LiveEvent, ProcessView, RobotView, TopicValues,
 } from "./messages";
-import { LiveStore, type Link } from "./store";
+import { LiveStore, type ConnectionState } from "./store";
 
 export const Live = createContext(new LiveStore());
 
@@ -38,8 +38,8 @@ export function useFamily<F extends keyof Families>(family: F): readonly Familie
   );
 }
 
-/** A value picked from a topic; drawn anew only when the pick is another (compared by `Object.is`). */
-export function usePick<T extends keyof TopicValues, P>(
+/** A value derived from a topic; renders only when it changes (compared by `Object.is`). */
+export function useTopicSelector<T extends keyof TopicValues, P>(
   topic: T,
   pick: (value: TopicValues[T] | undefined) => P,
 ): P {
@@ -52,9 +52,9 @@ export function usePick<T extends keyof TopicValues, P>(
 
 /** A topic that is only sent while somebody shows it; `T` is what `messages.ts` says it carries. */
 // eslint-disable-next-line @typescript-eslint/no-unnecessary-type-parameters -- the wire has no types
-export function useWanted<T>(topic: string | null): T | undefined {
+export function useSubscription<T>(topic: string | null): T | undefined {
   const live = useLive();
-  useEffect(() => (topic === null ? undefined : live.want(topic)), [live, topic]);
+  useEffect(() => (topic === null ? undefined : live.subscribe(topic)), [live, topic]);
   return useSyncExternalStore(
     (listener) => (topic === null ? () => undefined : live.watch(topic, listener)),
     () => (topic === null ? undefined : (live.value(topic) as T | undefined)),
@@ -66,7 +66,7 @@ export function useEvents(): readonly LiveEvent[] {
   return useSyncExternalStore((listener) => live.watch("events", listener), () => live.events);
 }
 
-export function useLink(): Link {
+export function useConnectionState(): ConnectionState {
   const live = useLive();
   return useSyncExternalStore((listener) => live.watch("link", listener), () => live.link);
 }

@@ -1,9 +1,9 @@
-/** What the lists of the page are made of: the names in a family, anew only when one comes or goes. */
+/** The names of a family of topics; they change only when a topic is added or removed. */
 import { useMemo, useSyncExternalStore } from "react";
 import { useLive } from "./hooks";
 import type { LiveStore } from "./store";
 
-/** The gloves by name: a hand that moves thirty times a second does not draw the list anew. */
+/** The names of all gloves; a moving hand does not render the list. */
 export function useGloveNames(): string[] {
   return useNames("glove", (value) => (value as { glove: string }).glove);
 }

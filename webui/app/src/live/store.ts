@@ -1,12 +1,12 @@
 /**
  * What the page knows: the newest value of every topic, and the last events. React parts subscribe to the
- * topics they show; whoever shows a hand is not drawn anew because a robot moved.
+ * topics they show, so a moving robot does not render the view of a hand.
  */
 import type { Batch, LiveEvent, TopicValues } from "./messages";
 
-export type Link = "connecting" | "open" | "lost";
+export type ConnectionState = "connecting" | "open" | "lost";
 
-const KEPT_EVENTS = 500;
+const MAX_EVENTS = 500;
 
 type Listener = () => void;
 
@@ -14,29 +14,29 @@ export class LiveStore {
   readonly #topics = new Map<string, unknown>();
   readonly #watchers = new Map<string, Set<Listener>>();
   readonly #families = new Map<string, Set<Listener>>();
-  readonly #wanted = new Map<string, number>();
+  readonly #subscribers = new Map<string, number>();
   #lists = new Map<string, unknown[]>();
   #events: LiveEvent[] = [];
-  #link: Link = "connecting";
-  #told = false;
+  #link: ConnectionState = "connecting";
+  #hasSnapshot = false;
   /** Called when what the page wants beyond the usual topics has changed. */
-  onWant: () => void = () => undefined;
+  onSubscriptionsChange: () => void = () => undefined;
 
-  get link(): Link {
+  get link(): ConnectionState {
     return this.#link;
   }
 
-  /** Whether anything has been heard since the page was opened. */
-  get told(): boolean {
-    return this.#told;
+  /** Whether a snapshot was received since the page was opened. */
+  get hasSnapshot(): boolean {
+    return this.#hasSnapshot;
   }
 
   get events(): readonly LiveEvent[] {
     return this.#events;
   }
 
-  get wanted(): string[] {
-    return [...this.#wanted.keys()].sort();
+  get subscriptions(): string[] {
+    return [...this.#subscribers.keys()].sort();
   }
 
   value<T extends string>(topic: T): (T extends keyof TopicValues ? TopicValues[T] : unknown) | undefined {
@@ -57,58 +57,58 @@ export class LiveStore {
     return list;
   }
 
-  setLink(link: Link): void {
+  setLink(link: ConnectionState): void {
     if (this.#link === link) return;
     this.#link = link;
-    this.#tell(this.#watchers, ["link"]);
+    this.#notify(this.#watchers, ["link"]);
   }
 
-  take(batch: Batch): void {
+  apply(batch: Batch): void {
     const changed = new Set<string>();
     if (batch.type === "snapshot") {
       for (const topic of this.#topics.keys()) {
         if (!(topic in batch.topics)) this.#put(topic, null, changed);
       }
-      this.#told = true;
+      this.#hasSnapshot = true;
     }
     for (const [topic, value] of Object.entries(batch.topics)) this.#put(topic, value, changed);
     if (batch.events.length > 0) {
       this.#events = merged(this.#events, batch.events);
       changed.add("events");
     }
-    // `robot/ur10-1/joints` is no robot: thirty times a second it draws nothing anew but the arm.
+    // `robot/ur10-1/joints` is not a robot: its changes do not render lists of robots.
     const families = new Set([...changed].filter((topic) => topic.split("/").length === 2).map(familyOf));
     for (const family of families) this.#lists.delete(family);
-    this.#tell(this.#watchers, changed);
-    this.#tell(this.#families, families);
+    this.#notify(this.#watchers, changed);
+    this.#notify(this.#families, families);
   }
 
   /** Take in events that were fetched, because the link had left some out or the page looks further back. */
-  takeEvents(events: LiveEvent[]): void {
-    this.take({ type: "batch", at: "", topics: {}, events });
+  addEvents(events: LiveEvent[]): void {
+    this.apply({ type: "batch", at: "", topics: {}, events });
   }
 
   watch(topic: string, listener: Listener): () => void {
-    return enlist(this.#watchers, topic, listener);
+    return addListener(this.#watchers, topic, listener);
   }
 
   watchFamily(family: string, listener: Listener): () => void {
-    return enlist(this.#families, family, listener);
+    return addListener(this.#families, family, listener);
   }
 
   /** Ask for a topic that is only sent to pages that show it, until what is returned is called. */
-  want(topic: string): () => void {
-    const count = this.#wanted.get(topic) ?? 0;
-    this.#wanted.set(topic, count + 1);
-    if (count === 0) this.onWant();
+  subscribe(topic: string): () => void {
+    const count = this.#subscribers.get(topic) ?? 0;
+    this.#subscribers.set(topic, count + 1);
+    if (count === 0) this.onSubscriptionsChange();
     return () => {
-      const left = (this.#wanted.get(topic) ?? 1) - 1;
+      const left = (this.#subscribers.get(topic) ?? 1) - 1;
       if (left > 0) {
-        this.#wanted.set(topic, left);
+        this.#subscribers.set(topic, left);
       } else {
-        this.#wanted.delete(topic);
+        this.#subscribers.delete(topic);
         this.#topics.delete(topic);
-        this.onWant();
+        this.onSubscriptionsChange();
       }
     };
   }
@@ -122,7 +122,7 @@ export class LiveStore {
     changed.add(topic);
   }
 
-  #tell(listeners: Map<string, Set<Listener>>, names: Iterable<string>): void {
+  #notify(listeners: Map<string, Set<Listener>>, names: Iterable<string>): void {
     for (const name of names) {
       for (const listener of [...(listeners.get(name) ?? [])]) listener();
     }
@@ -133,7 +133,7 @@ function familyOf(topic: string): string {
   return topic.slice(0, topic.indexOf("/"));
 }
 
-function enlist(listeners: Map<string, Set<Listener>>, name: string, listener: Listener): () => void {
+function addListener(listeners: Map<string, Set<Listener>>, name: string, listener: Listener): () => void {
   const those = listeners.get(name) ?? new Set();
   listeners.set(name, those.add(listener));
   return () => {
@@ -142,7 +142,7 @@ function enlist(listeners: Map<string, Set<Listener>>, name: string, listener: L
   };
 }
 
-/** Two runs of events as one: by `seq`, each once, the newest `KEPT_EVENTS`. */
+/** Two runs of events as one: by `seq`, each once, the newest `MAX_EVENTS`. */
 function merged(known: readonly LiveEvent[], news: readonly LiveEvent[]): LiveEvent[] {
   const last = known.at(-1)?.seq ?? -1;
   const first = news[0]?.seq ?? 0;
@@ -151,5 +151,5 @@ function merged(known: readonly LiveEvent[], news: readonly LiveEvent[]): LiveEv
     const bySeq = new Map(all.map((event) => [event.seq, event]));
     all.splice(0, all.length, ...[...bySeq.values()].sort((a, b) => a.seq - b.seq));
   }
-  return all.slice(-KEPT_EVENTS);
+  return all.slice(-MAX_EVENTS);
 }

@@ -2,13 +2,13 @@
 import { Hand as HandIcon } from "lucide-react";
 import { Fragment, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { describe } from "~/api/http";
+import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
-import { Choice } from "~/design/Choice";
+import { SegmentedControl } from "~/design/SegmentedControl";
 import { Field } from "~/design/Field";
-import { Pick } from "~/design/Pick";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { Select } from "~/design/Select";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { fingers } from "~/hand/geometry";
 import { GesturePicker } from "~/hand/GesturePicker";
 import { Hand, useGestureName } from "~/hand/Hand";
@@ -49,18 +49,18 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
     }
   };
   const save = async () => {
-    const told = how();
-    if (told === null) return;
+    const recording = how();
+    if (recording === null) return;
     setBusy(true);
     setFailure(null);
     setMade(null);
     try {
-      const { nearest } = await define(person.name, name.trim(), told);
+      const { nearest } = await define(person.name, name.trim(), recording);
       setMade({ name: name.trim(), nearest });
       setName("");
       onDefined();
     } catch (error) {
-      setFailure(describe(error));
+      setFailure(errorText(error));
     } finally {
       setBusy(false);
     }
@@ -70,7 +70,7 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
   return (
     <section className="new-gesture" aria-label={t("new.title")}>
       <h3>{t("new.title")}</h3>
-      <Choice label={t("new.way")} value={way} options={ways.map((one) => ({ value: one, name: t(`new.ways.${one}`) }))} onChange={setWay} />
+      <SegmentedControl label={t("new.way")} value={way} options={ways.map((one) => ({ value: one, name: t(`new.ways.${one}`) }))} onChange={setWay} />
       <Field label={t("new.name")} value={name} onChange={setName} />
       {way === "fingers" && (
         <div className="new-gesture__fingers">
@@ -79,7 +79,7 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
             {fingers.map((finger, nth) => (
               <Fragment key={finger}>
                 <span aria-hidden>{t(`hand:finger.${finger}`)}</span>
-                <Choice
+                <SegmentedControl
                   label={t(`hand:finger.${finger}`)}
                   value={code[nth] ?? "2"}
                   options={[
@@ -99,7 +99,7 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
         ) : (
           <>
             {person.gloves.length > 1 && (
-              <Pick label={t("new.glove")} value={worn.glove} options={person.gloves.map((one) => ({ value: one.glove, name: one.glove }))} onChange={setGlove} />
+              <Select label={t("new.glove")} value={worn.glove} options={person.gloves.map((one) => ({ value: one.glove, name: one.glove }))} onChange={setGlove} />
             )}
             <p className="quiet">{t("new.makeMeans")}</p>
           </>
@@ -110,8 +110,8 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
           <GesturePicker label={t(way === "hands" ? "new.right" : "new.second")} value={second} options={options("right")} onChange={(one) => setPair([first, one])} />
         </div>
       )}
-      {failure !== null && <Problem>{failure}</Problem>}
-      <div className="new-gesture__acts">
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+      <div className="new-gesture__actions">
         <Button
           kind="main"
           icon={way === "make" ? <HandIcon aria-hidden size={18} /> : undefined}
@@ -122,11 +122,11 @@ export function NewGesture({ person, onDefined }: { person: PersonInFull; onDefi
         </Button>
         <p role="status">
           {made !== null && (
-            <State tone="ok">
+            <StatusBadge tone="ok">
               {made.nearest === null
                 ? t("new.made", { gesture: made.name })
                 : t("new.madeNear", { gesture: made.name, other: gestureName(made.nearest.gesture), count: made.nearest.distance })}
-            </State>
+            </StatusBadge>
           )}
         </p>
       </div>

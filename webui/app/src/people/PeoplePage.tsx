@@ -2,14 +2,14 @@
 import { UserPlus, Users } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
-import { useAsked } from "~/api/useAsked";
-import { Ask } from "~/design/Ask";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import { Field } from "~/design/Field";
-import { Problem } from "~/design/Problem";
-import { useWanted } from "~/live/hooks";
-import { useQuery } from "~/route/query";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { useSubscription } from "~/live/hooks";
+import { useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
 import { addPerson, SERVICE, type Person } from "./people";
 import { PersonPanel } from "./PersonPanel";
@@ -19,11 +19,11 @@ export default function PeoplePage() {
   const { t } = useTranslation("people");
   const [asks, setAsks] = useState(0);
   // Another revision: somebody has changed something, here or in another browser.
-  const revision = useWanted<{ revision: string }>("people")?.revision ?? "";
+  const revision = useSubscription<{ revision: string }>("people")?.revision ?? "";
   const turn = `${asks} ${revision}`;
-  const [chosen, choose] = useQuery("person");
+  const [chosen, choose] = useQueryParameter("person");
   const [isAdding, setAdding] = useState(false);
-  const everybody = useAsked<Person[]>(SERVICE, "people", turn);
+  const everybody = useServiceQuery<Person[]>(SERVICE, "people", { revision: turn });
   const again = () => setAsks((before) => before + 1);
   const name = everybody.value?.some((one) => one.name === chosen) === true ? chosen : (everybody.value?.[0]?.name ?? null);
   useKeys([{ key: "n", does: t("add.act"), act: () => setAdding(true) }]);
@@ -31,7 +31,7 @@ export default function PeoplePage() {
     <div className="people">
       <aside className="people__list">
         <h1>{t("title")}</h1>
-        {everybody.failure !== null && <Problem>{everybody.failure}</Problem>}
+        {everybody.failure !== null && <ErrorMessage>{everybody.failure}</ErrorMessage>}
         <ul>
           {(everybody.value ?? []).map((person) => (
             <li key={person.name}>
@@ -51,7 +51,7 @@ export default function PeoplePage() {
           <PersonPanel key={name} name={name} people={everybody.value ?? []} turn={turn} onChange={again} onGone={() => { choose(""); again(); }} />
         ) : (
           everybody.value !== null && (
-            <Empty
+            <EmptyState
               icon={<Users aria-hidden size={32} />}
               title={t("none.title")}
               act={
@@ -61,7 +61,7 @@ export default function PeoplePage() {
               }
             >
               {t("none.means")}
-            </Empty>
+            </EmptyState>
           )
         )}
       </div>
@@ -80,7 +80,7 @@ function AddPerson({ isOpen, onClose, onAdded }: { isOpen: boolean; onClose: () 
     onClose();
   };
   return (
-    <Ask
+    <ConfirmDialog
       isOpen={isOpen}
       onClose={close}
       title={t("add.title")}
@@ -93,6 +93,6 @@ function AddPerson({ isOpen, onClose, onAdded }: { isOpen: boolean; onClose: () 
     >
       <Field label={t("add.name")} hint={t("add.nameHint")} value={name} onChange={setName} autoFocus />
       <Field label={t("add.called")} value={title} onChange={setTitle} />
-    </Ask>
+    </ConfirmDialog>
   );
 }

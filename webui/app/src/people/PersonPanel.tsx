@@ -4,14 +4,14 @@ import { useState } from "react";
 import { FileTrigger } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { download } from "~/api/download";
-import { describe } from "~/api/http";
-import { useAsked } from "~/api/useAsked";
-import { Ask } from "~/design/Ask";
+import { errorText } from "~/api/http";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
-import { Pick } from "~/design/Pick";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { Select } from "~/design/Select";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { GesturePicker } from "~/hand/GesturePicker";
 import { useGestureName } from "~/hand/Hand";
 import { useGloveNames } from "~/live/names";
@@ -34,16 +34,16 @@ interface PersonPanelProps {
 
 export function PersonPanel({ name, people, turn, onChange, onGone }: PersonPanelProps) {
   const { t } = useTranslation("people");
-  const asked = useAsked<PersonInFull>(SERVICE, `people/${encodeURIComponent(name)}`, turn);
+  const asked = useServiceQuery<PersonInFull>(SERVICE, `people/${encodeURIComponent(name)}`, { revision: turn });
   const [failure, setFailure] = useState<string | null>(null);
   const person = asked.value;
-  if (person === null) return asked.failure === null ? null : <Problem>{asked.failure}</Problem>;
+  if (person === null) return asked.failure === null ? null : <ErrorMessage>{asked.failure}</ErrorMessage>;
   const act = async (doing: Promise<unknown>) => {
     setFailure(null);
     try {
       await doing;
     } catch (error) {
-      setFailure(describe(error));
+      setFailure(errorText(error));
     }
     onChange();
   };
@@ -54,11 +54,11 @@ export function PersonPanel({ name, people, turn, onChange, onGone }: PersonPane
         {person.title !== null && <span className="quiet">{person.name}</span>}
         <Profile person={person} act={act} onGone={onGone} />
       </header>
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {person.faults.map((fault) => (
-        <State key={fault} tone="attention">
+        <StatusBadge key={fault} tone="attention">
           {fault}
-        </State>
+        </StatusBadge>
       ))}
       <Card title={t("gloves.title")}>
         <Gloves people={people} act={act} />
@@ -85,7 +85,7 @@ function Gloves({ people, act }: { people: readonly Person[]; act: Act }) {
   return (
     <div className="people__gloves">
       {gloves.map((glove) => (
-        <Pick
+        <Select
           key={glove}
           label={t("gloves.wears", { glove })}
           value={people.find((one) => one.gloves.some((worn) => worn.glove === glove))?.name ?? NONE}
@@ -173,7 +173,7 @@ function Profile({ person, act, onGone }: { person: PersonInFull; act: Act; onGo
       <Button kind="quiet" icon={<Trash2 aria-hidden size={18} />} onPress={() => setAsking(true)}>
         {t("forget.open")}
       </Button>
-      <Ask
+      <ConfirmDialog
         isOpen={isAsking}
         onClose={() => setAsking(false)}
         kind="stop"
@@ -185,7 +185,7 @@ function Profile({ person, act, onGone }: { person: PersonInFull; act: Act; onGo
         }}
       >
         <p>{t("forget.means")}</p>
-      </Ask>
+      </ConfirmDialog>
     </span>
   );
 }

@@ -1,5 +1,5 @@
 /** People as the gesture controller answers them, and what can be done for them. */
-import { callService } from "~/api/http";
+import { requestService } from "~/api/http";
 import type { Finger } from "~/live/messages";
 
 /** A gesture that is one hand shape. */
@@ -49,7 +49,7 @@ export interface Nearest {
   timesNoise: number | null;
 }
 
-/** How a gesture is told: by its code, by making it, or by others that there are. */
+/** How a gesture is defined: by its code, by recording it, or by other gestures. */
 export type Recording =
   | { code: string }
   | { glove: string; recordMs: number }
@@ -61,40 +61,40 @@ export const SERVICE = "gesture-controller";
 const of = (person: string) => `people/${encodeURIComponent(person)}`;
 
 export function addPerson(person: string, title: string): Promise<Person> {
-  return callService(SERVICE, of(person), { method: "PUT", json: { title } });
+  return requestService(SERVICE, of(person), { method: "PUT", json: { title } });
 }
 
 export function removePerson(person: string): Promise<unknown> {
-  return callService(SERVICE, of(person), { method: "DELETE" });
+  return requestService(SERVICE, of(person), { method: "DELETE" });
 }
 
 export function wear(glove: string, person: string | null): Promise<unknown> {
-  return callService(SERVICE, `gloves/${encodeURIComponent(glove)}/person`, { method: "PUT", json: { person } });
+  return requestService(SERVICE, `gloves/${encodeURIComponent(glove)}/person`, { method: "PUT", json: { person } });
 }
 
 /** Give commands with other gestures; two that exchange theirs are given at once. */
 export function giveCommands(person: string, commands: Record<string, string | null>): Promise<Person> {
-  return callService(SERVICE, `${of(person)}/commands`, { method: "PATCH", json: commands });
+  return requestService(SERVICE, `${of(person)}/commands`, { method: "PATCH", json: commands });
 }
 
 export function takeCommandBack(person: string, command: string): Promise<Person> {
-  return callService(SERVICE, `${of(person)}/commands/${command}`, { method: "DELETE" });
+  return requestService(SERVICE, `${of(person)}/commands/${command}`, { method: "DELETE" });
 }
 
 export function define(person: string, gesture: string, how: Recording): Promise<{ nearest: Nearest | null }> {
-  return callService(SERVICE, `${of(person)}/gestures/${encodeURIComponent(gesture)}`, { method: "PUT", json: how });
+  return requestService(SERVICE, `${of(person)}/gestures/${encodeURIComponent(gesture)}`, { method: "PUT", json: how });
 }
 
 export function dropGesture(person: string, gesture: string): Promise<Person> {
-  return callService(SERVICE, `${of(person)}/gestures/${encodeURIComponent(gesture)}`, { method: "DELETE" });
+  return requestService(SERVICE, `${of(person)}/gestures/${encodeURIComponent(gesture)}`, { method: "DELETE" });
 }
 
 export function profileOf(person: string): Promise<string> {
-  return callService(SERVICE, `${of(person)}/profile.yaml`);
+  return requestService(SERVICE, `${of(person)}/profile.yaml`);
 }
 
 export function takeProfile(person: string, yaml: string): Promise<Person> {
-  return callService(SERVICE, `${of(person)}/profile.yaml`, { method: "PUT", body: yaml, type: "application/yaml" });
+  return requestService(SERVICE, `${of(person)}/profile.yaml`, { method: "PUT", body: yaml, type: "application/yaml" });
 }
 
 /** What a command would be given with: taken from another command, that one gets the gesture of this in turn. */

@@ -5,7 +5,7 @@ import { DropZone } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { useLocation } from "wouter";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import type { DefinitionView } from "~/live/messages";
 import { useKeys } from "~/shell/keys";
 import { pathOf, placeOf, type Place } from "./address";
@@ -74,7 +74,7 @@ export default function ProcessesPage() {
           <h1 className="visually-hidden">{t("common:pages.processes")}</h1>
         )}
         {place.kind === "nothing" && (
-          <Empty
+          <EmptyState
             icon={<Workflow aria-hidden size={40} />}
             title={t("nothing.title")}
             act={
@@ -84,7 +84,7 @@ export default function ProcessesPage() {
             }
           >
             {t("nothing.what")}
-          </Empty>
+          </EmptyState>
         )}
       </div>
       {starting !== null && (

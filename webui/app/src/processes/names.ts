@@ -1,9 +1,9 @@
-/** Names as people use them: of a Task, of whoever performs it, and of a process among its like. */
+/** Names for people: of a Task, of its performer, and of a process. */
 import type { ProcessView, TaskView } from "~/live/messages";
 import { exactTime } from "~/design/times";
 import { shortName } from "~/live/urn";
 
-/** Whoever acts for the first resource that a Task involves performs it; nobody is "". */
+/** The performer of a Task: the first resource that it involves, "" without one. */
 export function performerOf(task: Pick<TaskView, "involves">): string {
   const [first] = task.involves;
   return first === undefined ? "" : shortName(first);
@@ -14,7 +14,7 @@ export function nameOf(task: Pick<TaskView, "name" | "element">): string {
   return task.name === "" ? task.element : task.name;
 }
 
-/** What tells a process from the others of its definition: its business key, else when it was started. */
+/** Identifies a process of its definition: the business key, else the time of its start. */
 export function markOf(process: Pick<ProcessView, "key" | "startedAt">, language: string): string {
   return process.key ?? exactTime(process.startedAt, language);
 }

@@ -1,6 +1,6 @@
 /** Records: processes and definitions as the orchestrator answers them, beyond what is live. */
-import { callService } from "~/api/http";
-import { useAsked, type Asked } from "~/api/useAsked";
+import { requestService } from "~/api/http";
+import { useServiceQuery, type ServiceQuery } from "~/api/useServiceQuery";
 import { useTopic } from "~/live/hooks";
 import type { ElementCount, ProcessView } from "~/live/messages";
 import type { ProcessFilter, ProcessRow } from "./list/rows";
@@ -31,15 +31,15 @@ export interface Trial {
 }
 
 /** A process: live while it is, else as the orchestrator remembers it. */
-export function useProcess(id: string): Asked<ProcessView> {
+export function useProcess(id: string): ServiceQuery<ProcessView> {
   const live = useTopic(`process/${id}`);
-  const asked = useAsked<ProcessView>(SERVICE, live === undefined ? `processes/${encodeURIComponent(id)}` : null, id);
-  return live === undefined ? asked : { value: live, failure: null, missing: false };
+  const asked = useServiceQuery<ProcessView>(SERVICE, live === undefined ? `processes/${encodeURIComponent(id)}` : null);
+  return live === undefined ? asked : { ...asked, value: live, failure: null, missing: false };
 }
 
 /** The file of a version, as it was deployed. */
-export function useBpmn(definition: string, version: number | null): Asked<string> {
-  return useAsked<string>(SERVICE, version === null ? null : bpmnPath(definition, version));
+export function useBpmn(definition: string, version: number | null): ServiceQuery<string> {
+  return useServiceQuery<string>(SERVICE, version === null ? null : bpmnPath(definition, version));
 }
 
 export function bpmnPath(definition: string, version: number): string {
@@ -57,5 +57,5 @@ export function processesBefore(
   const asked = { before: before ?? "", status: filter.status, definition, version, involves: filter.involves, search };
   const query = new URLSearchParams({ limit: String(limit) });
   for (const [name, value] of Object.entries(asked)) if (value !== "") query.set(name, value);
-  return callService(SERVICE, `processes?${query.toString()}`);
+  return requestService(SERVICE, `processes?${query.toString()}`);
 }

@@ -2,9 +2,9 @@
 import { RotateCcw, ZoomIn, ZoomOut } from "lucide-react";
 import { useEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { callService } from "~/api/http";
+import { requestService } from "~/api/http";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import { useLive } from "~/live/hooks";
 import type { JointState, RobotView } from "~/live/messages";
 import type { LiveStore } from "~/live/store";
@@ -72,7 +72,7 @@ export default function Robot3d({ robot }: { robot: string }) {
         }}
       />
       {showing === "shown" && (
-        <div className="robot3d__acts">
+        <div className="robot3d__actions">
           <Button kind="quiet" label={t("robot.nearer")} icon={<ZoomIn aria-hidden size={18} />} onPress={() => stage.current?.key("+")} />
           <Button kind="quiet" label={t("robot.farther")} icon={<ZoomOut aria-hidden size={18} />} onPress={() => stage.current?.key("-")} />
           <Button kind="quiet" label={t("robot.resetView")} icon={<RotateCcw aria-hidden size={18} />} onPress={() => stage.current?.key("0")} />
@@ -83,7 +83,7 @@ export default function Robot3d({ robot }: { robot: string }) {
           {showing === "loading" ? (
             <p className="quiet">{t("robot.loading3d")}</p>
           ) : (
-            <Empty title={t(`robot.${showing}.title`)}>{t(`robot.${showing}.means`, { kind: kindOf(robot) })}</Empty>
+            <EmptyState title={t(`robot.${showing}.title`)}>{t(`robot.${showing}.means`, { kind: kindOf(robot) })}</EmptyState>
           )}
         </div>
       )}
@@ -91,7 +91,7 @@ export default function Robot3d({ robot }: { robot: string }) {
   );
 }
 
-/** Keep the stage as the robot is, past React: thirty joints a second draw nothing of the page anew. */
+/** Update the 3D scene without React: thirty changes of joints a second render nothing else. */
 function follow(live: LiveStore, robot: string, stage: Stage): () => void {
   const [state, stream] = [`robot/${robot}` as const, `robot/${robot}/joints`];
   let scene = new AbortController();
@@ -112,7 +112,7 @@ function follow(live: LiveStore, robot: string, stage: Stage): () => void {
     scene = new AbortController();
     void arrange(robot, stage, scene.signal);
   };
-  const ends = [live.want(stream), live.watch(stream, onStream), live.watch(state, onState), () => scene.abort()];
+  const ends = [live.subscribe(stream), live.watch(stream, onStream), live.watch(state, onState), () => scene.abort()];
   onState();
   return () => {
     for (const end of ends) end();
@@ -127,7 +127,7 @@ function arrangementOf(view: RobotView): string {
 async function arrange(robot: string, stage: Stage, signal: AbortSignal): Promise<void> {
   let scene: CellScene | null = null;
   try {
-    scene = await callService<CellScene>("trajectory-tool", `robots/${encodeURIComponent(robot)}/scene`, { signal });
+    scene = await requestService<CellScene>("trajectory-tool", `robots/${encodeURIComponent(robot)}/scene`, { signal });
   } catch {
     // A robot that does not say what stands round it is shown on a bare table.
   }

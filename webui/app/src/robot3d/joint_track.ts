@@ -3,8 +3,8 @@
  * Every new state is reached in the time that it took to come, so that the arm never overtakes the robot.
  */
 
-const SHORTEST_MS = 16;
-const LONGEST_MS = 300;
+const MIN_DURATION_MS = 16;
+const MAX_DURATION_MS = 300;
 /** Nobody sees a joint that moves by less. */
 const SAME_RAD = 1e-5;
 
@@ -13,27 +13,27 @@ export class JointTrack {
   #to: number[] = [];
   #startMs = 0;
   #lastMs = 0;
-  #durationMs = SHORTEST_MS;
+  #durationMs = MIN_DURATION_MS;
 
-  /** Take notice of the joints (rad) as they were heard at `nowMs`; returns whether they are other ones than before. */
+  /** Add the joints (rad) received at `nowMs`; returns whether they changed. */
   push(positions: readonly number[], nowMs: number): boolean {
     const sinceMs = nowMs - this.#lastMs;
     this.#lastMs = nowMs;
     if (this.#to.length !== positions.length) {
       this.#from = [...positions];
       this.#to = [...positions];
-      this.#durationMs = SHORTEST_MS;
+      this.#durationMs = MIN_DURATION_MS;
       return true;
     }
     if (positions.every((angle, joint) => Math.abs(angle - (this.#to[joint] ?? 0)) < SAME_RAD)) return false;
     this.#from = this.at(nowMs);
     this.#to = [...positions];
     this.#startMs = nowMs;
-    this.#durationMs = Math.min(Math.max(sinceMs, SHORTEST_MS), LONGEST_MS);
+    this.#durationMs = Math.min(Math.max(sinceMs, MIN_DURATION_MS), MAX_DURATION_MS);
     return true;
   }
 
-  /** The joints to draw at `nowMs`; empty while none have been heard. */
+  /** The joints to draw at `nowMs`; empty while none have been received. */
   at(nowMs: number): number[] {
     const part = Math.min(Math.max((nowMs - this.#startMs) / this.#durationMs, 0), 1);
     return this.#to.map((angle, joint) => {

@@ -11,9 +11,9 @@ export interface Step {
   distance?: number;
 }
 
-export const NEAREST_M = 0.6;
-export const FARTHEST_M = 6;
-/** Neither straight from above nor from below the floor. */
+export const MIN_DISTANCE_M = 0.6;
+export const MAX_DISTANCE_M = 6;
+/** Neither straight from above nor from below the ground. */
 const LOWEST_RAD = -0.08;
 const HIGHEST_RAD = Math.PI / 2 - 0.05;
 
@@ -46,7 +46,7 @@ export function stepOf(key: string): Step | "reset" | null {
 export function stepped(camera: Point, target: Point, { right = 0, up = 0, distance = 1 }: Step): Point {
   const [x, y, z] = [camera[0] - target[0], camera[1] - target[1], camera[2] - target[2]];
   const away = Math.hypot(x, y, z);
-  const reached = clamp(away * distance, NEAREST_M, FARTHEST_M);
+  const reached = clamp(away * distance, MIN_DISTANCE_M, MAX_DISTANCE_M);
   const azimuth = Math.atan2(y, x) + right;
   const height = clamp(Math.asin(clamp(z / away, -1, 1)) + up, LOWEST_RAD, HIGHEST_RAD);
   return [

@@ -1,7 +1,7 @@
 import { describe, expect, test } from "vitest";
 import { type CellScene, furnitureOf, PART_SIZE, type PieceKind } from "./furniture";
 import { JointTrack } from "./joint_track";
-import { FARTHEST_M, NEAREST_M, type Point, stepOf, stepped } from "./orbit";
+import { MAX_DISTANCE_M, MIN_DISTANCE_M, type Point, stepOf, stepped } from "./orbit";
 
 describe("joints between two states", () => {
   test("begin where the robot is, without a sweep from zero", () => {
@@ -55,15 +55,15 @@ describe("the view turned with keys", () => {
     expect(away(camera)).toBeCloseTo(Math.hypot(2, 1));
   });
 
-  test("never goes under the floor, over the top, too near or too far", () => {
+  test("stays above the ground, below the zenith, and within the distance limits", () => {
     let camera: Point = [2, 0, 1];
     for (let step = 0; step < 100; step++) camera = stepped(camera, target, { up: 0.2, distance: 1.2 });
     expect(camera[2]).toBeGreaterThan(0);
     expect(Math.hypot(camera[0], camera[1])).toBeGreaterThan(0);
-    expect(away(camera)).toBeCloseTo(FARTHEST_M);
+    expect(away(camera)).toBeCloseTo(MAX_DISTANCE_M);
     for (let step = 0; step < 100; step++) camera = stepped(camera, target, { up: -0.2, distance: 0.8 });
     expect(camera[2]).toBeGreaterThan(-0.1);
-    expect(away(camera)).toBeCloseTo(NEAREST_M);
+    expect(away(camera)).toBeCloseTo(MIN_DISTANCE_M);
   });
 
   test("leaves other keys alone", () => {

@@ -12,14 +12,14 @@ import type { URDFRobot } from "urdf-loader";
 import { bend, grip, release } from "./description";
 import { type CellScene, furnitureOf, PART_SIZE, type Piece, type PieceKind } from "./furniture";
 import { JointTrack } from "./joint_track";
-import { FARTHEST_M, NEAREST_M, stepOf, stepped } from "./orbit";
+import { MAX_DISTANCE_M, MIN_DISTANCE_M, stepOf, stepped } from "./orbit";
 
 const CAMERA: [number, number, number] = [-2.05, -1.5, 1.25];
 const LOOKS_AT: [number, number, number] = [-0.3, -0.05, 0.27];
 /** Wider than high, the arm fits at any height; on a narrow screen the camera steps back. */
 const FITS_AT_ASPECT = 1.3;
-const MOST_PIXELS = 2;
-const FLOOR_M = -0.051;
+const MAX_PIXEL_RATIO = 2;
+const GROUND_M = -0.051;
 
 /** The colours of the page, read from its tokens. */
 export interface Palette {
@@ -57,15 +57,15 @@ export class Stage {
     this.#robot = robot;
     this.#palette = palette;
     this.#renderer = new WebGLRenderer({ antialias: true, powerPreference: "low-power" });
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
+    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MAX_PIXEL_RATIO));
     this.#renderer.shadowMap.enabled = true;
     this.#renderer.domElement.setAttribute("aria-hidden", "true");
     host.append(this.#renderer.domElement);
 
     this.#camera.up.set(0, 0, 1);
     this.#controls = new OrbitControls(this.#camera, this.#renderer.domElement);
-    this.#controls.minDistance = NEAREST_M;
-    this.#controls.maxDistance = FARTHEST_M;
+    this.#controls.minDistance = MIN_DISTANCE_M;
+    this.#controls.maxDistance = MAX_DISTANCE_M;
     this.#controls.maxPolarAngle = Math.PI / 2 + 0.08;
     // The wheel scrolls the page until somebody takes the view in hand; a finger goes on to scroll up and down.
     this.#controls.enableZoom = false;
@@ -100,9 +100,9 @@ export class Stage {
   }
 
   gripper(closed: boolean, holds: boolean): void {
-    const told = `${closed} ${holds}`;
-    if (told === this.#gripper) return;
-    this.#gripper = told;
+    const state = `${closed} ${holds}`;
+    if (state === this.#gripper) return;
+    this.#gripper = state;
     grip(this.#robot, closed, holds);
     this.#held.visible = holds;
     this.draw();
@@ -123,7 +123,7 @@ export class Stage {
     this.#dropGrid();
     this.#grid = new GridHelper(6, 24, palette.line, palette.line);
     this.#grid.rotateX(Math.PI / 2);
-    this.#grid.position.z = FLOOR_M;
+    this.#grid.position.z = GROUND_M;
     this.#scene.add(this.#grid);
     this.furnish(this.#cell);
   }

@@ -2,7 +2,7 @@
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
-import "~/design/Ask.css";
+import "~/design/ConfirmDialog.css";
 import "./KeyList.css";
 
 interface Row {
@@ -13,17 +13,17 @@ interface Row {
 export function KeyList({ isOpen, onClose, everywhere, here }: { isOpen: boolean; onClose: () => void; everywhere: readonly Row[]; here: readonly Row[] }) {
   const { t } = useTranslation("common");
   return (
-    <ModalOverlay className="ask__veil" isOpen={isOpen} onOpenChange={(open) => !open && onClose()} isDismissable>
-      <Modal className="ask">
-        <Dialog className="ask__dialog key-list">
-          <Heading slot="title" className="ask__title">
+    <ModalOverlay className="confirm-dialog__overlay" isOpen={isOpen} onOpenChange={(open) => !open && onClose()} isDismissable>
+      <Modal className="confirm-dialog">
+        <Dialog className="confirm-dialog__dialog key-list">
+          <Heading slot="title" className="confirm-dialog__title">
             {t("keys.title")}
           </Heading>
           <h3>{t("keys.here")}</h3>
           {here.length === 0 ? <p className="quiet">{t("keys.none")}</p> : <Rows rows={here} />}
           <h3>{t("keys.everywhere")}</h3>
           <Rows rows={everywhere} />
-          <div className="ask__acts">
+          <div className="confirm-dialog__actions">
             <Button onPress={onClose}>{t("close")}</Button>
           </div>
         </Dialog>

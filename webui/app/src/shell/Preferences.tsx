@@ -3,55 +3,55 @@ import { useState } from "react";
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
-import { Choice } from "~/design/Choice";
+import { SegmentedControl } from "~/design/SegmentedControl";
 import { Field } from "~/design/Field";
-import { languages, speak, type Language } from "~/i18n";
+import { languages, setLanguage, type Language } from "~/i18n";
 import { setSound, useSound } from "~/alerts/sound";
-import { Tick } from "~/design/Tick";
-import { chooseTheme, chosenTheme, type Theme } from "./theme";
-import { setWho, useWho } from "./who";
-import "~/design/Ask.css";
+import { Checkbox } from "~/design/Checkbox";
+import { storeTheme, storedTheme, type Theme } from "./theme";
+import { setUserName, useUserName } from "./userName";
+import "~/design/ConfirmDialog.css";
 
 export function Preferences({ isOpen, onClose }: { isOpen: boolean; onClose: () => void }) {
   const { t, i18n } = useTranslation("common");
-  const [theme, setTheme] = useState<Theme>(chosenTheme);
-  const name = useWho();
+  const [theme, setTheme] = useState<Theme>(storedTheme);
+  const name = useUserName();
   const sound = useSound();
   const themes = (["system", "light", "dark"] as const).map((value) => ({ value, name: t(`theme.${value}`) }));
-  const tongues = Object.entries(languages).map(([value, tongue]) => ({ value: value as Language, name: tongue }));
+  const languageOptions = Object.entries(languages).map(([value, language]) => ({ value: value as Language, name: language }));
   return (
-    <ModalOverlay className="ask__veil" isOpen={isOpen} onOpenChange={(open) => !open && onClose()} isDismissable>
-      <Modal className="ask">
-        <Dialog className="ask__dialog ask__form">
-          <Heading slot="title" className="ask__title">
+    <ModalOverlay className="confirm-dialog__overlay" isOpen={isOpen} onOpenChange={(open) => !open && onClose()} isDismissable>
+      <Modal className="confirm-dialog">
+        <Dialog className="confirm-dialog__dialog confirm-dialog__form">
+          <Heading slot="title" className="confirm-dialog__title">
             {t("settings")}
           </Heading>
           <div>
             <h3>{t("theme.label")}</h3>
-            <Choice
+            <SegmentedControl
               label={t("theme.label")}
               value={theme}
               options={themes}
               onChange={(chosen) => {
                 setTheme(chosen);
-                chooseTheme(chosen);
+                storeTheme(chosen);
               }}
             />
           </div>
           <div>
             <h3>{t("language")}</h3>
-            <Choice
+            <SegmentedControl
               label={t("language")}
               value={i18n.language as Language}
-              options={tongues}
-              onChange={(tongue) => void speak(tongue)}
+              options={languageOptions}
+              onChange={(language) => void setLanguage(language)}
             />
           </div>
-          <Tick isSelected={sound} onChange={setSound}>
+          <Checkbox isSelected={sound} onChange={setSound}>
             {t("attention.sound")}
-          </Tick>
-          <Field label={t("who.label")} hint={t("who.hint")} value={name} onChange={setWho} maxLength={100} />
-          <div className="ask__acts">
+          </Checkbox>
+          <Field label={t("who.label")} hint={t("who.hint")} value={name} onChange={setUserName} maxLength={100} />
+          <div className="confirm-dialog__actions">
             <Button kind="main" onPress={onClose}>
               {t("close")}
             </Button>

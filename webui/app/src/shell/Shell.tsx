@@ -8,9 +8,9 @@ import { Link, useLocation } from "wouter";
 import { AttentionBanner, AttentionCount } from "~/alerts/AttentionBanner";
 import { useAlertSound } from "~/alerts/sound";
 import { Button } from "~/design/Button";
-import { useLink } from "~/live/hooks";
+import { useConnectionState } from "~/live/hooks";
 import { KeyList } from "./KeyList";
-import { isForSomethingElse, usePageKeys } from "./keys";
+import { isForOtherTarget, usePageKeys } from "./keys";
 import { Preferences } from "./Preferences";
 import "./Shell.css";
 
@@ -36,7 +36,7 @@ export function Shell({ children }: { children: ReactNode }) {
 
   useEffect(() => {
     const listen = (event: KeyboardEvent) => {
-      if (isForSomethingElse(event)) return;
+      if (isForOtherTarget(event)) return;
       const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
       const page = pages.find((one) => one.key === key);
       const act = pageKeys.find((one) => one.key === key)?.act;
@@ -67,7 +67,7 @@ export function Shell({ children }: { children: ReactNode }) {
               href={page.path}
               className="shell__page"
               aria-current={page === here ? "page" : undefined}
-              ref={page === here ? inSight : undefined}
+              ref={page === here ? scrollIntoView : undefined}
             >
               <page.icon aria-hidden size={20} />
               <span>{t(`pages.${page.name}`)}</span>
@@ -104,13 +104,13 @@ export function Shell({ children }: { children: ReactNode }) {
   );
 }
 
-function inSight(page: HTMLAnchorElement | null): void {
+function scrollIntoView(page: HTMLAnchorElement | null): void {
   page?.scrollIntoView({ block: "nearest", inline: "nearest" });
 }
 
 function LinkBanner() {
   const { t } = useTranslation("common");
-  const link = useLink();
+  const link = useConnectionState();
   const [late, setLate] = useState(false);
   useEffect(() => {
     if (link === "open") return;

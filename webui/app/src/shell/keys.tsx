@@ -1,8 +1,8 @@
-/** Keys: a page says which it has (`useKeys`), the frame listens, and `?` lists them all. */
+/** Keyboard shortcuts: a page declares its own (`useKeys`), the shell handles them, and `?` lists them. */
 import { useEffect, useRef, useSyncExternalStore } from "react";
 
 export interface Key {
-  /** As `KeyboardEvent.key` has it; letters in lower case. */
+  /** A `KeyboardEvent.key`, in lower case. */
   key: string;
   /** What it does, in the language of the page. */
   does: string;
@@ -38,7 +38,7 @@ export function usePageKeys(): readonly Key[] {
 }
 
 /** Whether a key press is meant for a field, a menu or an open dialog rather than for the page, or is a key held down. */
-export function isForSomethingElse(event: KeyboardEvent): boolean {
+export function isForOtherTarget(event: KeyboardEvent): boolean {
   if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return true;
   const target = event.target as Element | null;
   return target?.closest("input, textarea, select, [contenteditable], [role=dialog], [role=listbox], [role=menu]") != null;

@@ -3,17 +3,17 @@ import { useSyncExternalStore } from "react";
 
 export type Theme = "system" | "light" | "dark";
 
-const KEPT = "handover.theme";
+const STORAGE_KEY = "handover.theme";
 const device = matchMedia("(prefers-color-scheme: dark)");
 const listeners = new Set<() => void>();
 
-export function chosenTheme(): Theme {
-  const kept = localStorage.getItem(KEPT);
+export function storedTheme(): Theme {
+  const kept = localStorage.getItem(STORAGE_KEY);
   return kept === "light" || kept === "dark" ? kept : "system";
 }
 
 function shown(): "light" | "dark" {
-  const chosen = chosenTheme();
+  const chosen = storedTheme();
   return chosen === "system" ? (device.matches ? "dark" : "light") : chosen;
 }
 
@@ -22,12 +22,12 @@ function apply(): void {
   for (const listener of listeners) listener();
 }
 
-export function chooseTheme(theme: Theme): void {
-  localStorage.setItem(KEPT, theme);
+export function storeTheme(theme: Theme): void {
+  localStorage.setItem(STORAGE_KEY, theme);
   apply();
 }
 
-export function startTheme(): void {
+export function initTheme(): void {
   device.addEventListener("change", apply);
   apply();
 }

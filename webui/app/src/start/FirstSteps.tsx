@@ -3,17 +3,17 @@ import { Bot, Hand, Play, Workflow, X } from "lucide-react";
 import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, useLocation } from "wouter";
-import { startOperator, startProcess, stopOperator } from "~/api/acts";
-import { describe } from "~/api/http";
+import { startOperator, startProcess, stopOperator } from "~/api/actions";
+import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone } from "~/design/states";
 import { useFamily, useTopic } from "~/live/hooks";
 
 const DEMO = "bin-picking";
-const FIRST_GLOVE = "glove-1";
+const DEFAULT_GLOVE = "glove-1";
 
 export function FirstSteps({ onDismiss }: { onDismiss: () => void }) {
   const { t } = useTranslation("common");
@@ -39,20 +39,20 @@ function ProcessCard() {
   const definition = useTopic(`definition/${DEMO}`);
   const running = useFamily("process").some((one) => one.definition === DEMO && one.endedAt === null);
   const [, go] = useLocation();
-  const { busy, failure, perform } = useAct();
+  const { busy, failure, perform } = useAction();
   const isReady = definition !== undefined && definition.unusable === undefined;
   const state = running ? (
-    <State tone="accent">{t("start.process.running")}</State>
+    <StatusBadge tone="accent">{t("start.process.running")}</StatusBadge>
   ) : isReady ? (
-    <State tone="ok">{t("start.process.ready")}</State>
+    <StatusBadge tone="ok">{t("start.process.ready")}</StatusBadge>
   ) : (
-    <State tone="stop">{t("start.process.notReady")}</State>
+    <StatusBadge tone="stop">{t("start.process.notReady")}</StatusBadge>
   );
   return (
     <StartCard title={t("start.process.title")} icon={<Workflow aria-hidden size={22} />} state={state}>
       <p>{t("start.process.what")}</p>
       {!isReady && <p className="quiet">{definition?.unusable ?? t("start.process.missing")}</p>}
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {running ? (
         <Button kind="main" onPress={() => go("/work")}>
           {t("start.process.see")}
@@ -78,29 +78,29 @@ function GloveCard() {
   const { t } = useTranslation("common");
   const gloves = useFamily("glove");
   const operator = useTopic("operator");
-  const { busy, failure, perform } = useAct();
+  const { busy, failure, perform } = useAction();
   const connected = gloves.find((glove) => glove.connected);
   const known = connected ?? gloves[0];
   const state =
     connected !== undefined ? (
-      <State tone="ok">{t("start.glove.connected", { glove: connected.glove })}</State>
+      <StatusBadge tone="ok">{t("start.glove.connected", { glove: connected.glove })}</StatusBadge>
     ) : known !== undefined ? (
-      <State tone="attention">{t("start.glove.waiting", { glove: known.glove })}</State>
+      <StatusBadge tone="attention">{t("start.glove.waiting", { glove: known.glove })}</StatusBadge>
     ) : (
-      <State tone="neutral">{t("start.glove.none")}</State>
+      <StatusBadge tone="neutral">{t("start.glove.none")}</StatusBadge>
     );
   return (
     <StartCard title={t("start.glove.title")} icon={<Hand aria-hidden size={22} />} state={state}>
       <p>{t("start.glove.what")}</p>
       {operator?.detail != null && <p className="quiet">{operator.detail}</p>}
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {operator?.running === true ? (
         <Button isDisabled={busy} onPress={() => perform(stopOperator)}>
           {t("start.glove.stop")}
         </Button>
       ) : (
         connected === undefined && (
-          <Button isDisabled={busy || operator === undefined} onPress={() => perform(() => startOperator(known?.glove ?? FIRST_GLOVE))}>
+          <Button isDisabled={busy || operator === undefined} onPress={() => perform(() => startOperator(known?.glove ?? DEFAULT_GLOVE))}>
             {t("start.glove.simulate")}
           </Button>
         )
@@ -115,11 +115,11 @@ function RobotCard() {
   const [robot] = useFamily("robot");
   const state =
     robot === undefined ? (
-      <State tone="neutral">{t("start.robot.none")}</State>
+      <StatusBadge tone="neutral">{t("start.robot.none")}</StatusBadge>
     ) : (
-      <State tone={deviceTone[robot.deviceState]}>
+      <StatusBadge tone={deviceTone[robot.deviceState]}>
         {t("start.robot.ready", { robot: robot.id, state: t(`deviceState.${robot.deviceState}`) })}
-      </State>
+      </StatusBadge>
     );
   return (
     <StartCard title={t("start.robot.title")} icon={<Bot aria-hidden size={22} />} state={state}>
@@ -151,15 +151,15 @@ function Command({ words, children }: { words: string; children: string }) {
   );
 }
 
-/** An act of a card: one at a time, and what goes wrong is told on the card. */
-function useAct() {
+/** The action of a card: one at a time; its error is shown on the card. */
+function useAction() {
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const perform = (act: () => Promise<unknown>) => {
     setBusy(true);
     setFailure(null);
     void act()
-      .catch((error: unknown) => setFailure(describe(error)))
+      .catch((error: unknown) => setFailure(errorText(error)))
       .finally(() => setBusy(false));
   };
   return { busy, failure, perform };

@@ -1,19 +1,19 @@
 /** The first page: what runs, what waits for whom, what is wrong, how the day goes. */
 import { CircleCheck } from "lucide-react";
-import { useEffect, useState, type ReactNode } from "react";
+import { useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import { attentionOf } from "~/alerts/attention";
 import { useAlertTitle } from "~/alerts/titles";
-import { callService } from "~/api/http";
-import { Ago } from "~/design/Ago";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { RelativeTime } from "~/design/RelativeTime";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
 import { number } from "~/design/numbers";
-import { State } from "~/design/State";
+import { StatusBadge } from "~/design/StatusBadge";
 import { healthTone, priorityTone, statusTone } from "~/design/states";
 import { duration, exactTime } from "~/design/times";
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import { useFamily, useTopic } from "~/live/hooks";
 import type { ProcessView } from "~/live/messages";
@@ -25,7 +25,7 @@ import "./StartPage.css";
 
 /** So many of each are listed; the page of the rest is one press away. */
 const MAX_LISTED = 6;
-const ASK_EVERY_MS = 15_000;
+const POLL_INTERVAL_MS = 15_000;
 const DISMISSED = "handover.firstSteps";
 
 export default function StartPage() {
@@ -74,27 +74,11 @@ interface DayCounts {
   medianMs: number | null;
 }
 
-/** What became of the processes that ended today; asked again when one ends, and every few seconds. */
+/** The counts of the processes that ended today. */
 function useDay(): DayCounts | null {
-  const [day, setDay] = useState<DayCounts | null>(null);
   const ended = useFamily("process").filter((process) => process.endedAt !== null).map((process) => process.id).join();
-  useEffect(() => {
-    let left = false;
-    const ask = () =>
-      callService<DayCounts>("task-orchestrator", `statistics?since=${encodeURIComponent(startOfDay(Date.now()))}`).then(
-        (counts) => {
-          if (!left) setDay(counts);
-        },
-        () => undefined, // the last counts stay; the services below say what is away
-      );
-    void ask();
-    const timer = setInterval(() => void ask(), ASK_EVERY_MS);
-    return () => {
-      left = true;
-      clearInterval(timer);
-    };
-  }, [ended]);
-  return day;
+  const path = `statistics?since=${encodeURIComponent(startOfDay(useNow()))}`;
+  return useServiceQuery<DayCounts>("task-orchestrator", path, { revision: ended, intervalMs: POLL_INTERVAL_MS }).value;
 }
 
 function Day() {
@@ -134,7 +118,7 @@ function Running() {
       {(process) => (
         <li key={process.id}>
           <ProcessName process={process} />
-          <State tone={statusTone[process.status]}>{t(`processStatus.${process.status}`)}</State>
+          <StatusBadge tone={statusTone[process.status]}>{t(`processStatus.${process.status}`)}</StatusBadge>
           <span className="quiet small">{t("start.running.progress", { done: process.done, all: process.activities })}</span>
         </li>
       )}
@@ -162,9 +146,9 @@ function WaitingFor() {
         <li key={task.id}>
           <Link href={pathOf({ kind: "process", id: process.id })}>{task.name || task.element}</Link>
           <span>{performer || t("start.waiting.nobody")}</span>
-          <State tone={statusTone[task.status]}>{t(`status.${task.status}`)}</State>
+          <StatusBadge tone={statusTone[task.status]}>{t(`status.${task.status}`)}</StatusBadge>
           <span className="quiet small">
-            <Ago at={since} />
+            <RelativeTime at={since} />
           </span>
         </li>
       )}
@@ -191,10 +175,10 @@ function Wrong() {
         {worst !== null && (
           <li>
             <Link href={`/system?tab=alerts&alert=${encodeURIComponent(worst.id)}`}>{titleOf(worst)}</Link>
-            <State tone={priorityTone[worst.priority]}>{t(`severity.${worst.severity}`)}</State>
+            <StatusBadge tone={priorityTone[worst.priority]}>{t(`severity.${worst.severity}`)}</StatusBadge>
             <span>{shortName(worst.source)}</span>
             <span className="quiet small">
-              <Ago at={worst.dateIssued} />
+              <RelativeTime at={worst.dateIssued} />
             </span>
           </li>
         )}
@@ -209,17 +193,17 @@ function Wrong() {
         {services.map((service) => (
           <li key={service.name}>
             <Link href="/system">{t(`services.${service.name}`, { defaultValue: service.name })}</Link>
-            <State tone={healthTone[service.state]}>{t(`health.${service.state}`)}</State>
+            <StatusBadge tone={healthTone[service.state]}>{t(`health.${service.state}`)}</StatusBadge>
             <span className="quiet small">
-              <Ago at={service.since} />
+              <RelativeTime at={service.since} />
             </span>
           </li>
         ))}
         {failed.slice(0, MAX_LISTED).map((process) => (
           <li key={process.id}>
             <ProcessName process={process} />
-            <State tone="stop">{t("processStatus.failed")}</State>
-            <span className="start__why quiet small">{wordsIn(process, "reason")}</span>
+            <StatusBadge tone="stop">{t("processStatus.failed")}</StatusBadge>
+            <span className="start__why quiet small">{localizedText(process, "reason")}</span>
           </li>
         ))}
       </ul>

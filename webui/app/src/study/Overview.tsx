@@ -1,18 +1,18 @@
 /** For who leads the study: begin a session, go on with one, delete one, and see what the answers say. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
-import { describe } from "~/api/http";
-import { useLoaded } from "~/api/useLoaded";
-import { Ask } from "~/design/Ask";
+import { errorText } from "~/api/http";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
-import { Choice } from "~/design/Choice";
-import { Empty } from "~/design/Empty";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { EmptyState } from "~/design/EmptyState";
 import { Field } from "~/design/Field";
-import { Pick } from "~/design/Pick";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
-import { usePick } from "~/live/hooks";
+import { Select } from "~/design/Select";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
+import { useTopicSelector } from "~/live/hooks";
 import { useGloveNames } from "~/live/names";
 import { Results } from "./Results";
 import { leaderCode } from "./participantMode";
@@ -20,15 +20,15 @@ import { beginSession, deleteSession, languages, type Analysis, type Language, t
 
 export function Overview({ open }: { open: (session: string) => void }) {
   const { t } = useTranslation("study");
-  const { value: sessions, failure, reload } = useLoaded<Session[]>("gesture-controller", "study/sessions");
-  const { value: analysis, failure: analysisFailure, reload: reloadAnalysis } = useLoaded<Analysis>("gesture-controller", "study/analysis");
+  const { value: sessions, failure, reload } = useServiceQuery<Session[]>("gesture-controller", "study/sessions");
+  const { value: analysis, failure: analysisFailure, reload: reloadAnalysis } = useServiceQuery<Analysis>("gesture-controller", "study/analysis");
   return (
     <div className="study">
       <h1>{t("title")}</h1>
       <div className="study__columns">
         <div className="study__column">
           <Begin open={open} />
-          {failure !== null && <Problem>{failure}</Problem>}
+          {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
           <Sessions
             sessions={sessions ?? []}
             open={open}
@@ -42,7 +42,7 @@ export function Overview({ open }: { open: (session: string) => void }) {
           <Results analysis={analysis} />
         ) : (
           <Card title={t("results.title")}>
-            {analysisFailure !== null ? <Problem>{analysisFailure}</Problem> : <p className="quiet">{t("results.awaited")}</p>}
+            {analysisFailure !== null ? <ErrorMessage>{analysisFailure}</ErrorMessage> : <p className="quiet">{t("results.awaited")}</p>}
           </Card>
         )}
       </div>
@@ -59,7 +59,7 @@ function Begin({ open }: { open: (session: string) => void }) {
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const glove = chosen ?? gloves[0] ?? "";
-  const person = usePick(`glove/${glove}`, (view) => view?.person ?? null);
+  const person = useTopicSelector(`glove/${glove}`, (view) => view?.person ?? null);
   const options = [...gloves.map((one) => ({ value: one, name: one })), { value: "", name: t("begin.noGlove") }];
   const begin = async () => {
     setBusy(true);
@@ -74,7 +74,7 @@ function Begin({ open }: { open: (session: string) => void }) {
       });
       open(session.id);
     } catch (error) {
-      setFailure(describe(error));
+      setFailure(errorText(error));
       setBusy(false);
     }
   };
@@ -88,17 +88,17 @@ function Begin({ open }: { open: (session: string) => void }) {
         }}
       >
         <Field label={t("begin.pseudonym")} hint={t("begin.pseudonymHint")} value={pseudonym} onChange={setPseudonym} maxLength={64} />
-        <Choice<Language>
+        <SegmentedControl<Language>
           label={t("begin.language")}
           value={language}
           options={languages.map((one) => ({ value: one, name: t(`language.${one}`) }))}
           onChange={setLanguage}
         />
         {language !== "en" && <p className="quiet">{t("begin.translated")}</p>}
-        {gloves.length > 0 && <Pick label={t("begin.glove")} value={glove} options={options} onChange={setGlove} />}
+        {gloves.length > 0 && <Select label={t("begin.glove")} value={glove} options={options} onChange={setGlove} />}
         {glove !== "" && <Wearer person={person} />}
         <p className="quiet">{t("begin.code", { code: leaderCode() })}</p>
-        {failure !== null && <Problem>{failure}</Problem>}
+        {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
         <Button type="submit" kind="main" isDisabled={busy}>
           {t("begin.act")}
         </Button>
@@ -110,9 +110,9 @@ function Begin({ open }: { open: (session: string) => void }) {
 /** Whose gestures "personal" are: without any of their own, both conditions would be the same. */
 function Wearer({ person }: { person: string | null }) {
   const { t } = useTranslation("study");
-  const { value } = useLoaded<{ ownCommands: Record<string, unknown> }>("gesture-controller", person === null ? null : `people/${encodeURIComponent(person)}`);
-  if (person === null) return <State tone="attention">{t("begin.nobody")}</State>;
-  if (value !== null && Object.keys(value.ownCommands).length === 0) return <State tone="attention">{t("begin.noOwn", { person })}</State>;
+  const { value } = useServiceQuery<{ ownCommands: Record<string, unknown> }>("gesture-controller", person === null ? null : `people/${encodeURIComponent(person)}`);
+  if (person === null) return <StatusBadge tone="attention">{t("begin.nobody")}</StatusBadge>;
+  if (value !== null && Object.keys(value.ownCommands).length === 0) return <StatusBadge tone="attention">{t("begin.noOwn", { person })}</StatusBadge>;
   return <p className="quiet">{t("begin.gestures", { person })}</p>;
 }
 
@@ -127,7 +127,7 @@ function Sessions({ sessions, open, onDeleted }: SessionsProps) {
   const [leaving, setLeaving] = useState<Session | null>(null);
   return (
     <Card title={t("sessions.title")}>
-      {sessions.length === 0 && <Empty title={t("sessions.none.title")}>{t("sessions.none.means")}</Empty>}
+      {sessions.length === 0 && <EmptyState title={t("sessions.none.title")}>{t("sessions.none.means")}</EmptyState>}
       <ul className="study__sessions">
         {sessions.map((session) => (
           <li key={session.id}>
@@ -139,9 +139,9 @@ function Sessions({ sessions, open, onDeleted }: SessionsProps) {
               </span>
             </span>
             {session.endedAt === null ? (
-              <State tone="accent">{t("sessions.at", { step: session.stepNumber, steps: session.steps })}</State>
+              <StatusBadge tone="accent">{t("sessions.at", { step: session.stepNumber, steps: session.steps })}</StatusBadge>
             ) : (
-              <State tone="ok">{t("sessions.finished")}</State>
+              <StatusBadge tone="ok">{t("sessions.finished")}</StatusBadge>
             )}
             {session.endedAt === null && <Button onPress={() => open(session.id)}>{t("sessions.goOn", { who: session.pseudonym })}</Button>}
             <Button kind="quiet" onPress={() => setLeaving(session)}>
@@ -150,7 +150,7 @@ function Sessions({ sessions, open, onDeleted }: SessionsProps) {
           </li>
         ))}
       </ul>
-      <Ask
+      <ConfirmDialog
         isOpen={leaving !== null}
         onClose={() => setLeaving(null)}
         title={t("sessions.ask", { who: leaving?.pseudonym ?? "" })}
@@ -162,7 +162,7 @@ function Sessions({ sessions, open, onDeleted }: SessionsProps) {
         }}
       >
         <p>{t("sessions.askMeans")}</p>
-      </Ask>
+      </ConfirmDialog>
     </Card>
   );
 }

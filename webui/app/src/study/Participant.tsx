@@ -2,9 +2,9 @@
 import { CircleCheck } from "lucide-react";
 import { useEffect, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { describe } from "~/api/http";
-import { useLoaded } from "~/api/useLoaded";
-import { Problem } from "~/design/Problem";
+import { errorText } from "~/api/http";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import { About, Consent, Preference, Task } from "./Steps";
 import { SusForm } from "./SusForm";
 import { TlxForm } from "./TlxForm";
@@ -22,12 +22,12 @@ export interface StepProps {
 
 export function Participant({ session: id }: { session: string }) {
   const { i18n } = useTranslation("study");
-  const { value: loaded, failure: lost } = useLoaded<Session>("gesture-controller", sessionPath(id));
+  const { value: loaded, failure: lost } = useServiceQuery<Session>("gesture-controller", sessionPath(id));
   const [moved, setMoved] = useState<Session | null>(null);
   const [failure, setFailure] = useState<string | null>(null);
   const [busy, setBusy] = useState(false);
   const session = moved ?? loaded;
-  const { value: words } = useLoaded<Wording>("gesture-controller", session === null ? null : `study/wording?language=${session.language}`);
+  const { value: words } = useServiceQuery<Wording>("gesture-controller", session === null ? null : `study/wording?language=${session.language}`);
   const { t } = useTranslation("study", { lng: session?.language ?? i18n.language });
   const answer = (content: unknown) => {
     if (session === null || busy) return;
@@ -38,7 +38,7 @@ export function Participant({ session: id }: { session: string }) {
         setMoved(next.step === "declined" ? { ...session, step: next.step } : next);
         window.scrollTo({ top: 0 });
       })
-      .catch((error: unknown) => setFailure(describe(error)))
+      .catch((error: unknown) => setFailure(errorText(error)))
       .finally(() => setBusy(false));
   };
   const mode = useParticipantMode();
@@ -46,7 +46,7 @@ export function Participant({ session: id }: { session: string }) {
     // From here on the screen is the participant's.
     if (loaded !== null) enterParticipantMode({ session: loaded.id, glove: loaded.glove, language: loaded.language, pseudonym: loaded.pseudonym });
   }, [loaded]);
-  if (lost !== null) return <Problem act={mode === null ? null : <LeaveButton mode={mode} />}>{lost}</Problem>;
+  if (lost !== null) return <ErrorMessage act={mode === null ? null : <LeaveButton mode={mode} />}>{lost}</ErrorMessage>;
   if (session === null || words === null) return null;
   return (
     <div className="participant" lang={session.language}>
@@ -58,7 +58,7 @@ export function Participant({ session: id }: { session: string }) {
       </header>
       <section className="participant__step" key={session.step}>
         <Step session={session} words={words} answer={answer} busy={busy} />
-        {failure !== null && <Problem>{failure}</Problem>}
+        {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       </section>
     </div>
   );

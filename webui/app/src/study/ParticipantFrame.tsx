@@ -4,13 +4,13 @@ import i18next from "i18next";
 import { Suspense, useEffect, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { useLocation, useSearchParams } from "wouter";
-import { describe } from "~/api/http";
-import { Ask } from "~/design/Ask";
+import { errorText } from "~/api/http";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
-import { Problem } from "~/design/Problem";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import { preferredLanguage } from "~/i18n";
-import { pauseGlove, resumeGlove } from "~/work/acts";
+import { pauseGlove, resumeGlove } from "~/work/actions";
 import { leaderCode, leaveParticipantMode, setPaused, type ParticipantMode } from "./participantMode";
 import { deleteSession } from "./study";
 import "~/shell/Shell.css";
@@ -37,13 +37,13 @@ export default function ParticipantFrame({ mode, children }: { mode: Participant
     setFailure(null);
     setPaused(paused);
     if (mode.glove === null) return;
-    (paused ? pauseGlove : resumeGlove)(mode.glove).catch((error: unknown) => setFailure(describe(error)));
+    (paused ? pauseGlove : resumeGlove)(mode.glove).catch((error: unknown) => setFailure(errorText(error)));
   };
   return (
     <div className="shell">
       <header className="shell__bar participant-bar">
         <strong>{mode.pseudonym}</strong>
-        <div className="participant-bar__acts">
+        <div className="participant-bar__actions">
           {atWork && !mode.paused && !withdrawn && (
             <Button size="large" onPress={() => go(study)}>
               {t("frame.back")}
@@ -56,7 +56,7 @@ export default function ParticipantFrame({ mode, children }: { mode: Participant
           )}
         </div>
       </header>
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       <main id="content" className="shell__content" tabIndex={-1}>
         {withdrawn ? (
           <Withdrawn mode={mode} />
@@ -78,7 +78,7 @@ function Paused({ mode, onContinue, onWithdrawn }: { mode: ParticipantMode; onCo
       <CirclePause aria-hidden size={64} />
       <h1>{t("frame.paused")}</h1>
       <p>{t("frame.pausedMeans")}</p>
-      <div className="participant__acts">
+      <div className="participant__actions">
         <Button kind="main" size="large" onPress={onContinue}>
           {t("frame.continue")}
         </Button>
@@ -87,7 +87,7 @@ function Paused({ mode, onContinue, onWithdrawn }: { mode: ParticipantMode; onCo
         </Button>
         <LeaveButton mode={mode} />
       </div>
-      <Ask
+      <ConfirmDialog
         isOpen={asking}
         onClose={() => setAsking(false)}
         title={t("frame.withdrawAsk")}
@@ -101,7 +101,7 @@ function Paused({ mode, onContinue, onWithdrawn }: { mode: ParticipantMode; onCo
         }}
       >
         <p>{t("frame.withdrawMeans")}</p>
-      </Ask>
+      </ConfirmDialog>
     </section>
   );
 }
@@ -127,7 +127,7 @@ export function LeaveButton({ mode }: { mode: ParticipantMode }) {
       <Button kind="quiet" size="large" onPress={() => setAsking(true)}>
         {t("frame.leader")}
       </Button>
-      <Ask
+      <ConfirmDialog
         isOpen={asking}
         onClose={() => setAsking(false)}
         title={t("frame.leader")}
@@ -143,7 +143,7 @@ export function LeaveButton({ mode }: { mode: ParticipantMode }) {
         }}
       >
         <Field label={t("frame.code")} value={code} onChange={setCode} inputMode="numeric" size="large" autoFocus />
-      </Ask>
+      </ConfirmDialog>
     </>
   );
 }

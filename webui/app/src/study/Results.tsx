@@ -2,7 +2,7 @@
 import { useTranslation } from "react-i18next";
 import { Card } from "~/design/Card";
 import "~/design/Figures.css";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import { number } from "~/design/numbers";
 import { BoxPlot } from "./BoxPlot";
 import { csvUrl, measures, pdfUrl, type Analysis } from "./study";
@@ -23,7 +23,7 @@ export function Results({ analysis }: { analysis: Analysis }) {
   );
   return (
     <Card title={t("results.title")} aside={files}>
-      {analysis.sus.n === 0 ? <Empty title={t("results.none.title")}>{t("results.none.means")}</Empty> : <Found analysis={analysis} />}
+      {analysis.sus.n === 0 ? <EmptyState title={t("results.none.title")}>{t("results.none.means")}</EmptyState> : <Found analysis={analysis} />}
     </Card>
   );
 }

@@ -6,8 +6,8 @@ import { Label, RadioGroup, TextArea, TextField } from "react-aria-components";
 import { useLocation } from "wouter";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
-import { Option } from "~/design/Option";
-import { Tick } from "~/design/Tick";
+import { RadioOption } from "~/design/RadioOption";
+import { Checkbox } from "~/design/Checkbox";
 import type { StepProps } from "./Participant";
 
 export function Consent({ words, session, answer, busy }: StepProps) {
@@ -21,7 +21,7 @@ export function Consent({ words, session, answer, busy }: StepProps) {
           {paragraph}
         </p>
       ))}
-      <div className="participant__acts">
+      <div className="participant__actions">
         <Button kind="main" size="large" isDisabled={busy} onPress={() => reply(true)}>
           {consent.agree}
         </Button>
@@ -59,14 +59,14 @@ export function About({ words, session, answer, busy }: StepProps) {
           <Label>{words.introduction.experience}</Label>
           <div>
             {experiences.map((one) => (
-              <Option key={one} value={one} className="participant__choice">
+              <RadioOption key={one} value={one} className="participant__choice">
                 {words.introduction[one]}
-              </Option>
+              </RadioOption>
             ))}
           </div>
         </RadioGroup>
       </div>
-      <div className="participant__acts">
+      <div className="participant__actions">
         <Button kind="main" size="large" isDisabled={busy || isWrong} onPress={() => answer({ age_years: years, experience })}>
           {t("next")}
         </Button>
@@ -88,7 +88,7 @@ export function Task({ session, answer, busy, title, text }: StepProps & { title
           {t("openWork")}
         </Button>
       </p>
-      <div className="participant__acts">
+      <div className="participant__actions">
         <Button kind="main" size="large" isDisabled={busy} onPress={() => answer({ completed: true })}>
           {t("taskDone")}
         </Button>
@@ -113,20 +113,20 @@ export function Preference({ words, session, answer, busy }: StepProps) {
       <RadioGroup aria-label={words.steps.preference.title} value={preferred} onChange={setPreferred} className="participant__choices">
         <div>
           {preferences.map((one) => (
-            <Option key={one} value={one} className="participant__choice">
+            <RadioOption key={one} value={one} className="participant__choice">
               {words.preference[one]}
-            </Option>
+            </RadioOption>
           ))}
         </div>
       </RadioGroup>
-      <Tick size="large" isSelected={recalibrated} onChange={setRecalibrated}>
+      <Checkbox size="large" isSelected={recalibrated} onChange={setRecalibrated}>
         {words.preference.recalibrated}
-      </Tick>
+      </Checkbox>
       <TextField value={comment} onChange={setComment} maxLength={4000} className="participant__comment">
         <Label>{words.preference.comment}</Label>
         <TextArea rows={4} />
       </TextField>
-      <div className="participant__acts">
+      <div className="participant__actions">
         <Button kind="main" size="large" isDisabled={busy || preferred === null} onPress={() => answer({ preferred, recalibrated, comment })}>
           {t("finish")}
         </Button>

@@ -3,7 +3,7 @@ import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Label, RadioGroup } from "react-aria-components";
 import { Button } from "~/design/Button";
-import { Option } from "~/design/Option";
+import { RadioOption } from "~/design/RadioOption";
 import type { StepProps } from "./Participant";
 
 const places = [1, 2, 3, 4, 5] as const;
@@ -29,9 +29,9 @@ export function SusForm({ words, session, answer, busy }: StepProps) {
               <div className="questions__places">
                 <span aria-hidden>{sus.disagree}</span>
                 {places.map((place) => (
-                  <Option key={place} value={String(place)} className="questions__place" label={nameOf(place)}>
+                  <RadioOption key={place} value={String(place)} className="questions__place" label={nameOf(place)}>
                     {place}
-                  </Option>
+                  </RadioOption>
                 ))}
                 <span aria-hidden>{sus.agree}</span>
               </div>
@@ -39,7 +39,7 @@ export function SusForm({ words, session, answer, busy }: StepProps) {
           </li>
         ))}
       </ol>
-      <div className="participant__acts">
+      <div className="participant__actions">
         <Button kind="main" size="large" isDisabled={busy || open > 0} onPress={() => answer({ answers })}>
           {t("next")}
         </Button>

@@ -64,7 +64,7 @@ function Ratings({ words, session, ratings, rate, done }: RatingsProps) {
           );
         })}
       </ol>
-      <div className="participant__acts">
+      <div className="participant__actions">
         <Button kind="main" size="large" isDisabled={open > 0} onPress={done}>
           {t("next")}
         </Button>
@@ -106,7 +106,7 @@ function Pairs({ words, session, answer, busy, ratings, back }: PairsProps) {
           ))}
         </div>
       )}
-      <div className="participant__acts">
+      <div className="participant__actions">
         {pair === undefined && (
           <Button kind="main" size="large" isDisabled={busy} onPress={() => send(chosen)}>
             {t("send")}

@@ -14,13 +14,13 @@ export interface ParticipantMode {
   paused: boolean;
 }
 
-const KEPT = "handover.participant";
+const STORAGE_KEY = "handover.participant";
 const KEPT_CODE = "handover.participant.code";
 const listeners = new Set<() => void>();
 
 function read(): ParticipantMode | null {
   try {
-    return JSON.parse(localStorage.getItem(KEPT) ?? "null") as ParticipantMode | null;
+    return JSON.parse(localStorage.getItem(STORAGE_KEY) ?? "null") as ParticipantMode | null;
   } catch {
     return null;
   }
@@ -30,8 +30,8 @@ let mode: ParticipantMode | null = read();
 
 function set(next: ParticipantMode | null): void {
   mode = next;
-  if (next === null) localStorage.removeItem(KEPT);
-  else localStorage.setItem(KEPT, JSON.stringify(next));
+  if (next === null) localStorage.removeItem(STORAGE_KEY);
+  else localStorage.setItem(STORAGE_KEY, JSON.stringify(next));
   for (const listener of listeners) listener();
 }
 

@@ -1,7 +1,7 @@
 import { fireEvent, render, screen } from "@testing-library/react";
 import i18next from "i18next";
 import { beforeAll, describe, expect, it, vi } from "vitest";
-import { speak, startWords } from "~/i18n";
+import { setLanguage, initI18n } from "~/i18n";
 import { BoxPlot } from "./BoxPlot";
 import { SusForm } from "./SusForm";
 import { TlxForm } from "./TlxForm";
@@ -19,9 +19,9 @@ const pairs = [["mental", "physical"], ["effort", "mental"], ["physical", "effor
 const session = { id: "s1", language: "en", step: "tlx1", pairs } as unknown as Session;
 
 beforeAll(async () => {
-  await startWords();
+  await initI18n();
   await i18next.loadNamespaces(["study"]);
-  await speak("en");
+  await setLanguage("en");
 });
 
 describe("the questionnaires", () => {

@@ -1,5 +1,5 @@
 /** The study as the gesture controller has it. */
-import { callService } from "~/api/http";
+import { requestService } from "~/api/http";
 
 export type Condition = "personal" | "predefined";
 export type Language = "en" | "de" | "fi";
@@ -82,13 +82,13 @@ export const pdfUrl = (language: string): string => `/api/gesture-controller/stu
 export const sessionPath = (session: string): string => `study/sessions/${encodeURIComponent(session)}`;
 
 export function beginSession(json: { pseudonym?: string; language: Language; glove?: string; person?: string }): Promise<Session> {
-  return callService("gesture-controller", "study/sessions", { method: "POST", json });
+  return requestService("gesture-controller", "study/sessions", { method: "POST", json });
 }
 
 export function answerStep(session: string, step: string, json: unknown): Promise<Session> {
-  return callService("gesture-controller", `${sessionPath(session)}/steps/${step}`, { method: "POST", json });
+  return requestService("gesture-controller", `${sessionPath(session)}/steps/${step}`, { method: "POST", json });
 }
 
 export function deleteSession(session: string): Promise<unknown> {
-  return callService("gesture-controller", sessionPath(session), { method: "DELETE" });
+  return requestService("gesture-controller", sessionPath(session), { method: "DELETE" });
 }

@@ -2,7 +2,7 @@
 import { BatteryFull, BatteryLow, BatteryMedium, BatteryWarning } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { percent as percentOf } from "~/design/numbers";
-import { State } from "~/design/State";
+import { StatusBadge } from "~/design/StatusBadge";
 
 const LOW = 0.2;
 const EMPTY = 0.08;
@@ -14,8 +14,8 @@ export function Battery({ level }: { level: number }) {
   const percent = percentOf(level, i18n.language);
   const tone = level < EMPTY ? "stop" : level < LOW ? "attention" : "neutral";
   return (
-    <State tone={tone} icon={<Icon aria-hidden size="1.2em" />}>
+    <StatusBadge tone={tone} icon={<Icon aria-hidden size="1.2em" />}>
       {tone === "neutral" ? percent : t("battery.low", { percent })}
-    </State>
+    </StatusBadge>
   );
 }

@@ -5,7 +5,7 @@ import { Tab, TabList, TabPanel, Tabs } from "react-aria-components";
 import { Activity, Bot, Cpu, Hand, ScrollText, TriangleAlert, Waypoints } from "lucide-react";
 import { attentionOf } from "~/alerts/attention";
 import { useFamily, useTopic } from "~/live/hooks";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
 import { AlertsPanel } from "./alerts/AlertsPanel";
 import { DevicesPanel } from "./devices/DevicesPanel";
@@ -31,7 +31,7 @@ type TabId = (typeof allTabs)[number]["id"];
 
 export default function SystemPage() {
   const { t } = useTranslation("system");
-  const [asked, setTab] = useQuery("tab", "services");
+  const [asked, setTab] = useQueryParameter("tab", "services");
   const hasRos = (useTopic("services") ?? []).some((service) => service.name === "ros-bridge");
   // A cell without a ROS bridge lacks nothing; it has one tab less.
   const tabs = allTabs.filter((one) => one.id !== "ros" || hasRos);
@@ -45,11 +45,11 @@ export default function SystemPage() {
           {tabs.map(({ id, icon: Icon }) => (
             <Tab key={id} id={id} className="system__tab">
               {({ isSelected }) => (
-                <InSight isWanted={isSelected}>
+                <ScrolledIntoView isWanted={isSelected}>
                   <Icon aria-hidden size={18} />
                   <span>{t(`tab.${id}`)}</span>
                   <Count tab={id} />
-                </InSight>
+                </ScrolledIntoView>
               )}
             </Tab>
           ))}
@@ -64,8 +64,8 @@ export default function SystemPage() {
   );
 }
 
-/** On a phone the row of tabs is longer than the screen: the open one is always in sight. */
-function InSight({ isWanted, children }: { isWanted: boolean; children: ReactNode }) {
+/** On a phone the row of tabs is longer than the screen: the open one is always visible. */
+function ScrolledIntoView({ isWanted, children }: { isWanted: boolean; children: ReactNode }) {
   const face = useRef<HTMLSpanElement>(null);
   useEffect(() => {
     if (isWanted) face.current?.scrollIntoView({ block: "nearest", inline: "center" });

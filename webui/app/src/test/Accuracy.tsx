@@ -1,19 +1,19 @@
 /** The accuracy test: planned, led, and reported. */
-import { useEffect, useState } from "react";
+import { useState } from "react";
 import { useTranslation } from "react-i18next";
-import { describe } from "~/api/http";
-import { useLoaded } from "~/api/useLoaded";
-import { Ask } from "~/design/Ask";
+import { errorText } from "~/api/http";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
-import { Choice } from "~/design/Choice";
-import { Empty } from "~/design/Empty";
-import { Problem } from "~/design/Problem";
-import { State, type Tone } from "~/design/State";
-import { Tick } from "~/design/Tick";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { EmptyState } from "~/design/EmptyState";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge, type Tone } from "~/design/StatusBadge";
+import { Checkbox } from "~/design/Checkbox";
 import { useGestureName } from "~/hand/Hand";
-import { usePick } from "~/live/hooks";
-import { useQuery } from "~/route/query";
+import { useTopicSelector } from "~/live/hooks";
+import { useQueryParameter } from "~/route/queryParameter";
 import { TestReport } from "./TestReport";
 import { Trial } from "./Trial";
 import { beginTest, deleteTest, leadTest, type Gesture, type Phase, type TestSummary } from "./tests";
@@ -23,10 +23,9 @@ const tones: Partial<Record<Phase, Tone>> = { finished: "ok", interrupted: "atte
 
 export function Accuracy({ glove }: { glove: string }) {
   const { t } = useTranslation("test");
-  const onItsWay = usePick(`glove/${glove}`, (view) => view?.examination?.id ?? null);
-  const [asked, setTest] = useQuery("test");
-  const { value: tests, failure, reload } = useLoaded<TestSummary[]>("gesture-controller", "tests");
-  useEffect(reload, [onItsWay, reload]);
+  const onItsWay = useTopicSelector(`glove/${glove}`, (view) => view?.examination?.id ?? null);
+  const [asked, setTest] = useQueryParameter("test");
+  const { value: tests, failure, reload } = useServiceQuery<TestSummary[]>("gesture-controller", "tests", { revision: onItsWay ?? "" });
   if (onItsWay !== null) return <Trial glove={glove} />;
   const mine = (tests ?? []).filter((test) => test.glove === glove);
   const shown = mine.find((test) => test.id === asked) ?? mine[0];
@@ -34,12 +33,12 @@ export function Accuracy({ glove }: { glove: string }) {
     <div className="test__columns">
       <div className="test__column">
         <Planning glove={glove} />
-        {failure !== null && <Problem>{failure}</Problem>}
+        {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
         {shown !== undefined && <Earlier tests={mine} shown={shown.id} show={setTest} reload={reload} />}
       </div>
       {tests !== null && shown === undefined && (
         <Card title={t("report.title")}>
-          <Empty title={t("earlier.none.title")}>{t("earlier.none.means")}</Empty>
+          <EmptyState title={t("earlier.none.title")}>{t("earlier.none.means")}</EmptyState>
         </Card>
       )}
       {shown !== undefined && <TestReport key={`${shown.id} ${shown.phase}`} test={shown.id} />}
@@ -50,12 +49,12 @@ export function Accuracy({ glove }: { glove: string }) {
 function Planning({ glove }: { glove: string }) {
   const { t } = useTranslation("test");
   const nameOf = useGestureName();
-  const { value: gestures } = useLoaded<Gesture[]>("gesture-controller", "gestures");
-  const [howOften, setHowOften] = useQuery("rounds", "10");
+  const { value: gestures } = useServiceQuery<Gesture[]>("gesture-controller", "gestures");
+  const [howOften, setHowOften] = useQueryParameter("rounds", "10");
   const [left, setLeft] = useState<readonly string[]>([]);
   const [failure, setFailure] = useState<string | null>(null);
   const [busy, setBusy] = useState(false);
-  const isConnected = usePick(`glove/${glove}`, (view) => view?.connected) === true;
+  const isConnected = useTopicSelector(`glove/${glove}`, (view) => view?.connected) === true;
   const plain = (gestures ?? []).filter((one) => one.code !== undefined).map((one) => one.name);
   const chosen = plain.filter((one) => !left.includes(one));
   const often = Number(rounds.find((one) => one === howOften) ?? "10");
@@ -65,7 +64,7 @@ function Planning({ glove }: { glove: string }) {
     try {
       await beginTest({ glove, gestures: chosen, rounds: often, breaks: true });
     } catch (error) {
-      setFailure(describe(error));
+      setFailure(errorText(error));
     } finally {
       setBusy(false);
     }
@@ -74,25 +73,25 @@ function Planning({ glove }: { glove: string }) {
     <Card title={t("plan.title")}>
       <p className="quiet">{t("plan.means")}</p>
       <div className="test__plan">
-        <Choice label={t("plan.rounds")} value={String(often)} options={rounds.map((one) => ({ value: one, name: t("plan.times", { count: Number(one) }) }))} onChange={setHowOften} />
+        <SegmentedControl label={t("plan.rounds")} value={String(often)} options={rounds.map((one) => ({ value: one, name: t("plan.times", { count: Number(one) }) }))} onChange={setHowOften} />
         <Button kind="main" isDisabled={busy || !isConnected || chosen.length === 0} onPress={() => void begin()}>
           {t("plan.begin", { count: chosen.length * often })}
         </Button>
       </div>
       {!isConnected && <p className="quiet">{t("plan.connect")}</p>}
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       <details className="test__which">
         <summary>{t("plan.which", { chosen: chosen.length, all: plain.length })}</summary>
         {plain.length < (gestures ?? []).length && <p className="quiet">{t("plan.composed")}</p>}
         <div className="test__gestures">
           {plain.map((one) => (
-            <Tick
+            <Checkbox
               key={one}
               isSelected={!left.includes(one)}
               onChange={(isSelected) => setLeft(isSelected ? left.filter((other) => other !== one) : [...left, one])}
             >
               {nameOf(one)}
-            </Tick>
+            </Checkbox>
           ))}
         </div>
       </details>
@@ -114,18 +113,18 @@ function Earlier({ tests, shown, show, reload }: EarlierProps) {
   const [failure, setFailure] = useState<string | null>(null);
   const goOn = (test: TestSummary) => {
     setFailure(null);
-    leadTest(test.id, "continue").catch((error: unknown) => setFailure(describe(error)));
+    leadTest(test.id, "continue").catch((error: unknown) => setFailure(errorText(error)));
   };
   return (
     <Card title={t("earlier.title")}>
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       <ul className="test__list">
         {tests.map((test) => (
           <li key={test.id} aria-current={test.id === shown || undefined}>
             <button type="button" className="test__open" onClick={() => show(test.id)}>
               {when(test.beganAt)} · {t("earlier.size", { gestures: test.gestures.length, rounds: test.rounds })}
             </button>
-            <State tone={tones[test.phase] ?? "accent"}>{t(`phase.${test.phase}`)}</State>
+            <StatusBadge tone={tones[test.phase] ?? "accent"}>{t(`phase.${test.phase}`)}</StatusBadge>
             {test.phase === "interrupted" && <Button onPress={() => goOn(test)}>{t("earlier.continue")}</Button>}
             <Button kind="quiet" onPress={() => setLeaving(test)}>
               {t("earlier.delete")}
@@ -133,7 +132,7 @@ function Earlier({ tests, shown, show, reload }: EarlierProps) {
           </li>
         ))}
       </ul>
-      <Ask
+      <ConfirmDialog
         isOpen={leaving !== null}
         onClose={() => setLeaving(null)}
         title={t("earlier.ask")}
@@ -145,7 +144,7 @@ function Earlier({ tests, shown, show, reload }: EarlierProps) {
         }}
       >
         <p>{t("earlier.askMeans")}</p>
-      </Ask>
+      </ConfirmDialog>
     </Card>
   );
 }

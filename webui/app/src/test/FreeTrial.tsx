@@ -1,20 +1,20 @@
 /** Testing mode: a gesture is chosen, and the page says in green and red whether the glove sees it. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
-import { describe } from "~/api/http";
-import { useLoaded } from "~/api/useLoaded";
+import { errorText } from "~/api/http";
+import { useServiceQuery } from "~/api/useServiceQuery";
 import { Button } from "~/design/Button";
 import { Card } from "~/design/Card";
 import "~/design/Figures.css";
 import { number } from "~/design/numbers";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { fingers } from "~/hand/geometry";
 import { GesturePicker } from "~/hand/GesturePicker";
 import { Hand, useGestureName } from "~/hand/Hand";
-import { usePick } from "~/live/hooks";
+import { useTopicSelector } from "~/live/hooks";
 import type { Finger } from "~/live/messages";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { setTesting, type Gesture } from "./tests";
 
 const words = ["straight", "between", "bent"] as const;
@@ -23,20 +23,20 @@ export function FreeTrial({ glove }: { glove: string }) {
   const { t } = useTranslation(["test", "hand"]);
   const nameOf = useGestureName();
   const [failure, setFailure] = useState<string | null>(null);
-  const [asked, setAsked] = useQuery("gesture", "Thumbs up");
-  const { value: gestures } = useLoaded<Gesture[]>("gesture-controller", "gestures");
+  const [asked, setAsked] = useQueryParameter("gesture", "Thumbs up");
+  const { value: gestures } = useServiceQuery<Gesture[]>("gesture-controller", "gestures");
   const plain = (gestures ?? []).filter((one) => one.code !== undefined);
   const wanted = plain.find((one) => one.name === asked) ?? plain[0];
-  const isTesting = usePick(`glove/${glove}`, (view) => view?.testing) === true;
-  const side = usePick(`glove/${glove}`, (view) => view?.hand) ?? "right";
-  const states = usePick(`glove/${glove}`, (view) => view?.states ?? null);
-  const seen = usePick(`glove/${glove}`, (view) => view?.gesture ?? null);
+  const isTesting = useTopicSelector(`glove/${glove}`, (view) => view?.testing) === true;
+  const side = useTopicSelector(`glove/${glove}`, (view) => view?.hand) ?? "right";
+  const states = useTopicSelector(`glove/${glove}`, (view) => view?.states ?? null);
+  const seen = useTopicSelector(`glove/${glove}`, (view) => view?.gesture ?? null);
   const isRight = seen !== null && seen === wanted?.name;
   const code = wanted?.code ?? "";
   const differs = states === null || isRight ? [] : fingers.filter((_, nth) => code[nth] !== undefined && states[nth] !== code[nth]);
   const change = (on: boolean) => {
     setFailure(null);
-    setTesting(glove, on).catch((error: unknown) => setFailure(describe(error)));
+    setTesting(glove, on).catch((error: unknown) => setFailure(errorText(error)));
   };
   return (
     <Card
@@ -51,8 +51,8 @@ export function FreeTrial({ glove }: { glove: string }) {
         )
       }
     >
-      <p>{isTesting ? <State tone="accent">{t("try.isOn")}</State> : <State tone="attention">{t("try.isOff")}</State>}</p>
-      {failure !== null && <Problem>{failure}</Problem>}
+      <p>{isTesting ? <StatusBadge tone="accent">{t("try.isOn")}</StatusBadge> : <StatusBadge tone="attention">{t("try.isOff")}</StatusBadge>}</p>
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {wanted !== undefined && (
         <div className="test__two">
           <section className="test__side">
@@ -62,9 +62,9 @@ export function FreeTrial({ glove }: { glove: string }) {
           <section className={isRight ? "test__side test__side--right" : "test__side test__side--wrong"} aria-live="polite">
             <p className="test__seen">
               {states === null ? (
-                <State tone="neutral">{t("try.unseen")}</State>
+                <StatusBadge tone="neutral">{t("try.unseen")}</StatusBadge>
               ) : (
-                <State tone={isRight ? "ok" : "stop"}>{seen === null ? t("try.noGesture") : nameOf(seen)}</State>
+                <StatusBadge tone={isRight ? "ok" : "stop"}>{seen === null ? t("try.noGesture") : nameOf(seen)}</StatusBadge>
               )}
             </p>
             {states !== null && <Hand states={states} side={side} moveMs={140} size="min(44vh, 420px)" differs={differs} />}
@@ -78,8 +78,8 @@ export function FreeTrial({ glove }: { glove: string }) {
 
 function Values({ glove, differs }: { glove: string; differs: readonly Finger[] }) {
   const { t, i18n } = useTranslation(["test", "hand"]);
-  const bend = usePick(`glove/${glove}`, (view) => view?.bend?.map((value) => Math.round(value)).join(" ") ?? "");
-  const states = usePick(`glove/${glove}`, (view) => view?.states ?? "");
+  const bend = useTopicSelector(`glove/${glove}`, (view) => view?.bend?.map((value) => Math.round(value)).join(" ") ?? "");
+  const states = useTopicSelector(`glove/${glove}`, (view) => view?.states ?? "");
   const values = bend === "" ? [] : bend.split(" ");
   return (
     <table className="figures test__values">

@@ -1,10 +1,10 @@
 /** The Test page: what the glove makes of the hand, and how sure and quick that is. No Task is touched. */
 import { useTranslation } from "react-i18next";
-import { Choice } from "~/design/Choice";
-import { State } from "~/design/State";
-import { GlovePick, NoGlove, useChosenGlove } from "~/glove/ChosenGlove";
-import { usePick } from "~/live/hooks";
-import { useQuery } from "~/route/query";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { StatusBadge } from "~/design/StatusBadge";
+import { GloveSelect, NoGlove, useSelectedGlove } from "~/glove/GloveSelect";
+import { useTopicSelector } from "~/live/hooks";
+import { useQueryParameter } from "~/route/queryParameter";
 import { useKeys } from "~/shell/keys";
 import { Accuracy } from "./Accuracy";
 import { FreeTrial } from "./FreeTrial";
@@ -15,8 +15,8 @@ type Part = (typeof parts)[number];
 
 export default function TestPage() {
   const { t } = useTranslation("test");
-  const glove = useChosenGlove();
-  const [askedPart, setPart] = useQuery("part", "try");
+  const glove = useSelectedGlove();
+  const [askedPart, setPart] = useQueryParameter("part", "try");
   const part: Part = parts.find((one) => one === askedPart) ?? "try";
   useKeys(parts.map((one) => ({ key: one.charAt(0), does: t(`part.${one}`), act: () => setPart(one) })));
   return (
@@ -25,8 +25,8 @@ export default function TestPage() {
         <h1>{t("title")}</h1>
         {glove !== undefined && (
           <>
-            <GlovePick glove={glove} />
-            <Choice<Part> label={t("title")} value={part} options={parts.map((one) => ({ value: one, name: t(`part.${one}`) }))} onChange={setPart} />
+            <GloveSelect glove={glove} />
+            <SegmentedControl<Part> label={t("title")} value={part} options={parts.map((one) => ({ value: one, name: t(`part.${one}`) }))} onChange={setPart} />
             <Link glove={glove} />
           </>
         )}
@@ -44,6 +44,6 @@ export default function TestPage() {
 
 function Link({ glove }: { glove: string }) {
   const { t } = useTranslation("test");
-  const isConnected = usePick(`glove/${glove}`, (view) => view?.connected) === true;
-  return <p className="test__link">{isConnected ? <State tone="ok">{t("connected")}</State> : <State tone="attention">{t("away")}</State>}</p>;
+  const isConnected = useTopicSelector(`glove/${glove}`, (view) => view?.connected) === true;
+  return <p className="test__link">{isConnected ? <StatusBadge tone="ok">{t("connected")}</StatusBadge> : <StatusBadge tone="attention">{t("away")}</StatusBadge>}</p>;
 }

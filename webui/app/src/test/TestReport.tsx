@@ -1,19 +1,19 @@
 /** What a test found: Table 3 of the paper, what was taken for what, and how long it took. */
 import { useTranslation } from "react-i18next";
-import { useLoaded } from "~/api/useLoaded";
+import { useServiceQuery } from "~/api/useServiceQuery";
 import { Card } from "~/design/Card";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import "~/design/Figures.css";
 import { number, percent } from "~/design/numbers";
-import { Problem } from "~/design/Problem";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import { useGestureName } from "~/hand/Hand";
 import { columnsOf } from "./matrix";
 import { fileUrl, reportPath, type Figures, type Report } from "./tests";
 
 export function TestReport({ test }: { test: string }) {
   const { t } = useTranslation("test");
-  const { value: report, failure } = useLoaded<Report>("gesture-controller", reportPath(test));
-  if (failure !== null) return <Problem>{failure}</Problem>;
+  const { value: report, failure } = useServiceQuery<Report>("gesture-controller", reportPath(test));
+  if (failure !== null) return <ErrorMessage>{failure}</ErrorMessage>;
   if (report === null) return null;
   const files = (["csv", "json"] as const).map((kind) => (
     <a key={kind} className="test__file" href={fileUrl(test, kind)} download={`accuracy-${test.slice(0, 8)}.${kind}`}>
@@ -22,7 +22,7 @@ export function TestReport({ test }: { test: string }) {
   ));
   return (
     <Card title={t("report.title")} aside={<span className="test__files">{files}</span>} className="test__report">
-      {report.overall.trials === 0 ? <Empty title={t("report.none")} /> : <Found report={report} />}
+      {report.overall.trials === 0 ? <EmptyState title={t("report.none")} /> : <Found report={report} />}
     </Card>
   );
 }

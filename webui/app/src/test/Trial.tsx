@@ -2,10 +2,10 @@
 import { Check, CircleX, Hand as HandIcon, RotateCcw, TriangleAlert } from "lucide-react";
 import { memo, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { describe } from "~/api/http";
+import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
 import { number } from "~/design/numbers";
-import { Problem } from "~/design/Problem";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { useTopic } from "~/live/hooks";
 import type { Examination } from "~/live/messages";
@@ -35,7 +35,7 @@ function Stage({ examination, side, states, isConnected }: StageProps) {
   const waits = phase === "break" || phase === "interrupted";
   const lead = (act: "continue" | "stop") => {
     setFailure(null);
-    leadTest(id, act).catch((error: unknown) => setFailure(describe(error)));
+    leadTest(id, act).catch((error: unknown) => setFailure(errorText(error)));
   };
   useKeys([
     ...(waits ? [{ key: "Enter", does: t("trial.continue"), act: () => lead("continue") }] : []),
@@ -57,9 +57,9 @@ function Stage({ examination, side, states, isConnected }: StageProps) {
             <div style={{ inlineSize: `${held * 100}%` }} />
           </div>
         )}
-        {!isConnected && !waits && <Problem>{t("trial.away")}</Problem>}
-        {failure !== null && <Problem>{failure}</Problem>}
-        <div className="trial__acts">
+        {!isConnected && !waits && <ErrorMessage>{t("trial.away")}</ErrorMessage>}
+        {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
+        <div className="trial__actions">
           {waits && (
             <Button kind="main" size="large" onPress={() => lead("continue")}>
               {t("trial.continue")}
@@ -74,7 +74,7 @@ function Stage({ examination, side, states, isConnected }: StageProps) {
           <Last last={examination.last} />
         </div>
       </div>
-      <footer className="trial__foot">
+      <footer className="trial__footer">
         <progress max={trials} value={done} aria-label={t("trial.progress")} />
         <p>{t("trial.count", { done, trials, round, rounds: examination.rounds })}</p>
       </footer>

@@ -1,5 +1,5 @@
 /** Accuracy tests as the gesture controller has them. */
-import { callService } from "~/api/http";
+import { requestService } from "~/api/http";
 
 export type Phase = "break" | "rest" | "asked" | "noted" | "interrupted" | "stopped" | "finished";
 export type Outcome = "right" | "corrected" | "missed";
@@ -61,17 +61,17 @@ export const fileUrl = (test: string, kind: "csv" | "json"): string =>
   `/api/gesture-controller/tests/${encodeURIComponent(test)}/trials.${kind}`;
 
 export function beginTest(plan: Plan): Promise<TestSummary> {
-  return callService("gesture-controller", "tests", { method: "POST", json: plan });
+  return requestService("gesture-controller", "tests", { method: "POST", json: plan });
 }
 
 export function leadTest(test: string, act: "continue" | "stop"): Promise<TestSummary> {
-  return callService("gesture-controller", `tests/${encodeURIComponent(test)}/${act}`, { method: "POST" });
+  return requestService("gesture-controller", `tests/${encodeURIComponent(test)}/${act}`, { method: "POST" });
 }
 
 export function deleteTest(test: string): Promise<unknown> {
-  return callService("gesture-controller", `tests/${encodeURIComponent(test)}`, { method: "DELETE" });
+  return requestService("gesture-controller", `tests/${encodeURIComponent(test)}`, { method: "DELETE" });
 }
 
 export function setTesting(glove: string, testing: boolean): Promise<unknown> {
-  return callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/modes`, { method: "PUT", json: { testing } });
+  return requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/modes`, { method: "PUT", json: { testing } });
 }

@@ -1,7 +1,11 @@
 import { cleanup } from "@testing-library/react";
 import { afterEach } from "vitest";
+import { queryClient } from "~/api/useServiceQuery";
 
-afterEach(cleanup);
+afterEach(() => {
+  cleanup();
+  queryClient.clear();
+});
 
 // jsdom has no CSS object, and dialogs escape a selector when they open.
 // eslint-disable-next-line @typescript-eslint/no-unnecessary-condition -- the types say that every browser has it

@@ -2,7 +2,7 @@
 import { ArrowRight } from "lucide-react";
 import { Fragment } from "react";
 import { useTranslation } from "react-i18next";
-import { State, type Tone } from "~/design/State";
+import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { useGestureName } from "~/hand/Hand";
 import type { GesturePart, GloveView } from "~/live/messages";
 import { AskedHand, DoneCheck } from "./Figure";
@@ -42,7 +42,7 @@ export function ComposedFigure({ glove, parts, open, done = false }: ComposedFig
               </div>
               <p className="figures__place">{t(`part.${part.hand ?? (nth === 0 ? "first" : "second")}`)}</p>
               <p className="figures__name">{nameOf(part.gesture)}</p>
-              <State tone={tones[state]}>{t(`part.is.${state}`)}</State>
+              <StatusBadge tone={tones[state]}>{t(`part.is.${state}`)}</StatusBadge>
             </li>
           </Fragment>
         );

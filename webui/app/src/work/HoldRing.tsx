@@ -23,15 +23,15 @@ export function HoldRing({ hold, right, closed = false }: HoldRingProps) {
   const arc = useRef<SVGCircleElement>(null);
   const { heldMs, announceMs, confirmMs } = hold;
   useEffect(() => {
-    const heardMs = performance.now();
+    const receivedMs = performance.now();
     let frame = 0;
     const draw = (nowMs: number) => {
-      const part = closed ? 1 : right ? ringPart({ heldMs, announceMs, confirmMs }, nowMs - heardMs) : 0;
+      const part = closed ? 1 : right ? ringPart({ heldMs, announceMs, confirmMs }, nowMs - receivedMs) : 0;
       arc.current?.setAttribute("stroke-dashoffset", String(ROUND * (1 - part)));
       arc.current?.setAttribute("visibility", part > 0 ? "visible" : "hidden");
       if (right && !closed && heldMs > 0 && part < 1) frame = requestAnimationFrame(draw);
     };
-    draw(heardMs);
+    draw(receivedMs);
     return () => cancelAnimationFrame(frame);
   }, [heldMs, announceMs, confirmMs, right, closed]);
   return (

@@ -12,7 +12,7 @@ export function LiveHand({ glove }: { glove: GloveView }) {
   if (glove.states === null) return <p className="work__live work__live-word">{t("noHand")}</p>;
   return (
     <div className="work__live">
-      <Drawn states={glove.states} side={glove.hand} differs={isTold(glove) ? glove.differs.join(" ") : ""} />
+      <Drawn states={glove.states} side={glove.hand} differs={showsAdvice(glove) ? glove.differs.join(" ") : ""} />
       <span className="work__live-word">{t("yourHand")}</span>
     </div>
   );
@@ -32,7 +32,7 @@ export function LiveHands({ glove, parts }: { glove: GloveView; parts: readonly 
         states === null ? (
           <span key={name}>{t("silentHand", { glove: name })}</span>
         ) : (
-          <Drawn key={name} states={states} side={hand} differs={isTold(glove) ? differing(states, hand, parts) : ""} />
+          <Drawn key={name} states={states} side={hand} differs={showsAdvice(glove) ? differing(states, hand, parts) : ""} />
         ),
       )}
       </div>
@@ -42,7 +42,7 @@ export function LiveHands({ glove, parts }: { glove: GloveView; parts: readonly 
 }
 
 /** An open hand differs in everything; fingers are pointed out when the controller speaks of them. */
-function isTold({ message }: GloveView): boolean {
+function showsAdvice({ message }: GloveView): boolean {
   return message.key === "almost" || message.key === "wrong";
 }
 

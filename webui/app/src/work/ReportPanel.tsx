@@ -2,7 +2,7 @@
 import { useState } from "react";
 import { Label, TextArea, TextField } from "react-aria-components";
 import { useTranslation } from "react-i18next";
-import { Ask } from "~/design/Ask";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import type { Outcome } from "~/live/messages";
 
 export type ReportedOutcome = Exclude<Outcome, "ok">;
@@ -22,7 +22,7 @@ export function ReportPanel({ outcome, task, onReport, onClose }: ReportPanelPro
   const { t } = useTranslation("work");
   const [note, setNote] = useState("");
   return (
-    <Ask
+    <ConfirmDialog
       isOpen
       onClose={onClose}
       title={t(`report.${outcome}.title`)}
@@ -37,6 +37,6 @@ export function ReportPanel({ outcome, task, onReport, onClose }: ReportPanelPro
         <Label>{t("report.note")}</Label>
         <TextArea rows={2} />
       </TextField>
-    </Ask>
+    </ConfirmDialog>
   );
 }

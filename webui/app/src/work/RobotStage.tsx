@@ -22,8 +22,8 @@ export function RobotStage({ process, task, robot }: { process: ProcessView; tas
       <div className="robot-turn">
         <Bot aria-hidden strokeWidth={1.25} />
       </div>
-      <div className="work__words">
-        <h1 className="work__what work__what--large">{does}</h1>
+      <div className="work__text">
+        <h1 className="work__task work__task--large">{does}</h1>
         <p className="work__left" role="timer">
           {paused ? t("paused") : left === null ? t("robot.leftUnknown") : t("robot.left", { seconds: left })}
         </p>
@@ -33,7 +33,7 @@ export function RobotStage({ process, task, robot }: { process: ProcessView; tas
         <p className="robot-turn__out">
           <OctagonAlert aria-hidden /> {t("robot.keepOut")}
         </p>
-        <p className="work__said">{paused ? t("robot.paused") : task.status === "pending" ? t("robot.waiting") : task.name}</p>
+        <p className="work__message">{paused ? t("robot.paused") : task.status === "pending" ? t("robot.waiting") : task.name}</p>
       </div>
     </>
   );
@@ -47,9 +47,9 @@ export function BetweenStage({ task }: { task: TaskView | null }) {
       <div className="robot-turn robot-turn--calm">
         <Hourglass aria-hidden strokeWidth={1.25} />
       </div>
-      <div className="work__words" role="status">
-        <h1 className="work__what work__what--large">{t(task === null ? "between.title" : "between.other")}</h1>
-        <p className="work__said">{task === null ? t("between.next") : (task.description ?? task.name)}</p>
+      <div className="work__text" role="status">
+        <h1 className="work__task work__task--large">{t(task === null ? "between.title" : "between.other")}</h1>
+        <p className="work__message">{task === null ? t("between.next") : (task.description ?? task.name)}</p>
       </div>
     </>
   );

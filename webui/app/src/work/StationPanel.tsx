@@ -4,7 +4,7 @@ import { useState } from "react";
 import { Dialog, Heading, Modal, ModalOverlay } from "react-aria-components";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
-import "~/design/Ask.css";
+import "~/design/ConfirmDialog.css";
 import { number } from "~/design/numbers";
 import { bounds, keepStation, minFontPx, useStation, type Station } from "./station";
 import "./StationPanel.css";
@@ -17,10 +17,10 @@ export function StationPanel({ onClose }: { onClose: () => void }) {
   const shown = (value: number) => number(value, i18n.language, { maximumFractionDigits: 1 });
   const px = Math.round(minFontPx(draft, { width, height }));
   return (
-    <ModalOverlay className="ask__veil" isOpen onOpenChange={(open) => !open && onClose()} isDismissable>
-      <Modal className="ask ask--large">
-        <Dialog className="ask__dialog ask__form">
-          <Heading slot="title" className="ask__title">
+    <ModalOverlay className="confirm-dialog__overlay" isOpen onOpenChange={(open) => !open && onClose()} isDismissable>
+      <Modal className="confirm-dialog confirm-dialog--large">
+        <Dialog className="confirm-dialog__dialog confirm-dialog__form">
+          <Heading slot="title" className="confirm-dialog__title">
             {t("station.title")}
           </Heading>
           <p>{t("station.means")}</p>
@@ -41,7 +41,7 @@ export function StationPanel({ onClose }: { onClose: () => void }) {
           <p className="quiet" role="status">
             {t("station.result", { px: shown(px) })}
           </p>
-          <div className="ask__acts">
+          <div className="confirm-dialog__actions">
             <Button
               size="large"
               onPress={() => {

@@ -2,16 +2,16 @@
 import { Bot, Hand as HandIcon, Pause, Play, Users, Workflow } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
-import { State } from "~/design/State";
+import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone, statusTone } from "~/design/states";
 import type { GloveView, ProcessView, RobotView } from "~/live/messages";
-import type { OperatorActs } from "./useOperatorActs";
+import type { OperatorActions } from "./useOperatorActions";
 
 export interface StatusStripProps {
   glove: GloveView | null;
   robot: RobotView | null;
   process: ProcessView | null;
-  pause: OperatorActs["pause"];
+  pause: OperatorActions["pause"];
   busy: boolean;
   /** Nothing is known of the cell just now: old states are not shown as if they were so. */
   unknown: boolean;
@@ -26,16 +26,16 @@ export function StatusStrip({ glove, robot, process, pause, busy, unknown, onCha
       <div className="work__states">
         {glove !== null && <GloveState glove={glove} />}
         {!unknown && robot !== null && (
-          <State tone={deviceTone[robot.deviceState]} icon={<Bot aria-hidden size="1.2em" />}>
+          <StatusBadge tone={deviceTone[robot.deviceState]} icon={<Bot aria-hidden size="1.2em" />}>
             {t("strip.robot", { robot: robot.id, state: t(`common:deviceState.${robot.deviceState}`) })}
-          </State>
+          </StatusBadge>
         )}
         {unknown ? (
-          <State tone="stop">{t("strip.unknown")}</State>
+          <StatusBadge tone="stop">{t("strip.unknown")}</StatusBadge>
         ) : process === null ? (
-          <State tone="neutral">{t("strip.noProcess")}</State>
+          <StatusBadge tone="neutral">{t("strip.noProcess")}</StatusBadge>
         ) : (
-          <State tone={statusTone[process.status]} icon={<Workflow aria-hidden size="1.2em" />}>
+          <StatusBadge tone={statusTone[process.status]} icon={<Workflow aria-hidden size="1.2em" />}>
             {process.status === "completed" ? (
               process.title
             ) : (
@@ -44,7 +44,7 @@ export function StatusStrip({ glove, robot, process, pause, busy, unknown, onCha
                 <span className="visually-hidden">{t("strip.processLabel", { ...process })}</span>
               </>
             )}
-          </State>
+          </StatusBadge>
         )}
       </div>
       <div className="work__strip-acts">
@@ -73,8 +73,8 @@ function GloveState({ glove }: { glove: GloveView }) {
       ? t(`common:deviceState.${glove.deviceState}`)
       : t("strip.away");
   return (
-    <State tone={tone} icon={<HandIcon aria-hidden size="1.2em" />}>
+    <StatusBadge tone={tone} icon={<HandIcon aria-hidden size="1.2em" />}>
       {t("strip.glove", { glove: glove.glove, state })}
-    </State>
+    </StatusBadge>
   );
 }

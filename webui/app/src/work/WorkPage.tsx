@@ -1,18 +1,18 @@
-/** The operator's page: the one thing that counts now, large, and the acts that answer it, always in sight. */
+/** The operator's page: the one thing that counts now, large, and the acts that answer it, always visible. */
 import { MonitorCog, OctagonAlert } from "lucide-react";
 import { useEffect, useLayoutEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
-import { Problem } from "~/design/Problem";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import { useTopic } from "~/live/hooks";
 import type { Activity, ProcessView, RobotView } from "~/live/messages";
 import { isSame } from "~/live/urn";
-import { useQuery } from "~/route/query";
-import { useWithName } from "~/shell/who";
+import { useQueryParameter } from "~/route/queryParameter";
+import { useWithName } from "~/shell/userName";
 import { useParticipantMode } from "~/study/participantMode";
-import { AskedStage, DoneStage } from "./AskedStage";
-import { FootActs } from "./FootActs";
-import { OfferStage } from "./OfferStage";
+import { PromptStage, DoneStage } from "./PromptStage";
+import { ActionBar } from "./ActionBar";
+import { StartStage } from "./StartStage";
 import { BetweenStage, RobotStage } from "./RobotStage";
 import { ReportPanel, type ReportedOutcome } from "./ReportPanel";
 import { useAnswered, useScene, useSituation, type Answered } from "./scene";
@@ -20,15 +20,15 @@ import { latest, type Scene, type Situation } from "./situation";
 import { useStation } from "./station";
 import { StationPanel } from "./StationPanel";
 import { StatusStrip } from "./StatusStrip";
-import { Trouble } from "./Trouble";
-import { useAct, type Acting } from "./useAct";
+import { FaultStage } from "./FaultStage";
+import { useAction, type ActionState } from "./useAction";
 import { useFit } from "./useFit";
-import { useOperatorActs, type OperatorActs } from "./useOperatorActs";
+import { useOperatorActions, type OperatorActions } from "./useOperatorActions";
 import { useOperatorKeys } from "./useOperatorKeys";
 import "./WorkPage.css";
 
 export default function WorkPage() {
-  const [chosen, choose] = useQuery("glove");
+  const [chosen, choose] = useQueryParameter("glove");
   const scene = useScene(chosen === "" ? null : chosen);
   const situation = useSituation(scene);
   const answered = useAnswered(situation, scene);
@@ -38,9 +38,9 @@ export default function WorkPage() {
     if (only !== "") choose(only);
   }, [only, choose]);
   const isParticipant = useParticipantMode() !== null;
-  const acting = useAct();
+  const acting = useAction();
   const { withName, question } = useWithName("large");
-  const acts = useOperatorActs(scene, situation, acting, withName);
+  const acts = useOperatorActions(scene, situation, acting, withName);
   const step = answered === null ? stepOf(situation) : `done ${answered.task.id}`;
   const [reporting, report] = useState<ReportedOutcome | null>(null);
   const [showsStation, setShowsStation] = useState(false);
@@ -69,11 +69,11 @@ export default function WorkPage() {
         <section className="work__stage" key={step}>
           <Stage situation={situation} answered={answered} acts={acts} acting={acting} choose={choose} />
         </section>
-        <section className="work__foot">
-          {acting.failure !== null && <Problem>{acting.failure}</Problem>}
-          <div className="work__acts">
+        <section className="work__footer">
+          {acting.failure !== null && <ErrorMessage>{acting.failure}</ErrorMessage>}
+          <div className="work__actions">
             <Next situation={situation} />
-            {answered === null && <FootActs situation={situation} acts={acts} acting={acting} report={report} />}
+            {answered === null && <ActionBar situation={situation} acts={acts} acting={acting} report={report} />}
           </div>
           <div className="work__base">
             <Safety />
@@ -93,8 +93,8 @@ export default function WorkPage() {
 interface StageProps {
   situation: Situation;
   answered: Answered | null;
-  acts: OperatorActs;
-  acting: Acting;
+  acts: OperatorActions;
+  acting: ActionState;
   choose: (glove: string) => void;
 }
 
@@ -104,7 +104,7 @@ function Stage({ situation, answered, acts, acting, choose }: StageProps) {
   }
   switch (situation.kind) {
     case "asked":
-      return <AskedStage glove={situation.glove} task={situation.task} answerWaits={situation.answerWaits} />;
+      return <PromptStage glove={situation.glove} task={situation.task} answerWaits={situation.answerWaits} />;
     case "robot":
       return <RobotStage process={situation.process} task={situation.task} robot={situation.robot} />;
     case "between":
@@ -112,7 +112,7 @@ function Stage({ situation, answered, acts, acting, choose }: StageProps) {
     case "idle":
     case "completed":
       return (
-        <OfferStage
+        <StartStage
           glove={situation.glove}
           startable={situation.startable}
           completed={situation.kind === "completed" ? situation.process : null}
@@ -121,7 +121,7 @@ function Stage({ situation, answered, acts, acting, choose }: StageProps) {
         />
       );
     default:
-      return <Trouble situation={situation} choose={choose} />;
+      return <FaultStage situation={situation} choose={choose} />;
   }
 }
 

@@ -11,7 +11,7 @@ it("appears when the gesture is announced and closes when it counts", () => {
   expect(ringPart(held(4000), 0)).toBe(1);
 });
 
-it("goes on by the clock of the page, but not far beyond what was heard", () => {
+it("goes on by the clock of the page, but not far beyond what was received", () => {
   expect(ringPart(held(1000), 50)).toBe(0.55);
   expect(ringPart(held(1000), 120)).toBe(ringPart(held(1000), 60_000));
   expect(ringPart(held(1000), -50)).toBe(0.5);

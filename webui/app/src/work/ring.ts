@@ -1,6 +1,6 @@
 /** How much of the ring is drawn. */
 
-/** Frames come 20 to 200 times a second: who hears nothing for longer does not go on drawing. */
+/** Frames come 20 to 200 times a second: without a frame for longer than this the ring stops. */
 const BEYOND_MS = 120;
 
 export interface Held {
@@ -9,7 +9,7 @@ export interface Held {
   confirmMs: number;
 }
 
-/** The part of the ring, 0 to 1, `sinceMs` after `held` was heard: it opens when announced, closes when confirmed. */
+/** The part of the ring, 0 to 1, `sinceMs` after `held` was received: it opens when announced, closes when confirmed. */
 export function ringPart({ heldMs, announceMs, confirmMs }: Held, sinceMs: number): number {
   if (heldMs <= 0) return 0;
   const nowMs = heldMs + Math.min(Math.max(0, sinceMs), BEYOND_MS);

@@ -1,4 +1,4 @@
-/** A cell as the live link tells of it, for tests: one glove, one robot, one definition, nothing running. */
+/** The live state of a cell for tests: one glove, one robot, one definition, no running process. */
 import type {
   DefinitionView, GloveTask, GloveView, ProcessView, RobotView, ServiceHealth, TaskView,
 } from "~/live/messages";
@@ -108,7 +108,7 @@ export function service(name: string, state: ServiceHealth["state"]): ServiceHea
 export function scene(part: Partial<Scene> = {}): Scene {
   return {
     link: "open",
-    told: true,
+    hasSnapshot: true,
     services: [],
     gloves: [glove()],
     robots: [robot],

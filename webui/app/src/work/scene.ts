@@ -1,6 +1,6 @@
 /** The scene as it is live now, and the situation that it makes, without what passes in a moment. */
 import { useEffect, useMemo, useRef, useState } from "react";
-import { useFamily, useLink, useLive, useTopic } from "~/live/hooks";
+import { useFamily, useConnectionState, useLive, useTopic } from "~/live/hooks";
 import type { GloveTask, Outcome, ServiceHealth } from "~/live/messages";
 import { situationOf, type Scene, type Situation } from "./situation";
 
@@ -12,16 +12,16 @@ const CHECK_MS = 1200;
 const noServices: readonly ServiceHealth[] = [];
 
 export function useScene(chosen: string | null): Scene {
-  const link = useLink();
-  const told = useLive().told;
+  const link = useConnectionState();
+  const hasSnapshot = useLive().hasSnapshot;
   const services = useTopic("services") ?? noServices;
   const gloves = useFamily("glove");
   const robots = useFamily("robot");
   const processes = useFamily("process");
   const definitions = useFamily("definition");
   return useMemo(
-    () => ({ link, told, services, gloves, robots, processes, definitions, chosen }),
-    [link, told, services, gloves, robots, processes, definitions, chosen],
+    () => ({ link, hasSnapshot, services, gloves, robots, processes, definitions, chosen }),
+    [link, hasSnapshot, services, gloves, robots, processes, definitions, chosen],
   );
 }
 

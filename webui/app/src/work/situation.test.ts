@@ -3,8 +3,8 @@ import { completed, definition, failed, glove, process, robotTask, scene, servic
 import { latest, parametersFor, situationOf, startable, type Scene, type Situation } from "./situation";
 
 const table: [string, Partial<Scene>, Situation["kind"]][] = [
-  ["before anything was heard", { told: false, link: "connecting" }, "connecting"],
-  ["when nothing could ever be heard", { told: false, link: "lost" }, "linkLost"],
+  ["before anything was received", { hasSnapshot: false, link: "connecting" }, "connecting"],
+  ["when nothing could ever be received", { hasSnapshot: false, link: "lost" }, "linkLost"],
   ["when the link breaks, whatever was asked", { link: "lost", gloves: [glove({ task })] }, "linkLost"],
   ["without the broker", { services: [service("context-broker", "down")], gloves: [glove({ task })] }, "serviceLost"],
   ["without the controller", { services: [service("gesture-controller", "down")] }, "serviceLost"],
@@ -21,7 +21,7 @@ const table: [string, Partial<Scene>, Situation["kind"]][] = [
   ["when the glove goes silent in a Task", { gloves: [glove({ task, connected: false, lost: true })] }, "gloveLost"],
   ["when the work is paused", { gloves: [glove({ task, paused: true })] }, "paused"],
   ["when the robot works", { processes: [process({ tasks: [robotTask] })] }, "robot"],
-  ["when a robot that tells nothing works", { processes: [process({ tasks: [robotTask] })], robots: [] }, "robot"],
+  ["when a robot without a view works", { processes: [process({ tasks: [robotTask] })], robots: [] }, "robot"],
   ["when the robot should work and its tool is away", { processes: [process({ tasks: [robotTask] })], services: [service("trajectory-tool", "down")] }, "serviceLost"],
   ["when the tool is away and nobody needs it", { services: [service("trajectory-tool", "down")] }, "idle"],
   ["between two Tasks", { processes: [process({ tasks: [{ ...robotTask, endedAt: "2026-01-01T10:00:09Z" }] })] }, "between"],

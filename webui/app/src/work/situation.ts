@@ -7,13 +7,13 @@
 import type {
   Activity, DefinitionView, GloveTask, GloveView, ProcessView, RobotView, ServiceHealth, TaskView,
 } from "~/live/messages";
-import type { Link } from "~/live/store";
+import type { ConnectionState } from "~/live/store";
 import { isSame } from "~/live/urn";
 
 export interface Scene {
-  link: Link;
-  /** Whether anything has been heard since the page was opened. */
-  told: boolean;
+  link: ConnectionState;
+  /** Whether a snapshot was received since the page was opened. */
+  hasSnapshot: boolean;
   services: readonly ServiceHealth[];
   gloves: readonly GloveView[];
   robots: readonly RobotView[];
@@ -55,7 +55,7 @@ export type Situation =
 
 /** Return the one situation that counts. */
 export function situationOf(scene: Scene): Situation {
-  if (!scene.told) return scene.link === "lost" ? { kind: "linkLost" } : { kind: "connecting" };
+  if (!scene.hasSnapshot) return scene.link === "lost" ? { kind: "linkLost" } : { kind: "connecting" };
   if (scene.link === "lost") return { kind: "linkLost" };
   const lost = (service: NeededService) => lostService(scene.services, service);
   const away = lost("context-broker") ?? lost("gesture-controller");

@@ -25,7 +25,7 @@ export const bounds = {
 } as const;
 
 const MM_PER_INCH = 25.4;
-const KEPT = "handover.station";
+const STORAGE_KEY = "handover.station";
 const listeners = new Set<() => void>();
 
 export interface Screen {
@@ -56,7 +56,7 @@ function within(value: unknown, { min, max }: { min: number; max: number }): num
 
 function kept(): Station | null {
   try {
-    const written = JSON.parse(localStorage.getItem(KEPT) ?? "null") as Partial<Station> | null;
+    const written = JSON.parse(localStorage.getItem(STORAGE_KEY) ?? "null") as Partial<Station> | null;
     const diagonalIn = within(written?.diagonalIn, bounds.diagonalIn);
     const distanceM = within(written?.distanceM, bounds.distanceM);
     return diagonalIn === null || distanceM === null ? null : { diagonalIn, distanceM };
@@ -67,8 +67,8 @@ function kept(): Station | null {
 
 /** Keep the station on this device; null: as long as nothing is set, the default of the screen counts. */
 export function keepStation(station: Station | null): void {
-  if (station === null) localStorage.removeItem(KEPT);
-  else localStorage.setItem(KEPT, JSON.stringify(station));
+  if (station === null) localStorage.removeItem(STORAGE_KEY);
+  else localStorage.setItem(STORAGE_KEY, JSON.stringify(station));
   for (const listener of listeners) listener();
 }
 

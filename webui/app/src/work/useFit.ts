@@ -8,9 +8,9 @@
 import { useCallback, useLayoutEffect, useRef, type RefObject } from "react";
 
 export const MAX_FIT = 6;
-const HIGH = ".work__stage, .work__words, .standstill";
+const HIGH = ".work__stage, .work__text, .full-page-state";
 /** The stage is not among these: what slides in is a little beside its place. */
-const WIDE = ".work__words, .standstill, .work__strip, .work__foot";
+const WIDE = ".work__text, .full-page-state, .work__strip, .work__footer";
 
 function overflows(page: HTMLElement): boolean {
   const all = (areas: string) => [page, ...page.querySelectorAll<HTMLElement>(areas)];

@@ -3,12 +3,12 @@ import { useEffect, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { useKeys, type Key } from "~/shell/keys";
 import type { ReportedOutcome } from "./ReportPanel";
-import type { OperatorActs } from "./useOperatorActs";
+import type { OperatorActions } from "./useOperatorActions";
 
 /** A key that was meant for the step before is not an answer to the next one. */
 const CALM_MS = 600;
 
-export function useOperatorKeys(acts: OperatorActs, step: string, open: (outcome: ReportedOutcome) => void): void {
+export function useOperatorKeys(acts: OperatorActions, step: string, open: (outcome: ReportedOutcome) => void): void {
   const { main, complete, report, pause, start } = acts;
   const { t } = useTranslation("work");
   const isCalm = useCalm(step);

@@ -2,11 +2,11 @@ import { act, render, screen } from "@testing-library/react";
 import userEvent from "@testing-library/user-event";
 import i18next from "i18next";
 import { afterEach, beforeAll, beforeEach, describe, expect, it, vi } from "vitest";
-import { speak, startWords } from "~/i18n";
+import { setLanguage, initI18n } from "~/i18n";
 import { Live } from "~/live/hooks";
 import type { GloveView } from "~/live/messages";
 import { LiveStore } from "~/live/store";
-import { setWho } from "~/shell/who";
+import { setUserName } from "~/shell/userName";
 import { completed, definition, failed, glove, process, robot, robotTask, service, task, userTask } from "./scene.fixture";
 import WorkPage from "./WorkPage";
 
@@ -16,14 +16,14 @@ function topics(...parts: [string, unknown][]): Record<string, unknown> {
   return { "robot/ur10-1": robot, "definition/bin-picking": definition(), services: [], ...Object.fromEntries(parts) };
 }
 
-function tell(live: LiveStore, told: Record<string, unknown>, type: "snapshot" | "batch" = "batch"): void {
-  live.take({ type, at: "", topics: told, events: [] });
+function publish(live: LiveStore, values: Record<string, unknown>, type: "snapshot" | "batch" = "batch"): void {
+  live.apply({ type, at: "", topics: values, events: [] });
   live.setLink("open");
 }
 
 async function open(...parts: [string, unknown][]): Promise<LiveStore> {
   const live = new LiveStore();
-  tell(live, topics(...parts), "snapshot");
+  publish(live, topics(...parts), "snapshot");
   await act(async () => {
     render(
       <Live value={live}>
@@ -41,9 +41,9 @@ const asks = (part: Partial<GloveView> = {}): [string, unknown] => [
 ];
 
 beforeAll(async () => {
-  await startWords();
+  await initI18n();
   await i18next.loadNamespaces(["work", "hand"]);
-  await speak("en");
+  await setLanguage("en");
 });
 
 beforeEach(() => history.replaceState(null, "", "/work"));
@@ -65,11 +65,11 @@ describe("the operator's page", () => {
     const message = { key: "wrong", values, text: "Thumb and little straight is not it: bend your little finger." };
     await open(asks({ states: "02220", differs: ["little"], message }));
     expect(screen.getByText("That is Thumb and little straight: bend your little finger.")).toBeTruthy();
-    await act(() => speak("de"));
+    await act(() => setLanguage("de"));
     expect(await screen.findByText("Das ist „Daumen und kleiner Finger gestreckt“: kleinen Finger beugen.")).toBeTruthy();
-    await act(() => speak("fi"));
+    await act(() => setLanguage("fi"));
     expect(await screen.findByText("Tämä on ”Peukalo ja pikkusormi suorana”: koukista pikkusormi.")).toBeTruthy();
-    await act(() => speak("en"));
+    await act(() => setLanguage("en"));
   });
 
   it("shows both hands of a gesture that takes both, and says which is right", async () => {
@@ -113,7 +113,7 @@ describe("the operator's page", () => {
     const live = await open(asks(), ["process/1", process({ tasks: [userTask] })]);
     const answered = { task: task.id, gesture: "Thumbs up", by: "gesture", operator: null } as const;
     const following = { ...task, id: `${task.id}-2`, description: "And now the next thing" };
-    act(() => tell(live, Object.fromEntries([asks({ task: following, answered })])));
+    act(() => publish(live, Object.fromEntries([asks({ task: following, answered })])));
     expect(screen.getByText("Confirmed")).toBeTruthy();
     expect(await screen.findByText("And now the next thing", {}, { timeout: 3000 })).toBeTruthy();
   });
@@ -121,7 +121,7 @@ describe("the operator's page", () => {
   it("shows no check for an answer that this screen has not asked for", async () => {
     const answered = { task: "urn:ngsi-ld:Task:demo:earlier", gesture: "Horns", by: "gesture", operator: null } as const;
     const live = await open(asks());
-    act(() => tell(live, Object.fromEntries([asks({ answered })])));
+    act(() => publish(live, Object.fromEntries([asks({ answered })])));
     expect(screen.queryByText("Confirmed")).toBeNull();
   });
 
@@ -163,11 +163,11 @@ describe("the operator's page", () => {
     });
     const live = await open(["glove/glove-1", glove()], ["process/1", completed]);
     const up = (heldMs: number) => ({ "glove/glove-1": glove({ states: "02222", hold: { ...hold, gesture: "Thumbs up", heldMs } }) });
-    for (const heldMs of [30, 700, 1490]) act(() => tell(live, up(heldMs)));
+    for (const heldMs of [30, 700, 1490]) act(() => publish(live, up(heldMs)));
     expect(sent).toEqual([]);
     for (const heldMs of [1510, 1700, 2500]) {
       await act(async () => {
-        tell(live, up(heldMs));
+        publish(live, up(heldMs));
         await Promise.resolve();
       });
     }
@@ -182,7 +182,7 @@ describe("the operator's page", () => {
       sent.push([url, JSON.parse(body)]);
       return Promise.resolve(Response.json({}));
     });
-    setWho("Anna");
+    setUserName("Anna");
     await open(asks());
     await userEvent.click(screen.getByRole("button", { name: "Not good" }));
     expect(sent).toEqual([]);
@@ -230,7 +230,7 @@ describe("the operator's page", () => {
 
   it("says that it is paused on the whole page, and how to resume", async () => {
     await open(asks({ paused: true, message: { key: "pausedOnScreen", values: {}, text: "Paused." } }));
-    expect(screen.getByRole("heading", { name: "Paused" }).closest(".standstill--attention")).toBeTruthy();
+    expect(screen.getByRole("heading", { name: "Paused" }).closest(".full-page-state--attention")).toBeTruthy();
     expect(screen.getByText(`Waiting: ${task.description}`)).toBeTruthy();
     expect(screen.getAllByRole("button", { name: "Resume" }).length).toBeGreaterThan(0);
   });
@@ -238,7 +238,7 @@ describe("the operator's page", () => {
   it("stays with its glove when another one joins", async () => {
     const live = await open(asks());
     expect(location.search).toBe("?glove=glove-1");
-    act(() => tell(live, { "glove/glove-2": glove({ glove: "glove-2" }) }));
+    act(() => publish(live, { "glove/glove-2": glove({ glove: "glove-2" }) }));
     expect(screen.getByRole("heading", { name: task.description })).toBeTruthy();
   });
 });

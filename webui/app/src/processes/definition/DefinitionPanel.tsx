@@ -3,17 +3,17 @@ import { Download, Play } from "lucide-react";
 import { lazy, Suspense, useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { download } from "~/api/download";
-import { callService, describe } from "~/api/http";
-import { useAsked } from "~/api/useAsked";
-import { Ago } from "~/design/Ago";
+import { requestService, errorText } from "~/api/http";
+import { useServiceQuery } from "~/api/useServiceQuery";
+import { RelativeTime } from "~/design/RelativeTime";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
-import { Pick } from "~/design/Pick";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { EmptyState } from "~/design/EmptyState";
+import { Select } from "~/design/Select";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { useFamily, useTopic } from "~/live/hooks";
 import type { DefinitionView } from "~/live/messages";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { marksOfStatistics } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
 import { bpmnPath, SERVICE, useBpmn, type DefinitionRecord, type Statistics } from "../records";
@@ -29,21 +29,21 @@ export interface DefinitionPanelProps {
 
 export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
   const { t } = useTranslation("processes");
-  const [asked, setAsked] = useQuery("version");
+  const [asked, setAsked] = useQueryParameter("version");
   const latest = useTopic(`definition/${name}`);
   const version = Number.parseInt(asked, 10) || (latest?.version ?? null);
   const path = `definitions/${encodeURIComponent(name)}`;
-  const record = useAsked<DefinitionRecord & { unusable?: string } & DefinitionView>(
+  const record = useServiceQuery<DefinitionRecord & { unusable?: string } & DefinitionView>(
     SERVICE,
     version === null ? path : `${path}?version=${version}`,
   );
   const definition = record.value;
-  if (record.missing) return <Empty title={t("definition.missing", { name })}>{t("definition.missingHow")}</Empty>;
+  if (record.missing) return <EmptyState title={t("definition.missing", { name })}>{t("definition.missingHow")}</EmptyState>;
   if (definition === null) {
     return record.failure === null ? (
       <p className="processes__loading quiet">{t("definition.loading")}</p>
     ) : (
-      <Problem>{t("unread", { why: record.failure })}</Problem>
+      <ErrorMessage>{t("unread", { why: record.failure })}</ErrorMessage>
     );
   }
   const newest = Math.max(latest?.version ?? 0, definition.version);
@@ -54,12 +54,12 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
         <div className="definition__name">
           <h1>{definition.title}</h1>
           <span className="quiet">
-            {t("definition.deployed")} <Ago at={definition.deployedAt} isStop />
+            {t("definition.deployed")} <RelativeTime at={definition.deployedAt} isStop />
           </span>
           {definition.label !== null && definition.label !== String(definition.version) && <span className="quiet">{t("definition.label", { label: definition.label })}</span>}
         </div>
-        <div className="definition__acts">
-          <Pick
+        <div className="definition__actions">
+          <Select
             label={t("definition.version")}
             value={String(definition.version)}
             options={versions.map((one) => ({
@@ -78,7 +78,7 @@ export function DefinitionPanel({ name, onStart }: DefinitionPanelProps) {
             {t("start.act", { title: definition.title })}
           </Button>
         </div>
-        {definition.unusable !== undefined && <Problem>{t("definition.unusable", { why: definition.unusable })}</Problem>}
+        {definition.unusable !== undefined && <ErrorMessage>{t("definition.unusable", { why: definition.unusable })}</ErrorMessage>}
       </header>
       <Body definition={definition} />
     </div>
@@ -91,7 +91,7 @@ function Body({ definition }: { definition: DefinitionRecord & DefinitionView })
   const bpmn = useBpmn(definition.name, definition.version);
   const turn = useTurns(definition.name);
   const path = `definitions/${encodeURIComponent(definition.name)}/statistics?version=${definition.version}`;
-  const statistics = useAsked<Statistics>(SERVICE, path, turn);
+  const statistics = useServiceQuery<Statistics>(SERVICE, path, { revision: turn });
   const elements = statistics.value?.elements;
   const marks = useMemo(() => marksOfStatistics(elements ?? {}, words), [elements, words]);
   const [centred, setCentred] = useState<{ element: string; at: number } | null>(null);
@@ -99,10 +99,10 @@ function Body({ definition }: { definition: DefinitionRecord & DefinitionView })
     <>
       <div className="definition__counts">
         {statistics.value !== null && <Counts statistics={statistics.value} />}
-        {statistics.failure !== null && <Problem>{t("unread", { why: statistics.failure })}</Problem>}
+        {statistics.failure !== null && <ErrorMessage>{t("unread", { why: statistics.failure })}</ErrorMessage>}
       </div>
       <div className="definition__diagram">
-        {bpmn.failure !== null && <Problem>{t("diagram.unread", { why: bpmn.failure })}</Problem>}
+        {bpmn.failure !== null && <ErrorMessage>{t("diagram.unread", { why: bpmn.failure })}</ErrorMessage>}
         {bpmn.value !== null && (
           <Suspense fallback={<p className="processes__loading quiet">{t("diagram.loading")}</p>}>
             <Diagram xml={bpmn.value} label={t("diagram.ofDefinition", { title: definition.title })} marks={marks} centred={centred} />
@@ -124,9 +124,9 @@ function Counts({ statistics }: { statistics: Statistics }) {
   return (
     <p className="definition__states">
       {running + completed + failed === 0 && <span className="quiet">{t("definition.never")}</span>}
-      {running > 0 && <State tone="accent">{t("definition.running", { count: running })}</State>}
-      {completed > 0 && <State tone="ok">{t("definition.completed", { count: completed })}</State>}
-      {failed > 0 && <State tone="stop">{t("definition.failed", { count: failed })}</State>}
+      {running > 0 && <StatusBadge tone="accent">{t("definition.running", { count: running })}</StatusBadge>}
+      {completed > 0 && <StatusBadge tone="ok">{t("definition.completed", { count: completed })}</StatusBadge>}
+      {failed > 0 && <StatusBadge tone="stop">{t("definition.failed", { count: failed })}</StatusBadge>}
     </p>
   );
 }
@@ -149,15 +149,15 @@ function DownloadButton({ name, version }: { name: string; version: number }) {
         icon={<Download aria-hidden size={18} />}
         onPress={() => {
           setFailure(null);
-          callService<string>("task-orchestrator", bpmnPath(name, version)).then(
+          requestService<string>("task-orchestrator", bpmnPath(name, version)).then(
             (xml) => download(`${name}-${version}.bpmn`, "application/xml", xml),
-            (error: unknown) => setFailure(describe(error)),
+            (error: unknown) => setFailure(errorText(error)),
           );
         }}
       >
         {t("definition.download")}
       </Button>
-      {failure !== null && <Problem>{t("unread", { why: failure })}</Problem>}
+      {failure !== null && <ErrorMessage>{t("unread", { why: failure })}</ErrorMessage>}
     </>
   );
 }

@@ -4,9 +4,9 @@ import "bpmn-js/dist/assets/bpmn-js.css";
 import { Maximize, ZoomIn, ZoomOut } from "lucide-react";
 import { useEffect, useRef, useState, type KeyboardEvent } from "react";
 import { useTranslation } from "react-i18next";
-import { describe } from "~/api/http";
+import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
-import { Problem } from "~/design/Problem";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import { Drawing } from "./drawing";
 import { drawn } from "./layout";
 import type { Marks } from "./marks";
@@ -51,7 +51,7 @@ export default function Diagram({ xml, label, marks, centred = null, onPick }: D
         setState({ xml, laidOut: file.laidOut, failure: null });
       })
       .catch((error: unknown) => {
-        if (!left) setState({ xml, laidOut: false, failure: describe(error) });
+        if (!left) setState({ xml, laidOut: false, failure: errorText(error) });
       });
     return () => {
       left = true;
@@ -80,7 +80,7 @@ export default function Diagram({ xml, label, marks, centred = null, onPick }: D
   return (
     <figure className="diagram">
       {state?.xml === xml && state.failure !== null ? (
-        <Problem>{t("diagram.unreadable", { why: state.failure })}</Problem>
+        <ErrorMessage>{t("diagram.unreadable", { why: state.failure })}</ErrorMessage>
       ) : null}
       {/* A drawing is moved with the arrow keys, as its label says; there is no native element that does so. */}
       <div

@@ -66,7 +66,7 @@ it("every fault of an element stands there with its number in the list", () => {
 describe("the difference between marks", () => {
   const first = marksOfProcess({ waiting: ["pick"], elements: { pick: count({ running: 1 }) } }, words);
 
-  it("is nothing when a process tells the same again", () => {
+  it("is empty when a process is unchanged", () => {
     const again = marksOfProcess({ waiting: ["pick"], elements: { pick: count({ running: 1 }) } }, words);
     expect(difference(first, again)).toEqual({ lose: [], gain: [], badges: [] });
   });
@@ -95,7 +95,7 @@ describe("a file without a drawing", () => {
   const shipped = readFileSync("../../services/task_orchestrator/processes/bin_picking.bpmn", "utf-8");
   const bare = shipped.replace(/<bpmndi:BPMNDiagram[\s\S]*<\/bpmndi:BPMNDiagram>/, "");
 
-  it("is told from one that has its own, which stays as it is", async () => {
+  it("is distinguished from one with a layout, which is kept", async () => {
     expect(hasDrawing(shipped)).toBe(true);
     expect(hasDrawing(bare)).toBe(false);
     expect(await drawn(shipped)).toEqual({ xml: shipped, laidOut: false });

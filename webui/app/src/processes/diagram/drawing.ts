@@ -24,8 +24,8 @@ interface Picked {
 const MARGIN = 16;
 /** Below lie the zoom buttons and the mark of bpmn.io, which nothing may cover. */
 const FOOT = 52;
-const LEAST_ZOOM = 0.2;
-const MOST_ZOOM = 4;
+const MIN_ZOOM = 0.2;
+const MAX_ZOOM = 4;
 /** A small process is not blown up to fill the place. */
 const FIT_ZOOM = 1.25;
 
@@ -105,7 +105,7 @@ export class Drawing {
     const { inner, outer } = canvas.viewbox();
     if (outer.width === 0 || outer.height === 0) return;
     const [across, down] = [outer.width - 2 * MARGIN, outer.height - MARGIN - FOOT];
-    const zoom = Math.max(LEAST_ZOOM, Math.min(FIT_ZOOM, across / inner.width, down / inner.height));
+    const zoom = Math.max(MIN_ZOOM, Math.min(FIT_ZOOM, across / inner.width, down / inner.height));
     canvas.viewbox({
       x: inner.x - (across / zoom - inner.width) / 2 - MARGIN / zoom,
       y: inner.y - (down / zoom - inner.height) / 2 - MARGIN / zoom,
@@ -125,7 +125,7 @@ export class Drawing {
   zoomBy(factor: number): void {
     if (!this.#ready) return;
     const canvas = this.#viewer.get("canvas");
-    canvas.zoom(Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, canvas.zoom() * factor)));
+    canvas.zoom(Math.min(MAX_ZOOM, Math.max(MIN_ZOOM, canvas.zoom() * factor)));
   }
 
   pan(dx: number, dy: number): void {

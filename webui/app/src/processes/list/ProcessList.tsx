@@ -3,23 +3,23 @@ import { FileUp, ListFilter, Play } from "lucide-react";
 import { useMemo, useState, type ReactNode } from "react";
 import { useTranslation } from "react-i18next";
 import { Link, useLocation, useSearch } from "wouter";
-import { Ago } from "~/design/Ago";
+import { RelativeTime } from "~/design/RelativeTime";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
-import { Pick } from "~/design/Pick";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { Select } from "~/design/Select";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { statusTone } from "~/design/states";
-import { useReading } from "~/design/useHeldOrder";
+import { useIsReading } from "~/design/useStableOrder";
 import { VirtualTable, type Line } from "~/design/VirtualTable";
 import { useFamily } from "~/live/hooks";
 import type { DefinitionView } from "~/live/messages";
 import { shortName } from "~/live/urn";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { pathOf, samePlace, type Place } from "../address";
 import { markOf } from "../names";
 import { useHistory } from "./history";
-import { activityOf, found, foundDefinitions, held, sameSections, SORTINGS, type ProcessFilter, type ProcessRow, type Sections } from "./rows";
+import { activityOf, found, foundDefinitions, held, sameSections, SORT_ORDERS, type ProcessFilter, type ProcessRow, type Sections } from "./rows";
 import "./ProcessList.css";
 
 /** So many definitions stand above the processes; the others are shown when asked for. */
@@ -44,7 +44,7 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
   const [showsAll, setShowsAll] = useState(false);
   const definitions = useMemo(() => foundDefinitions(allDefinitions, find), [allDefinitions, find]);
   const history = useHistory(filter, find, sorting);
-  const { isReading, handlers } = useReading();
+  const { isReading, handlers } = useIsReading();
   const { sections, waiting, release } = useHeld(
     history.sections, place.kind === "process" ? place.id : null, isReading, JSON.stringify([filter, sorting]),
   );
@@ -102,7 +102,7 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
           {t("list.upload")}
         </Button>
       </div>
-      {history.failure !== null && <Problem>{t("list.unread", { why: history.failure })}</Problem>}
+      {history.failure !== null && <ErrorMessage>{t("list.unread", { why: history.failure })}</ErrorMessage>}
       <VirtualTable
         label={t("list.label")}
         lines={lines}
@@ -115,7 +115,7 @@ export function ProcessList({ place, onStart, onUpload }: ProcessListProps) {
             : `${item.row.title}, ${markOf(item.row, i18n.language)}, ${said(item.row.status)}`
         }
         onOpen={(item) => go(address(placeOf(item)))}
-        onEnd={history.more ? history.older : undefined}
+        onEnd={history.more ? history.loadOlder : undefined}
       />
       {waiting > 0 && (
         <div className="process-list__news">
@@ -135,14 +135,14 @@ function Definition({ definition }: { definition: DefinitionView }) {
         {definition.unusable === undefined ? (
           t("version", { version: definition.version })
         ) : (
-          <State tone="stop">{t("list.unusable")}</State>
+          <StatusBadge tone="stop">{t("list.unusable")}</StatusBadge>
         )}
       </span>
     </>
   );
 }
 
-/** Its key first: that is what tells it from its like. Without one, when it was started. */
+/** The business key first, which identifies it; without one, the time of its start. */
 function Process({ row }: { row: ProcessRow }) {
   const { t, i18n } = useTranslation(["processes", "common"]);
   const activity = activityOf(row);
@@ -150,9 +150,9 @@ function Process({ row }: { row: ProcessRow }) {
     <>
       <span className="process-list__title">{row.key ?? row.title}</span>
       <span className="process-list__more">
-        <State tone={statusTone[row.status]}>{t(`common:processStatus.${row.status}`)}</State>
+        <StatusBadge tone={statusTone[row.status]}>{t(`common:processStatus.${row.status}`)}</StatusBadge>
         <span className="process-list__time quiet">
-          <Ago at={row.endedAt ?? row.startedAt} />
+          <RelativeTime at={row.endedAt ?? row.startedAt} />
         </span>
       </span>
       <span className="process-list__where quiet">
@@ -165,13 +165,13 @@ function Process({ row }: { row: ProcessRow }) {
 /** The filter and the sorting, which the URL holds, and the bar that sets them. */
 function useView() {
   const { t } = useTranslation(["processes", "common"]);
-  const [find, setFind] = useQuery("find");
-  const [status, setStatus] = useQuery("state");
-  const [definition, setDefinition] = useQuery("of");
-  const [involves, setInvolves] = useQuery("involves");
-  const [sort, setSort] = useQuery("sort", "newest");
+  const [find, setFind] = useQueryParameter("find");
+  const [status, setStatus] = useQueryParameter("state");
+  const [definition, setDefinition] = useQueryParameter("of");
+  const [involves, setInvolves] = useQueryParameter("involves");
+  const [sort, setSort] = useQueryParameter("sort", "newest");
   const filter: ProcessFilter = useMemo(() => ({ status, definition, involves }), [status, definition, involves]);
-  const sorting = SORTINGS.find((one) => one === sort) ?? "newest";
+  const sorting = SORT_ORDERS.find((one) => one === sort) ?? "newest";
   const isSet = status !== "" || definition !== "" || involves !== "" || sorting !== "newest";
   const [isOpen, setOpen] = useState(isSet);
   const bar = (
@@ -188,7 +188,7 @@ function useView() {
       </div>
       {isOpen && (
         <Filters filter={filter} onStatus={setStatus} onDefinition={setDefinition} onInvolves={setInvolves}>
-          <Pick label={t("list.sort")} value={sorting} options={SORTINGS.map((value) => ({ value, name: t(`list.sorting.${value}`) }))} onChange={setSort} />
+          <Select label={t("list.sort")} value={sorting} options={SORT_ORDERS.map((value) => ({ value, name: t(`list.sorting.${value}`) }))} onChange={setSort} />
         </Filters>
       )}
     </>
@@ -217,9 +217,9 @@ function Filters({ filter, onStatus, onDefinition, onInvolves, children }: Filte
   if (filter.involves !== "") people.add(filter.involves);
   return (
     <div className="process-list__filters">
-      <Pick label={t("list.state")} value={filter.status} options={[all, ...STATUSES.map((value) => ({ value, name: t(`common:processStatus.${value}`) }))]} onChange={onStatus} />
-      <Pick label={t("list.definition")} value={filter.definition} options={[all, ...versions]} onChange={onDefinition} />
-      <Pick label={t("list.involves")} value={filter.involves} options={[all, ...[...people].sort().map((value) => ({ value, name: shortName(value) }))]} onChange={onInvolves} />
+      <Select label={t("list.state")} value={filter.status} options={[all, ...STATUSES.map((value) => ({ value, name: t(`common:processStatus.${value}`) }))]} onChange={onStatus} />
+      <Select label={t("list.definition")} value={filter.definition} options={[all, ...versions]} onChange={onDefinition} />
+      <Select label={t("list.involves")} value={filter.involves} options={[all, ...[...people].sort().map((value) => ({ value, name: shortName(value) }))]} onChange={onInvolves} />
       {children}
     </div>
   );
@@ -235,7 +235,7 @@ function useAddress(): (to: Place) => string {
 
 /**
  * The list as it is shown: held in place from the moment somebody is in it until they have left. A process
- * that is opened shows up at once: whoever has started it looks for it.
+ * that is opened is shown at once, because the person who started it looks for it.
  */
 function useHeld(now: Sections, opened: string | null, isReading: boolean, signature: string) {
   const [kept, setKept] = useState({ signature, sections: now });

@@ -1,91 +1,76 @@
-/** The processes that pass a filter: the live ones, and those that have ended, as far back as somebody has looked. */
+/** The processes that pass a filter: the live ones, and the ended ones as far back as the user has scrolled. */
+import { useInfiniteQuery, useQuery } from "@tanstack/react-query";
 import { useEffect, useMemo, useState } from "react";
-import { describe } from "~/api/http";
+import { errorText } from "~/api/http";
+import { queryClient } from "~/api/useServiceQuery";
 import { useFamily } from "~/live/hooks";
 import { processesBefore } from "../records";
-import { KEPT_ENDED, passes, remembered, together, type ProcessFilter, type ProcessRow, type ProcessSorting, type Sections } from "./rows";
+import { MAX_ENDED, passes, remembered, together, type ProcessFilter, type ProcessRow, type ProcessSorting, type Sections } from "./rows";
 
 const PAGE = 100;
-const SEARCH_AFTER_MS = 300;
-/** What could not be read is asked for again after so long, since the orchestrator may be starting. */
-const RETRY_MS = 3000;
+const SEARCH_DELAY_MS = 300;
 
 export interface History {
   sections: Sections;
-  /** There may be older ones. */
+  /** There may be older processes. */
   more: boolean;
   failure: string | null;
-  older: () => void;
+  loadOlder: () => void;
 }
 
-interface Read {
+interface Seen {
   key: string;
   rows: readonly ProcessRow[];
-  /** The process before which the next page begins; null for the first. */
-  mark: string | null;
-  more: boolean;
-  failure: string | null;
 }
 
-const nothing = (key: string): Read => ({ key, rows: [], mark: null, more: false, failure: null });
-
-/** `words` are looked for by the orchestrator too, in all that it keeps. */
+/** The orchestrator searches all processes that it stores for `words`. */
 export function useHistory(filter: ProcessFilter, words: string, sorting: ProcessSorting): History {
   const live = useFamily("process");
   const key = JSON.stringify(filter);
-  const [read, setRead] = useState<Read>(nothing(key));
-  const [ask, setAsk] = useState<{ key: string; before: string | null }>({ key, before: null });
-  if (read.key !== key) setRead(nothing(key));
-  if (ask.key !== key) setAsk({ key, before: null });
-
-  useEffect(() => {
-    let left = false;
-    let retry: ReturnType<typeof setTimeout> | undefined;
-    const asked = JSON.parse(ask.key) as ProcessFilter;
-    processesBefore(ask.before, PAGE, asked).then(
-      (rows) => {
-        if (left) return;
-        setRead((before) => ({
-          ...before, rows: remembered(before.rows, rows), mark: rows.at(-1)?.id ?? before.mark, more: rows.length === PAGE, failure: null,
-        }));
-      },
-      (error: unknown) => {
-        if (left) return;
-        setRead((before) => ({ ...before, failure: describe(error) }));
-        retry = setTimeout(() => setAsk((before) => ({ ...before })), RETRY_MS);
-      },
-    );
-    return () => {
-      left = true;
-      clearTimeout(retry);
-    };
-  }, [ask]);
-
-  useEffect(() => {
-    const search = words.trim();
-    if (search === "") return;
-    let left = false;
-    const timer = setTimeout(() => {
-      processesBefore(null, PAGE, JSON.parse(key) as ProcessFilter, search).then(
-        (rows) => {
-          if (!left) setRead((before) => ({ ...before, rows: remembered(before.rows, rows) }));
-        },
-        () => undefined, // what is loaded is searched all the same
-      );
-    }, SEARCH_AFTER_MS);
-    return () => {
-      left = true;
-      clearTimeout(timer);
-    };
-  }, [key, words]);
+  const search = useDelayed(words.trim(), SEARCH_DELAY_MS);
+  const pages = useInfiniteQuery(
+    {
+      queryKey: ["processes", key],
+      queryFn: ({ pageParam }) => processesBefore(pageParam, PAGE, filter),
+      initialPageParam: null as string | null,
+      getNextPageParam: (page) => (page.length === PAGE ? page.at(-1)?.id : undefined),
+      staleTime: Infinity, // the live view has what changes
+      retry: true, // the orchestrator may be starting
+    },
+    queryClient,
+  );
+  const found = useQuery(
+    { queryKey: ["processes", key, "search", search], queryFn: () => processesBefore(null, PAGE, filter, search), enabled: search !== "", retry: false },
+    queryClient,
+  );
 
   const passing = useMemo(() => live.filter((row) => passes(row, filter)), [live, filter]);
-  // A process leaves the live view some while after its end; the list remembers it.
-  const kept = remembered(read.rows, passing);
-  if (kept !== read.rows) setRead({ ...read, rows: kept });
+  // A process leaves the live view some time after its end; the list keeps it.
+  const [seen, setSeen] = useState<Seen>({ key, rows: [] });
+  const ended = remembered(seen.key === key ? seen.rows : [], passing);
+  if (seen.key !== key || seen.rows !== ended) setSeen({ key, rows: ended });
+  const rows = useMemo(
+    () => [...(pages.data?.pages ?? []), found.data ?? []].reduce(remembered, ended),
+    [pages.data, found.data, ended],
+  );
 
-  const sections = useMemo(() => together(passing, kept.filter((row) => passes(row, filter)), sorting), [passing, kept, filter, sorting]);
-  const { mark } = read;
-  const older = () => setAsk((before) => (before.before === mark ? before : { key, before: mark }));
-  return { sections, more: read.more && sections.ended.length < KEPT_ENDED, failure: read.failure, older };
+  const sections = useMemo(() => together(passing, rows.filter((row) => passes(row, filter)), sorting), [passing, rows, filter, sorting]);
+  const fault = pages.error ?? pages.failureReason;
+  return {
+    sections,
+    more: pages.hasNextPage && sections.ended.length < MAX_ENDED,
+    failure: fault === null ? null : errorText(fault),
+    loadOlder: () => {
+      if (!pages.isFetching) void pages.fetchNextPage();
+    },
+  };
+}
+
+function useDelayed(value: string, delayMs: number): string {
+  const [delayed, setDelayed] = useState(value);
+  useEffect(() => {
+    const timer = setTimeout(() => setDelayed(value), delayMs);
+    return () => clearTimeout(timer);
+  }, [value, delayMs]);
+  return delayed;
 }

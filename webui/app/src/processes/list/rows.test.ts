@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { at, process, task } from "~/testing/views";
-import { activityOf, found, held, KEPT_ENDED, passes, remembered, sameSections, together, type ProcessRow, type ProcessSorting } from "./rows";
+import { activityOf, found, held, MAX_ENDED, passes, remembered, sameSections, together, type ProcessRow, type ProcessSorting } from "./rows";
 
 const running = (id: string, second: number): ProcessRow => process({ id, startedAt: at(second) });
 const ended = (id: string, second: number): ProcessRow =>
@@ -64,12 +64,12 @@ describe("the history", () => {
 
   it("remembers what has left the live view, and not without bound", () => {
     let history: readonly ProcessRow[] = [];
-    for (let nth = 0; nth < KEPT_ENDED + 50; nth++) history = remembered(history, [ended(`p${nth}`, nth)]);
-    expect(history).toHaveLength(KEPT_ENDED);
-    expect(history[0]?.id).toBe(`p${KEPT_ENDED + 49}`);
+    for (let nth = 0; nth < MAX_ENDED + 50; nth++) history = remembered(history, [ended(`p${nth}`, nth)]);
+    expect(history).toHaveLength(MAX_ENDED);
+    expect(history[0]?.id).toBe(`p${MAX_ENDED + 49}`);
   });
 
-  it("knows when a process that was retried has ended anew", () => {
+  it("recognizes that a retried process has ended again", () => {
     expect(remembered([ended("x", 3)], [ended("x", 8)])[0]?.endedAt).toBe(at(8));
   });
 });

@@ -11,8 +11,8 @@ export type ProcessRow = Pick<
 > &
   Partial<Pick<ProcessView, "tasks">>;
 
-export const SORTINGS = ["newest", "oldest", "name", "key"] as const;
-export type ProcessSorting = (typeof SORTINGS)[number];
+export const SORT_ORDERS = ["newest", "oldest", "name", "key"] as const;
+export type ProcessSorting = (typeof SORT_ORDERS)[number];
 
 /** What is asked of the list besides words; "" for any. */
 export interface ProcessFilter {
@@ -28,7 +28,7 @@ export interface Sections {
   ended: readonly ProcessRow[];
 }
 
-export const KEPT_ENDED = 2000;
+export const MAX_ENDED = 2000;
 
 /** Live processes and the history read so far, each once; the live one counts. The newest first, unless asked otherwise. */
 export function together(live: readonly ProcessRow[], history: readonly ProcessRow[], sorting: ProcessSorting = "newest"): Sections {
@@ -75,7 +75,7 @@ export function remembered(history: readonly ProcessRow[], news: readonly Proces
   const known = new Map(history.map((row) => [row.id, row]));
   const fresh = news.filter((row) => row.endedAt !== null && known.get(row.id)?.endedAt !== row.endedAt);
   if (fresh.length === 0) return history;
-  return together(fresh, history).ended.slice(0, KEPT_ENDED);
+  return together(fresh, history).ended.slice(0, MAX_ENDED);
 }
 
 /** What is shown while somebody is in the list: the same rows in the same places, and how many wait. */
@@ -93,7 +93,7 @@ export function sameSections(one: Sections, other: Sections): boolean {
   return sameRows(one.running, other.running) && sameRows(one.ended, other.ended);
 }
 
-/** So much of an id is hardly ever typed by chance: a shorter part would find processes by letters that nobody sees. */
+/** Minimum length of a search for ids: shorter texts would match the invisible ids of many processes. */
 const MIN_ID_PART = 8;
 
 /** The processes whose title, definition, key or status has every word of the text, or whose id has it as it is. */

@@ -3,20 +3,20 @@ import { Ban, RotateCcw } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
-import { cancelProcess, retryTask } from "~/api/acts";
-import { describe } from "~/api/http";
-import { Ago } from "~/design/Ago";
-import { Ask } from "~/design/Ask";
+import { cancelProcess, retryTask } from "~/api/actions";
+import { errorText } from "~/api/http";
+import { RelativeTime } from "~/design/RelativeTime";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Button } from "~/design/Button";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { statusTone } from "~/design/states";
 import { duration } from "~/design/times";
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { shortName } from "~/live/urn";
-import { useWho, useWithName } from "~/shell/who";
+import { useUserName, useWithName } from "~/shell/userName";
 import { pathOf } from "../address";
 import { markOf, nameOf } from "../names";
 
@@ -29,7 +29,7 @@ export function ProcessHead({ process }: { process: ProcessView }) {
         <h1>
           <Link href={pathOf({ kind: "definition", name: process.definition })}>{process.title}</Link>
         </h1>
-        <State tone={statusTone[process.status]}>{t(`common:processStatus.${process.status}`)}</State>
+        <StatusBadge tone={statusTone[process.status]}>{t(`common:processStatus.${process.status}`)}</StatusBadge>
         <strong className="process__mark" title={process.id}>
           {markOf(process, i18n.language)}
         </strong>
@@ -38,14 +38,14 @@ export function ProcessHead({ process }: { process: ProcessView }) {
           {t("process.progress", { done: process.done, all: process.activities })} · <Took process={process} />
         </span>
         <span className="quiet">
-          {t("process.started")} <Ago at={process.startedAt} isStop />
+          {t("process.started")} <RelativeTime at={process.startedAt} isStop />
         </span>
       </div>
       <Acts process={process} />
-      {process.reason !== null && last?.act !== "cancel" && <p className="process__reason">{wordsIn(process, "reason")}</p>}
+      {process.reason !== null && last?.act !== "cancel" && <p className="process__reason">{localizedText(process, "reason")}</p>}
       {last !== undefined && (
         <p className="process__act quiet small">
-          {t(`process.acts.${last.act}`, { by: last.by ?? t("process.somebody") })} <Ago at={last.at} isStop />
+          {t(`process.acts.${last.act}`, { by: last.by ?? t("process.somebody") })} <RelativeTime at={last.at} isStop />
         </p>
       )}
     </header>
@@ -61,18 +61,18 @@ function Took({ process }: { process: ProcessView }) {
 
 function Acts({ process }: { process: ProcessView }) {
   const { t } = useTranslation("processes");
-  const name = useWho();
+  const name = useUserName();
   const [asks, setAsks] = useState(false);
   const failed = taskOf(process, process.retry);
   return (
-    <div className="process__acts">
+    <div className="process__actions">
       {failed !== null && <RetryButton process={process} task={failed} kind="main" />}
       {process.endedAt === null && (
         <Button icon={<Ban aria-hidden size={18} />} onPress={() => setAsks(true)}>
           {t("cancel.act", { title: process.title })}
         </Button>
       )}
-      <Ask
+      <ConfirmDialog
         isOpen={asks}
         onClose={() => setAsks(false)}
         title={t("cancel.ask", { title: process.title })}
@@ -83,7 +83,7 @@ function Acts({ process }: { process: ProcessView }) {
       >
         <p>{t("cancel.means")}</p>
         <OpenTasks process={process} />
-      </Ask>
+      </ConfirmDialog>
     </div>
   );
 }
@@ -109,7 +109,7 @@ export interface RetryButtonProps {
   kind: "main" | "plain";
 }
 
-/** Hands a failed Task out anew, and notes who wanted it. */
+/** Retries a failed Task under the name of the user. */
 export function RetryButton({ process, task, kind }: RetryButtonProps) {
   const { t } = useTranslation("processes");
   const { withName, question } = useWithName();
@@ -126,13 +126,13 @@ export function RetryButton({ process, task, kind }: RetryButtonProps) {
           setBusy(true);
           setFailure(null);
           void withName(retry)
-            .catch((error: unknown) => setFailure(describe(error)))
+            .catch((error: unknown) => setFailure(errorText(error)))
             .finally(() => setBusy(false));
         }}
       >
         {t("retry.act", { task: nameOf(task) })}
       </Button>
-      {failure !== null && <Problem>{t("retry.refused", { why: failure })}</Problem>}
+      {failure !== null && <ErrorMessage>{t("retry.refused", { why: failure })}</ErrorMessage>}
       {question}
     </>
   );

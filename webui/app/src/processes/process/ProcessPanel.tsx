@@ -1,11 +1,11 @@
 /** A process: where it is, on its diagram, and what became of its Tasks, below. */
 import { lazy, Suspense, useMemo } from "react";
 import { useTranslation } from "react-i18next";
-import { Choice } from "~/design/Choice";
-import { Empty } from "~/design/Empty";
-import { Problem } from "~/design/Problem";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { EmptyState } from "~/design/EmptyState";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import type { ProcessView } from "~/live/messages";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { marksOfProcess, withPicked } from "../diagram/marks";
 import { useMarkWords } from "../diagram/words";
 import { taskMark } from "../names";
@@ -26,16 +26,16 @@ export function ProcessPanel({ id }: { id: string }) {
   const { t } = useTranslation("processes");
   const { value: process, failure, missing } = useProcess(id);
   if (process !== null) return <Shown process={process} />;
-  if (missing) return <Empty title={t("process.missing", { id })}>{t("process.missingHow")}</Empty>;
-  if (failure !== null) return <Problem>{t("unread", { why: failure })}</Problem>;
+  if (missing) return <EmptyState title={t("process.missing", { id })}>{t("process.missingHow")}</EmptyState>;
+  if (failure !== null) return <ErrorMessage>{t("unread", { why: failure })}</ErrorMessage>;
   return <p className="processes__loading quiet">{t("process.loading")}</p>;
 }
 
 function Shown({ process }: { process: ProcessView }) {
   const { t } = useTranslation("processes");
-  const [asked, setView] = useQuery("view", "timeline");
+  const [asked, setView] = useQueryParameter("view", "timeline");
   const view = VIEWS.find((one) => one === asked) ?? "timeline";
-  const [picked, setPicked] = useQuery("task");
+  const [picked, setPicked] = useQueryParameter("task");
   const task = process.tasks.find((one) => taskMark(one) === picked) ?? null;
   return (
     <div className="process">
@@ -50,7 +50,7 @@ function Shown({ process }: { process: ProcessView }) {
       />
       <section className="process__tasks" aria-label={t("views.label")}>
         <div className="process__views">
-          <Choice
+          <SegmentedControl
             label={t("views.label")}
             value={view}
             options={VIEWS.map((value) => ({ value, name: t(`views.${value}`) }))}
@@ -88,7 +88,7 @@ function ProcessDiagram({ process, picked, onPick }: ProcessDiagramProps) {
     () => withPicked(marksOfProcess({ waiting, elements }, words), picked),
     [waiting, elements, words, picked],
   );
-  if (bpmn.failure !== null) return <Problem>{t("diagram.unread", { why: bpmn.failure })}</Problem>;
+  if (bpmn.failure !== null) return <ErrorMessage>{t("diagram.unread", { why: bpmn.failure })}</ErrorMessage>;
   return (
     <div className="process__diagram">
       {bpmn.value !== null && (

@@ -3,7 +3,7 @@ import { X } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { duration } from "~/design/times";
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { shortName } from "~/live/urn";
@@ -77,7 +77,7 @@ export function TaskPanel({ process, task, onClose }: TaskPanelProps) {
 function Reason({ task }: { task: TaskView }) {
   const { t } = useTranslation("processes");
   const { outcome, operator, note } = task.outputParameters ?? {};
-  if (outcome !== "notGood" && outcome !== "problem") return task.reason === null ? null : <p className="task__reason">{wordsIn(task, "reason")}</p>;
+  if (outcome !== "notGood" && outcome !== "problem") return task.reason === null ? null : <p className="task__reason">{localizedText(task, "reason")}</p>;
   const what = t(`outcome.${outcome}`);
   return (
     <p className="task__reason">

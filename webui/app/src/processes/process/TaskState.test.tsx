@@ -1,7 +1,7 @@
 import { render, screen } from "@testing-library/react";
 import i18next from "i18next";
 import { beforeAll, describe, expect, it } from "vitest";
-import { speak, startWords } from "~/i18n";
+import { setLanguage, initI18n } from "~/i18n";
 import { Live } from "~/live/hooks";
 import { LiveStore } from "~/live/store";
 import { glove } from "~/work/scene.fixture";
@@ -10,7 +10,7 @@ import { TaskState } from "./TaskState";
 
 function show(part: Parameters<typeof task>[0], connected: boolean): string {
   const live = new LiveStore();
-  live.take({ type: "snapshot", at: "", topics: { "glove/glove-1": glove({ connected }) }, events: [] });
+  live.apply({ type: "snapshot", at: "", topics: { "glove/glove-1": glove({ connected }) }, events: [] });
   const { container } = render(
     <Live value={live}>
       <TaskState task={task({ involves: ["urn:ngsi-ld:Device:demo:glove-1"], ...part })} />
@@ -20,9 +20,9 @@ function show(part: Parameters<typeof task>[0], connected: boolean): string {
 }
 
 beforeAll(async () => {
-  await startWords();
+  await initI18n();
   await i18next.loadNamespaces(["processes"]);
-  await speak("en");
+  await setLanguage("en");
 });
 
 describe("the state of a Task", () => {
@@ -36,6 +36,6 @@ describe("the state of a Task", () => {
     expect(show({ status: "failed", outputParameters: { outcome: "notGood" } }, true)).toBe("Not good");
     expect(show({ status: "completed", outputParameters: { outcome: "problem" } }, true)).toBe("Problem");
     expect(show({ status: "completed", outputParameters: { outcome: "ok" } }, true)).toBe("Completed");
-    expect(screen.getAllByText("Problem")[0]?.closest(".state--attention")).toBeTruthy();
+    expect(screen.getAllByText("Problem")[0]?.closest(".status-badge--attention")).toBeTruthy();
   });
 });

@@ -1,6 +1,6 @@
 /** The state of a Task in words: also what a person has answered, and whether anybody is there to perform it. */
 import { useTranslation } from "react-i18next";
-import { State } from "~/design/State";
+import { StatusBadge } from "~/design/StatusBadge";
 import { statusTone } from "~/design/states";
 import { useFamily } from "~/live/hooks";
 import type { TaskView } from "~/live/messages";
@@ -11,10 +11,10 @@ export function TaskState({ task }: { task: TaskView }) {
   const absent = useAbsent(task);
   const outcome = task.outputParameters?.["outcome"];
   if (outcome === "notGood" || outcome === "problem") {
-    return <State tone={task.status === "failed" ? "stop" : "attention"}>{t(`outcome.${outcome}`)}</State>;
+    return <StatusBadge tone={task.status === "failed" ? "stop" : "attention"}>{t(`outcome.${outcome}`)}</StatusBadge>;
   }
-  if (absent !== null) return <State tone="attention">{t("task.waitsFor", { who: absent })}</State>;
-  return <State tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</State>;
+  if (absent !== null) return <StatusBadge tone="attention">{t("task.waitsFor", { who: absent })}</StatusBadge>;
+  return <StatusBadge tone={statusTone[task.status]}>{t(`common:status.${task.status}`)}</StatusBadge>;
 }
 
 /** Return the glove that a Task waits for: it has been taken, but nobody wears the glove that could answer it. */

@@ -1,12 +1,12 @@
-/** Start a process: what it is told, each parameter with the kind of field that its default asks for. */
+/** Starts a process: a field for each parameter, of the type of its default. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
-import { startProcess } from "~/api/acts";
-import { callService, Refusal } from "~/api/http";
-import { Ask } from "~/design/Ask";
+import { startProcess } from "~/api/actions";
+import { requestService, ApiError } from "~/api/http";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Field } from "~/design/Field";
 import type { DefinitionView, ProcessView } from "~/live/messages";
-import { Pick } from "~/design/Pick";
+import { Select } from "~/design/Select";
 import { filledIn, initialText, kindOf, parameterIn, type Parameter } from "./parameters";
 import "./StartDialog.css";
 
@@ -32,14 +32,14 @@ export function StartDialog({ definition, version, onClose, onStarted }: StartDi
     try {
       onStarted(await begun(definition.name, version, filled.values, key));
     } catch (error) {
-      const name = error instanceof Refusal ? parameterIn(error.problem.detail, definition.parameters) : null;
-      if (name !== null && error instanceof Refusal) setFaults({ [name]: error.problem.detail });
+      const name = error instanceof ApiError ? parameterIn(error.problem.detail, definition.parameters) : null;
+      if (name !== null && error instanceof ApiError) setFaults({ [name]: error.problem.detail });
       throw error;
     }
   };
 
   return (
-    <Ask isOpen onClose={onClose} title={t("start.ask", { title: definition.title })} act={t("start.act", { title: definition.title })} onAct={start}>
+    <ConfirmDialog isOpen onClose={onClose} title={t("start.ask", { title: definition.title })} act={t("start.act", { title: definition.title })} onAct={start}>
       {version !== null && <p className="quiet">{t("start.older", { version })}</p>}
       {definition.parameters.length === 0 && <p className="quiet">{t("start.noParameters")}</p>}
       {definition.parameters.map((parameter) => (
@@ -51,7 +51,7 @@ export function StartDialog({ definition, version, onClose, onStarted }: StartDi
           onChange={(text) => setTyped((before) => ({ ...before, [parameter.name]: text }))}
         />
       ))}
-    </Ask>
+    </ConfirmDialog>
   );
 }
 
@@ -68,7 +68,7 @@ function ParameterField({ parameter, text, error, onChange }: ParameterFieldProp
   const label = parameter.required ? t("start.required", { name: parameter.name }) : parameter.name;
   if (kind === "boolean") {
     return (
-      <Pick
+      <Select
         label={label}
         value={text}
         options={[
@@ -96,5 +96,5 @@ function ParameterField({ parameter, text, error, onChange }: ParameterFieldProp
 function begun(name: string, version: number | null, values: Record<string, unknown>, key: string): Promise<ProcessView> {
   if (version === null) return startProcess(name, values, key);
   const json = { definition: name, version, parameters: values, key };
-  return callService("task-orchestrator", "processes", { method: "POST", json });
+  return requestService("task-orchestrator", "processes", { method: "POST", json });
 }

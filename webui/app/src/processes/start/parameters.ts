@@ -1,5 +1,5 @@
 /**
- * Parameters: what a process is told at its start. A definition gives each a default, and the default's JSON
+ * The parameters of a process at its start. A definition gives each a default, and the default's JSON
  * type says what can be typed: text, a number, yes or no, or JSON for a list or an object.
  */
 import type { DefinitionView } from "~/live/messages";

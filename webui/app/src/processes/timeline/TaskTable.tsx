@@ -3,7 +3,7 @@ import { memo } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { duration, exactTime } from "~/design/times";
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { TaskView } from "~/live/messages";
 import { nameOf, performerOf, taskMark } from "../names";
@@ -12,7 +12,7 @@ import { CLOCK } from "./axis";
 import { courseOf } from "./course";
 
 /** More rows than this make a page slow; the export has all. */
-const MOST_ROWS = 500;
+const MAX_ROWS = 500;
 
 export interface TaskTableProps {
   tasks: readonly TaskView[];
@@ -23,7 +23,7 @@ export interface TaskTableProps {
 export function TaskTable({ tasks, picked, onPick }: TaskTableProps) {
   const { t } = useTranslation("processes");
   const now = useNow();
-  const shown = tasks.slice(-MOST_ROWS);
+  const shown = tasks.slice(-MAX_ROWS);
   return (
     <div className="tasks__scroll" tabIndex={0} role="region" aria-label={t("tasks.table")}>
       {shown.length < tasks.length && <p className="quiet small">{t("timeline.onlyLast", { count: shown.length })}</p>}
@@ -78,7 +78,7 @@ const Row = memo(
         </td>
         <td className="tasks__number">{said(course.waitedMs)}</td>
         <td className="tasks__number">{said(course.workedMs)}</td>
-        <td className="tasks__why">{wordsIn(task, "reason")}</td>
+        <td className="tasks__why">{localizedText(task, "reason")}</td>
       </tr>
     );
   },

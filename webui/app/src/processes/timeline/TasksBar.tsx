@@ -4,7 +4,7 @@ import { useTranslation } from "react-i18next";
 import { download } from "~/api/download";
 import { Button } from "~/design/Button";
 import { Field } from "~/design/Field";
-import { Pick } from "~/design/Pick";
+import { Select } from "~/design/Select";
 import type { ProcessView, Status } from "~/live/messages";
 import { useChosen } from "./chosen";
 import { performersOf, statuses, statusesOf } from "./filter";
@@ -18,13 +18,13 @@ export function TasksBar({ process }: { process: ProcessView }) {
   return (
     <div className="tasks-bar">
       <Field label={t("filter.text")} placeholder={t("filter.text")} type="search" value={filter.text} onChange={setText} />
-      <Pick
+      <Select
         label={t("filter.who")}
         value={filter.performer}
         options={[{ value: "", name: t("filter.everybody") }, ...withWanted(performersOf(process.tasks), filter.performer)]}
         onChange={setPerformer}
       />
-      <Pick
+      <Select
         label={t("filter.status")}
         value={filter.statuses.join(",")}
         options={[

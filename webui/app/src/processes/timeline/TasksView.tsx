@@ -1,7 +1,7 @@
 /** The Tasks of a process that fit the filter, as a timeline or as a table. */
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import type { ProcessView } from "~/live/messages";
 import { useChosen } from "./chosen";
 import { TaskTable } from "./TaskTable";
@@ -26,9 +26,9 @@ export function TasksView({ process, view, picked, onPick }: TasksViewProps) {
   return (
     <div className="tasks">
       {process.tasks.length === 0 ? (
-        <Empty title={t("tasks.none")} />
+        <EmptyState title={t("tasks.none")} />
       ) : tasks.length === 0 ? (
-        <Empty title={t("tasks.noneFits")} act={<Button onPress={showAll}>{t("tasks.showAll")}</Button>} />
+        <EmptyState title={t("tasks.noneFits")} act={<Button onPress={showAll}>{t("tasks.showAll")}</Button>} />
       ) : view === "timeline" ? (
         <Timeline process={process} tasks={tasks} picked={picked} onPick={onPick} />
       ) : (

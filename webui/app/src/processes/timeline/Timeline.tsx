@@ -4,7 +4,7 @@ import { memo, useEffect, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { Button } from "~/design/Button";
 import { duration } from "~/design/times";
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import { useNow } from "~/live/clock";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { nameOf, taskMark } from "../names";
@@ -13,8 +13,8 @@ import { lanesOf, type Bar } from "./lanes";
 import "./Timeline.css";
 
 /** More bars than this are no picture any more; the table and the export have all. */
-const MOST_BARS = 400;
-const MOST_ZOOM = 64;
+const MAX_BARS = 400;
+const MAX_ZOOM = 64;
 const MARK_PX = 110;
 /** What the performers' names take at the left; the same stands in the style. */
 const NAMES_PX = 112;
@@ -41,7 +41,7 @@ export function Timeline({ process, tasks, picked, onPick }: TimelineProps) {
     const middle = (place.scrollLeft + place.clientWidth / 2) / zoom;
     requestAnimationFrame(() => place.scrollTo({ left: middle * next - place.clientWidth / 2 }));
   };
-  const shown = tasks.slice(-MOST_BARS);
+  const shown = tasks.slice(-MAX_BARS);
   const lanes = lanesOf(shown, now);
   const begin = shown.length < tasks.length ? (lanes[0]?.bars[0]?.course.fromMs ?? 0) : Date.parse(process.startedAt);
   const end = lanes.flatMap((lane) => lane.bars).reduce((last, bar) => Math.max(last, bar.course.toMs), begin);
@@ -69,7 +69,7 @@ export function Timeline({ process, tasks, picked, onPick }: TimelineProps) {
           )}
         </div>
       </div>
-      <div className="timeline__foot small quiet">
+      <div className="timeline__footer small quiet">
         <span className="timeline__key">
           <i className="timeline__sample timeline__stretch--pending" aria-hidden /> {t("timeline.waits")}
           <i className="timeline__sample timeline__stretch--inProgress" aria-hidden /> {t("timeline.works")}
@@ -79,7 +79,7 @@ export function Timeline({ process, tasks, picked, onPick }: TimelineProps) {
         {shown.length < tasks.length && <span>{t("timeline.onlyLast", { count: shown.length })}</span>}
         <span role="group" aria-label={t("timeline.zoom")} className="timeline__zoom">
           <Button kind="quiet" label={t("timeline.further")} isDisabled={zoom === 1} icon={<ZoomOut aria-hidden size={18} />} onPress={() => zoomTo(Math.max(1, zoom / 2))} />
-          <Button kind="quiet" label={t("timeline.closer")} isDisabled={zoom === MOST_ZOOM} icon={<ZoomIn aria-hidden size={18} />} onPress={() => zoomTo(Math.min(MOST_ZOOM, zoom * 2))} />
+          <Button kind="quiet" label={t("timeline.closer")} isDisabled={zoom === MAX_ZOOM} icon={<ZoomIn aria-hidden size={18} />} onPress={() => zoomTo(Math.min(MAX_ZOOM, zoom * 2))} />
         </span>
       </div>
     </div>
@@ -116,7 +116,7 @@ const BarButton = memo(
     const length = Math.max(1, course.toMs - course.fromMs);
     const took = duration(course.ended ? length : Math.floor(length / 1000) * 1000, i18n.language);
     const name = nameOf(task);
-    const label = [name, t(`common:status.${task.status}`), took, wordsIn(task, "reason")].filter((part) => part !== null).join(", ");
+    const label = [name, t(`common:status.${task.status}`), took, localizedText(task, "reason")].filter((part) => part !== null).join(", ");
     return (
       <button
         type="button"

@@ -1,6 +1,6 @@
 /** What the URL says about which Tasks are looked at, and the Tasks that fit it. */
 import type { ProcessView, Status, TaskView } from "~/live/messages";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { filtered, statusesOf, type Filter } from "./filter";
 
 export interface Chosen {
@@ -12,9 +12,9 @@ export interface Chosen {
 }
 
 export function useChosen(process: Pick<ProcessView, "tasks">): Chosen {
-  const [text, setText] = useQuery("filter");
-  const [wanted, setWanted] = useQuery("status");
-  const [performer, setPerformer] = useQuery("who");
+  const [text, setText] = useQueryParameter("filter");
+  const [wanted, setWanted] = useQueryParameter("status");
+  const [performer, setPerformer] = useQueryParameter("who");
   const filter = { text, statuses: statusesOf(wanted), performer };
   return {
     filter,

@@ -1,5 +1,5 @@
 /** Filter: which Tasks of a process one looks at. It stands in the URL, so that it can be sent to a colleague. */
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import type { Status, TaskView } from "~/live/messages";
 import { nameOf, performerOf, taskMark } from "../names";
 
@@ -35,7 +35,7 @@ export function performersOf(tasks: readonly TaskView[]): string[] {
 
 function fits(words: readonly string[], task: TaskView): boolean {
   // Its full id names the process as well, and would fit "pick" for every Task of bin picking.
-  const text = [nameOf(task), taskMark(task), performerOf(task), task.description, task.reason, wordsIn(task, "reason")]
+  const text = [nameOf(task), taskMark(task), performerOf(task), task.description, task.reason, localizedText(task, "reason")]
     .filter((part) => part !== null)
     .join("\n")
     .toLowerCase();

@@ -1,5 +1,5 @@
 /** Sheet: the Tasks of a process as a file for a spreadsheet (CSV) or a program (JSON). */
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import type { ProcessView, TaskView } from "~/live/messages";
 import { nameOf, performerOf } from "../names";
 import { courseOf } from "./course";
@@ -9,7 +9,7 @@ const COLUMNS = [
   "reason", "outputParameters",
 ] as const;
 
-/** CSV as RFC 4180 has it, with a mark at its begin that tells spreadsheets that it is UTF-8. */
+/** CSV as RFC 4180 has it, with a byte order mark, which spreadsheets need to detect UTF-8. */
 export function csvOf(process: Pick<ProcessView, "id">, tasks: readonly TaskView[], nowMs: number): string {
   const rows = tasks.map((task) => {
     const course = courseOf(task, nowMs);
@@ -25,7 +25,7 @@ export function csvOf(process: Pick<ProcessView, "id">, tasks: readonly TaskView
       task.endedAt,
       Math.round(course.waitedMs),
       Math.round(course.workedMs),
-      wordsIn(task, "reason"),
+      localizedText(task, "reason"),
       task.outputParameters === null ? null : JSON.stringify(task.outputParameters),
     ];
   });

@@ -22,7 +22,7 @@ describe("the course of a Task", () => {
     ],
   });
 
-  it("tells waiting from work, and pauses count as neither", () => {
+  it("distinguishes waiting from work, and counts pauses as neither", () => {
     const course = courseOf(worked, atMs(99));
     expect(course.waitedMs).toBe(3000);
     expect(course.workedMs).toBe(4000);
@@ -128,9 +128,9 @@ describe("the sheet", () => {
 
   it("has every Task once, and the head alone when there is none", () => {
     expect(csvOf(process(), [], 0).trim().split("\r\n")).toHaveLength(1);
-    const told = JSON.parse(jsonOf(process({ tasks: [task(), risky] }), [risky])) as { id: string; tasks: unknown[] };
-    expect(told.id).toBe("bin-picking-1");
-    expect(told.tasks).toHaveLength(1);
+    const exported = JSON.parse(jsonOf(process({ tasks: [task(), risky] }), [risky])) as { id: string; tasks: unknown[] };
+    expect(exported.id).toBe("bin-picking-1");
+    expect(exported.tasks).toHaveLength(1);
   });
 
   it("has a name that every file system takes", () => {

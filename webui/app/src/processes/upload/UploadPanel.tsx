@@ -3,11 +3,11 @@ import { FileCheck2, FileUp } from "lucide-react";
 import { lazy, Suspense, useEffect, useMemo, useState } from "react";
 import { FileTrigger } from "react-aria-components";
 import { useTranslation } from "react-i18next";
-import { callService, describe, Refusal } from "~/api/http";
+import { requestService, errorText, ApiError } from "~/api/http";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { EmptyState } from "~/design/EmptyState";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import type { DefinitionView } from "~/live/messages";
 import { marksOfFaults, withPicked } from "../diagram/marks";
 import type { Trial } from "../records";
@@ -63,9 +63,9 @@ export function UploadPanel({ file, onFile, onDeployed }: UploadPanelProps) {
   );
   if (file === null) {
     return (
-      <Empty icon={<FileUp aria-hidden size={40} />} title={t("upload.title")} act={choose}>
+      <EmptyState icon={<FileUp aria-hidden size={40} />} title={t("upload.title")} act={choose}>
         {t("upload.drop")}
-      </Empty>
+      </EmptyState>
     );
   }
   if (looked?.file !== file) return <p className="processes__loading quiet">{t("upload.reading", { file: file.name })}</p>;
@@ -86,22 +86,22 @@ function Verdict({ looked, onDeployed }: { looked: Looked; onDeployed: (definiti
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const { trial, faults } = looked;
-  if (looked.failure !== null) return <Problem>{t("upload.untried", { why: looked.failure })}</Problem>;
-  if (trial === null) return <State tone="stop">{t("upload.faulty", { count: faults.length })}</State>;
+  if (looked.failure !== null) return <ErrorMessage>{t("upload.untried", { why: looked.failure })}</ErrorMessage>;
+  if (trial === null) return <StatusBadge tone="stop">{t("upload.faulty", { count: faults.length })}</StatusBadge>;
   const deploy = () => {
     setBusy(true);
     setFailure(null);
-    callService<DefinitionView>("task-orchestrator", "definitions", { method: "POST", body: looked.file, type: "application/xml" })
-      .then(onDeployed, (error: unknown) => setFailure(describe(error)))
+    requestService<DefinitionView>("task-orchestrator", "definitions", { method: "POST", body: looked.file, type: "application/xml" })
+      .then(onDeployed, (error: unknown) => setFailure(errorText(error)))
       .finally(() => setBusy(false));
   };
   return (
     <>
-      <State tone="ok">{t(trial.created ? "upload.fine" : "upload.known", { title: trial.title, version: trial.version })}</State>
+      <StatusBadge tone="ok">{t(trial.created ? "upload.fine" : "upload.known", { title: trial.title, version: trial.version })}</StatusBadge>
       <Button kind="main" icon={<FileCheck2 aria-hidden size={18} />} isDisabled={busy} onPress={deploy}>
         {t(trial.created ? "upload.deploy" : "upload.see", { title: trial.title, version: trial.version })}
       </Button>
-      {failure !== null && <Problem>{t("upload.untried", { why: failure })}</Problem>}
+      {failure !== null && <ErrorMessage>{t("upload.untried", { why: failure })}</ErrorMessage>}
     </>
   );
 }
@@ -166,14 +166,14 @@ function Fault({ fault, nth }: { fault: BpmnFault; nth: number }) {
 async function look(file: File): Promise<Looked> {
   const seen = { file, xml: await textOf(file), trial: null, faults: [], failure: null };
   try {
-    const trial = await callService<Trial>("task-orchestrator", "definitions?dry=true", {
+    const trial = await requestService<Trial>("task-orchestrator", "definitions?dry=true", {
       method: "POST",
       body: file,
       type: "application/xml",
     });
     return { ...seen, trial };
   } catch (error) {
-    if (error instanceof Refusal && error.problem.status === 422) return { ...seen, faults: faultsOf(error) };
-    return { ...seen, failure: describe(error) };
+    if (error instanceof ApiError && error.problem.status === 422) return { ...seen, faults: faultsOf(error) };
+    return { ...seen, failure: errorText(error) };
   }
 }

@@ -1,6 +1,6 @@
-/** Faults: what is wrong with a BPMN file, as the orchestrator's problem details tell it. */
-import { Refusal } from "~/api/http";
-import { wordsIn } from "~/i18n/server";
+/** The faults of a BPMN file, from the orchestrator's problem details. */
+import { ApiError } from "~/api/http";
+import { localizedText } from "~/i18n/server";
 
 export interface BpmnFault {
   element: string | null;
@@ -9,16 +9,16 @@ export interface BpmnFault {
 }
 
 /** The faults that a refusal names; one without a place where it names none. */
-export function faultsOf(refusal: Refusal): BpmnFault[] {
-  const told = refusal.problem["faults"];
-  const faults = Array.isArray(told) ? told.map(faultOf).filter((fault) => fault !== null) : [];
-  return faults.length > 0 ? faults : [{ element: null, line: null, message: wordsIn(refusal.problem, "detail") ?? refusal.problem.detail }];
+export function faultsOf(refusal: ApiError): BpmnFault[] {
+  const received = refusal.problem["faults"];
+  const faults = Array.isArray(received) ? received.map(faultOf).filter((fault) => fault !== null) : [];
+  return faults.length > 0 ? faults : [{ element: null, line: null, message: localizedText(refusal.problem, "detail") ?? refusal.problem.detail }];
 }
 
-function faultOf(told: unknown): BpmnFault | null {
-  if (typeof told !== "object" || told === null) return null;
-  const { element, line } = told as Record<string, unknown>;
-  const message = wordsIn(told, "message");
+function faultOf(received: unknown): BpmnFault | null {
+  if (typeof received !== "object" || received === null) return null;
+  const { element, line } = received as Record<string, unknown>;
+  const message = localizedText(received, "message");
   if (message === null) return null;
   return {
     element: typeof element === "string" ? element : null,

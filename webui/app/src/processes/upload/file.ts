@@ -6,7 +6,7 @@ export async function textOf(file: Blob): Promise<string> {
   return decoder(marked(new Uint8Array(bytes)) ?? named).decode(bytes);
 }
 
-/** UTF-16 is told by its first two bytes. */
+/** UTF-16 is detected by its byte order mark. */
 function marked(bytes: Uint8Array): string | null {
   if (bytes[0] === 0xff && bytes[1] === 0xfe) return "utf-16le";
   if (bytes[0] === 0xfe && bytes[1] === 0xff) return "utf-16be";

@@ -1,9 +1,9 @@
 import { describe, expect, it } from "vitest";
-import { Refusal } from "~/api/http";
+import { ApiError } from "~/api/http";
 import { faultsOf } from "./faults";
 import { textOf } from "./file";
 
-const refusal = (more: object) => new Refusal({ title: "BPMN cannot be deployed", detail: "line 3: no", status: 422, ...more });
+const refusal = (more: object) => new ApiError({ title: "BPMN cannot be deployed", detail: "line 3: no", status: 422, ...more });
 
 describe("the faults of a file", () => {
   it("come as the orchestrator lists them", () => {
@@ -31,7 +31,7 @@ describe("the text of a file", () => {
     expect(await textOf(bytes('<?xml version="1.0" encoding="klingon"?><a/>'))).toContain("<a/>");
   });
 
-  it("is told to be UTF-16 by its first bytes", async () => {
+  it("is detected as UTF-16 by its byte order mark", async () => {
     const text = new Blob([new Uint8Array([0xff, 0xfe, 0x3c, 0, 0x61, 0, 0x2f, 0, 0x3e, 0])]);
     expect(await textOf(text)).toBe("<a/>");
   });

@@ -3,21 +3,21 @@ import { UserCheck, X } from "lucide-react";
 import { useTranslation } from "react-i18next";
 import { Link } from "wouter";
 import { kindOf } from "~/alerts/attention";
-import { Ago } from "~/design/Ago";
+import { RelativeTime } from "~/design/RelativeTime";
 import { Button } from "~/design/Button";
-import { State } from "~/design/State";
+import { StatusBadge } from "~/design/StatusBadge";
 import { alertStateTone, severityTone } from "~/design/states";
 import { exactTime } from "~/design/times";
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import type { AlertView } from "~/live/messages";
 import { pathOf } from "~/processes/address";
 import { shortName } from "~/live/urn";
-import { AlertButtons, useAlertActs } from "./AlertActs";
+import { AlertButtons, useAlertActions } from "./AlertActions";
 import { severityIcons } from "./icons";
 
 export function AlertDetail({ alert, title, onClose }: { alert: AlertView; title: string; onClose: () => void }) {
   const { t, i18n } = useTranslation(["system", "common"]);
-  const acts = useAlertActs(() => undefined);
+  const acts = useAlertActions(() => undefined);
   const Icon = severityIcons[alert.severity];
   const kind = kindOf(alert);
   return (
@@ -27,26 +27,26 @@ export function AlertDetail({ alert, title, onClose }: { alert: AlertView; title
         <Button kind="quiet" label={t("alert.close")} icon={<X aria-hidden size={18} />} onPress={onClose} />
       </header>
       <p className="alert__states">
-        <State tone={severityTone[alert.severity]} icon={<Icon aria-hidden size="1.15em" />}>
+        <StatusBadge tone={severityTone[alert.severity]} icon={<Icon aria-hidden size="1.15em" />}>
           {t(`common:severity.${alert.severity}`)}
-        </State>
-        <State tone={alertStateTone[alert.state]}>{t(`alert.state.${alert.state}`)}</State>
+        </StatusBadge>
+        <StatusBadge tone={alertStateTone[alert.state]}>{t(`alert.state.${alert.state}`)}</StatusBadge>
       </p>
       {kind !== "other" && (
         <>
           <p>{t(`alert.kind.${kind}.means`)}</p>
-          <p className="alert__said quiet">{wordsIn(alert, "description")}</p>
+          <p className="alert__said quiet">{localizedText(alert, "description")}</p>
         </>
       )}
       <dl className="alert__facts">
         <Fact name={t("alert.column.source")}>{shortName(alert.source)}</Fact>
         <Fact name={t("alert.column.category")}>{[alert.category, alert.subCategory].filter(Boolean).join(" · ")}</Fact>
         <Fact name={t("alert.column.raised")}>
-          <Ago at={alert.dateIssued} isStop />
+          <RelativeTime at={alert.dateIssued} isStop />
         </Fact>
         {alert.validTo !== null && (
           <Fact name={t("alert.over")}>
-            <Ago at={alert.validTo} isStop />
+            <RelativeTime at={alert.validTo} isStop />
           </Fact>
         )}
         {alert.state === "shelved" && (
@@ -58,10 +58,10 @@ export function AlertDetail({ alert, title, onClose }: { alert: AlertView; title
       {alert.acknowledged !== null && (
         <p className="alert__known">
           <UserCheck aria-hidden size={18} />
-          {t("alert.acknowledged", { by: alert.acknowledged.by || t("glove.somebody") })} <Ago at={alert.acknowledged.at} isStop />
+          {t("alert.acknowledged", { by: alert.acknowledged.by || t("glove.somebody") })} <RelativeTime at={alert.acknowledged.at} isStop />
         </p>
       )}
-      <div className="alert__acts">
+      <div className="alert__actions">
         <AlertButtons alerts={[alert]} acts={acts} />
         {kind === "processFailed" && (
           <Link href={pathOf({ kind: "process", id: shortName(alert.source) })}>{t("alert.openProcess")}</Link>

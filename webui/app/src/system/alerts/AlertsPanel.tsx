@@ -4,22 +4,22 @@ import { useMemo, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { useAlertTitle } from "~/alerts/titles";
 import { setSound, useSound } from "~/alerts/sound";
-import { Ago } from "~/design/Ago";
+import { RelativeTime } from "~/design/RelativeTime";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import { Field } from "~/design/Field";
-import { Pick } from "~/design/Pick";
-import { State } from "~/design/State";
+import { Select } from "~/design/Select";
+import { StatusBadge } from "~/design/StatusBadge";
 import { alertStateTone, severityTone } from "~/design/states";
-import { Tick } from "~/design/Tick";
-import { useHeldOrder, useReading } from "~/design/useHeldOrder";
+import { Checkbox } from "~/design/Checkbox";
+import { useStableOrder, useIsReading } from "~/design/useStableOrder";
 import { VirtualTable, type Column, type Sorting } from "~/design/VirtualTable";
 import { useFamily } from "~/live/hooks";
 import type { AlertView } from "~/live/messages";
 import { shortName } from "~/live/urn";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { grouped, GROUPINGS, passes, SEVERITIES, sortAlerts, STATES, valuesOf, type AlertFilter, type Grouping } from "./alert_list";
-import { AlertActs } from "./AlertActs";
+import { AlertActions } from "./AlertActions";
 import { AlertDetail } from "./AlertDetail";
 import { severityIcons } from "./icons";
 import "./AlertsPanel.css";
@@ -29,9 +29,9 @@ export function AlertsPanel() {
   const alerts = useFamily("alert");
   const titleOf = useAlertTitle();
   const { filter, grouping, sorting, setSorting, bar } = useView(alerts);
-  const [asked, setOpened] = useQuery("alert");
+  const [asked, setOpened] = useQueryParameter("alert");
   const [selected, setSelected] = useState<ReadonlySet<string>>(new Set());
-  const { isReading, handlers } = useReading();
+  const { isReading, handlers } = useIsReading();
 
   const byId = useMemo(() => new Map(alerts.map((alert) => [alert.id, alert])), [alerts]);
   const sorted = useMemo(
@@ -39,7 +39,7 @@ export function AlertsPanel() {
     [alerts, filter, sorting, titleOf],
   );
   const signature = JSON.stringify([filter, sorting, grouping]);
-  const { rows, waiting, release } = useHeldOrder(sorted, idOf, byId, isReading || selected.size > 0, signature);
+  const { rows, waiting, release } = useStableOrder(sorted, idOf, byId, isReading || selected.size > 0, signature);
   const nameOfGroup = (group: string, count: number) => {
     const name = grouping === "severity" ? t(`common:severity.${group}`) : grouping === "source" ? shortName(group) : group;
     return t("alert.group", { name, count });
@@ -52,9 +52,9 @@ export function AlertsPanel() {
   if (alerts.length === 0) {
     return (
       <div className="alerts">
-        <Empty icon={<CircleCheck aria-hidden size={32} />} title={t("alert.none.title")}>
+        <EmptyState icon={<CircleCheck aria-hidden size={32} />} title={t("alert.none.title")}>
           {t("alert.none.means")}
-        </Empty>
+        </EmptyState>
         <SoundSwitch />
       </div>
     );
@@ -62,7 +62,7 @@ export function AlertsPanel() {
   return (
     <div className="alerts">
       {bar}
-      <AlertActs chosen={chosen} shown={sorted.length} onDone={() => setSelected(new Set())} />
+      <AlertActions chosen={chosen} shown={sorted.length} onDone={() => setSelected(new Set())} />
       <div className="alerts__frame" data-open={opened !== null || undefined}>
         <div className="alerts__table" {...handlers}>
           {waiting > 0 && (
@@ -85,7 +85,7 @@ export function AlertsPanel() {
             openKey={opened?.id ?? null}
             onOpen={(alert) => setOpened(alert.id === asked ? "" : alert.id)}
           >
-            {lines.length === 0 && <Empty icon={<SearchX aria-hidden size={32} />} title={t("alert.noMatch.title")}>{t("alert.noMatch.means")}</Empty>}
+            {lines.length === 0 && <EmptyState icon={<SearchX aria-hidden size={32} />} title={t("alert.noMatch.title")}>{t("alert.noMatch.means")}</EmptyState>}
           </VirtualTable>
         </div>
         {opened !== null && <AlertDetail key={opened.id} alert={opened} title={titleOf(opened)} onClose={() => setOpened("")} />}
@@ -107,9 +107,9 @@ function useColumns(titleOf: (alert: AlertView) => string): readonly Column<Aler
     { id: "source", name: t("alert.column.source"), width: "minmax(100px, 1.2fr)", isSortable: true, cell: (alert) => shortName(alert.source) },
     {
       id: "state", name: t("alert.column.state"), width: "minmax(150px, 1fr)", isSortable: true,
-      cell: (alert) => <State tone={alertStateTone[alert.state]}>{t(`alert.state.${alert.state}`)}</State>,
+      cell: (alert) => <StatusBadge tone={alertStateTone[alert.state]}>{t(`alert.state.${alert.state}`)}</StatusBadge>,
     },
-    { id: "raised", name: t("alert.column.raised"), width: "112px", isSortable: true, cell: (alert) => <Ago at={alert.dateIssued} /> },
+    { id: "raised", name: t("alert.column.raised"), width: "112px", isSortable: true, cell: (alert) => <RelativeTime at={alert.dateIssued} /> },
   ];
 }
 
@@ -118,22 +118,22 @@ function Severity({ alert }: { alert: AlertView }) {
   const Icon = severityIcons[alert.severity];
   const tone = alert.state === "new" || alert.state === "acknowledged" ? severityTone[alert.severity] : "neutral";
   return (
-    <State tone={tone} icon={<Icon aria-hidden size="1.15em" />}>
+    <StatusBadge tone={tone} icon={<Icon aria-hidden size="1.15em" />}>
       {t(`severity.${alert.severity}`)}
-    </State>
+    </StatusBadge>
   );
 }
 
 /** Filter, grouping and sorting, which the URL holds, and the bar that sets them. */
 function useView(alerts: readonly AlertView[]) {
   const { t } = useTranslation(["system", "common"]);
-  const [state, setState] = useQuery("state");
-  const [severity, setSeverity] = useQuery("severity");
-  const [category, setCategory] = useQuery("category");
-  const [source, setSource] = useQuery("from");
-  const [text, setText] = useQuery("find");
-  const [group, setGroup] = useQuery("group");
-  const [sort, setSort] = useQuery("sort", "-severity");
+  const [state, setState] = useQueryParameter("state");
+  const [severity, setSeverity] = useQueryParameter("severity");
+  const [category, setCategory] = useQueryParameter("category");
+  const [source, setSource] = useQueryParameter("from");
+  const [text, setText] = useQueryParameter("find");
+  const [group, setGroup] = useQueryParameter("group");
+  const [sort, setSort] = useQueryParameter("sort", "-severity");
   const filter: AlertFilter = useMemo(() => ({ state, severity, category, source, text }), [state, severity, category, source, text]);
   const sorting: Sorting = useMemo(() => ({ by: sort.replace(/^-/, ""), isDescending: sort.startsWith("-") }), [sort]);
   const grouping: Grouping = GROUPINGS.find((one) => one === group) ?? "";
@@ -141,7 +141,7 @@ function useView(alerts: readonly AlertView[]) {
   const offered = (values: readonly string[], value: string) => [...new Set([...values, ...(value === "" ? [] : [value])])];
   const bar = (
     <div className="alerts__filter">
-      <Pick
+      <Select
         label={t("alert.filter.state")}
         value={state}
         options={[
@@ -151,25 +151,25 @@ function useView(alerts: readonly AlertView[]) {
         ]}
         onChange={setState}
       />
-      <Pick
+      <Select
         label={t("alert.filter.severity")}
         value={severity}
         options={[all, ...SEVERITIES.map((value) => ({ value, name: t(`common:severity.${value}`) }))]}
         onChange={setSeverity}
       />
-      <Pick
+      <Select
         label={t("alert.filter.category")}
         value={category}
         options={[all, ...offered(valuesOf(alerts, "category"), category).map((value) => ({ value, name: value }))]}
         onChange={setCategory}
       />
-      <Pick
+      <Select
         label={t("alert.filter.source")}
         value={source}
         options={[all, ...offered(valuesOf(alerts, "source"), source).map((value) => ({ value, name: shortName(value) }))]}
         onChange={setSource}
       />
-      <Pick
+      <Select
         label={t("alert.filter.group")}
         value={grouping}
         options={GROUPINGS.map((value) => ({ value, name: t(`alert.grouping.${value || "none"}`) }))}
@@ -184,8 +184,8 @@ function useView(alerts: readonly AlertView[]) {
 function SoundSwitch() {
   const { t } = useTranslation("common");
   return (
-    <Tick isSelected={useSound()} onChange={setSound}>
+    <Checkbox isSelected={useSound()} onChange={setSound}>
       {t("attention.sound")}
-    </Tick>
+    </Checkbox>
   );
 }

@@ -1,7 +1,7 @@
 /** The Alerts as a list: which pass the filter, in which order, in which groups. */
 import { compareUrgency } from "~/alerts/attention";
 import type { Line, Sorting } from "~/design/VirtualTable";
-import { wordsIn } from "~/i18n/server";
+import { localizedText } from "~/i18n/server";
 import type { AlertState, AlertView, Severity } from "~/live/messages";
 import { shortName } from "~/live/urn";
 
@@ -27,7 +27,7 @@ export function passes(alert: AlertView, filter: AlertFilter, said: string): boo
   if (filter.category !== "" && alert.category !== filter.category) return false;
   if (filter.source !== "" && alert.source !== filter.source) return false;
   const words = filter.text.toLowerCase().split(/\s+/).filter((word) => word !== "");
-  const text = `${said}\n${alert.description}\n${wordsIn(alert, "description") ?? ""}\n${alert.source}\n${alert.category}\n${alert.subCategory ?? ""}\n${alert.id}`.toLowerCase();
+  const text = `${said}\n${alert.description}\n${localizedText(alert, "description") ?? ""}\n${alert.source}\n${alert.category}\n${alert.subCategory ?? ""}\n${alert.id}`.toLowerCase();
   return words.every((word) => text.includes(word));
 }
 

@@ -2,16 +2,16 @@
 import { Cpu, SearchX } from "lucide-react";
 import { useMemo } from "react";
 import { useTranslation } from "react-i18next";
-import { Ago } from "~/design/Ago";
-import { Empty } from "~/design/Empty";
+import { RelativeTime } from "~/design/RelativeTime";
+import { EmptyState } from "~/design/EmptyState";
 import { Field } from "~/design/Field";
-import { State } from "~/design/State";
+import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone } from "~/design/states";
 import { VirtualTable, type Column, type Sorting } from "~/design/VirtualTable";
 import { useFamily } from "~/live/hooks";
 import type { DeviceView } from "~/live/messages";
 import { shortName } from "~/live/urn";
-import { useQuery } from "~/route/query";
+import { useQueryParameter } from "~/route/queryParameter";
 import { Battery } from "../Battery";
 import { valueInWords } from "./value";
 import "./DevicesPanel.css";
@@ -26,8 +26,8 @@ const compared: Record<string, (device: DeviceView) => string | number> = {
 export function DevicesPanel() {
   const { t, i18n } = useTranslation(["system", "common"]);
   const devices = useFamily("device");
-  const [find, setFind] = useQuery("find");
-  const [sort, setSort] = useQuery("sort", "device");
+  const [find, setFind] = useQueryParameter("find");
+  const [sort, setSort] = useQueryParameter("sort", "device");
   const sorting: Sorting = { by: sort.replace(/^-/, ""), isDescending: sort.startsWith("-") };
   const lines = useMemo(() => {
     const valueOf = compared[sort.replace(/^-/, "")] ?? ((device: DeviceView) => shortName(device.id));
@@ -43,7 +43,7 @@ export function DevicesPanel() {
       .map((device) => ({ kind: "row", key: device.id, row: device }) as const);
   }, [devices, find, sort]);
   if (devices.length === 0) {
-    return <Empty icon={<Cpu aria-hidden size={32} />} title={t("device.none.title")}>{t("device.none.means")}</Empty>;
+    return <EmptyState icon={<Cpu aria-hidden size={32} />} title={t("device.none.title")}>{t("device.none.means")}</EmptyState>;
   }
   const columns: readonly Column<DeviceView>[] = [
     {
@@ -62,14 +62,14 @@ export function DevicesPanel() {
     {
       id: "state", name: t("device.state"), width: "minmax(140px, 1fr)", isSortable: true,
       cell: (device) =>
-        device.deviceState !== null && <State tone={deviceTone[device.deviceState]}>{t(`common:deviceState.${device.deviceState}`)}</State>,
+        device.deviceState !== null && <StatusBadge tone={deviceTone[device.deviceState]}>{t(`common:deviceState.${device.deviceState}`)}</StatusBadge>,
     },
     {
       id: "battery", name: t("device.battery"), width: "minmax(90px, 0.8fr)", isSortable: true,
       cell: (device) => device.batteryLevel !== null && <Battery level={device.batteryLevel} />,
     },
     { id: "value", name: t("device.value"), width: "minmax(120px, 2fr)", cell: (device) => valueInWords(device.value, i18n.language) },
-    { id: "seen", name: t("device.seen"), width: "112px", cell: (device) => device.observedAt !== null && <Ago at={device.observedAt} /> },
+    { id: "seen", name: t("device.seen"), width: "112px", cell: (device) => device.observedAt !== null && <RelativeTime at={device.observedAt} /> },
   ];
   return (
     <div className="devices">
@@ -83,7 +83,7 @@ export function DevicesPanel() {
         onSort={({ by, isDescending }) => setSort(`${isDescending ? "-" : ""}${by}`)}
         nameOf={(device) => shortName(device.id)}
       >
-        {lines.length === 0 && <Empty icon={<SearchX aria-hidden size={32} />} title={t("device.noMatch")} />}
+        {lines.length === 0 && <EmptyState icon={<SearchX aria-hidden size={32} />} title={t("device.noMatch")} />}
       </VirtualTable>
     </div>
   );

@@ -2,30 +2,30 @@
 import { ArrowUp, Download, ScrollText } from "lucide-react";
 import { useMemo, useRef, useState } from "react";
 import { useTranslation } from "react-i18next";
-import { eventsBefore } from "~/api/acts";
+import { eventsBefore } from "~/api/actions";
 import { download } from "~/api/download";
-import { describe } from "~/api/http";
+import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
-import { Choice } from "~/design/Choice";
-import { Empty } from "~/design/Empty";
+import { SegmentedControl } from "~/design/SegmentedControl";
+import { EmptyState } from "~/design/EmptyState";
 import { Field } from "~/design/Field";
-import { Pick } from "~/design/Pick";
-import { Problem } from "~/design/Problem";
+import { Select } from "~/design/Select";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import { useEvents } from "~/live/hooks";
-import { useQuery } from "~/route/query";
-import { allEvents, csv, type EventFilter, gathered, held, MOST_SHOWN, passes, sourcesOf } from "./event_log";
+import { useQueryParameter } from "~/route/queryParameter";
+import { allEvents, csv, type EventFilter, gathered, held, MAX_SHOWN, passes, sourcesOf } from "./event_log";
 import { EventRow } from "./EventRow";
-import { useSaid } from "./said";
+import { useMessageText } from "./eventText";
 import "./EventsPanel.css";
 
 const PAGE = 200;
 const EXPORT_PAGE = 1000;
 /** So near to its top a list is still looked at from the top. */
-const TOP_PX = 8;
+const TOP_TOLERANCE_PX = 8;
 
 export function EventsPanel() {
   const { t } = useTranslation("system");
-  const said = useSaid();
+  const said = useMessageText();
   const { filter, bar } = useFilter();
   const log = useLog();
   const [upTo, setUpTo] = useState<number | null>(null);
@@ -38,7 +38,7 @@ export function EventsPanel() {
   const { shown, waiting } = held(passing, upTo);
 
   const onScroll = (top: number) => {
-    if (top <= TOP_PX) setUpTo(null);
+    if (top <= TOP_TOLERANCE_PX) setUpTo(null);
     else setUpTo((place) => place ?? log.events.at(-1)?.seq ?? null);
   };
   const toNewest = () => {
@@ -69,17 +69,17 @@ export function EventsPanel() {
           ))}
           {shown.length === 0 && (
             <li>
-              <Empty icon={<ScrollText aria-hidden size={32} />} title={t(log.events.length === 0 ? "events.none.title" : "events.noMatch.title")}>
+              <EmptyState icon={<ScrollText aria-hidden size={32} />} title={t(log.events.length === 0 ? "events.none.title" : "events.noMatch.title")}>
                 {t(log.events.length === 0 ? "events.none.means" : "events.noMatch.means")}
-              </Empty>
+              </EmptyState>
             </li>
           )}
           <li className="events__more">
-            {log.failure !== null && <Problem>{log.failure}</Problem>}
+            {log.failure !== null && <ErrorMessage>{log.failure}</ErrorMessage>}
             {log.isWhole ? (
               <p className="quiet">{t("events.whole")}</p>
-            ) : log.events.length >= MOST_SHOWN ? (
-              <p className="quiet">{t("events.most", { count: MOST_SHOWN })}</p>
+            ) : log.events.length >= MAX_SHOWN ? (
+              <p className="quiet">{t("events.most", { count: MAX_SHOWN })}</p>
             ) : (
               <Button isDisabled={log.busy} onPress={log.loadOlder}>
                 {t("events.older")}
@@ -113,7 +113,7 @@ function useLog() {
         setEvents((known) => gathered(known, older));
         setIsWhole(older.length < PAGE);
       })
-      .catch((error: unknown) => setFailure(describe(error)))
+      .catch((error: unknown) => setFailure(errorText(error)))
       .finally(() => setBusy(false));
   };
   const sources = useMemo(() => sourcesOf(events), [events]);
@@ -123,9 +123,9 @@ function useLog() {
 /** The filter, which the URL holds, and the bar that sets it. */
 function useFilter() {
   const { t } = useTranslation(["system", "common"]);
-  const [level, setLevel] = useQuery("level");
-  const [source, setSource] = useQuery("source");
-  const [text, setText] = useQuery("text");
+  const [level, setLevel] = useQueryParameter("level");
+  const [source, setSource] = useQueryParameter("source");
+  const [text, setText] = useQueryParameter("text");
   const filter: EventFilter = useMemo(
     () => ({ level: level === "attention" || level === "stop" ? level : "", source, text }),
     [level, source, text],
@@ -141,8 +141,8 @@ function useFilter() {
     ];
     return (
       <div className="events__filter">
-        <Choice label={t("events.levels")} value={filter.level} options={levels} onChange={setLevel} />
-        <Pick label={t("events.source")} value={source} options={options} onChange={setSource} />
+        <SegmentedControl label={t("events.levels")} value={filter.level} options={levels} onChange={setLevel} />
+        <Select label={t("events.source")} value={source} options={options} onChange={setSource} />
         <Field label={t("events.text")} value={text} onChange={setText} type="search" />
       </div>
     );
@@ -150,10 +150,10 @@ function useFilter() {
   return { filter, bar };
 }
 
-/** What passes the filter of all that is kept, not only of what is in sight. */
+/** What passes the filter of all that is kept, not only of what is visible. */
 function Exports({ filter }: { filter: EventFilter }) {
   const { t } = useTranslation("system");
-  const said = useSaid();
+  const said = useMessageText();
   const [busy, setBusy] = useState(false);
   const [failure, setFailure] = useState<string | null>(null);
   const take = (kind: "csv" | "json") => {
@@ -166,12 +166,12 @@ function Exports({ filter }: { filter: EventFilter }) {
         if (kind === "csv") download(name, "text/csv;charset=utf-8", csv(events));
         else download(name, "application/json", `${JSON.stringify(events, null, 2)}\n`);
       })
-      .catch((error: unknown) => setFailure(describe(error)))
+      .catch((error: unknown) => setFailure(errorText(error)))
       .finally(() => setBusy(false));
   };
   return (
     <div className="events__export">
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {(["csv", "json"] as const).map((kind) => (
         <Button key={kind} isDisabled={busy} icon={<Download aria-hidden size={16} />} onPress={() => take(kind)}>
           {t(`events.export.${kind}`)}

@@ -2,7 +2,7 @@
 import type { LiveEvent } from "~/live/messages";
 
 /** More than this nobody scrolls through; an export has them all. */
-export const MOST_SHOWN = 2000;
+export const MAX_SHOWN = 2000;
 
 export interface EventFilter {
   /** "" for all, "attention" for attention and stop, "stop" for stop alone. */
@@ -14,7 +14,7 @@ export interface EventFilter {
 const rank: Record<LiveEvent["level"] | "", number> = { "": 0, info: 0, attention: 1, stop: 2 };
 
 /** Two runs of events as one, by `seq`, each once, the newest `most` of them. */
-export function gathered(known: readonly LiveEvent[], news: readonly LiveEvent[], most = MOST_SHOWN): readonly LiveEvent[] {
+export function gathered(known: readonly LiveEvent[], news: readonly LiveEvent[], most = MAX_SHOWN): readonly LiveEvent[] {
   if (news.length === 0) return known;
   const bySeq = new Map(known.map((event) => [event.seq, event]));
   const before = bySeq.size;
@@ -32,7 +32,7 @@ export function passes(event: LiveEvent, filter: EventFilter, said: string): boo
 }
 
 /**
- * What a reader sees: everything while the newest is in sight (`upTo` null), else only what was there when
+ * What a reader sees: everything while the newest is visible (`upTo` null), else only what was there when
  * they began to read, and how many have come since.
  */
 export function held(events: readonly LiveEvent[], upTo: number | null): { shown: LiveEvent[]; waiting: number } {

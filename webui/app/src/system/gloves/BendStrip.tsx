@@ -1,7 +1,7 @@
 /** The live strip of the five bends: half a minute, thirty times a second at most, and only while it is seen. */
 import { useCallback } from "react";
 import { useTranslation } from "react-i18next";
-import { usePick } from "~/live/hooks";
+import { useTopicSelector } from "~/live/hooks";
 import type { Finger } from "~/live/messages";
 import { fingers } from "~/hand/geometry";
 import { dashes } from "~/plot/fingers";
@@ -37,7 +37,7 @@ export default function BendStrip({ glove }: { glove: string }) {
 
 function Legend({ glove, finger, number }: { glove: string; finger: Finger; number: number }) {
   const { t } = useTranslation(["system", "hand"]);
-  const state = usePick(`glove/${glove}`, (view) => view?.states?.[number] ?? null);
+  const state = useTopicSelector(`glove/${glove}`, (view) => view?.states?.[number] ?? null);
   return (
     <span className="bend-strip__finger">
       <svg width="28" height="8" aria-hidden>

@@ -2,16 +2,16 @@
 import { lazy, Suspense, useState } from "react";
 import { useTranslation } from "react-i18next";
 import { SwitchButton, SwitchField, Text } from "react-aria-components";
-import { callService, describe } from "~/api/http";
+import { requestService, errorText } from "~/api/http";
 import { Card } from "~/design/Card";
 import { number } from "~/design/numbers";
-import { Problem } from "~/design/Problem";
-import { State } from "~/design/State";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone } from "~/design/states";
 import { rate } from "~/design/times";
 import { Hand, useGestureName } from "~/hand/Hand";
 import { useNow } from "~/live/clock";
-import { useLive, usePick } from "~/live/hooks";
+import { useLive, useTopicSelector } from "~/live/hooks";
 import { shortName } from "~/live/urn";
 import { Battery } from "../Battery";
 
@@ -21,16 +21,16 @@ const FINGERS_UNSEEN = "00000";
 
 export function GloveCard({ glove }: { glove: string }) {
   const { t } = useTranslation(["system", "common"]);
-  const state = usePick(`glove/${glove}`, (view) => view?.deviceState);
-  const isConnected = usePick(`glove/${glove}`, (view) => view?.connected) === true;
+  const state = useTopicSelector(`glove/${glove}`, (view) => view?.deviceState);
+  const isConnected = useTopicSelector(`glove/${glove}`, (view) => view?.connected) === true;
   return (
     <Card
       className="glove"
       title={glove}
       aside={
         <span className="glove__states">
-          {isConnected ? <State tone="ok">{t("glove.connected")}</State> : <State tone="attention">{t("glove.away")}</State>}
-          {state !== undefined && <State tone={deviceTone[state]}>{t(`common:deviceState.${state}`)}</State>}
+          {isConnected ? <StatusBadge tone="ok">{t("glove.connected")}</StatusBadge> : <StatusBadge tone="attention">{t("glove.away")}</StatusBadge>}
+          {state !== undefined && <StatusBadge tone={deviceTone[state]}>{t(`common:deviceState.${state}`)}</StatusBadge>}
         </span>
       }
     >
@@ -49,9 +49,9 @@ export function GloveCard({ glove }: { glove: string }) {
 function LiveHand({ glove }: { glove: string }) {
   const { t } = useTranslation("system");
   const gestureName = useGestureName();
-  const hand = usePick(`glove/${glove}`, (view) => view?.hand) ?? "right";
-  const states = usePick(`glove/${glove}`, (view) => view?.states ?? null);
-  const gesture = usePick(`glove/${glove}`, (view) => view?.gesture ?? null);
+  const hand = useTopicSelector(`glove/${glove}`, (view) => view?.hand) ?? "right";
+  const states = useTopicSelector(`glove/${glove}`, (view) => view?.states ?? null);
+  const gesture = useTopicSelector(`glove/${glove}`, (view) => view?.gesture ?? null);
   return (
     <figure className="glove__hand" data-unseen={states === null || undefined}>
       <Hand states={states ?? FINGERS_UNSEEN} side={hand} size="148px" moveMs={120} />
@@ -63,10 +63,10 @@ function LiveHand({ glove }: { glove: string }) {
 function Facts({ glove }: { glove: string }) {
   const { t } = useTranslation("system");
   const topic = `glove/${glove}` as const;
-  const hand = usePick(topic, (view) => view?.hand) ?? "right";
-  const person = usePick(topic, (view) => view?.person ?? null);
-  const battery = usePick(topic, (view) => view?.battery ?? null);
-  const task = usePick(topic, (view) => view?.task?.description ?? null);
+  const hand = useTopicSelector(topic, (view) => view?.hand) ?? "right";
+  const person = useTopicSelector(topic, (view) => view?.person ?? null);
+  const battery = useTopicSelector(topic, (view) => view?.battery ?? null);
+  const task = useTopicSelector(topic, (view) => view?.task?.description ?? null);
   return (
     <dl className="facts">
       <Fact name={t("glove.hand")}>{t(`glove.side.${hand}`)}</Fact>
@@ -115,9 +115,9 @@ function Signal({ glove }: { glove: string }) {
 function LastAnswer({ glove }: { glove: string }) {
   const { t } = useTranslation("system");
   const gestureName = useGestureName();
-  const gesture = usePick(`glove/${glove}`, (view) => view?.answered?.gesture ?? null);
-  const by = usePick(`glove/${glove}`, (view) => view?.answered?.by ?? null);
-  const operator = usePick(`glove/${glove}`, (view) => view?.answered?.operator ?? null);
+  const gesture = useTopicSelector(`glove/${glove}`, (view) => view?.answered?.gesture ?? null);
+  const by = useTopicSelector(`glove/${glove}`, (view) => view?.answered?.by ?? null);
+  const operator = useTopicSelector(`glove/${glove}`, (view) => view?.answered?.operator ?? null);
   const words =
     by === null || gesture === null
       ? t("glove.noAnswer")
@@ -130,19 +130,19 @@ function LastAnswer({ glove }: { glove: string }) {
 function Modes({ glove }: { glove: string }) {
   const { t } = useTranslation("system");
   const [failure, setFailure] = useState<string | null>(null);
-  const testing = usePick(`glove/${glove}`, (view) => view?.testing) === true;
-  const filtering = usePick(`glove/${glove}`, (view) => view?.filtering) === true;
+  const testing = useTopicSelector(`glove/${glove}`, (view) => view?.testing) === true;
+  const filtering = useTopicSelector(`glove/${glove}`, (view) => view?.filtering) === true;
   const put = (modes: { testing: boolean } | { filtering: boolean }) => {
     setFailure(null);
-    callService("gesture-controller", `gloves/${encodeURIComponent(glove)}/modes`, { method: "PUT", json: modes }).catch(
-      (error: unknown) => setFailure(describe(error)),
+    requestService("gesture-controller", `gloves/${encodeURIComponent(glove)}/modes`, { method: "PUT", json: modes }).catch(
+      (error: unknown) => setFailure(errorText(error)),
     );
   };
   return (
     <div className="glove__modes">
       <Mode name={t("glove.testing")} means={t("glove.testingMeans")} isOn={testing} onChange={(on) => put({ testing: on })} />
       <Mode name={t("glove.filtering")} means={t(filtering ? "glove.filteringMeans" : "glove.filteringOff")} isOn={filtering} onChange={(on) => put({ filtering: on })} />
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
     </div>
   );
 }

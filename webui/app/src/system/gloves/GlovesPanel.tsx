@@ -2,17 +2,17 @@
 import { Hand } from "lucide-react";
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
-import { startOperator } from "~/api/acts";
-import { describe } from "~/api/http";
+import { startOperator } from "~/api/actions";
+import { errorText } from "~/api/http";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
-import { Problem } from "~/design/Problem";
+import { EmptyState } from "~/design/EmptyState";
+import { ErrorMessage } from "~/design/ErrorMessage";
 import { useTopic } from "~/live/hooks";
 import { useGloveNames } from "~/live/names";
 import { GloveCard } from "./GloveCard";
 import "./GlovesPanel.css";
 
-const FIRST_GLOVE = "glove-1";
+const DEFAULT_GLOVE = "glove-1";
 
 export function GlovesPanel() {
   const gloves = useGloveNames();
@@ -32,10 +32,10 @@ function NoGlove() {
   const [failure, setFailure] = useState<string | null>(null);
   const start = () => {
     setFailure(null);
-    startOperator(FIRST_GLOVE).catch((error: unknown) => setFailure(describe(error)));
+    startOperator(DEFAULT_GLOVE).catch((error: unknown) => setFailure(errorText(error)));
   };
   return (
-    <Empty
+    <EmptyState
       icon={<Hand aria-hidden size={32} />}
       title={t("glove.none.title")}
       act={
@@ -44,7 +44,7 @@ function NoGlove() {
         </Button>
       }
     >
-      {failure === null ? t("glove.none.means") : <Problem>{failure}</Problem>}
-    </Empty>
+      {failure === null ? t("glove.none.means") : <ErrorMessage>{failure}</ErrorMessage>}
+    </EmptyState>
   );
 }

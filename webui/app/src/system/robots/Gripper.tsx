@@ -1,18 +1,18 @@
 /** The gripper: whether it is open, what it holds, and a way to get a part out of it. */
 import { useState } from "react";
 import { useTranslation } from "react-i18next";
-import { callService } from "~/api/http";
-import { Ask } from "~/design/Ask";
+import { requestService } from "~/api/http";
+import { ConfirmDialog } from "~/design/ConfirmDialog";
 import { Button } from "~/design/Button";
-import { usePick } from "~/live/hooks";
+import { useTopicSelector } from "~/live/hooks";
 
 export function Gripper({ robot }: { robot: string }) {
   const { t } = useTranslation("system");
   const [asks, setAsks] = useState(false);
-  const isClosed = usePick(`robot/${robot}`, (view) => view?.gripper.closed) === true;
-  const holds = usePick(`robot/${robot}`, (view) => view?.gripper.holds ?? null);
-  const works = usePick(`robot/${robot}`, (view) => view?.task != null);
-  const free = () => callService("trajectory-tool", `robots/${encodeURIComponent(robot)}/gripper/free`, { method: "POST" });
+  const isClosed = useTopicSelector(`robot/${robot}`, (view) => view?.gripper.closed) === true;
+  const holds = useTopicSelector(`robot/${robot}`, (view) => view?.gripper.holds ?? null);
+  const works = useTopicSelector(`robot/${robot}`, (view) => view?.task != null);
+  const free = () => requestService("trajectory-tool", `robots/${encodeURIComponent(robot)}/gripper/free`, { method: "POST" });
   return (
     <section className="gripper">
       <div>
@@ -23,7 +23,7 @@ export function Gripper({ robot }: { robot: string }) {
         {t("gripper.free")}
       </Button>
       <p className="gripper__why quiet small">{works ? t("gripper.notNow") : ""}</p>
-      <Ask
+      <ConfirmDialog
         isOpen={asks}
         onClose={() => setAsks(false)}
         title={t("gripper.ask", { robot })}
@@ -32,7 +32,7 @@ export function Gripper({ robot }: { robot: string }) {
         onAct={free}
       >
         <p>{holds === null ? t("gripper.meansEmpty") : t("gripper.means", { part: holds })}</p>
-      </Ask>
+      </ConfirmDialog>
     </section>
   );
 }

@@ -3,10 +3,10 @@ import { lazy, Suspense } from "react";
 import { useTranslation } from "react-i18next";
 import { Card } from "~/design/Card";
 import { percent as percentOf } from "~/design/numbers";
-import { State } from "~/design/State";
+import { StatusBadge } from "~/design/StatusBadge";
 import { deviceTone } from "~/design/states";
 import { duration } from "~/design/times";
-import { usePick, useTopic } from "~/live/hooks";
+import { useTopicSelector, useTopic } from "~/live/hooks";
 import { Gripper } from "./Gripper";
 import { JointTable } from "./JointTable";
 
@@ -14,12 +14,12 @@ const Robot3d = lazy(() => import("~/robot3d/Robot3d"));
 
 export function RobotCard({ robot }: { robot: string }) {
   const { t } = useTranslation(["system", "common"]);
-  const state = usePick(`robot/${robot}`, (view) => view?.deviceState);
+  const state = useTopicSelector(`robot/${robot}`, (view) => view?.deviceState);
   return (
     <Card
       className="robot"
       title={robot}
-      aside={state !== undefined && <State tone={deviceTone[state]}>{t(`common:deviceState.${state}`)}</State>}
+      aside={state !== undefined && <StatusBadge tone={deviceTone[state]}>{t(`common:deviceState.${state}`)}</StatusBadge>}
     >
       <div className="robot__body">
         <div className="robot__view">

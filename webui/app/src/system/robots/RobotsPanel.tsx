@@ -1,7 +1,7 @@
 /** Robots: one card each. */
 import { Bot } from "lucide-react";
 import { useTranslation } from "react-i18next";
-import { Empty } from "~/design/Empty";
+import { EmptyState } from "~/design/EmptyState";
 import { useRobotNames } from "~/live/names";
 import { RobotCard } from "./RobotCard";
 import "./RobotsPanel.css";
@@ -11,9 +11,9 @@ export function RobotsPanel() {
   const robots = useRobotNames();
   if (robots.length === 0) {
     return (
-      <Empty icon={<Bot aria-hidden size={32} />} title={t("robot.none.title")}>
+      <EmptyState icon={<Bot aria-hidden size={32} />} title={t("robot.none.title")}>
         {t("robot.none.means")} <code>{".venv/bin/handover run trajectory-tool"}</code>
-      </Empty>
+      </EmptyState>
     );
   }
   return (

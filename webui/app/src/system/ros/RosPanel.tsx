@@ -1,15 +1,15 @@
 /** ROS: one row a rule of the bridge, how much it passes on, what last, and what kept it from doing so. */
 import { Waypoints } from "lucide-react";
 import { useTranslation } from "react-i18next";
-import { Address } from "~/design/Address";
-import { Ago } from "~/design/Ago";
+import { BreakableText } from "~/design/BreakableText";
+import { RelativeTime } from "~/design/RelativeTime";
 import { Button } from "~/design/Button";
-import { Empty } from "~/design/Empty";
-import { Problem } from "~/design/Problem";
-import { State, type Tone } from "~/design/State";
+import { EmptyState } from "~/design/EmptyState";
+import { ErrorMessage } from "~/design/ErrorMessage";
+import { StatusBadge, type Tone } from "~/design/StatusBadge";
 import { rate } from "~/design/times";
 import { Cell, Row, Rows } from "../Rows";
-import { inALine, standing, useRules, type RuleView, type Standing } from "./rules";
+import { oneLine, standing, useRules, type RuleView, type Standing } from "./rules";
 import "./RosPanel.css";
 
 const tones: Record<Standing, Tone> = { off: "neutral", silent: "attention", works: "ok", waits: "accent" };
@@ -20,11 +20,11 @@ export function RosPanel() {
   const heads = ["rule", "state", "rates", "value", "error", "act"].map((head) => t(`ros.${head}`));
   return (
     <>
-      {failure !== null && <Problem>{failure}</Problem>}
+      {failure !== null && <ErrorMessage>{failure}</ErrorMessage>}
       {rules?.length === 0 && (
-        <Empty icon={<Waypoints aria-hidden size={32} />} title={t("ros.none.title")}>
+        <EmptyState icon={<Waypoints aria-hidden size={32} />} title={t("ros.none.title")}>
           {t("ros.none.means")}
-        </Empty>
+        </EmptyState>
       )}
       {rules !== null && rules.length > 0 && (
         <Rows label={t("tab.ros")} heads={heads} widths={["20%", "15%", "18%", "17%", "17%", "13%"]}>
@@ -54,11 +54,11 @@ function Rule({ rule, heads, isFirst, turn }: RuleProps) {
       <Cell head={name}>
         <span className="rows__name">{rule.name}</span>
         <p className="rows__why">
-          <Address of={rule.from} /> → <Address of={rule.to} />
+          <BreakableText of={rule.from} /> → <BreakableText of={rule.to} />
         </p>
       </Cell>
       <Cell head={state}>
-        <State tone={tones[stands]}>{t(`ros.stands.${stands}`)}</State>
+        <StatusBadge tone={tones[stands]}>{t(`ros.stands.${stands}`)}</StatusBadge>
       </Cell>
       <Cell head={rates}>
         <ul className="ros__rates">
@@ -74,15 +74,15 @@ function Rule({ rule, heads, isFirst, turn }: RuleProps) {
         {rule.dropped > 0 && <p className="rows__why">{t("ros.dropped", { count: rule.dropped })}</p>}
       </Cell>
       <Cell head={value}>
-        <code className="ros__value">{inALine(rule.lastValue)}</code>
+        <code className="ros__value">{oneLine(rule.lastValue)}</code>
       </Cell>
       <Cell head={error}>
         {trouble !== null && (
           <>
-            <span className="small">{inALine(trouble, 240)}</span>{" "}
+            <span className="small">{oneLine(trouble, 240)}</span>{" "}
             {rule.lastErrorAt !== null && (
               <span className="quiet small">
-                <Ago at={rule.lastErrorAt} />
+                <RelativeTime at={rule.lastErrorAt} />
               </span>
             )}
           </>

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { inALine, standing, type RuleView } from "./rules";
+import { oneLine, standing, type RuleView } from "./rules";
 
 const rule: RuleView = {
   name: "battery",
@@ -35,13 +35,13 @@ describe("standing", () => {
 
 describe("a value in a line", () => {
   it("is shown as it is written", () => {
-    expect(inALine({ speed: 0.5, at: [1, 2] })).toBe('{"speed":0.5,"at":[1,2]}');
-    expect(inALine("Grüße")).toBe("Grüße");
-    expect(inALine(null)).toBe("");
-    expect(inALine(false)).toBe("false");
+    expect(oneLine({ speed: 0.5, at: [1, 2] })).toBe('{"speed":0.5,"at":[1,2]}');
+    expect(oneLine("Grüße")).toBe("Grüße");
+    expect(oneLine(null)).toBe("");
+    expect(oneLine(false)).toBe("false");
   });
 
   it("ends where it grows too long", () => {
-    expect(inALine("x".repeat(500), 10)).toBe(`${"x".repeat(9)}…`);
+    expect(oneLine("x".repeat(500), 10)).toBe(`${"x".repeat(9)}…`);
   });
 });

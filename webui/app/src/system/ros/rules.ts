@@ -1,8 +1,10 @@
-/** The rules of the ROS bridge, asked again and again while somebody looks at them. */
-import { useCallback, useEffect, useState } from "react";
-import { callService, describe } from "~/api/http";
+/** The rules of the ROS bridge, polled while they are shown. */
+import { useMutation } from "@tanstack/react-query";
+import { useCallback } from "react";
+import { errorText, requestService } from "~/api/http";
+import { queryClient, useServiceQuery } from "~/api/useServiceQuery";
 
-const ASK_EVERY_MS = 2000;
+const POLL_INTERVAL_MS = 2000;
 
 /** A rule as the bridge shows it; rates are per second. */
 export interface RuleView {
@@ -20,7 +22,7 @@ export interface RuleView {
   lastValue: unknown;
   lastError: string | null;
   lastErrorAt: string | null;
-  /** Of a rule that listens to a topic: how many speak on it, and what could not be read. */
+  /** Of a rule that subscribes to a topic: its number of publishers, and the last message that could not be decoded. */
   publishers?: number;
   lastUnreadable?: string | null;
 }
@@ -34,47 +36,24 @@ export interface Rules {
 }
 
 export function useRules(): Rules {
-  const [rules, setRules] = useState<readonly RuleView[] | null>(null);
-  const [failure, setFailure] = useState<string | null>(null);
-  const [turned, setTurned] = useState(0);
-
-  useEffect(() => {
-    const leaving = new AbortController();
-    const ask = () => {
-      callService<RuleView[]>("ros-bridge", "rules", { signal: leaving.signal }).then(
-        (received) => {
-          setRules(received);
-          setFailure(null);
-        },
-        (error: unknown) => {
-          if (!leaving.signal.aborted) setFailure(describe(error));
-        },
-      );
-    };
-    ask();
-    const asking = setInterval(ask, ASK_EVERY_MS);
-    return () => {
-      clearInterval(asking);
-      leaving.abort();
-    };
-  }, [turned]);
-
-  const turn = useCallback((rule: RuleView, on: boolean) => {
-    const path = `rules/${encodeURIComponent(rule.name)}/${on ? "enable" : "disable"}`;
-    callService("ros-bridge", path, { method: "POST" }).then(
-      () => setTurned((count) => count + 1),
-      (error: unknown) => setFailure(describe(error)),
-    );
-  }, []);
-
-  return { rules, failure, turn };
+  const { value, failure, reload } = useServiceQuery<RuleView[]>("ros-bridge", "rules", { intervalMs: POLL_INTERVAL_MS });
+  const { mutate, error } = useMutation(
+    {
+      mutationFn: ({ rule, on }: { rule: RuleView; on: boolean }) =>
+        requestService("ros-bridge", `rules/${encodeURIComponent(rule.name)}/${on ? "enable" : "disable"}`, { method: "POST" }),
+      onSuccess: reload,
+    },
+    queryClient,
+  );
+  const turn = useCallback((rule: RuleView, on: boolean) => mutate({ rule, on }), [mutate]);
+  return { rules: value, failure: error === null ? failure : errorText(error), turn };
 }
 
 /** A value in a line, whatever it is; a long one ends in "…". */
-export function inALine(value: unknown, longest = 160): string {
+export function oneLine(value: unknown, maxLength = 160): string {
   if (value === null || value === undefined) return "";
   const line = typeof value === "string" ? value : JSON.stringify(value);
-  return line.length <= longest ? line : `${line.slice(0, longest - 1)}…`;
+  return line.length <= maxLength ? line : `${line.slice(0, maxLength - 1)}…`;
 }
 
 export type Standing = "off" | "silent" | "works" | "waits";

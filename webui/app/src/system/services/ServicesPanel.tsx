@@ -1,9 +1,9 @@
-/** Services: one row a component, whether it is well, how much it does, what was last heard of it. */
+/** Services: one row per service with its health, rates and last message. */
 import { Activity } from "lucide-react";
 import { useTranslation } from "react-i18next";
-import { Ago } from "~/design/Ago";
-import { Empty } from "~/design/Empty";
-import { State } from "~/design/State";
+import { RelativeTime } from "~/design/RelativeTime";
+import { EmptyState } from "~/design/EmptyState";
+import { StatusBadge } from "~/design/StatusBadge";
 import { healthTone } from "~/design/states";
 import { rate } from "~/design/times";
 import { useTopic } from "~/live/hooks";
@@ -15,7 +15,7 @@ export function ServicesPanel() {
   const { t } = useTranslation("system");
   const services = useTopic("services") ?? [];
   if (services.length === 0) {
-    return <Empty icon={<Activity aria-hidden size={32} />} title={t("service.none.title")}>{t("service.none.means")}</Empty>;
+    return <EmptyState icon={<Activity aria-hidden size={32} />} title={t("service.none.title")}>{t("service.none.means")}</EmptyState>;
   }
   const heads = ["service", "state", "since", "rates", "last"].map((head) => t(`service.${head}`));
   return (
@@ -37,11 +37,11 @@ function Service({ service, heads, isFirst }: { service: ServiceHealth; heads: r
         <span className="rows__name">{t(`common:services.${service.name}`, { defaultValue: service.name })}</span>
       </Cell>
       <Cell head={state}>
-        <State tone={healthTone[service.state]}>{t(`common:health.${service.state}`)}</State>
+        <StatusBadge tone={healthTone[service.state]}>{t(`common:health.${service.state}`)}</StatusBadge>
         {service.detail !== null && <p className="rows__why">{service.detail}</p>}
       </Cell>
       <Cell head={since}>
-        <Ago at={service.since} />
+        <RelativeTime at={service.since} />
       </Cell>
       <Cell head={rates}>
         {counted.length > 0 && (
@@ -60,7 +60,7 @@ function Service({ service, heads, isFirst }: { service: ServiceHealth; heads: r
           <>
             <span className="services__message">{service.lastMessage.text}</span>{" "}
             <span className="quiet small">
-              <Ago at={service.lastMessage.at} />
+              <RelativeTime at={service.lastMessage.at} />
             </span>
           </>
         )}

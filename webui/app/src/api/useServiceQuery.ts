@@ -1,0 +1,60 @@
+/** Loads resources of the services with TanStack Query: equal requests are shared, transient errors retried. */
+import { QueryClient, useQuery } from "@tanstack/react-query";
+import { useCallback, useEffect, useRef } from "react";
+import { ApiError, errorText, requestService, type Service } from "./http";
+
+const RETRY_MS = 3000;
+
+/** Requests also run while the browser believes to be offline: the server may be on this machine. */
+export const queryClient = new QueryClient({
+  defaultOptions: {
+    queries: { networkMode: "always", refetchOnWindowFocus: false, gcTime: 0, retry: (_count, error) => isTransient(error), retryDelay: RETRY_MS },
+    mutations: { networkMode: "always" },
+  },
+});
+
+export interface ServiceQuery<T> {
+  /** The last value; it stays while the service cannot be reached. */
+  value: T | null;
+  /** Why the last request failed, for people. */
+  failure: string | null;
+  /** The service has no such resource. */
+  missing: boolean;
+  reload: () => void;
+}
+
+export interface ServiceQueryOptions {
+  /** Another value causes another request. */
+  revision?: string | number;
+  intervalMs?: number;
+}
+
+/** Load `path` of `service`; null loads nothing. */
+export function useServiceQuery<T>(service: Service, path: string | null, { revision = "", intervalMs }: ServiceQueryOptions = {}): ServiceQuery<T> {
+  const { data, error, failureReason, refetch } = useQuery(
+    {
+      queryKey: [service, path],
+      queryFn: ({ signal }) => requestService<T>(service, path ?? "", { signal }),
+      enabled: path !== null,
+      refetchInterval: intervalMs ?? false,
+    },
+    queryClient,
+  );
+  const reload = useCallback(() => void refetch(), [refetch]);
+  const loadedRevision = useRef(revision);
+  useEffect(() => {
+    if (loadedRevision.current === revision) return;
+    loadedRevision.current = revision;
+    if (path !== null) reload();
+  }, [revision, path, reload]);
+  const fault = error ?? failureReason;
+  return { value: data ?? null, failure: fault === null ? null : errorText(fault), missing: isMissing(fault), reload };
+}
+
+function isMissing(error: Error | null): boolean {
+  return error instanceof ApiError && error.problem.status === 404;
+}
+
+function isTransient(error: Error): boolean {
+  return !(error instanceof ApiError) || error.problem.status >= 500;
+}

@@ -1,0 +1,14 @@
+/** An error says what happened, what it means for the work, and what to do. */
+import { TriangleAlert } from "lucide-react";
+import type { ReactNode } from "react";
+import "./ErrorMessage.css";
+
+export function ErrorMessage({ children, act }: { children: ReactNode; act?: ReactNode }) {
+  return (
+    <div className="error-message" role="alert">
+      <TriangleAlert aria-hidden size="1.3em" />
+      <div className="error-message__text">{children}</div>
+      {act}
+    </div>
+  );
+}

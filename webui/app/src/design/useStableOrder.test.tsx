@@ -1,0 +1,34 @@
+import { renderHook } from "@testing-library/react";
+import { act } from "react";
+import { expect, test } from "vitest";
+import { useStableOrder } from "./useStableOrder";
+
+interface Row {
+  id: string;
+  value: number;
+}
+
+function list(ids: string, value = 0): Row[] {
+  return Array.from(ids, (id) => ({ id, value }));
+}
+
+function held(rows: Row[], isHeld: boolean, signature = "") {
+  return { rows, all: new Map(rows.map((row) => [row.id, row])), isHeld, signature };
+}
+
+test("a list keeps its order while it is read, counts what is new, and shows it when asked", () => {
+  const { result, rerender } = renderHook((given: ReturnType<typeof held>) => useStableOrder(given.rows, (row) => row.id, given.all, given.isHeld, given.signature), {
+    initialProps: held(list("abc"), false),
+  });
+  const shown = () => result.current.rows.map((row) => row.id).join("");
+  rerender(held(list("cab"), false));
+  expect(shown()).toBe("cab");
+  rerender(held(list("xbacy", 7), true));
+  expect(shown()).toBe("cab");
+  expect(result.current.rows[0]?.value).toBe(7);
+  expect(result.current.waiting).toBe(2);
+  act(() => result.current.release());
+  expect(shown()).toBe("xbacy");
+  rerender(held(list("ba"), true, "sorted by name"));
+  expect(shown()).toBe("ba");
+});

@@ -1,0 +1,22 @@
+/** The URL holds the state of a page, so that it can be sent to a colleague. */
+import { useCallback } from "react";
+import { useSearchParams } from "wouter";
+
+/** A part of the URL's query as state; the default stands for no part at all, and no history is made. */
+export function useQueryParameter(name: string, standard = ""): [string, (value: string) => void] {
+  const [query, setQuery] = useSearchParams();
+  const set = useCallback(
+    (value: string) =>
+      setQuery(
+        (before) => {
+          const after = new URLSearchParams(before);
+          if (value === standard) after.delete(name);
+          else after.set(name, value);
+          return after;
+        },
+        { replace: true },
+      ),
+    [name, standard, setQuery],
+  );
+  return [query.get(name) ?? standard, set];
+}

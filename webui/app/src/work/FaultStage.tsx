@@ -1,0 +1,113 @@
+/** The states in which the work stands still, as the whole page: an icon, a word, a colour, and what to do. */
+import { CirclePause, CloudOff, HandHelping, Hourglass, OctagonX, ServerCrash, Users, WifiOff } from "lucide-react";
+import { useTranslation } from "react-i18next";
+import { Button } from "~/design/Button";
+import { localizedText } from "~/i18n/server";
+import type { ProcessView, TaskView } from "~/live/messages";
+import { isSame } from "~/live/urn";
+import { useMessageText } from "./messageText";
+import type { Situation } from "./situation";
+import { FullPageState } from "./FullPageState";
+
+export function FaultStage({ situation, choose }: { situation: Situation; choose: (glove: string) => void }) {
+  const { t } = useTranslation("work");
+  const said = useMessageText();
+  switch (situation.kind) {
+    case "connecting":
+      return <FullPageState tone="neutral" icon={<Hourglass aria-hidden />} title={t("connecting.title")} />;
+    case "paused":
+      return (
+        <FullPageState
+          tone="attention"
+          icon={<CirclePause aria-hidden />}
+          title={t("paused")}
+          means={said(situation.glove.message)}
+          todo={t("waitingStep", { task: situation.task.description })}
+        />
+      );
+    case "linkLost":
+      return (
+        <FullPageState tone="stop" icon={<CloudOff aria-hidden />} title={t("linkLost.title")} means={t("linkLost.means")} todo={t("linkLost.do")} />
+      );
+    case "serviceLost":
+      return (
+        <FullPageState
+          tone="stop"
+          icon={<ServerCrash aria-hidden />}
+          title={t(`serviceLost.${situation.service}.title`)}
+          means={t(`serviceLost.${situation.service}.means`)}
+          todo={t("serviceLost.do")}
+          detail={situation.detail}
+        />
+      );
+    case "gloveLost":
+      return (
+        <FullPageState
+          tone="stop"
+          icon={<WifiOff aria-hidden />}
+          title={t("gloveLost.title", { glove: situation.glove.glove })}
+          means={t("gloveLost.means", { task: situation.task.description })}
+          todo={t("gloveLost.do")}
+        />
+      );
+    case "failed":
+      return <Failed process={situation.process} />;
+    case "noGlove": {
+      const glove = situation.chosen ?? "glove-1";
+      return (
+        <FullPageState
+          tone="attention"
+          icon={<HandHelping aria-hidden />}
+          title={situation.chosen === null ? t("noGlove.title") : t("noGlove.titleOne", { glove })}
+          means={t("noGlove.means")}
+          todo={t("noGlove.do")}
+        />
+      );
+    }
+    case "chooseGlove":
+      return (
+        <FullPageState tone="accent" icon={<Users aria-hidden />} title={t("choose.title")} means={t("choose.means")}>
+          {situation.gloves.map((one) => (
+            <Button key={one.glove} size="large" onPress={() => choose(one.glove)}>
+              {t("by.choose", { name: one.person === null ? one.glove : `${one.person} (${one.glove})` })}
+            </Button>
+          ))}
+        </FullPageState>
+      );
+    default:
+      return null;
+  }
+}
+
+/** A failed process: what a person has reported, or the reason in the service's own words. */
+function Failed({ process }: { process: ProcessView }) {
+  const { t } = useTranslation("work");
+  const reported = useReported(process);
+  return (
+    <FullPageState
+      tone="stop"
+      icon={<OctagonX aria-hidden />}
+      title={t("failed.title", { title: process.title })}
+      means={reported ?? t("failed.reason", { reason: localizedText(process, "reason") ?? t("failed.unknown") })}
+      todo={t(process.retry === null ? "failed.noRetry" : "failed.retry")}
+      detail={t("failed.means")}
+    />
+  );
+}
+
+function useReported(process: ProcessView): string | null {
+  const { t } = useTranslation("work");
+  const failed = process.tasks.filter(({ status, outputParameters }) => status === "failed" && isReport(outputParameters?.["outcome"]));
+  const task: TaskView | undefined = failed.find(({ id }) => isSame(id, process.retry)) ?? failed.at(-1);
+  const given = task?.outputParameters;
+  if (task === undefined || given == null) return null;
+  const { outcome, note, operator } = given;
+  const who = typeof operator === "string" ? operator : "";
+  const what = t(`outcome.${outcome === "problem" ? "problem" : "notGood"}`);
+  const said = who === "" ? t("reported.what", { what, task: task.name }) : t("reported.by", { what, who, task: task.name });
+  return typeof note === "string" && note !== "" ? `${said} ${t("reported.note", { note })}` : said;
+}
+
+function isReport(outcome: unknown): boolean {
+  return outcome === "notGood" || outcome === "problem";
+}

@@ -1,0 +1,119 @@
+/** What the operator can do in a situation: the main act, answering on the screen, pausing and resuming. */
+import { useTranslation } from "react-i18next";
+import { retryTask, startOperator, startProcess } from "~/api/actions";
+import type { DefinitionView, Outcome } from "~/live/messages";
+import { answerByHand, endTesting, pauseGlove, requestStatus, resumeGlove } from "./actions";
+import { startKey } from "./confirmation";
+import { latest, parametersFor, type Scene, type Situation } from "./situation";
+import type { ActionState } from "./useAction";
+
+export interface Act {
+  name: string;
+  do: () => void;
+}
+
+export interface OperatorActions {
+  main: Act | null;
+  complete: Act | null;
+  /** Answers something else than `ok`; throws what is refused, and resolves once the name is known. */
+  report: ((outcome: Outcome, note: string) => Promise<void>) | null;
+  pause: (Act & { goesOn: boolean }) | null;
+  start: ((definition: DefinitionView) => void) | null;
+}
+
+type WithName = (act: (name: string) => Promise<unknown>) => Promise<void>;
+
+export function useOperatorActions(scene: Scene, situation: Situation, acting: ActionState, withName: WithName): OperatorActions {
+  const { t } = useTranslation("work");
+  const { perform } = acting;
+  const complete = completeAct();
+  const pause = pauseAct();
+  const start = "startable" in situation ? startWith(situation.glove.glove) : null;
+  const report = complete === null ? null : reportWith();
+  return { main: mainAct(), complete, report, pause, start };
+
+  function startWith(glove: string) {
+    return (definition: DefinitionView) => {
+      const key = startKey(glove, definition.name, latest(scene.processes)?.id ?? null);
+      perform(() => startProcess(definition.name, parametersFor(definition, glove), key));
+    };
+  }
+
+  function completeAct(): Act | null {
+    if (situation.kind !== "asked" && situation.kind !== "gloveLost") return null;
+    if (situation.glove.testing) return null;
+    const { glove, task } = situation.glove;
+    return { name: t("by.hand"), do: () => perform(() => withName((name) => answerByHand(glove, task?.id, name))) };
+  }
+
+  function reportWith() {
+    if (situation.kind !== "asked" && situation.kind !== "gloveLost") return null;
+    const { glove, task } = situation.glove;
+    return (outcome: Outcome, note: string) => withName((name) => answerByHand(glove, task?.id, name, outcome, note));
+  }
+
+  function pauseAct(): OperatorActions["pause"] {
+    const act = (goesOn: boolean, does: () => Promise<unknown>) => ({
+      name: t(goesOn ? "strip.goOn" : "strip.pause"),
+      goesOn,
+      do: () => perform(does),
+    });
+    switch (situation.kind) {
+      case "paused":
+        return situation.glove.message.key === "pausedByProcess"
+          ? act(true, () => requestStatus(situation.task.id, "inProgress"))
+          : act(true, () => resumeGlove(situation.glove.glove));
+      case "asked":
+      case "gloveLost":
+        return act(false, () => pauseGlove(situation.glove.glove));
+      case "robot":
+        return situation.task.status === "paused"
+          ? act(true, () => requestStatus(situation.task.id, "inProgress"))
+          : act(false, () => requestStatus(situation.task.id, "paused"));
+      case "idle":
+      case "completed":
+      case "failed":
+      case "between":
+        return situation.glove.paused ? act(true, () => resumeGlove(situation.glove.glove)) : null;
+      default:
+        return null;
+    }
+  }
+
+  function mainAct(): Act | null {
+    switch (situation.kind) {
+      case "asked":
+        return situation.glove.testing ? leaveTesting(situation.glove.glove) : complete;
+      case "gloveLost":
+        return complete;
+      case "paused":
+        return pause;
+      case "failed": {
+        const { process } = situation;
+        const { retry } = process;
+        if (retry !== null) {
+          return { name: t("by.retry"), do: () => perform(() => withName((name) => retryTask(process.id, retry, name))) };
+        }
+        return startAct("by.startAgain");
+      }
+      case "completed":
+        return situation.glove.testing ? leaveTesting(situation.glove.glove) : startAct("by.startAgain");
+      case "idle":
+        return situation.glove.testing ? leaveTesting(situation.glove.glove) : startAct("by.start");
+      case "noGlove":
+        return { name: t("by.simulate"), do: () => perform(() => startOperator(situation.chosen ?? "glove-1")) };
+      default:
+        return null;
+    }
+  }
+
+  function leaveTesting(glove: string): Act {
+    return { name: t("by.endTesting"), do: () => perform(() => endTesting(glove)) };
+  }
+
+  function startAct(words: "by.start" | "by.startAgain"): Act | null {
+    const definition = "startable" in situation ? situation.startable[0] : undefined;
+    if (definition === undefined || start === null) return null;
+    return { name: t(words, { title: definition.title }), do: () => start(definition) };
+  }
+}
