@@ -1,4 +1,4 @@
-"""Sources that have an attribute with some datasetIds only: what is changed there, and what stays."""
+"""Sources that have some datasetIds of an attribute: routing of writes."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ HERE, THERE = "urn:x:here", "urn:x:there"
 
 @pytest.fixture
 def both(near: httpx.Client, far: httpx.Client, brokers: list[Any]) -> tuple[httpx.Client, httpx.Client, str]:
-    """Clients of two brokers, and where the first finds the second."""
+    """Clients of two brokers, and the URL of the second."""
     return near, far, brokers[1].url
 
 
@@ -29,7 +29,7 @@ def instances(client: httpx.Client, entity_id: str, name: str) -> set[tuple[int,
 
 @pytest.mark.parametrize("mode", ["inclusive", "redirect"])
 @pytest.mark.parametrize("way", ["create", "create_batch", "simplified"])
-def test_a_source_is_sent_the_instances_of_its_datasets_alone(
+def test_a_source_receives_only_the_instances_of_its_datasets(
     both: tuple[httpx.Client, httpx.Client, str], kind: str, mode: str, way: str
 ) -> None:
     near, far, url = both
@@ -64,7 +64,7 @@ def test_a_source_is_sent_the_instances_of_its_datasets_alone(
     }
 
 
-def test_changes_of_an_attribute_go_where_its_datasets_are(
+def test_changes_of_an_attribute_are_routed_by_dataset(
     both: tuple[httpx.Client, httpx.Client, str], kind: str
 ) -> None:
     near, far, url = both
@@ -84,7 +84,7 @@ def test_changes_of_an_attribute_go_where_its_datasets_are(
     assert instances(near, one, "a") == set()
 
 
-def test_a_registration_of_other_datasets_is_in_nobodys_way(
+def test_a_registration_of_other_datasets_causes_no_conflict(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     one = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=instance(1, HERE))

@@ -13,7 +13,7 @@ from .conftest import wait_for
 MAP = "NGSILD-EntityMap"
 
 
-def test_a_map_tells_who_has_what_and_only_they_are_asked(
+def test_only_the_sources_listed_in_a_map_are_queried(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(4)]
@@ -45,7 +45,7 @@ def test_a_map_tells_who_has_what_and_only_they_are_asked(
     assert {one["id"] for one in pages if "there" in one} == set(ids[2:])
 
 
-def test_a_query_that_wants_a_map_asks_sources_too(
+def test_a_query_with_a_map_queries_sources_too(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
@@ -59,7 +59,7 @@ def test_a_query_that_wants_a_map_asks_sources_too(
     assert sorted(one["a"]["value"] for one in again.json()) == [1, 2]
 
 
-def test_a_snapshot_holds_what_sources_have_too(
+def test_a_snapshot_contains_entities_of_sources(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
@@ -69,7 +69,7 @@ def test_a_snapshot_holds_what_sources_have_too(
     query = {"type": "Query", "entities": [{"type": kind}], "q": "a>0"}
     made = near.post("/snapshots", json={"snapshotQueries": [query]})
     at = made.headers["location"].removeprefix("/ngsi-ld/v1")
-    status = wait_for(lambda: (told := near.get(at).json()["snapshotStatus"]) != "preparing" and told)
+    status = wait_for(lambda: (returned := near.get(at).json()["snapshotStatus"]) != "preparing" and returned)
     assert status == "success"
     far.delete(f"/entities/urn:ngsi-ld:{kind}:2")
     inside = {"NGSILD-Snapshot": near.get(at).json()["id"]}
@@ -87,7 +87,7 @@ def other() -> Iterator[ScriptedSource]:
 
 @pytest.fixture
 def chain(brokers: list[Any], kind: str) -> Iterator[list[httpx.Client]]:
-    """Three brokers of which the first asks the second and the second the third, each with two entities."""
+    """Three brokers in a chain, each with two entities."""
     operations = ["federationOps", "createEntityMapQueryTemporal", "queryTemporal", "retrieveTemporal"]
     clients = [one.client() for one in brokers]
     paths = [
@@ -106,7 +106,7 @@ def chain(brokers: list[Any], kind: str) -> Iterator[list[httpx.Client]]:
 
 
 def linked(client: httpx.Client, document: dict[str, Any]) -> dict[str, Any]:
-    """Return the one map that a map is linked to, as the broker that made it has it."""
+    """Return the only linked map of a map, from the broker that created it."""
     (other,) = document["linkedMaps"].values()
     found: dict[str, Any] = client.get(f"/entityMaps/{other}").json()
     return found
@@ -144,7 +144,7 @@ def test_maps_are_linked_all_the_way_down_a_chain(chain: list[httpx.Client], kin
     assert {"n", "deep"} <= next(one for one in seen if one["id"] == ids[0]).keys()
 
 
-def test_conditions_hold_for_linked_maps_too(chain: list[httpx.Client], kind: str) -> None:
+def test_filters_apply_to_linked_maps(chain: list[httpx.Client], kind: str) -> None:
     made = chain[0].get("/entities", params={"type": kind, "q": "n>0", "entityMap": "true", "limit": 3})
     assert made.status_code == 201, made.text
     rest = chain[0].get(
@@ -157,7 +157,7 @@ def test_conditions_hold_for_linked_maps_too(chain: list[httpx.Client], kind: st
     assert {one[-2:] for one in document["entityMap"]} == {"00", "10", "11", "20", "21"}
 
 
-def test_a_page_is_asked_for_by_the_map_of_the_source(
+def test_a_page_is_requested_by_the_map_of_the_source(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     path = register(near, source.url, {"type": kind}, operations=["federationOps"])
@@ -165,8 +165,8 @@ def test_a_page_is_asked_for_by_the_map_of_the_source(
     registration = path.rpartition("/")[2]
     one, two = (f"urn:ngsi-ld:{kind}:{number}" for number in (1, 2))
     theirs = "urn:ngsi-ld:EntityMap:theirs"
-    told = {"id": theirs, "type": "EntityMap", "entityMap": {one: ["@none"], two: ["@none"], "x": 1}}
-    source.answers["GET", "/ngsi-ld/v1/entityMaps"] = 201, told
+    returned = {"id": theirs, "type": "EntityMap", "entityMap": {one: ["@none"], two: ["@none"], "x": 1}}
+    source.answers["GET", "/ngsi-ld/v1/entityMaps"] = 201, returned
     source.answers["GET", "/ngsi-ld/v1/entities"] = 200, []
     made = near.get("/entityMaps", params={"type": kind, "entityMapLifetime": "PT10M"})
     assert made.json()["linkedMaps"] == {registration: theirs}
@@ -179,7 +179,7 @@ def test_a_page_is_asked_for_by_the_map_of_the_source(
         "/entities", params={"type": kind, "limit": 1, "offset": 1}, headers={MAP: made.headers[MAP]}
     )
     assert [each["id"] for each in page.json()] == [two]
-    (asked,) = source.asked  # the other registration has nothing of it
+    (asked,) = source.asked  # the other registration does not match
     assert asked[2]["id"] == two
     assert asked[3]["ngsild-entitymap"] == f"/ngsi-ld/v1/entityMaps/{theirs}"
     source.answers["GET", "/ngsi-ld/v1/entities"] = 404, None
@@ -191,7 +191,7 @@ def test_a_page_is_asked_for_by_the_map_of_the_source(
     near.delete(other)
 
 
-def test_pages_are_filled_when_entities_of_a_source_are_gone(
+def test_pages_are_filled_after_deletions_at_a_source(
     near: httpx.Client, far: httpx.Client, kind: str
 ) -> None:
     register(near, str(far.base_url), {"type": kind}, operations=["federationOps"])
@@ -215,7 +215,7 @@ def test_pages_are_filled_when_entities_of_a_source_are_gone(
     assert list(near.get(at).json()["entityMap"]) == [*listed[:3], listed[5], listed[7]]
 
 
-def test_nothing_leaves_a_map_while_a_source_does_not_answer(
+def test_a_map_keeps_its_entities_while_a_source_fails(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, operations=["queryEntity"], management={"timeout": 300})
@@ -236,7 +236,7 @@ def test_nothing_leaves_a_map_while_a_source_does_not_answer(
 
 
 @pytest.mark.parametrize("answer", [(404, None), (501, {}), (200, []), (200, b"<html>"), (200, {"id": 1})])
-def test_a_source_that_makes_no_maps_is_asked_for_its_entities(
+def test_a_source_without_maps_is_queried_for_entities(
     near: httpx.Client, source: ScriptedSource, kind: str, answer: tuple[int, Any]
 ) -> None:
     path = register(near, source.url, {"type": kind}, operations=["federationOps"])
@@ -250,7 +250,7 @@ def test_a_source_that_makes_no_maps_is_asked_for_its_entities(
 
 
 @pytest.mark.parametrize("past", [False, True])
-def test_one_entity_is_asked_of_those_alone_that_its_map_lists(
+def test_one_entity_is_read_from_the_sources_in_its_map(
     near: httpx.Client, source: ScriptedSource, other: ScriptedSource, kind: str, past: bool
 ) -> None:
     one = f"urn:ngsi-ld:{kind}:1"
@@ -261,8 +261,8 @@ def test_one_entity_is_asked_of_those_alone_that_its_map_lists(
     registration = register(near, source.url, {"type": kind}, operations=operations, **since)
     register(near, other.url, {"type": kind}, operations=operations, **since)
     there: Any = {"type": "Property", "value": 2, "observedAt": "2026-01-01T00:00:00Z"}
-    told = {"id": one, "type": kind, "there": [there] if past else there}
-    source.answers["GET", f"/ngsi-ld/v1{path}"] = 200, told
+    returned = {"id": one, "type": kind, "there": [there] if past else there}
+    source.answers["GET", f"/ngsi-ld/v1{path}"] = 200, returned
     made = near.get(path, params={"entityMap": "true"})
     assert {"here", "there"} <= made.json().keys(), made.text
     assert (len(source.asked), len(other.asked)) == (1, 1)

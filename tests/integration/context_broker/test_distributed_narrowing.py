@@ -1,4 +1,4 @@
-"""Which sources are asked, and how: none that cannot have what is asked for, each by what it takes."""
+"""Selection of sources by coverage, and the requests that they receive."""
 
 import time
 from typing import Any
@@ -24,7 +24,7 @@ IN_THE_CITY = {**FAR_AWAY, "coordinates": "[5,5]"}
         ({"datasetId": ["urn:x:a"]}, ({"datasetId": "urn:x:b"}, {"datasetId": "urn:x:a"})),
     ],
 )
-def test_a_source_that_cannot_have_it_is_not_asked(
+def test_a_source_without_matching_coverage_is_not_queried(
     near: httpx.Client,
     source: ScriptedSource,
     kind: str,
@@ -40,7 +40,7 @@ def test_a_source_that_cannot_have_it_is_not_asked(
     assert len(source.asked) == 2
 
 
-def test_the_past_is_asked_of_whom_has_that_time(
+def test_temporal_queries_go_to_sources_with_that_time(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     spring = {"startAt": "2026-03-01T00:00:00Z", "endAt": "2026-06-01T00:00:00Z"}
@@ -59,7 +59,7 @@ def test_the_past_is_asked_of_whom_has_that_time(
     assert len(source.asked) == 3
 
 
-def test_what_is_sent_goes_to_whom_has_such_places(
+def test_writes_go_to_sources_with_matching_locations(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, mode="redirect", location=CITY)
@@ -77,28 +77,28 @@ def test_what_is_sent_goes_to_whom_has_such_places(
     assert near.get(f"/entities/{there}?local=true").status_code == 404
 
 
-def test_only_the_instances_that_a_source_is_registered_for_count(
+def test_only_registered_instances_of_a_source_count(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, datasetId=["urn:x:a"])
     one = f"urn:ngsi-ld:{kind}:1"
     put(near, one, kind, n=1)
-    told = [
+    returned = [
         {"type": "Property", "value": n, "datasetId": f"urn:x:{name}"} for n, name in ((2, "a"), (3, "b"))
     ]
-    source.answers["GET", f"{ENTITIES}/{one}"] = 200, {"id": one, "type": kind, "n": told}
+    source.answers["GET", f"{ENTITIES}/{one}"] = 200, {"id": one, "type": kind, "n": returned}
     found = near.get(f"/entities/{one}").json()["n"]
     assert {(said["value"], said.get("datasetId")) for said in found} == {(1, None), (2, "urn:x:a")}
 
 
-def test_a_source_that_takes_queries_by_post_alone_gets_them_so(
+def test_a_source_with_batch_queries_only_is_queried_by_post(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, operations=["queryBatch"])
     one = f"urn:ngsi-ld:{kind}:1"
     source.answers["POST", QUERIES] = 200, [{"id": one, "type": kind, "n": 7}]
     asked = {"type": kind, "q": "n>5", **IN_THE_CITY, "georel": "near;minDistance==1"}
-    assert near.get("/entities", params=asked).json() == []  # it is nowhere
+    assert near.get("/entities", params=asked).json() == []  # it has no location
     _, _, query, headers, document = source.asked[-1]
     assert document == {
         "type": "Query",
@@ -113,7 +113,7 @@ def test_a_source_that_takes_queries_by_post_alone_gets_them_so(
     assert source.asked[-1][4]["attrs"] == ["n"]
 
 
-def test_a_source_that_takes_queries_is_asked_for_one_entity_by_a_query(
+def test_one_entity_is_read_by_a_query_if_the_source_takes_no_retrieve(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, operations=["queryEntity"])
@@ -123,7 +123,7 @@ def test_a_source_that_takes_queries_is_asked_for_one_entity_by_a_query(
     assert source.asked[-1][2]["id"] == one
 
 
-def test_a_source_that_tells_single_entities_is_asked_for_those_that_are_known(
+def test_a_source_with_single_reads_only_is_queried_by_known_ids(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     one = f"urn:ngsi-ld:{kind}:1"
@@ -146,7 +146,7 @@ def test_a_source_that_tells_single_entities_is_asked_for_those_that_are_known(
         ("redirectionOps", {"GET one", "GET all", "GET types", "PATCH attrs", "PUT", "POST", "DELETE"}),
     ],
 )
-def test_a_group_of_operations_says_what_is_passed_on(
+def test_an_operation_group_selects_the_forwarded_operations(
     near: httpx.Client, source: ScriptedSource, kind: str, group: str, takes: set[str]
 ) -> None:
     register(near, source.url, {"type": kind}, operations=[group])
@@ -170,7 +170,7 @@ def test_a_group_of_operations_says_what_is_passed_on(
     assert passed_on == takes
 
 
-def test_pages_of_a_source_end_even_if_it_knows_no_pages(
+def test_reading_ends_if_a_source_ignores_the_offset(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind})
@@ -181,16 +181,16 @@ def test_pages_of_a_source_end_even_if_it_knows_no_pages(
     assert len(source.asked) == 2
 
 
-def test_what_has_expired_at_a_source_is_not_told(
+def test_expired_parts_of_a_source_are_left_out(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind})
     over = {"expiresAt": "2020-01-01T00:00:00Z"}
-    told = [
+    returned = [
         {"id": "urn:x:1", "type": kind, "n": 1, **over},
         {"id": "urn:x:2", "type": kind, "n": {"value": 1, **over}, "m": 2},
     ]
-    source.answers["GET", ENTITIES] = 200, told
+    source.answers["GET", ENTITIES] = 200, returned
     answer = near.get("/entities", params={"type": kind, "options": "keyValues"})
     assert answer.json() == [{"id": "urn:x:2", "type": kind, "m": 2}]
     assert "ngsild-warning" not in answer.headers
@@ -198,7 +198,7 @@ def test_what_has_expired_at_a_source_is_not_told(
 
 @pytest.mark.parametrize("mode", ["inclusive", "redirect"])
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
-def test_a_broker_that_is_registered_with_itself_does_not_ask_itself(
+def test_a_broker_registered_with_itself_does_not_query_itself(
     near: httpx.Client, brokers: list[BrokerProcess], kind: str, mode: str, host: str
 ) -> None:
     endpoint = f"http://{host}:{brokers[0].port}/ngsi-ld/v1"
@@ -220,7 +220,7 @@ def test_a_broker_that_is_registered_with_itself_does_not_ask_itself(
     assert "timesSent" not in near.get(path).json()
 
 
-def test_a_source_that_is_slow_with_each_of_many_pages_is_not_waited_for_to_the_end(
+def test_many_slow_pages_of_a_source_end_with_a_warning(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, management={"timeout": 400})
@@ -237,7 +237,7 @@ def test_a_source_that_is_slow_with_each_of_many_pages_is_not_waited_for_to_the_
     assert len(source.asked) < 20
 
 
-def test_a_source_that_is_registered_for_many_ids_is_asked_in_questions_of_bearable_length(
+def test_many_registered_ids_are_split_over_several_requests(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     ids = [f"urn:ngsi-ld:{kind}:{number:03}" for number in range(120)]
@@ -247,11 +247,11 @@ def test_a_source_that_is_registered_for_many_ids_is_asked_in_questions_of_beara
     assert near.patch(path, json={"information": [{"entities": entities}]}).status_code == 204
     past = "/ngsi-ld/v1/temporal/entities"
 
-    def told(query: dict[str, str]) -> tuple[int, list[dict[str, Any]]]:
+    def returned(query: dict[str, str]) -> tuple[int, list[dict[str, Any]]]:
         n = {"type": "Property", "value": 1, "observedAt": "2026-01-01T00:00:00Z"}
         return 200, [{"id": one, "type": kind, "n": [n]} for one in query["id"].split(",")]
 
-    source.answers["GET", past] = told
+    source.answers["GET", past] = returned
     source.answers["DELETE", ENTITIES] = 204, None
     since = {"timerel": "after", "timeAt": "2020-01-01T00:00:00Z"}
     found = near.get("/temporal/entities", params={"type": kind, "limit": 1000, **since}).json()

@@ -1,4 +1,4 @@
-"""Entities read from several brokers: what each mode means, and what happens when one fails."""
+"""Entities read from several brokers: registration modes and failures."""
 
 from typing import Any
 
@@ -24,18 +24,18 @@ READ = {
 HOW = ("retrieve", "query", "query by POST", "query by id")
 
 
-@pytest.mark.parametrize("told", [(mode, how) for mode in READ for how in HOW], ids="-".join)
-def test_each_mode_says_whose_attributes_count(
-    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, told: tuple[str, str]
+@pytest.mark.parametrize("returned", [(mode, how) for mode in READ for how in HOW], ids="-".join)
+def test_the_mode_selects_whose_attributes_count(
+    near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, returned: tuple[str, str]
 ) -> None:
-    mode, how = told
+    mode, how = returned
     entity_id = f"urn:ngsi-ld:{kind}:1"
     names = ["b", "d"] if mode == "exclusive" else None
     info = {"type": kind, "id": entity_id} if mode == "exclusive" else {"type": kind}
     if mode in {
         "exclusive",
         "redirect",
-    }:  # what a source has to itself is not kept here, unless by local=true
+    }:  # a proxied source's data is stored here only with local=true
         register(near, brokers[1].url, info, names, mode=mode)
     put(near, entity_id, kind, a=at(1, 0), b=at("here", 1), c=at("here", 9))
     put(far, entity_id, kind, b=at("there", 5), c=at("there", 5), d=at(4, 0))
@@ -53,14 +53,14 @@ def test_each_mode_says_whose_attributes_count(
     assert {name: said["value"] for name, said in entity.items() if isinstance(said, dict)} == READ[mode]
 
 
-def test_local_asks_nobody(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_a_local_query_contacts_no_source(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     register(near, source.url, {"type": kind})
     assert near.get(f"/entities/urn:ngsi-ld:{kind}:1?local=true").status_code == 404
     assert near.get(f"/entities?type={kind}&local=true").json() == []
     assert source.asked == []
 
 
-def test_conditions_and_pages_are_over_whole_entities(
+def test_filters_and_pages_apply_to_merged_entities(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     register(near, brokers[1].api, {"type": kind}, ["there"])
@@ -82,7 +82,7 @@ def test_conditions_and_pages_are_over_whole_entities(
     assert len(found) == len(set(found)) == 13
 
 
-def test_filters_go_along_where_entities_are_whole(
+def test_filters_are_forwarded_for_unsplit_entities(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind})
@@ -96,7 +96,7 @@ def test_filters_go_along_where_entities_are_whole(
     assert "q" not in source.asked[-1][2]
 
 
-def test_a_chain_of_brokers_and_a_circle(brokers: list[Any], kind: str) -> None:
+def test_a_chain_of_brokers_and_a_loop(brokers: list[Any], kind: str) -> None:
     with brokers[0].client() as first, brokers[1].client() as second, brokers[2].client() as third:
         paths = [
             (first, register(first, brokers[1].url, {"type": kind})),
@@ -114,7 +114,7 @@ def test_a_chain_of_brokers_and_a_circle(brokers: list[Any], kind: str) -> None:
             client.delete(path)
 
 
-def test_brokers_that_know_each_other_learn_their_names(brokers: list[Any], kind: str) -> None:
+def test_brokers_learn_the_alias_of_their_sources(brokers: list[Any], kind: str) -> None:
     with brokers[0].client() as first, brokers[1].client() as second:
         paths = [
             (first, register(first, brokers[1].url, {"type": kind})),
@@ -141,7 +141,7 @@ def test_a_broker_can_be_a_source_of_itself_for_another_tenant(
     assert values(near.get(f"/entities/{entity['id']}")) == {"a": 1}
 
 
-def test_a_request_that_comes_round_is_a_loop(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_a_request_that_returns_is_a_loop(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     register(near, source.url, {"type": kind})
     near.get(f"/entities/urn:ngsi-ld:{kind}:1")
     via = source.asked[-1][3]["via"]
@@ -151,7 +151,7 @@ def test_a_request_that_comes_round_is_a_loop(near: httpx.Client, source: Script
     assert "Via" in answer.json()["detail"]
 
 
-def test_a_source_that_a_request_has_passed_is_not_asked(
+def test_a_source_in_the_via_header_is_not_queried(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, contextSourceAlias="peer")
@@ -171,7 +171,7 @@ def test_a_source_that_a_request_has_passed_is_not_asked(
         ((508, {}), "199"),
     ],
 )
-def test_a_part_that_fails_is_warned_of(
+def test_a_failed_part_causes_a_warning(
     near: httpx.Client, source: ScriptedSource, kind: str, reply: tuple[int, Any], code: str
 ) -> None:
     register(near, source.url, {"type": kind})
@@ -183,7 +183,7 @@ def test_a_part_that_fails_is_warned_of(
         assert answer.headers["ngsild-warning"].startswith(code)
 
 
-def test_nothing_known_there_is_nothing_to_warn_of(
+def test_an_unknown_entity_at_a_source_causes_no_warning(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind})
@@ -192,9 +192,7 @@ def test_nothing_known_there_is_nothing_to_warn_of(
     assert "ngsild-warning" not in answer.headers
 
 
-def test_a_source_that_hangs_costs_its_patience_once(
-    near: httpx.Client, source: ScriptedSource, kind: str
-) -> None:
+def test_a_hanging_source_costs_one_timeout(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     management = {"timeout": 150, "cooldown": 60_000}
     path = register(near, source.url, {"type": kind}, management=management)
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
@@ -204,12 +202,12 @@ def test_a_source_that_hangs_costs_its_patience_once(
         assert answer.status_code == 200
         assert answer.headers["ngsild-warning"].startswith("199")
     assert len(source.asked) == 1
-    told = near.get(path).json()
-    assert (told["timesSent"], told["timesFailed"], told["status"]) == (1, 1, "failed")
+    returned = near.get(path).json()
+    assert (returned["timesSent"], returned["timesFailed"], returned["status"]) == (1, 1, "failed")
 
 
 @pytest.mark.parametrize(("reply", "status"), [((500, {}), 502), ((404, {}), 404), ((508, {}), 508)])
-def test_the_only_holder_of_an_entity_passes_on_its_failure(
+def test_the_failure_of_the_only_source_is_returned(
     near: httpx.Client, source: ScriptedSource, kind: str, reply: tuple[int, Any], status: int
 ) -> None:
     register(near, source.url, {"type": kind}, mode="redirect")
@@ -219,7 +217,7 @@ def test_the_only_holder_of_an_entity_passes_on_its_failure(
     assert answer.json()["detail"]
 
 
-def test_the_only_holder_of_an_entity_is_silent(
+def test_the_timeout_of_the_only_source_is_returned(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, mode="redirect", management={"timeout": 100})
@@ -227,9 +225,7 @@ def test_the_only_holder_of_an_entity_is_silent(
     assert near.get(f"/entities/urn:ngsi-ld:{kind}:1").status_code == 504
 
 
-def test_what_context_source_info_says_is_conveyed(
-    near: httpx.Client, source: ScriptedSource, kind: str
-) -> None:
+def test_context_source_info_sets_headers(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     pairs = {
         "X-Cell": "4",
         "User": "urn:ngsi-ld:request",
@@ -251,7 +247,7 @@ def test_what_context_source_info_says_is_conveyed(
     assert headers["accept"] == "application/ld+json"
 
 
-def test_a_source_for_itself_alone_is_asked_locally(
+def test_a_local_only_source_is_queried_with_local(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, management={"localOnly": True})
@@ -259,7 +255,9 @@ def test_a_source_for_itself_alone_is_asked_locally(
     assert source.asked[-1][2]["local"] == "true"
 
 
-def test_a_filter_on_sources_says_who_is_asked(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_a_context_source_filter_selects_sources(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
     register(near, source.url, {"type": kind}, sourceType="sensor")
     near.get("/entities", params={"type": kind, "csf": 'sourceType=="archive"'})
     assert source.asked == []
@@ -267,7 +265,7 @@ def test_a_filter_on_sources_says_who_is_asked(near: httpx.Client, source: Scrip
     assert len(source.asked) == 1
 
 
-def test_names_are_those_of_the_sources_own_context(
+def test_names_are_translated_to_the_context_of_the_source(
     near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
 ) -> None:
     core = "https://uri.etsi.org/ngsi-ld/default-context/"
@@ -290,7 +288,7 @@ def test_names_are_those_of_the_sources_own_context(
     assert url in source.asked[-1][3]["link"]
 
 
-def test_an_answer_may_be_kept_for_as_long_as_a_registration_says(
+def test_a_response_is_cached_as_long_as_registered(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, management={"cacheDuration": "PT1H"})
@@ -303,7 +301,7 @@ def test_an_answer_may_be_kept_for_as_long_as_a_registration_says(
     assert len(source.asked) == 1
 
 
-def test_linked_entities_come_from_other_sources_too(
+def test_linked_entities_are_read_from_sources(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     register(near, brokers[1].url, {"type": f"{kind}Owner"})
@@ -313,7 +311,7 @@ def test_linked_entities_come_from_other_sources_too(
     assert answer.json()[0]["owner"]["entity"]["name"]["value"] == "Ada"
 
 
-def test_a_source_is_read_page_by_page_in_pages_that_it_likes(
+def test_a_source_is_read_in_pages_that_it_accepts(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind})
@@ -332,7 +330,7 @@ def test_a_source_is_read_page_by_page_in_pages_that_it_likes(
     assert [one[2].get("offset") for one in source.asked] == [None, None, "100", "200"]
 
 
-def test_places_scopes_and_forms_are_those_of_whole_entities(
+def test_locations_scopes_and_representations_apply_to_merged_entities(
     near: httpx.Client, far: httpx.Client, kind: str
 ) -> None:
     def place(east: float) -> dict[str, Any]:
@@ -359,7 +357,9 @@ def test_places_scopes_and_forms_are_those_of_whole_entities(
 
 
 @pytest.mark.parametrize("mode", ["inclusive", "auxiliary"])
-def test_no_order_is_made_across_sources(near: httpx.Client, far: httpx.Client, kind: str, mode: str) -> None:
+def test_results_of_sources_cannot_be_ordered(
+    near: httpx.Client, far: httpx.Client, kind: str, mode: str
+) -> None:
     for number, value in enumerate((3, 1, 2)):
         put(near, f"urn:ngsi-ld:{kind}:{number}", kind, n=value)
     path = register(near, str(far.base_url), {"type": kind}, mode=mode, operations=["retrieveOps"])
@@ -384,7 +384,7 @@ def test_no_order_is_made_across_sources(near: httpx.Client, far: httpx.Client, 
     assert [one["n"]["value"] for one in near.get("/entities", params=asked).json()] == [1, 2, 3]
 
 
-def test_an_order_is_made_where_no_registration_matches(
+def test_results_are_ordered_if_no_registration_matches(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     put(near, f"urn:ngsi-ld:{kind}:1", kind, n=2)
@@ -396,7 +396,7 @@ def test_an_order_is_made_where_no_registration_matches(
 
 
 @pytest.mark.parametrize("path", ["/temporal/entities", "/temporal/entityMaps"])
-def test_no_order_of_the_past_is_made_across_sources(
+def test_temporal_results_of_sources_cannot_be_ordered(
     near: httpx.Client, source: ScriptedSource, kind: str, path: str
 ) -> None:
     register(near, source.url, {"type": kind}, operations=["queryTemporal"])

@@ -1,4 +1,4 @@
-"""Subscriptions passed on to other brokers: what changes there is told; they are taken back in the end."""
+"""Subscriptions forwarded to other brokers, their notifications and their deletion."""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,7 +31,7 @@ def subscriptions(client: httpx.Client, kind: str) -> list[dict[str, Any]]:
     ]
 
 
-def test_changes_elsewhere_are_told(
+def test_subscribers_are_notified_of_changes_at_sources(
     near: httpx.Client,
     far: httpx.Client,
     kind: str,
@@ -56,7 +56,7 @@ def test_changes_elsewhere_are_told(
     eventually(lambda: not subscriptions(far, kind))
 
 
-def test_registrations_that_come_and_go_are_heeded(
+def test_subscriptions_follow_added_and_deleted_registrations(
     near: httpx.Client,
     far: httpx.Client,
     kind: str,
@@ -77,7 +77,7 @@ def test_registrations_that_come_and_go_are_heeded(
     near.delete(path)
 
 
-def test_what_is_told_is_the_whole_entity_as_far_as_it_is_registered(
+def test_a_notification_has_the_merged_entity_within_the_registration(
     near: httpx.Client,
     far: httpx.Client,
     kind: str,
@@ -95,7 +95,7 @@ def test_what_is_told_is_the_whole_entity_as_far_as_it_is_registered(
     near.delete(path)
 
 
-def test_brokers_that_know_each_other_do_not_subscribe_in_circles(
+def test_brokers_that_register_each_other_do_not_subscribe_in_a_loop(
     near: httpx.Client,
     far: httpx.Client,
     kind: str,
@@ -114,7 +114,7 @@ def test_brokers_that_know_each_other_do_not_subscribe_in_circles(
     far.delete(back)
 
 
-def test_a_source_that_is_away_is_told_later(
+def test_forwarding_is_retried_until_the_source_is_back(
     near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
 ) -> None:
     register(near, source.url, {"type": kind}, operations=OPERATIONS)
@@ -135,7 +135,7 @@ def test_a_source_that_is_away_is_told_later(
     assert sent[-1][4]["id"] != path.rpartition("/")[2]
 
 
-def test_what_is_passed_on_is_known_after_a_restart(
+def test_forwarded_subscriptions_survive_a_restart(
     own_broker: Any, source: ScriptedSource, kind: str, subscriber: Any, eventually: Eventually
 ) -> None:
     own_broker.start()
@@ -146,19 +146,21 @@ def test_what_is_passed_on_is_known_after_a_restart(
     (sent,) = (one[4] for one in source.asked if one[0] == "POST")
     own_broker.kill()
     own_broker.start()
-    told = {"data": [{"id": f"urn:ngsi-ld:{kind}:1", "type": kind, "n": {"type": "Property", "value": 1}}]}
+    notified = {
+        "data": [{"id": f"urn:ngsi-ld:{kind}:1", "type": kind, "n": {"type": "Property", "value": 1}}]
+    }
     uri = sent["notification"]["endpoint"]["uri"]
-    assert httpx.post(uri, json=told, trust_env=False).status_code == 200
+    assert httpx.post(uri, json=notified, trust_env=False).status_code == 200
     eventually(lambda: subscriber.received)
     with own_broker.client() as client:
         source.answers["DELETE", f"/ngsi-ld/v1/subscriptions/{sent['id']}"] = 204, None
         client.delete(registration)
     eventually(lambda: any(one[0] == "DELETE" for one in source.asked))
-    eventually(lambda: httpx.post(uri, json=told, trust_env=False).status_code == 404)
+    eventually(lambda: httpx.post(uri, json=notified, trust_env=False).status_code == 404)
     assert len([one for one in source.asked if one[0] == "POST"]) == 1
 
 
-def test_what_is_for_this_broker_alone_is_not_passed_on(
+def test_local_only_subscriptions_are_not_forwarded(
     near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
 ) -> None:
     register(near, source.url, {"type": kind}, operations=OPERATIONS)
@@ -169,7 +171,7 @@ def test_what_is_for_this_broker_alone_is_not_passed_on(
     assert source.asked == []
 
 
-def test_what_was_before_and_what_is_gone_elsewhere_is_told(
+def test_previous_and_deleted_values_of_a_source_are_notified(
     near: httpx.Client, far: httpx.Client, kind: str, subscriber: Any, eventually: Eventually
 ) -> None:
     register(near, str(far.base_url), {"type": kind}, operations=OPERATIONS)
@@ -196,7 +198,7 @@ def test_what_was_before_and_what_is_gone_elsewhere_is_told(
     near.delete(path)
 
 
-def test_what_is_gone_elsewhere_is_told_in_the_form_of_the_subscriber(
+def test_deletions_at_a_source_are_notified_in_the_requested_representation(
     near: httpx.Client, far: httpx.Client, kind: str, subscriber: Any, eventually: Eventually
 ) -> None:
     register(near, str(far.base_url), {"type": kind}, operations=OPERATIONS)
@@ -220,7 +222,7 @@ def sent_to(source: ScriptedSource) -> dict[str, Any]:
     return document
 
 
-def test_what_is_passed_on_is_narrowed_to_what_is_registered(
+def test_a_forwarded_subscription_is_limited_to_the_registration(
     near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
 ) -> None:
     source.answers["POST", "/ngsi-ld/v1/subscriptions"] = 201, None
@@ -241,7 +243,7 @@ def test_what_is_passed_on_is_narrowed_to_what_is_registered(
     near.delete(path)
 
 
-def test_an_older_source_is_told_what_it_knows(
+def test_an_older_source_receives_members_of_its_version(
     near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
 ) -> None:
     source.answers["POST", "/ngsi-ld/v1/subscriptions"] = 201, None
@@ -257,7 +259,7 @@ def test_an_older_source_is_told_what_it_knows(
     near.delete(path)
 
 
-def test_a_source_that_is_told_nothing_but_beginnings(
+def test_a_source_without_delete_has_its_subscription_paused(
     near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any, eventually: Eventually
 ) -> None:
     source.answers["POST", "/ngsi-ld/v1/subscriptions"] = 201, None
@@ -274,7 +276,7 @@ def test_a_source_that_is_told_nothing_but_beginnings(
     assert (source.asked[-1][0], source.asked[-1][4]["isActive"]) == ("PATCH", False)
 
 
-def test_changes_are_told_through_a_ring_of_brokers_once(
+def test_a_ring_of_brokers_notifies_a_change_once(
     brokers: list[Any], kind: str, subscriber: Any, eventually: Eventually
 ) -> None:
     clients = [one.client() for one in brokers]

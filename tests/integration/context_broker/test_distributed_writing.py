@@ -1,4 +1,4 @@
-"""Entities changed at several brokers: every operation in every mode, and what is answered when one fails."""
+"""Entities written at several brokers: every operation in every mode, and failures."""
 
 from collections.abc import Callable
 from typing import Any
@@ -73,8 +73,8 @@ def delete_batch(client: httpx.Client, entity_id: str, kind: str) -> httpx.Respo
 
 
 TABLE: list[tuple[Act, str, int, Values, Values]] = [
-    # what is done, the mode, the status, then what is here and what is there; before, a, b and c are 1
-    # wherever the mode lets them be: a here, b and c there (exclusive); there alone (redirect); in both
+    # operation, mode, status, then the values here and there; before, a, b and c are 1
+    # where the mode allows them: a here, b and c there (exclusive); there only (redirect); in both
     (create, "exclusive", 201, {"a": 2}, {"b": 2}),
     (create, "redirect", 201, None, {"a": 2, "b": 2}),
     (create, "inclusive", 201, {"a": 2, "b": 2}, {"a": 2, "b": 2}),
@@ -135,7 +135,7 @@ ALL_TAKE = ["redirectionOps", "createBatch", "upsertBatch", "updateBatch", "merg
 
 @pytest.mark.parametrize("takes", [ALL_TAKE, ["redirectionOps"]], ids=["at once", "one by one"])
 @pytest.mark.parametrize("case", BATCHES, ids=lambda case: f"{case[0].__name__}-{case[1]}")
-def test_a_batch_is_shared_entity_by_entity(
+def test_a_batch_is_routed_entity_by_entity(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], case: tuple[Any, ...], takes: list[str]
 ) -> None:
     act, mode, status, here, there = case
@@ -152,7 +152,7 @@ def test_a_batch_is_shared_entity_by_entity(
     assert held(far, entity_id) == there
 
 
-def test_a_batch_is_passed_on_as_a_batch_and_its_failures_are_told(
+def test_a_batch_is_forwarded_as_a_batch_with_its_failures(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, mode="redirect", operations=["createBatch"])
@@ -174,7 +174,7 @@ def test_a_batch_is_passed_on_as_a_batch_and_its_failures_are_told(
 
 
 @pytest.mark.parametrize("case", TABLE, ids=lambda case: f"{case[0].__name__}-{case[1]}")
-def test_a_change_goes_where_what_it_is_about_is(
+def test_a_write_is_routed_to_the_sources_of_its_attributes(
     near: httpx.Client,
     far: httpx.Client,
     brokers: list[Any],
@@ -207,12 +207,12 @@ def arrange(
 
 
 def held(client: httpx.Client, entity_id: str) -> Values:
-    """Return the values that one broker has by itself, None if it does not have the entity."""
+    """Return the values of one broker only, None if it does not have the entity."""
     answer = client.get(f"/entities/{entity_id}?local=true")
     return None if answer.status_code == 404 else values(answer)
 
 
-def test_what_a_source_alone_has_and_does_not_take_is_a_conflict(
+def test_an_operation_that_an_exclusive_source_does_not_take_is_a_conflict(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, mode="redirect", operations=["retrieveOps"])
@@ -223,7 +223,7 @@ def test_what_a_source_alone_has_and_does_not_take_is_a_conflict(
     assert held(near, f"urn:ngsi-ld:{kind}:1") is None
 
 
-def test_what_others_may_have_too_is_just_not_passed_on(
+def test_an_inclusive_source_without_the_operation_is_skipped(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     register(near, source.url, {"type": kind}, operations=["retrieveOps"])
@@ -232,7 +232,7 @@ def test_what_others_may_have_too_is_just_not_passed_on(
 
 
 @pytest.mark.parametrize(("reply", "status"), [(500, 502), (403, 502), (404, 404), (409, 409), (508, 508)])
-def test_the_failure_of_the_only_one_concerned_is_the_answer(
+def test_the_failure_of_the_only_routed_source_is_returned(
     near: httpx.Client, source: ScriptedSource, kind: str, reply: int, status: int
 ) -> None:
     register(near, source.url, {"type": kind}, mode="redirect")
@@ -240,14 +240,16 @@ def test_the_failure_of_the_only_one_concerned_is_the_answer(
     assert delete(near, f"urn:ngsi-ld:{kind}:1", kind).status_code == status
 
 
-def test_the_only_one_concerned_is_silent(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_the_timeout_of_the_only_routed_source_is_returned(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
     register(near, source.url, {"type": kind}, mode="redirect", management={"timeout": 100})
     source.go_on.clear()
     assert merge(near, f"urn:ngsi-ld:{kind}:1", kind).status_code == 504
 
 
 @pytest.mark.parametrize(("cooldown", "status"), [(None, 204), (60_000, 207)])
-def test_after_a_timeout_a_source_is_left_alone_only_if_its_registration_says_so(
+def test_a_timeout_starts_a_cooldown_only_if_registered(
     near: httpx.Client, source: ScriptedSource, kind: str, cooldown: int | None, status: int
 ) -> None:
     management = {"timeout": 300} if cooldown is None else {"timeout": 300, "cooldown": cooldown}
@@ -263,7 +265,7 @@ def test_after_a_timeout_a_source_is_left_alone_only_if_its_registration_says_so
     assert any(one[:2] == ("PATCH", path) for one in source.asked) is (cooldown is None)
 
 
-def test_one_request_waits_for_a_source_that_hangs_once(
+def test_one_request_waits_once_for_a_hanging_source(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     management = {"timeout": 300}
@@ -276,7 +278,7 @@ def test_one_request_waits_for_a_source_that_hangs_once(
     assert len(source.asked) < len(ids)
 
 
-def test_a_part_that_fails_is_told(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_a_failed_part_is_reported(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
     path = register(near, source.url, {"type": kind, "id": entity_id}, ["b"], mode="exclusive")
     source.answers["PATCH", f"/ngsi-ld/v1/entities/{entity_id}/attrs"] = 500, {}
@@ -294,7 +296,9 @@ def test_a_part_that_fails_is_told(near: httpx.Client, source: ScriptedSource, k
     assert held(near, entity_id) == {"a": 2}
 
 
-def test_what_the_broker_refuses_goes_nowhere(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_a_write_that_the_broker_rejects_is_not_forwarded(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
     register(near, source.url, {"type": kind})
     assert near.patch(f"/entities/{entity_id}", json={"a": {"type": "Nonsense"}}).status_code == 400
@@ -302,7 +306,7 @@ def test_what_the_broker_refuses_goes_nowhere(near: httpx.Client, source: Script
 
 
 @pytest.mark.parametrize(("there", "status"), [(False, 207), (True, 409)], ids=["new there", "there too"])
-def test_an_entity_that_is_here_already_is_created_at_inclusive_sources_all_the_same(
+def test_an_existing_entity_is_still_created_at_inclusive_sources(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, *, there: bool, status: int
 ) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
@@ -324,7 +328,7 @@ def test_an_entity_that_is_here_already_is_created_at_inclusive_sources_all_the_
     assert held(far, entity_id) == ({"b": 1} if there else {"a": 2, "b": 2})
 
 
-def test_in_a_batch_too_an_entity_that_is_here_is_created_at_inclusive_sources(
+def test_an_existing_entity_in_a_batch_is_still_created_at_inclusive_sources(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
@@ -340,7 +344,7 @@ def test_in_a_batch_too_an_entity_that_is_here_is_created_at_inclusive_sources(
     assert held(far, entity_id) == {"a": 2}
 
 
-def test_a_source_that_fails_does_not_hide_that_an_entity_is_here_already(
+def test_a_failed_source_does_not_hide_a_conflict(
     near: httpx.Client, source: ScriptedSource, kind: str
 ) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
@@ -353,7 +357,7 @@ def test_a_source_that_fails_does_not_hide_that_an_entity_is_here_already(
 
 
 @pytest.mark.parametrize("act", [update_one, replace_one, delete_one])
-def test_a_local_part_that_fails_is_told_beside_a_source_that_succeeds(
+def test_a_failed_local_part_is_reported_with_a_successful_source(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, act: Act
 ) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
@@ -372,7 +376,7 @@ def test_a_local_part_that_fails_is_told_beside_a_source_that_succeeds(
 
 
 @pytest.mark.parametrize("act", [update_one, replace_one, delete_one])
-def test_an_attribute_that_nobody_has_is_not_found(
+def test_an_attribute_that_no_source_has_is_not_found(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, act: Act
 ) -> None:
     entity_id = put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
@@ -382,14 +386,14 @@ def test_an_attribute_that_nobody_has_is_not_found(
     assert (answer.status_code, answer.json()["type"].rpartition("/")[2]) == (404, "ResourceNotFound")
 
 
-def test_a_local_change_goes_nowhere(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_a_local_write_is_not_forwarded(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     register(near, source.url, {"type": kind})
     put(near, f"urn:ngsi-ld:{kind}:1", kind, a=1)
     near.delete(f"/entities/urn:ngsi-ld:{kind}:1?local=true")
     assert source.asked == []
 
 
-def test_a_change_that_comes_round_is_a_loop(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_a_write_that_returns_is_a_loop(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     entity_id = f"urn:ngsi-ld:{kind}:1"
     register(near, source.url, {"type": kind})
     source.answers["POST", "/ngsi-ld/v1/entities"] = 201, {}
@@ -399,11 +403,11 @@ def test_a_change_that_comes_round_is_a_loop(near: httpx.Client, source: Scripte
     assert held(near, entity_id) == {"a": 2, "b": 2}
 
 
-def test_a_source_gets_the_words_and_the_version_that_it_speaks(
+def test_a_source_receives_its_names_and_version(
     near: httpx.Client, source: ScriptedSource, kind: str, subscriber: Any
 ) -> None:
     core = "https://uri.etsi.org/ngsi-ld/default-context/"
-    subscriber.document = {"@context": {kind: core + kind, "tempo": core + "speed", "worte": core + "words"}}
+    subscriber.document = {"@context": {kind: core + kind, "tempo": core + "speed", "wort": core + "words"}}
     url = subscriber.url.replace("/notify", f"/{kind}.jsonld")
     info = [{"key": "jsonldContext", "value": url}, {"key": "ngsildConformance", "value": "1.6"}]
     register(near, source.url, {"type": kind}, mode="redirect", contextSourceInfo=info)
@@ -419,11 +423,11 @@ def test_a_source_gets_the_words_and_the_version_that_it_speaks(
     assert headers["content-type"] == "application/json"
     assert url in headers["link"]
     assert body["tempo"] == {"type": "Property", "value": 5}
-    assert body["worte"] == {"type": "Property", "value": {"speed": 1}}
+    assert body["wort"] == {"type": "Property", "value": {"speed": 1}}
 
 
 @pytest.mark.parametrize("wanted", [None, "application/ld+json"])
-def test_an_inline_context_goes_along(
+def test_an_inline_context_is_forwarded(
     near: httpx.Client, source: ScriptedSource, kind: str, wanted: str | None
 ) -> None:
     info = [] if wanted is None else [{"key": "contentType", "value": wanted}]
@@ -444,9 +448,7 @@ def test_an_inline_context_goes_along(
     assert "link" not in headers
 
 
-def test_what_is_sent_as_json_ld_is_passed_on_as_it_is(
-    near: httpx.Client, source: ScriptedSource, kind: str
-) -> None:
+def test_json_ld_is_forwarded_unchanged(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
     register(near, source.url, {"type": kind}, mode="redirect", operations=["redirectionOps", "createBatch"])
     source.answers["POST", "/ngsi-ld/v1/entities"] = 201, {}
     source.answers["POST", "/ngsi-ld/v1/entityOperations/create"] = 201, []
@@ -460,7 +462,7 @@ def test_what_is_sent_as_json_ld_is_passed_on_as_it_is(
     assert source.asked[-1][3]["content-type"] == "application/ld+json"
 
 
-def test_a_change_goes_all_the_way_down_a_chain(brokers: list[Any], kind: str) -> None:
+def test_a_write_reaches_the_end_of_a_chain(brokers: list[Any], kind: str) -> None:
     with brokers[0].client() as first, brokers[1].client() as second, brokers[2].client() as third:
         paths = [
             (first, register(first, brokers[1].api, {"type": kind}, mode="redirect")),
@@ -477,7 +479,7 @@ def test_a_change_goes_all_the_way_down_a_chain(brokers: list[Any], kind: str) -
 
 
 @pytest.mark.parametrize("names", [None, ["b"]])
-def test_a_purge_takes_away_what_is_registered_and_no_more(
+def test_a_purge_is_limited_to_the_registration(
     near: httpx.Client, far: httpx.Client, kind: str, names: list[str] | None
 ) -> None:
     for client in (near, far):
@@ -494,25 +496,25 @@ def test_a_purge_takes_away_what_is_registered_and_no_more(
     assert held(far, f"urn:ngsi-ld:{kind}:other") == {"a": 1, "b": 1}
 
 
-def test_a_purge_looks_at_whole_entities(near: httpx.Client, far: httpx.Client, kind: str) -> None:
+def test_purge_filters_apply_to_merged_entities(near: httpx.Client, far: httpx.Client, kind: str) -> None:
     good, bad, there = (f"urn:ngsi-ld:{kind}:{name}" for name in ("good", "bad", "there"))
     for one in (good, bad):
         put(far, one, kind, heat=5)
-    put(near, good, kind, floor=1)
-    put(near, bad, kind, floor=2)
+    put(near, good, kind, hall=1)
+    put(near, bad, kind, hall=2)
     put(far, there, kind, heat=50)
     register(near, str(far.base_url), {"type": kind}, ["heat"])
-    assert near.delete("/entities", params={"type": kind, "q": "floor==1;heat<10"}).status_code == 204
+    assert near.delete("/entities", params={"type": kind, "q": "hall==1;heat<10"}).status_code == 204
     assert held(near, good) is None
     assert held(far, good) == {}
-    assert held(near, bad) == {"floor": 2}
+    assert held(near, bad) == {"hall": 2}
     assert held(far, bad) == {"heat": 5}
     assert held(far, there) == {"heat": 50}
     assert near.delete("/entities", params={"type": kind, "q": "heat>100"}).status_code == 204
-    dropped = near.delete("/entities", params={"type": kind, "q": "floor==2;heat==5", "drop": "heat"})
+    dropped = near.delete("/entities", params={"type": kind, "q": "hall==2;heat==5", "drop": "heat"})
     assert dropped.status_code == 204
     assert held(far, bad) == {}
-    assert held(near, bad) == {"floor": 2}
+    assert held(near, bad) == {"hall": 2}
     assert near.delete("/entities", params={"q": "modifiedAt>2020-01-01T00:00:00Z"}).status_code == 400
 
 
@@ -531,17 +533,17 @@ def past(client: httpx.Client, entity_id: str) -> dict[str, list[Any]] | None:
 
 
 @pytest.mark.parametrize("mode", ["inclusive", "redirect", "exclusive"])
-def test_the_past_is_written_where_it_is_kept(
+def test_temporal_writes_go_to_the_temporal_sources(
     near: httpx.Client, far: httpx.Client, kind: str, mode: str
 ) -> None:
-    def told(value: int) -> list[dict[str, Any]]:
+    def returned(value: int) -> list[dict[str, Any]]:
         return [{"type": "Property", "value": value, "observedAt": f"2026-01-01T00:00:0{value}Z"}]
 
     entity_id = f"urn:ngsi-ld:{kind}:1"
     info = {"type": kind, "id": entity_id} if mode == "exclusive" else {"type": kind}
     names = ["b"] if mode == "exclusive" else None
     register(near, str(far.base_url), info, names, mode=mode, operations=PAST)
-    document = {"id": entity_id, "type": kind, "a": told(1), "b": told(1)}
+    document = {"id": entity_id, "type": kind, "a": returned(1), "b": returned(1)}
     assert near.post("/temporal/entities", json=document).status_code == 201
     here, there = {
         "inclusive": ({"a": [1], "b": [1]}, {"a": [1], "b": [1]}),
@@ -549,7 +551,7 @@ def test_the_past_is_written_where_it_is_kept(
         "exclusive": ({"a": [1]}, {"b": [1]}),
     }[mode]
     assert (past(near, entity_id), past(far, entity_id)) == (here, there)
-    assert near.post(f"/temporal/entities/{entity_id}/attrs", json={"b": told(2)}).status_code == 204
+    assert near.post(f"/temporal/entities/{entity_id}/attrs", json={"b": returned(2)}).status_code == 204
     assert (past(far, entity_id) or {})["b"] == [1, 2]
     assert near.delete(f"/temporal/entities/{entity_id}/attrs/b").status_code == 204
     assert "b" not in (past(far, entity_id) or {})

@@ -1,4 +1,4 @@
-"""Entity maps: made from queries, used for pages that stay the same, changed, ended, kept."""
+"""Entity maps: creation, consistent pages, changes, expiry and restarts."""
 
 import asyncio
 import re
@@ -37,7 +37,7 @@ def walk(http: httpx.Client, url: str, headers: dict[str, str]) -> Iterator[list
         url = f"{http.base_url.scheme}://{http.base_url.netloc.decode()}{following[1]}"
 
 
-def test_a_map_lists_what_a_query_finds(http: httpx.Client) -> None:
+def test_a_map_lists_the_matches_of_a_query(http: httpx.Client) -> None:
     slow, fast = make(http, "Listed", 30, 90)
     answer = http.get("/entityMaps", params={"type": "Listed"})
     assert answer.status_code == 201
@@ -53,9 +53,9 @@ def test_a_map_lists_what_a_query_finds(http: httpx.Client) -> None:
     assert list(posted.json()["entityMap"]) == [slow, fast]
     assert http.delete(f"/entityMaps/{document['id']}").status_code == 204
     assert http.get(f"/entityMaps/{document['id']}").status_code == 404
-    anew = http.get("/entities", params={"type": "Listed"}, headers={MAP: at})
-    assert (anew.status_code, len(anew.json())) == (201, 2)
-    assert anew.headers[MAP] != at
+    updated = http.get("/entities", params={"type": "Listed"}, headers={MAP: at})
+    assert (updated.status_code, len(updated.json())) == (201, 2)
+    assert updated.headers[MAP] != at
 
 
 def test_pages_of_a_map_stay_the_same_while_entities_come_and_go(http: httpx.Client) -> None:
@@ -87,15 +87,15 @@ def link_of(answer: httpx.Response, relation: str) -> str:
 
 
 @pytest.mark.parametrize("look", [{}, {"pick": "speed"}, {"options": "keyValues"}, {"join": "flat"}])
-def test_pages_are_filled_after_deletions_and_the_count_is_that_of_now(
+def test_pages_are_filled_after_deletions_and_the_count_is_current(
     http: httpx.Client, look: dict[str, str]
 ) -> None:
     kind = f"Filled{''.join(look)}"
     ids = make(http, kind, *range(1, 11))
 
     def shown(answer: httpx.Response) -> list[int]:
-        told = [one["speed"] for one in answer.json()]
-        return [one["value"] if isinstance(one, dict) else one for one in told]
+        returned = [one["speed"] for one in answer.json()]
+        return [one["value"] if isinstance(one, dict) else one for one in returned]
 
     asked = {"type": kind, "q": "speed>0", "limit": "3", "count": "true", **look}
     first = http.get("/entities", params={**asked, "entityMap": "true"})
@@ -118,7 +118,7 @@ def test_pages_are_filled_after_deletions_and_the_count_is_that_of_now(
     assert (counted.json(), counted.headers["ngsild-results-count"]) == ([], "6")
 
 
-def test_without_a_count_pages_are_filled_too_and_a_walk_sees_everything_once(http: httpx.Client) -> None:
+def test_a_walk_without_count_sees_every_entity_once(http: httpx.Client) -> None:
     ids = make(http, "Thinned", *range(400))
     made = http.get("/entityMaps", params={"type": "Thinned"})
     named = {MAP: made.headers[MAP]}
@@ -157,7 +157,7 @@ def test_pages_of_a_query_by_document_are_filled(http: httpx.Client) -> None:
     assert [one["speed"]["value"] for one in rest.json()] == [4, 5]
 
 
-def test_pages_of_the_past_are_filled(http: httpx.Client) -> None:
+def test_temporal_pages_of_a_map_are_filled(http: httpx.Client) -> None:
     ids = make(http, "Forgotten", 1, 2, 3, 4, 5)
     since = {"timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "timeproperty": "modifiedAt"}
     asked = {"type": "Forgotten", **since, "limit": "2"}
@@ -172,7 +172,7 @@ def test_pages_of_the_past_are_filled(http: httpx.Client) -> None:
     assert rest.headers["ngsild-results-count"] == "3"
 
 
-def test_a_map_keeps_the_order_that_was_asked_for(http: httpx.Client) -> None:
+def test_a_map_keeps_the_requested_order(http: httpx.Client) -> None:
     slow, fast, middle = make(http, "Ordered", 10, 90, 50)
     asked = {"type": "Ordered", "orderBy": "speed;desc", "limit": "2"}
     first = http.get("/entities", params={**asked, "entityMap": "true"})
@@ -182,7 +182,7 @@ def test_a_map_keeps_the_order_that_was_asked_for(http: httpx.Client) -> None:
     assert [one["id"] for one in second.json()] == [slow]
 
 
-def test_a_map_can_be_wished_for_among_the_options(http: httpx.Client) -> None:
+def test_a_map_can_be_requested_in_options(http: httpx.Client) -> None:
     make(http, "Optional", 1, 2)
     asked = {"type": "Optional", "options": "keyValues,entityMap", "limit": "1"}
     answer = http.get("/entities", params=asked)
@@ -192,7 +192,7 @@ def test_a_map_can_be_wished_for_among_the_options(http: httpx.Client) -> None:
     assert http.get("/entities", params={"type": "Optional", "options": "keyValues"}).status_code == 200
 
 
-def test_of_a_map_a_request_may_want_some_entities_alone(http: httpx.Client) -> None:
+def test_a_request_may_select_entities_of_a_map(http: httpx.Client) -> None:
     first, second, third = make(http, "Alone", 1, 2, 3)
     named = {MAP: http.get("/entityMaps", params={"type": "Alone", "q": "speed>1"}).headers[MAP]}
     some = http.get("/entities", params={"type": "Alone", "id": f"{first},{third}"}, headers=named)
@@ -202,7 +202,7 @@ def test_of_a_map_a_request_may_want_some_entities_alone(http: httpx.Client) -> 
     assert [one["id"] for one in some.json()] == [second]
 
 
-def test_a_query_by_document_goes_through_a_map_too(http: httpx.Client) -> None:
+def test_a_query_document_uses_a_map(http: httpx.Client) -> None:
     ids = make(http, "Posted", 1, 2, 3)
     query = {"type": "Query", "entities": [{"type": "Posted", "idPattern": "Posted"}], "q": "speed>0"}
     at = "/entityOperations/query"
@@ -218,11 +218,11 @@ def test_a_query_by_document_goes_through_a_map_too(http: httpx.Client) -> None:
     "parameters",
     [{}, {"type": "Any", "entityMapLifetime": "1hour"}, {"type": "Any", "colour": "red"}],
 )
-def test_what_makes_no_map_is_refused(http: httpx.Client, parameters: dict[str, str]) -> None:
+def test_invalid_map_requests_are_refused(http: httpx.Client, parameters: dict[str, str]) -> None:
     assert http.get("/entityMaps", params=parameters).status_code == 400
 
 
-def test_only_the_end_of_a_map_can_be_changed(http: httpx.Client, eventually: Callable[..., Any]) -> None:
+def test_only_the_expiry_of_a_map_can_be_changed(http: httpx.Client, eventually: Callable[..., Any]) -> None:
     make(http, "Ended", 1)
     one = http.get("/entityMaps", params={"type": "Ended", "entityMapLifetime": "PT2H"}).json()
     at = f"/entityMaps/{one['id']}"
@@ -237,17 +237,19 @@ def test_only_the_end_of_a_map_can_be_changed(http: httpx.Client, eventually: Ca
     assert http.get("/entityMaps/no-uri").status_code == 400
 
 
-def test_the_past_has_maps_too(http: httpx.Client) -> None:
+def test_temporal_queries_have_maps(http: httpx.Client) -> None:
     ids = make(http, "Past", 1, 2)
     when = {"type": "Past", "timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "timeproperty": "createdAt"}
     answer = http.get("/temporal/entityMaps", params=when)
     assert answer.status_code == 201, answer.text
     assert list(answer.json()["entityMap"]) == ids
-    told = http.get("/temporal/entities", params={**when, "limit": "1"}, headers={MAP: answer.headers[MAP]})
-    assert [one["id"] for one in told.json()] == ids[:1]
+    returned = http.get(
+        "/temporal/entities", params={**when, "limit": "1"}, headers={MAP: answer.headers[MAP]}
+    )
+    assert [one["id"] for one in returned.json()] == ids[:1]
 
 
-def test_maps_are_there_after_a_power_cut(own_broker: BrokerProcess) -> None:
+def test_maps_survive_a_crash(own_broker: BrokerProcess) -> None:
     own_broker.start()
     with own_broker.client() as http:
         make(http, "Kept", 1)
@@ -259,7 +261,7 @@ def test_maps_are_there_after_a_power_cut(own_broker: BrokerProcess) -> None:
 
 
 @pytest.mark.parametrize("path", ["/entities", "/temporal/entities"])
-def test_one_entity_is_retrieved_by_a_map_too(http: httpx.Client, path: str) -> None:
+def test_one_entity_is_retrieved_by_a_map(http: httpx.Client, path: str) -> None:
     (one,) = make(http, "Single" + path.count("temporal") * "Past", 30)
     plain = http.get(f"{path}/{one}")
     assert MAP not in plain.headers
@@ -280,7 +282,7 @@ def test_one_entity_is_retrieved_by_a_map_too(http: httpx.Client, path: str) -> 
     assert http.get(f"{path}/{one}", params={**asked, "entityMapLifetime": "soon"}).status_code == 400
 
 
-async def test_others_are_served_while_a_large_map_is_counted(
+async def test_other_requests_are_served_while_a_large_map_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(entity_map_pages, "CHECK_BATCH_SIZE", 2)
@@ -295,7 +297,7 @@ async def test_others_are_served_while_a_large_map_is_counted(
         headers = {MAP: first.headers[MAP].rpartition("/")[2]}
 
         async def turns_during(parameters: dict[str, str]) -> int:
-            """How often others had a turn of the event loop while a page was made."""
+            """Return how often other tasks ran on the event loop while a page was read."""
             page = asyncio.create_task(client.get("/entities", params=parameters, headers=headers))
             turns = 0
             while not page.done():

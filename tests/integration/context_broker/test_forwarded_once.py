@@ -1,4 +1,4 @@
-"""A change that may have been carried out at a source is not sent again, and a query is."""
+"""Forwarded requests whose result is unknown: writes are not repeated, queries are."""
 
 import re
 import socket
@@ -48,7 +48,7 @@ def forgetful() -> Iterator[tuple[str, list[str]]]:
     server.close()
 
 
-def test_a_change_that_may_have_been_done_is_not_sent_again_and_a_question_is(
+def test_a_write_with_unknown_result_is_not_repeated_but_a_query_is(
     near: httpx.Client, forgetful: tuple[str, list[str]], kind: str
 ) -> None:
     url, asked = forgetful
@@ -56,7 +56,7 @@ def test_a_change_that_may_have_been_done_is_not_sent_again_and_a_question_is(
     register(near, url, {"type": kind})
     for _ in range(2):
         assert "ngsild-warning" not in near.get(f"/entities/{one}").headers
-    assert asked == ["GET"] * 3  # of the second, nobody knew what had become
+    assert asked == ["GET"] * 3  # the result of the second was unknown
     asked.clear()
     statuses = [near.patch(f"/entities/{one}/attrs", json={"n": n}).status_code for n in range(4)]
     assert asked == ["PATCH"] * 4

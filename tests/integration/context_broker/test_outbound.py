@@ -1,4 +1,4 @@
-"""Where the broker connects to because a client says so: the outbound policy, redirects and sizes at work."""
+"""Outgoing connections: the outbound policy, redirects and size limits."""
 
 import gzip
 import threading
@@ -24,7 +24,7 @@ Page = tuple[int, dict[str, str], bytes]
 
 
 class Pages:
-    """A server of given pages by path; notes what it is asked."""
+    """A server of given pages by path; records its requests."""
 
     def __init__(self) -> None:
         self.pages: dict[str, Page] = {}
@@ -52,7 +52,7 @@ class Pages:
             daemon_threads = True
 
             def handle_error(self, *_: Any) -> None:
-                pass  # the broker had enough
+                pass  # the broker closed the connection
 
         self._server = Server(("127.0.0.1", 0), Handler)
         self.port = self._server.server_address[1]
@@ -103,7 +103,7 @@ def subscription(uri: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "host", ["127.0.0.1", "localhost", "10.0.0.1", "[64:ff9b::7f00:1]", "169.254.169.254"]
 )
-def test_a_refused_address_is_a_400_where_it_is_given(strict: httpx.Client, host: str) -> None:
+def test_a_refused_address_is_a_bad_request(strict: httpx.Client, host: str) -> None:
     uri = f"http://{host}:9/"
     registration = {
         "type": "ContextSourceRegistration",
@@ -123,14 +123,14 @@ def test_a_refused_address_is_a_400_where_it_is_given(strict: httpx.Client, host
         assert (answer.status_code, SETTING in answer.text) == (400, True), (path, answer.text)
 
 
-def test_a_refused_address_is_not_asked_for_a_context(strict: httpx.Client, pages: Pages) -> None:
+def test_no_context_is_fetched_from_a_refused_address(strict: httpx.Client, pages: Pages) -> None:
     pages.pages["/c.jsonld"] = 200, {}, CONTEXT
     answer = fetched(strict, f"{pages.url}/c.jsonld")
     assert (answer.status_code, SETTING in answer.text) == (504, True), answer.text
     assert pages.asked == []
 
 
-def test_what_the_setting_names_is_open_and_what_it_names_no_more_fails_when_used(
+def test_the_setting_allows_hosts_until_it_changes(
     tmp_path: Path, pages: Pages, subscriber: Any, eventually: Eventually
 ) -> None:
     broker = BrokerProcess(tmp_path, extra={**BEYOND_LOOPBACK, SETTING: "scada.example,127.0.0.1"}).start()
@@ -164,7 +164,7 @@ def test_what_the_setting_names_is_open_and_what_it_names_no_more_fails_when_use
         broker.stop()
 
 
-def test_redirects_of_contexts_are_followed_and_checked_one_by_one(http: httpx.Client, pages: Pages) -> None:
+def test_each_redirect_of_a_context_is_checked(http: httpx.Client, pages: Pages) -> None:
     pages.pages["/end.jsonld"] = 200, {}, CONTEXT
     pages.redirects("/good.jsonld", "/next.jsonld", 301)
     pages.redirects("/next.jsonld", f"{pages.url}/end.jsonld", 307)
@@ -206,7 +206,7 @@ def test_redirects_of_notifications_are_not_followed(
     assert subscriber.received == []
 
 
-def test_a_bomb_is_not_inflated(
+def test_a_compression_bomb_is_not_inflated(
     http: httpx.Client, shared_broker: BrokerProcess, pages: Pages, kind: str
 ) -> None:
     packed = {"Content-Encoding": "gzip", "Content-Type": "application/json"}
@@ -232,7 +232,7 @@ def test_a_bomb_is_not_inflated(
 
 
 def _peak_bytes(broker: BrokerProcess) -> int:
-    """Return the most memory that the broker has ever had."""
+    """Return the peak memory of the broker."""
     assert broker.process is not None
     status = Path(f"/proc/{broker.process.pid}/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) * 1024

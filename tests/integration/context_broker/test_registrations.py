@@ -1,4 +1,4 @@
-"""Registrations over HTTP: kept, found, changed, in conflict, expired, and there after a restart."""
+"""Registrations over HTTP: provision, discovery, conflicts, expiry and restarts."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -35,12 +35,12 @@ def of_type(kind: str, **members: Any) -> list[dict[str, Any]]:
     return [{"entities": [{"type": kind}], **members}]
 
 
-def test_a_registration_is_kept_and_read_as_it_was_sent(http: httpx.Client) -> None:
-    one = register(http, "kept", information=of_type("Kept", propertyNames=["speed"]), floor="second")
+def test_a_registration_is_stored_and_read_as_sent(http: httpx.Client) -> None:
+    one = register(http, "kept", information=of_type("Kept", propertyNames=["speed"]), hall="second")
     answer = http.get(f"{PATH}/{one}", params={"options": "sysAttrs"})
     document = answer.json()
     assert document["information"] == of_type("Kept", propertyNames=["speed"])
-    assert document["floor"] == "second"
+    assert document["hall"] == "second"
     assert document["createdAt"] == document["modifiedAt"]
     assert http.get(f"{PATH}/{one}", headers={"Accept": "application/ld+json"}).json()["@context"]
     assert http.post(PATH, json={**document, "id": one}).status_code == 409
@@ -49,19 +49,19 @@ def test_a_registration_is_kept_and_read_as_it_was_sent(http: httpx.Client) -> N
     assert http.delete(f"{PATH}/{one}").status_code == 404
 
 
-def test_a_change_replaces_members_and_null_takes_them_away(http: httpx.Client) -> None:
-    one = register(http, "changed", information=of_type("Changed"), description="first", floor="second")
-    change = {"endpoint": "http://127.0.0.1:10", "description": None, "floor": "third"}
+def test_an_update_replaces_members_and_null_deletes_them(http: httpx.Client) -> None:
+    one = register(http, "changed", information=of_type("Changed"), description="first", hall="second")
+    change = {"endpoint": "http://127.0.0.1:10", "description": None, "hall": "third"}
     assert http.patch(f"{PATH}/{one}", json=change).status_code == 204
     document = http.get(f"{PATH}/{one}").json()
-    assert (document["endpoint"], document["floor"]) == ("http://127.0.0.1:10", "third")
+    assert (document["endpoint"], document["hall"]) == ("http://127.0.0.1:10", "third")
     assert "description" not in document
     assert http.patch(f"{PATH}/{one}", json={"mode": "sideways"}).status_code == 400
     assert http.patch(f"{PATH}/{one}", json={"id": "urn:x:other"}).status_code == 400
     assert http.get(f"{PATH}/{one}").json()["mode"] == "inclusive"
 
 
-def test_registrations_are_found_by_what_their_sources_have(http: httpx.Client) -> None:
+def test_registrations_are_found_by_entities_and_attributes(http: httpx.Client) -> None:
     both = register(
         http,
         "both",
@@ -69,7 +69,7 @@ def test_registrations_are_found_by_what_their_sources_have(http: httpx.Client) 
             {"entities": [{"type": "FoundA"}], "propertyNames": ["speed"]},
             {"entities": [{"type": "FoundB", "id": "urn:ngsi-ld:FoundB:1"}]},
         ],
-        floor="second",
+        hall="second",
     )
     past = register(
         http,
@@ -81,8 +81,8 @@ def test_registrations_are_found_by_what_their_sources_have(http: httpx.Client) 
     assert found(http, type="FoundA", attrs="status") == []
     assert found(http, type="FoundA", attrs="") == [both]
     assert found(http, type="FoundB", id="urn:ngsi-ld:FoundB:2") == []
-    assert found(http, type="FoundA,FoundB", csf='floor=="second"') == [both]
-    assert found(http, type="FoundA", q='floor=="first"') == []
+    assert found(http, type="FoundA,FoundB", csf='hall=="second"') == [both]
+    assert found(http, type="FoundA", q='hall=="first"') == []
     assert found(http, csf='endpoint=="http://127.0.0.1:9"', type="FoundB") == [both]
     before = {"timerel": "before", "timeAt": "2024-01-15T00:00:00Z"}
     assert found(http, type="FoundA", **before) == [past]
@@ -93,7 +93,7 @@ def test_registrations_are_found_by_what_their_sources_have(http: httpx.Client) 
     assert http.get(PATH).status_code == 400
 
 
-def test_registrations_are_found_by_their_places_and_scopes(http: httpx.Client) -> None:
+def test_registrations_are_found_by_location_and_scope(http: httpx.Client) -> None:
     here = {"type": "Point", "coordinates": [8.68, 49.41]}
     one = register(http, "place", information=of_type("Placed"), scope="/Madrid/Centro", location=here)
     other = register(http, "nowhere", information=of_type("Placed"), scope="/Berlin")
@@ -105,7 +105,7 @@ def test_registrations_are_found_by_their_places_and_scopes(http: httpx.Client) 
     assert http.get(PATH, params={"type": "Placed", "georel": "near"}).status_code == 400
 
 
-def test_who_answers_differs_from_tenant_to_tenant_and_stays(own_broker: BrokerProcess) -> None:
+def test_the_alias_differs_by_tenant_and_is_stable(own_broker: BrokerProcess) -> None:
     tenant = {"NGSILD-Tenant": "cell4"}
     own_broker.start()
     with own_broker.client() as http:
@@ -123,7 +123,7 @@ def test_who_answers_differs_from_tenant_to_tenant_and_stays(own_broker: BrokerP
         assert identity["contextSourceUptime"].startswith("PT")
 
 
-def test_registrations_come_in_pages(http: httpx.Client) -> None:
+def test_registrations_are_paged(http: httpx.Client) -> None:
     ids = [register(http, f"page-{number}", information=of_type("Paged")) for number in range(3)]
     answer = http.get(PATH, params={"type": "Paged", "limit": "2", "count": "true"})
     assert [one["id"] for one in answer.json()] == ids[:2]
@@ -132,7 +132,7 @@ def test_registrations_come_in_pages(http: httpx.Client) -> None:
     assert found(http, type="Paged", limit="2", offset="2") == ids[2:]
 
 
-def test_a_proxied_registration_hides_nothing_that_is_there(http: httpx.Client) -> None:
+def test_a_proxied_registration_must_not_hide_existing_entities(http: httpx.Client) -> None:
     entity = {"id": "urn:ngsi-ld:Hidden:1", "type": "Hidden", "speed": {"type": "Property", "value": 1}}
     assert http.post("/entities", json=entity).status_code == 201
     refused: list[dict[str, Any]] = [
@@ -169,7 +169,7 @@ def test_a_proxied_registration_hides_nothing_that_is_there(http: httpx.Client) 
         '{"information": [{"propertyNames": ["a"]}], "endpoint": "http://a", "expiresAt": "2020-01-01T00"}',
     ],
 )
-def test_what_makes_no_registration_is_refused(http: httpx.Client, body: str) -> None:
+def test_invalid_registrations_are_refused(http: httpx.Client, body: str) -> None:
     assert http.post(PATH, content=body, headers=JSON).status_code == 400
 
 
@@ -182,7 +182,7 @@ def test_link_local_sources_are_refused(http: httpx.Client) -> None:
     assert http.patch(f"{PATH}/{one}", json={"endpoint": "http://[fe80::1]"}).status_code == 400
 
 
-def test_tenants_have_their_own(http: httpx.Client) -> None:
+def test_tenants_have_their_own_registrations(http: httpx.Client) -> None:
     tenant = {"NGSILD-Tenant": "cell4"}
     document = {"endpoint": "http://a", "information": of_type("Owned")}
     answer = http.post(PATH, json=document, headers=tenant)
@@ -191,18 +191,18 @@ def test_tenants_have_their_own(http: httpx.Client) -> None:
     assert len(http.get(PATH, params={"type": "Owned"}, headers=tenant).json()) == 1
 
 
-def test_registrations_are_there_after_a_restart_and_end_in_time(
+def test_registrations_survive_a_restart_and_expire(
     own_broker: BrokerProcess, eventually: Callable[..., Any]
 ) -> None:
     own_broker.start()
     soon = (datetime.now(UTC) + timedelta(seconds=3)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     with own_broker.client() as http:
-        stays = register(http, "stays", information=of_type("Kept"), floor="second")
+        stays = register(http, "stays", information=of_type("Kept"), hall="second")
         goes = register(http, "goes", information=of_type("Kept"), expiresAt=soon)
         assert found(http, type="Kept") == [stays, goes]
     own_broker.kill()
     own_broker.start()
     with own_broker.client() as http:
-        assert found(http, type="Kept", csf='floor=="second"') == [stays]
+        assert found(http, type="Kept", csf='hall=="second"') == [stays]
         eventually(lambda: found(http, type="Kept") == [stays], why="it does not end")
         assert http.get(f"{PATH}/{goes}").status_code == 404

@@ -1,4 +1,4 @@
-"""Three brokers in a ring, each a source of the one before it: everything is told and done once, and ends."""
+"""Three brokers in a ring, each a source of the one before it: loops end."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -18,7 +18,7 @@ SINCE_ALWAYS = {"timerel": "after", "timeAt": "2020-01-01T00:00:00Z"}
 
 @pytest.fixture
 def ring(brokers: list[Any], kind: str) -> Iterator[list[httpx.Client]]:
-    """Clients of three brokers that know each other in a ring, by an address and no alias."""
+    """Clients of three brokers registered in a ring, without aliases."""
     clients = [one.client() for one in brokers]
     paths = [
         register(client, brokers[(place + 1) % 3].url, {"type": kind}, operations=OPERATIONS)
@@ -31,12 +31,12 @@ def ring(brokers: list[Any], kind: str) -> Iterator[list[httpx.Client]]:
 
 
 def held(client: httpx.Client, entity_id: str) -> dict[str, Any] | None:
-    """Return what a broker has itself of an entity."""
+    """Return a broker's own part of an entity."""
     answer = client.get(f"/entities/{entity_id}?local=true")
     return values(answer) if answer.status_code == 200 else None
 
 
-def test_changes_go_once_around_a_ring(ring: list[httpx.Client], kind: str) -> None:
+def test_changes_pass_a_ring_once(ring: list[httpx.Client], kind: str) -> None:
     one = f"urn:ngsi-ld:{kind}:1"
     entity = {"id": one, "type": kind, "n": 1}
     at, batch = f"/entities/{one}", "/entityOperations"
@@ -64,7 +64,7 @@ def test_changes_go_once_around_a_ring(ring: list[httpx.Client], kind: str) -> N
         assert [held(client, one) for client in ring] == [state] * 3, place
 
 
-def test_each_broker_of_a_ring_has_what_is_created_at_one(ring: list[httpx.Client], kind: str) -> None:
+def test_each_broker_of_a_ring_gets_a_created_entity(ring: list[httpx.Client], kind: str) -> None:
     entity: dict[str, Any] = {"id": f"urn:ngsi-ld:{kind}:1", "type": kind, "n": 1}
     assert ring[0].post("/entities", json=entity).status_code == 201
     assert [held(client, entity["id"]) for client in ring] == [{"n": 1}] * 3
@@ -76,11 +76,11 @@ def test_each_broker_of_a_ring_has_what_is_created_at_one(ring: list[httpx.Clien
     made = ring[1].post("/temporal/entities", json=past)
     assert made.status_code == 201, made.text
     for client in ring:
-        told = client.get(f"/temporal/entities/{past['id']}", params={**SINCE_ALWAYS, "local": "true"})
-        assert [one["value"] for one in told.json()["n"]] == [1]
+        notified = client.get(f"/temporal/entities/{past['id']}", params={**SINCE_ALWAYS, "local": "true"})
+        assert [one["value"] for one in notified.json()["n"]] == [1]
 
 
-def test_questions_end_and_are_answered_whole(ring: list[httpx.Client], kind: str) -> None:
+def test_queries_in_a_ring_end_with_complete_results(ring: list[httpx.Client], kind: str) -> None:
     one = f"urn:ngsi-ld:{kind}:1"
     for place, client in enumerate(ring):
         put(client, one, kind, **{f"n{place}": place})
@@ -138,7 +138,7 @@ def test_questions_end_and_are_answered_whole(ring: list[httpx.Client], kind: st
         ("DELETE", "/temporal/entities/{id}", None),
     ],
 )
-def test_whatever_comes_round_again_is_a_loop_and_goes_no_farther(
+def test_a_returning_request_is_a_loop_and_is_not_forwarded(
     near: httpx.Client, source: ScriptedSource, kind: str, request_: tuple[str, str, Any]
 ) -> None:
     method, path, body = request_

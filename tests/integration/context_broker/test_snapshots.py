@@ -1,4 +1,4 @@
-"""Snapshots: entities as they were, apart from the others; made, cloned, changed, purged, ended, kept."""
+"""Snapshots: creation, clones, changes, purge, expiry and restarts."""
 
 import sqlite3
 from collections.abc import Callable
@@ -45,7 +45,7 @@ def inside(one: dict[str, Any]) -> dict[str, str]:
     return {"NGSILD-Snapshot": one["id"]}
 
 
-def test_a_snapshot_holds_what_its_queries_find_as_it_was(http: httpx.Client) -> None:
+def test_a_snapshot_keeps_the_results_of_its_queries(http: httpx.Client) -> None:
     create(http, "urn:ngsi-ld:Frozen:fast", "Frozen", 80)
     create(http, "urn:ngsi-ld:Frozen:slow", "Frozen", 30)
     one = snapshot(http, query("Frozen", q="speed>50"))
@@ -62,7 +62,7 @@ def test_a_snapshot_holds_what_its_queries_find_as_it_was(http: httpx.Client) ->
     assert http.get(f"{PATH}/{one['id']}").json()["lastUsedAt"] > one["lastUsedAt"]
 
 
-def test_what_happens_inside_a_snapshot_stays_there(
+def test_changes_inside_a_snapshot_stay_inside(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     create(http, "urn:ngsi-ld:Inside:1", "Inside", 80)
@@ -88,7 +88,7 @@ def test_what_happens_inside_a_snapshot_stays_there(
     assert http.get("/types", headers=inside(one)).json()["typeList"] == ["Inside"]
 
 
-def test_a_clone_changes_and_ends_by_itself(http: httpx.Client) -> None:
+def test_a_clone_is_independent(http: httpx.Client) -> None:
     create(http, "urn:ngsi-ld:Cloned:1", "Cloned", 80)
     one = snapshot(http, query("Cloned"), snapshotPriority=2)
     answer = http.post(f"{PATH}/{one['id']}/clone", json={"type": "Snapshot", "snapshotPriority": 9})
@@ -104,7 +104,7 @@ def test_a_clone_changes_and_ends_by_itself(http: httpx.Client) -> None:
     assert http.post(f"{PATH}/{clone['id']}/clone", json={"snapshotQueries": []}).status_code == 400
 
 
-def test_snapshots_are_purged_by_what_they_are(http: httpx.Client) -> None:
+def test_snapshots_are_purged_by_their_members(http: httpx.Client) -> None:
     low, high = (snapshot(http, query("Nothing"), snapshotPriority=each) for each in (1, 8))
     assert low["snapshotStatus"] == "empty"
     assert http.delete(PATH).status_code == 400
@@ -116,7 +116,7 @@ def test_snapshots_are_purged_by_what_they_are(http: httpx.Client) -> None:
     assert http.get(f"{PATH}/{high['id']}").status_code == 200
 
 
-def test_a_change_of_a_snapshot_is_about_its_keeping(http: httpx.Client) -> None:
+def test_a_change_of_a_snapshot_sets_priority_lifetime_and_endpoint(http: httpx.Client) -> None:
     one = snapshot(http, query("Nothing"), snapshotLifetime="PT1H")
     at = f"{PATH}/{one['id']}"
     changed = http.patch(at, json={"snapshotPriority": 9, "snapshotLifetime": "PT2H"})
@@ -128,45 +128,45 @@ def test_a_change_of_a_snapshot_is_about_its_keeping(http: httpx.Client) -> None
     assert http.patch(f"{PATH}/urn:ngsi-ld:Snapshot:absent", json={}).status_code == 404
 
 
-def test_who_asked_is_told_when_a_snapshot_is_made_and_gone(
+def test_the_endpoint_is_notified_of_creation_and_deletion(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     create(http, "urn:ngsi-ld:Announced:1", "Announced", 80)
     info = [{"key": "X-Cell", "value": "4"}]
     one = snapshot(http, query("Announced"), endpoint=subscriber.url, receiverInfo=info)
     eventually(lambda: subscriber.received)
-    told = subscriber.received[0]
-    assert (told["type"], told["snapshotId"]) == ("SnapshotNotification", one["id"])
-    assert told["snapshotStatus"] == "success"
-    assert told["notifiedAt"] < told["expiresAt"]
+    notified = subscriber.received[0]
+    assert (notified["type"], notified["snapshotId"]) == ("SnapshotNotification", one["id"])
+    assert notified["snapshotStatus"] == "success"
+    assert notified["notifiedAt"] < notified["expiresAt"]
     assert subscriber.headers[0]["x-cell"] == "4"
     http.delete(f"{PATH}/{one['id']}")
     eventually(lambda: len(subscriber.received) == 2)
     assert subscriber.received[1]["expiresAt"] <= subscriber.received[1]["notifiedAt"]
 
 
-def test_what_was_not_told_of_a_snapshot_is_told_after_a_power_cut(
+def test_pending_snapshot_notifications_survive_a_crash(
     own_broker: BrokerProcess, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     subscriber.status = 503
     own_broker.start()
     with own_broker.client() as http:
-        create(http, "urn:ngsi-ld:Owed:1", "Owed", 80)
-        one = snapshot(http, query("Owed"), endpoint=subscriber.url)
+        create(http, "urn:ngsi-ld:Pending:1", "Pending", 80)
+        one = snapshot(http, query("Pending"), endpoint=subscriber.url)
         http.patch(f"{PATH}/{one['id']}", json={"snapshotPriority": 9})
         assert http.delete(f"{PATH}/{one['id']}").status_code == 204
     own_broker.kill()
     subscriber.status = 200
     own_broker.start()
     eventually(lambda: len(subscriber.received) >= 3)
-    told = [(one["snapshotStatus"], one["snapshotPriority"]) for one in subscriber.received]
-    assert told[-3:] == [("success", 5), ("success", 9), ("success", 9)]
+    notified = [(one["snapshotStatus"], one["snapshotPriority"]) for one in subscriber.received]
+    assert notified[-3:] == [("success", 5), ("success", 9), ("success", 9)]
     assert subscriber.received[-1]["expiresAt"] <= subscriber.received[-1]["notifiedAt"]
     so_far = len(subscriber.received)
     own_broker.stop()
     own_broker.start()
-    with own_broker.client() as http:  # what is told now would come after what has been owed
-        snapshot(http, query("Owed"), endpoint=subscriber.url, snapshotPriority=3)
+    with own_broker.client() as http:  # its notification would follow any pending one
+        snapshot(http, query("Pending"), endpoint=subscriber.url, snapshotPriority=3)
     eventually(lambda: len(subscriber.received) > so_far)
     assert subscriber.received[so_far]["snapshotPriority"] == 3
 
@@ -189,18 +189,18 @@ def test_what_was_not_told_of_a_snapshot_is_told_after_a_power_cut(
         {"snapshotQueries": [query("A")], "id": "no uri"},
     ],
 )
-def test_what_makes_no_snapshot_is_refused(http: httpx.Client, members: dict[str, Any]) -> None:
+def test_invalid_snapshots_are_refused(http: httpx.Client, members: dict[str, Any]) -> None:
     assert http.post(PATH, json=members).status_code == 400
 
 
-def test_a_query_that_cannot_be_carried_out_is_told(http: httpx.Client) -> None:
+def test_a_failed_query_is_reported_in_the_snapshot(http: httpx.Client) -> None:
     create(http, "urn:ngsi-ld:Half:1", "Half", 80)
     one = snapshot(http, query("Half"), query("Half", q="((("))
     assert one["snapshotStatus"] == "partial"
     assert one["snapshotQueriesDetails"][1]["problemDetails"]["status"] == 400
 
 
-def test_the_past_is_in_a_snapshot_where_it_is_asked_for(http: httpx.Client) -> None:
+def test_a_snapshot_has_history_if_requested(http: httpx.Client) -> None:
     create(http, "urn:ngsi-ld:Passed:1", "Passed", 80)
     change = {"speed": {"type": "Property", "value": 90}}
     assert http.patch("/entities/urn:ngsi-ld:Passed:1/attrs", json=change).status_code == 204
@@ -215,8 +215,8 @@ def test_the_past_is_in_a_snapshot_where_it_is_asked_for(http: httpx.Client) -> 
     http.patch("/entities/urn:ngsi-ld:Passed:1/attrs", json={"speed": {"type": "Property", "value": 100}})
     clone = made(http, http.post(f"{PATH}/{one['id']}/clone", json={}))
     for each in (one, clone):
-        told = http.get("/temporal/entities/urn:ngsi-ld:Passed:1", headers=inside(each)).json()
-        assert sorted(instance["value"] for instance in told["speed"]) == [80, 90]
+        notified = http.get("/temporal/entities/urn:ngsi-ld:Passed:1", headers=inside(each)).json()
+        assert sorted(instance["value"] for instance in notified["speed"]) == [80, 90]
     assert len(http.get("/temporal/entities/urn:ngsi-ld:Passed:1").json()["speed"]) == 3
 
 
@@ -227,7 +227,11 @@ def test_snapshots_belong_to_their_tenant(http: httpx.Client) -> None:
     at = answer.headers["location"].removeprefix("/ngsi-ld/v1")
     one = wait_for(
         lambda: next(
-            (told for told in [http.get(at, headers=tenant).json()] if told["snapshotStatus"] == "success"),
+            (
+                notified
+                for notified in [http.get(at, headers=tenant).json()]
+                if notified["snapshotStatus"] == "success"
+            ),
             None,
         )
     )
@@ -239,7 +243,7 @@ def test_snapshots_belong_to_their_tenant(http: httpx.Client) -> None:
     )
 
 
-def test_snapshots_are_there_after_a_power_cut_and_end_in_time(
+def test_snapshots_survive_a_crash_and_expire(
     own_broker: BrokerProcess, eventually: Callable[..., Any]
 ) -> None:
     own_broker.start()
@@ -260,7 +264,7 @@ def test_snapshots_are_there_after_a_power_cut_and_end_in_time(
 
 
 @pytest.mark.parametrize("own_broker", ["sqlite"], indirect=True)
-def test_what_a_power_cut_has_left_of_a_snapshot_is_cleared_away(
+def test_leftovers_of_a_snapshot_are_deleted_after_a_crash(
     own_broker: BrokerProcess, eventually: Callable[..., Any]
 ) -> None:
     own_broker.start()
@@ -268,7 +272,9 @@ def test_what_a_power_cut_has_left_of_a_snapshot_is_cleared_away(
         create(http, "urn:ngsi-ld:Left:1", "Left", 80)
         snapshot(http, query("Left"))
     own_broker.stop()
-    with closing(sqlite3.connect(own_broker.data_dir / "broker.db")) as database:  # as if cut while deleting
+    with closing(
+        sqlite3.connect(own_broker.data_dir / "broker.db")
+    ) as database:  # as if the power was cut while deleting
         database.execute("DELETE FROM documents WHERE kind = 'snapshot'")
         database.commit()
     own_broker.start()
@@ -278,7 +284,7 @@ def test_what_a_power_cut_has_left_of_a_snapshot_is_cleared_away(
     assert own_broker.metric("handover_broker_entities") == 1
 
 
-def test_a_snapshot_that_a_power_cut_leaves_in_the_making_has_failed_and_says_why(
+def test_a_snapshot_interrupted_by_a_crash_has_failed_with_a_reason(
     own_broker: BrokerProcess,
     subscriber: Subscriber,
     source: ScriptedSource,

@@ -1,4 +1,4 @@
-"""Subscriptions to registrations: told at the start, of what comes, changes and goes; nothing lost."""
+"""Subscriptions to registrations: initial notification, changes, and nothing lost."""
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -32,21 +32,21 @@ def register(http: httpx.Client, name: str, kind: str, **members: Any) -> str:
     return one
 
 
-def told(subscriber: Subscriber) -> list[tuple[str, list[str]]]:
+def notified(subscriber: Subscriber) -> list[tuple[str, list[str]]]:
     return [(one["triggerReason"], [each["id"] for each in one["data"]]) for one in list(subscriber.received)]
 
 
-def test_a_new_subscriber_is_told_of_all_that_match_and_then_of_changes(
+def test_a_new_subscriber_is_notified_of_all_matches_then_of_changes(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
-    first = register(http, "first", "Told")
-    one = subscribe(http, subscriber.url, "Told", watchedAttributes=["speed"])
-    eventually(lambda: told(subscriber) == [("newlyMatching", [first])])
+    first = register(http, "first", "Notified")
+    one = subscribe(http, subscriber.url, "Notified", watchedAttributes=["speed"])
+    eventually(lambda: notified(subscriber) == [("newlyMatching", [first])])
     body = subscriber.received[0]
     assert (body["type"], body["subscriptionId"]) == ("ContextSourceNotification", one)
-    assert body["data"][0]["information"][0]["entities"] == [{"type": "Told"}]
+    assert body["data"][0]["information"][0]["entities"] == [{"type": "Notified"}]
     register(http, "unheard", "Other")
-    second = register(http, "second", "Told")
+    second = register(http, "second", "Notified")
     http.patch(f"/csourceRegistrations/{first}", json={"description": "changed"})
     http.patch(f"/csourceRegistrations/{first}", json={"information": [{"entities": [{"type": "Other"}]}]})
     http.delete(f"/csourceRegistrations/{second}")
@@ -57,7 +57,7 @@ def test_a_new_subscriber_is_told_of_all_that_match_and_then_of_changes(
         ("noLongerMatching", [first]),
         ("noLongerMatching", [second]),
     ]
-    eventually(lambda: told(subscriber) == expected, why=str(told(subscriber)))
+    eventually(lambda: notified(subscriber) == expected, why=str(notified(subscriber)))
     document = http.get(f"{PATH}/{one}").json()
     assert document["notification"]["timesSent"] == 5
     assert http.get("/subscriptions").json() == []
@@ -66,12 +66,12 @@ def test_a_new_subscriber_is_told_of_all_that_match_and_then_of_changes(
     assert http.get(f"{PATH}/{one}").status_code == 404
 
 
-def test_who_wants_to_be_told_seldom_is_told_of_several_at_once(
+def test_a_throttled_subscriber_is_notified_of_several_at_once(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     one = subscribe(http, subscriber.url, "Seldom", throttling=1.5)
     first = register(http, "seldom-1", "Seldom")
-    eventually(lambda: told(subscriber) == [("newlyMatching", [first])])
+    eventually(lambda: notified(subscriber) == [("newlyMatching", [first])])
     second, third = register(http, "seldom-2", "Seldom"), register(http, "seldom-3", "Seldom")
     for text in ("changed", "changed again"):
         http.patch(f"/csourceRegistrations/{third}", json={"description": text})
@@ -82,75 +82,78 @@ def test_who_wants_to_be_told_seldom_is_told_of_several_at_once(
         ("updated", [third]),
         ("noLongerMatching", [second]),
     ]
-    eventually(lambda: told(subscriber) == expected, why=str(told(subscriber)))
+    eventually(lambda: notified(subscriber) == expected, why=str(notified(subscriber)))
     assert subscriber.received[2]["data"][0]["description"] == "changed again"
     eventually(lambda: http.get(f"{PATH}/{one}").json()["notification"]["timesSent"] == 4)
 
 
-def test_a_registration_that_expires_is_told_of(
+def test_subscribers_are_notified_of_an_expired_registration(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     subscribe(http, subscriber.url, "Ending")
     soon = (datetime.now(UTC) + timedelta(seconds=2)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     one = register(http, "ending", "Ending", expiresAt=soon)
-    eventually(lambda: told(subscriber) == [("newlyMatching", [one]), ("noLongerMatching", [one])])
+    eventually(lambda: notified(subscriber) == [("newlyMatching", [one]), ("noLongerMatching", [one])])
 
 
-def test_a_paused_subscription_is_told_nothing(http: httpx.Client, subscriber: Subscriber) -> None:
+def test_a_paused_subscription_is_not_notified(http: httpx.Client, subscriber: Subscriber) -> None:
     paused = subscribe(http, subscriber.url, "Paused", isActive=False)
     register(http, "paused", "Paused")
     assert http.get(f"{PATH}/{paused}").json()["status"] == "paused"
-    assert told(subscriber) == []
+    assert notified(subscriber) == []
 
 
-def test_entities_are_none_of_its_business(
+def test_changes_of_entities_are_not_notified(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     subscribe(http, subscriber.url, "Business")
     entity = {"id": "urn:ngsi-ld:Business:1", "type": "Business", "speed": {"type": "Property", "value": 1}}
     assert http.post("/entities", json=entity).status_code == 201
     one = register(http, "business", "Business")
-    eventually(lambda: told(subscriber) == [("newlyMatching", [one])])
+    eventually(lambda: notified(subscriber) == [("newlyMatching", [one])])
 
 
-def test_what_is_owed_is_sent_after_a_power_cut(
+def test_pending_registration_notifications_survive_a_crash(
     own_broker: BrokerProcess, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     subscriber.status = 503
     own_broker.start()
     with own_broker.client() as http:
-        subscribe(http, subscriber.url, "Owed")
-        one = register(http, "owed", "Owed")
+        subscribe(http, subscriber.url, "Pending")
+        one = register(http, "pending", "Pending")
     own_broker.kill()
     subscriber.status = 200
     own_broker.start()
-    eventually(lambda: told(subscriber))
-    assert told(subscriber)[0] == ("newlyMatching", [one])  # once, or again if the last attempt was under way
+    eventually(lambda: notified(subscriber))
+    assert notified(subscriber)[0] == (
+        "newlyMatching",
+        [one],
+    )  # once, or again if the last attempt was under way
 
 
-def test_a_subscription_that_asks_for_nonsense_is_refused(http: httpx.Client) -> None:
+def test_an_invalid_registration_subscription_is_refused(http: httpx.Client) -> None:
     document = {"entities": [{"type": "A"}], "notification": {"endpoint": {"uri": "http://127.0.0.1:9"}}}
     assert http.post(PATH, json={**document, "notification": {}}).status_code == 400
     assert http.post(PATH, json=[]).status_code == 400
     assert http.get(f"{PATH}/urn:ngsi-ld:Subscription:absent").status_code == 404
 
 
-def test_a_subscription_with_an_interval_is_told_again_and_again(
+def test_a_subscription_with_an_interval_is_notified_periodically(
     http: httpx.Client, subscriber: Subscriber, eventually: Callable[..., Any]
 ) -> None:
     one = register(http, "round", "Round")
     subscribe(http, subscriber.url, "Round", timeInterval=1)
-    eventually(lambda: len(told(subscriber)) >= 3)
-    assert set(map(str, told(subscriber))) == {str(("newlyMatching", [one]))}
+    eventually(lambda: len(notified(subscriber)) >= 3)
+    assert set(map(str, notified(subscriber))) == {str(("newlyMatching", [one]))}
 
 
-def test_attributes_matter_where_watched_and_told_ones_are_named(
+def test_attributes_restrict_if_watched_and_notified_ones_are_named(
     http: httpx.Client, new_subscriber: Callable[..., Subscriber], eventually: Callable[..., Any]
 ) -> None:
     wide, narrow = new_subscriber(), new_subscriber()
     subscribe(http, wide.url, "Named", watchedAttributes=["speed"])
-    told_too = {"endpoint": {"uri": narrow.url}, "attributes": ["heading"]}
-    subscribe(http, narrow.url, "Named", watchedAttributes=["speed"], notification=told_too)
+    also_notified = {"endpoint": {"uri": narrow.url}, "attributes": ["heading"]}
+    subscribe(http, narrow.url, "Named", watchedAttributes=["speed"], notification=also_notified)
     entities = [{"type": "Named"}]
     ids = [
         register(
@@ -158,5 +161,7 @@ def test_attributes_matter_where_watched_and_told_ones_are_named(
         )
         for name in ("colour", "heading", "speed")
     ]
-    eventually(lambda: told(wide) == [("newlyMatching", [one]) for one in ids], why=str(told(wide)))
-    eventually(lambda: told(narrow) == [("newlyMatching", [one]) for one in ids[1:]], why=str(told(narrow)))
+    eventually(lambda: notified(wide) == [("newlyMatching", [one]) for one in ids], why=str(notified(wide)))
+    eventually(
+        lambda: notified(narrow) == [("newlyMatching", [one]) for one in ids[1:]], why=str(notified(narrow))
+    )

@@ -1,4 +1,4 @@
-"""What makes the past: changes of the present, what is added and corrected; a power cut takes none of it."""
+"""Recorded and provided history: additions, corrections, deletions and crashes."""
 
 import threading
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 
-from .past import PAST, a_car, at, fault, readings, told, values
+from .temporal_requests import PAST, a_car, at, fault, read_evolution, readings, values
 
 NUMBERS = count(1)
 
@@ -20,11 +20,11 @@ def entity_id() -> str:
 
 @pytest.fixture
 def car(http: httpx.Client, entity_id: str) -> str:
-    """A car that only has a past."""
+    """A car with a history only."""
     return a_car(http, entity_id)
 
 
-def test_changes_of_the_present_become_the_past(http: httpx.Client, entity_id: str) -> None:
+def test_changes_of_current_entities_are_recorded(http: httpx.Client, entity_id: str) -> None:
     entity = {"id": entity_id, "type": "Car", "scope": "/a", "speed": readings([1])[0], "colour": "red"}
     path = f"/entities/{entity_id}"
     assert http.post("/entities", json=entity).status_code == 201
@@ -32,7 +32,7 @@ def test_changes_of_the_present_become_the_past(http: httpx.Client, entity_id: s
     assert http.patch(f"{path}/attrs", json={"colour": "blue"}).status_code == 204
     assert http.patch(path, json={"speed": {"value": 3, "observedAt": at(2)}}).status_code == 204
     assert http.delete(f"{path}/attrs/colour").status_code == 204
-    past = told(http, entity_id)
+    past = read_evolution(http, entity_id)
     assert values(past) == [1, 2, 3]
     assert values(past, "colour") == ["red", "blue"]
     assert values(past, "scope") == ["/a"]
@@ -40,37 +40,37 @@ def test_changes_of_the_present_become_the_past(http: httpx.Client, entity_id: s
     assert past["scope"][0]["modifiedAt"]
     ids = [one["instanceId"] for name in ("speed", "colour", "scope") for one in past[name]]
     assert len(set(ids)) == len(ids)
-    gone = told(http, entity_id, timeproperty="deletedAt")
+    gone = read_evolution(http, entity_id, timeproperty="deletedAt")
     assert [(one["value"], "deletedAt" in one) for one in gone["colour"]] == [("urn:ngsi-ld:null", True)]
     assert "speed" not in gone
     assert http.delete(path).status_code == 204
-    after = told(http, entity_id, options="sysAttrs")
+    after = read_evolution(http, entity_id, options="sysAttrs")
     assert values(after) == [1, 2, 3]
     assert after["deletedAt"] > after["modifiedAt"] >= after["createdAt"]
-    assert values(told(http, entity_id, timeproperty="deletedAt")) == ["urn:ngsi-ld:null"]
+    assert values(read_evolution(http, entity_id, timeproperty="deletedAt")) == ["urn:ngsi-ld:null"]
     assert http.post("/entities", json=entity).status_code == 201
-    assert values(told(http, entity_id, timeproperty="modifiedAt")) == [1, 2, 3, 1]
+    assert values(read_evolution(http, entity_id, timeproperty="modifiedAt")) == [1, 2, 3, 1]
 
 
-def test_the_past_is_added_to(http: httpx.Client, car: str) -> None:
+def test_instances_are_added_to_the_history(http: httpx.Client, car: str) -> None:
     more = {"id": car, "type": ["Truck"], "speed": readings([60], 5), "scope": ["/a", "/b"]}
     assert http.post(PAST, json=more).status_code == 204
     assert (
         http.post(f"{PAST}/{car}/attrs", json={"speed": readings([70, 80], 6), "colour": "red"}).status_code
         == 204
     )
-    past = told(http, car)
+    past = read_evolution(http, car)
     assert past["type"] == ["Car", "Truck"]
     assert values(past) == [10, 20, 30, 40, 50, 60, 70, 80]
     assert values(past, "scope") == [["/a", "/b"]]
     deletion = {"speed": readings(["urn:ngsi-ld:null"], 9)}
     assert http.post(f"{PAST}/{car}/attrs", json=deletion).status_code == 204
-    assert values(told(http, car))[-1] == "urn:ngsi-ld:null"
-    assert http.get(f"/entities/{car}").status_code == 404  # the present knows nothing of it
+    assert values(read_evolution(http, car))[-1] == "urn:ngsi-ld:null"
+    assert http.get(f"/entities/{car}").status_code == 404  # the current entity is unchanged
 
 
-def test_what_is_said_twice_is_known_once(http: httpx.Client, car: str) -> None:
-    before = told(http, car, options="sysAttrs")
+def test_a_repeated_instance_is_stored_once(http: httpx.Client, car: str) -> None:
+    before = read_evolution(http, car, options="sysAttrs")
     again = {
         "id": car,
         "type": "Car",
@@ -80,7 +80,7 @@ def test_what_is_said_twice_is_known_once(http: httpx.Client, car: str) -> None:
     }
     for _ in range(2):
         assert http.post(PAST, json=again).status_code == 204
-        past = told(http, car, options="sysAttrs")
+        past = read_evolution(http, car, options="sysAttrs")
         assert values(past) == [11, 20, 30, 40, 50, 60]
         assert values(past, "scope") == ["/a"]
         headings = [(one["value"], one.get("datasetId")) for one in past["heading"]]
@@ -95,24 +95,24 @@ def test_what_is_said_twice_is_known_once(http: httpx.Client, car: str) -> None:
         assert (first["instanceId"], first["createdAt"]) == (was["instanceId"], was["createdAt"])
         assert first["modifiedAt"] > was["modifiedAt"]
     http.post(f"{PAST}/{car}/attrs", json={"speed": readings([12])})
-    assert sorted(values(told(http, car))) == [11, 12, 20, 30, 40, 50, 60]
+    assert sorted(values(read_evolution(http, car))) == [11, 12, 20, 30, 40, 50, 60]
 
 
 def test_an_instance_is_corrected_and_deleted(http: httpx.Client, car: str) -> None:
-    first, second, *_ = told(http, car)["speed"]
+    first, second, *_ = read_evolution(http, car)["speed"]
     path = f"{PAST}/{car}/attrs/speed"
     assert http.patch(f"{path}/{first['instanceId']}", json={"value": 11}).status_code == 204
     part = {"type": "Property", "value": 21, "observedAt": at(30), "unitCode": "KMH"}
     assert http.patch(f"{path}/{second['instanceId']}", json=part).status_code == 204
-    past = told(http, car, options="sysAttrs")["speed"]
+    past = read_evolution(http, car, options="sysAttrs")["speed"]
     assert [one["value"] for one in past] == [11, 30, 40, 50, 21]
     assert past[-1]["instanceId"] == second["instanceId"]
     assert past[-1]["unitCode"] == "KMH"
     assert past[-1]["modifiedAt"] > past[-1]["createdAt"]
     newer = {"timerel": "after", "timeAt": past[0]["modifiedAt"], "timeproperty": "modifiedAt"}
-    assert values(told(http, car, **newer)) == [11, 21]
+    assert values(read_evolution(http, car, **newer)) == [11, 21]
     assert http.delete(f"{path}/{first['instanceId']}").status_code == 204
-    assert values(told(http, car)) == [30, 40, 50, 21]
+    assert values(read_evolution(http, car)) == [30, 40, 50, 21]
     assert fault(http.delete(f"{path}/{first['instanceId']}")) == (404, "ResourceNotFound")
     for wrong in ("urn:ngsi-ld:Instance:1-1-0", "urn:x:1", first["instanceId"]):
         assert fault(http.patch(f"{path}/{wrong}", json={"value": 1})) == (404, "ResourceNotFound")
@@ -121,30 +121,30 @@ def test_an_instance_is_corrected_and_deleted(http: httpx.Client, car: str) -> N
     )
 
 
-def test_attributes_and_entities_are_forgotten(http: httpx.Client, car: str) -> None:
+def test_attributes_and_entities_are_deleted_from_the_history(http: httpx.Client, car: str) -> None:
     path = f"{PAST}/{car}"
     assert http.delete(f"{path}/attrs/heading", params={"datasetId": "urn:x:gps"}).status_code == 204
-    assert values(told(http, car), "heading") == [1, 2]
+    assert values(read_evolution(http, car), "heading") == [1, 2]
     assert http.delete(f"{path}/attrs/heading").status_code == 204
     assert fault(http.delete(f"{path}/attrs/heading", params={"deleteAll": "true"})) == (
         404,
         "ResourceNotFound",
     )
     assert http.delete(f"{path}/attrs/speed", params={"deleteAll": "true"}).status_code == 204
-    assert set(told(http, car)) == {"id", "type"}
+    assert set(read_evolution(http, car)) == {"id", "type"}
     assert http.delete(path).status_code == 204
     for method, at_path in (("GET", path), ("DELETE", path), ("DELETE", f"{path}/attrs/speed")):
         assert fault(http.request(method, at_path)) == (404, "ResourceNotFound")
     assert fault(http.post(f"{path}/attrs", json={"speed": readings([1])})) == (404, "ResourceNotFound")
 
 
-def test_forgetting_the_past_leaves_the_present_alone(http: httpx.Client, entity_id: str) -> None:
+def test_deleting_history_keeps_the_current_entity(http: httpx.Client, entity_id: str) -> None:
     assert http.post("/entities", json={"id": entity_id, "type": "Car", "speed": 1}).status_code == 201
     assert http.delete(f"{PAST}/{entity_id}").status_code == 204
     assert http.get(f"/entities/{entity_id}").status_code == 200
-    assert set(told(http, entity_id)) == {"id", "type"}
+    assert set(read_evolution(http, entity_id)) == {"id", "type"}
     assert http.patch(f"/entities/{entity_id}/attrs", json={"speed": 2}).status_code == 204
-    assert values(told(http, entity_id)) == [2]
+    assert values(read_evolution(http, entity_id)) == [2]
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_forgetting_the_past_leaves_the_present_alone(http: httpx.Client, entity
         {"id": "no uri"},
     ],
 )
-def test_what_cannot_have_been_is_refused(http: httpx.Client, entity_id: str, part: dict[str, Any]) -> None:
+def test_invalid_temporal_input_is_refused(http: httpx.Client, entity_id: str, part: dict[str, Any]) -> None:
     body = {"id": entity_id, "type": "Car", **part}
     answer = http.post(PAST, json=body)
     if part != {"speed": []}:  # which is a Property whose value is an empty list
@@ -169,20 +169,20 @@ def test_what_cannot_have_been_is_refused(http: httpx.Client, entity_id: str, pa
         assert http.get(f"{PAST}/{entity_id}").status_code == 404
 
 
-def test_nothing_is_recorded_where_that_is_turned_off(own_broker: Any) -> None:
+def test_nothing_is_recorded_if_history_is_switched_off(own_broker: Any) -> None:
     own_broker.extra = {"HANDOVER_BROKER_HISTORY": "false"}
     own_broker.start()
     with own_broker.client() as http:
         assert http.post("/entities", json={"id": "urn:x:1", "type": "Car", "speed": 1}).status_code == 201
-        assert set(told(http, "urn:x:1")) == {"id", "type"}
+        assert set(read_evolution(http, "urn:x:1")) == {"id", "type"}
         assert (
             http.post(PAST, json={"id": "urn:x:2", "type": "Car", "speed": readings([1])}).status_code == 201
         )
-        assert values(told(http, "urn:x:2")) == [1]
+        assert values(read_evolution(http, "urn:x:2")) == [1]
 
 
 class Writer(threading.Thread):
-    """Patches one entity as fast as it can, and notes what was acknowledged."""
+    """Patches one entity as fast as it can, and records the acknowledged values."""
 
     def __init__(self, broker: Any, entity_id: str) -> None:
         super().__init__(daemon=True)
@@ -207,7 +207,7 @@ class Writer(threading.Thread):
             yield number
 
 
-def test_a_power_cut_takes_nothing_acknowledged_out_of_the_past(own_broker: Any, eventually: Any) -> None:
+def test_acknowledged_history_survives_a_crash(own_broker: Any, eventually: Any) -> None:
     own_broker.start()
     ids = [f"urn:x:{number}" for number in range(4)]
     with own_broker.client() as http:
@@ -225,6 +225,6 @@ def test_a_power_cut_takes_nothing_acknowledged_out_of_the_past(own_broker: Any,
     own_broker.start()
     with own_broker.client() as http:
         for writer in writers:
-            change_data = values(told(http, writer.entity_id, timeproperty="modifiedAt"), "n")
+            change_data = values(read_evolution(http, writer.entity_id, timeproperty="modifiedAt"), "n")
             assert change_data == list(range(len(change_data)))
             assert len(change_data) - 1 in {writer.acknowledged, writer.acknowledged + 1}

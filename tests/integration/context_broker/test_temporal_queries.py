@@ -1,4 +1,4 @@
-"""Looks into the past over HTTP: windows, forms, aggregates, parts of what is too much, what is refused."""
+"""Temporal queries over HTTP: ranges, representations, aggregation, limits and errors."""
 
 from itertools import count
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 
-from .past import PAST, a_car, at, fault, readings, told, values
+from .temporal_requests import PAST, a_car, at, fault, read_evolution, readings, values
 
 NUMBERS = count(1)
 LD = {"Accept": "application/ld+json"}
@@ -19,7 +19,7 @@ def entity_id() -> str:
 
 @pytest.fixture
 def car(http: httpx.Client, entity_id: str) -> str:
-    """A car that only has a past."""
+    """A car with a history only."""
     return a_car(http, entity_id)
 
 
@@ -39,31 +39,31 @@ def car(http: httpx.Client, entity_id: str) -> str:
         ({"timerel": "before", "timeAt": at(3), "timeproperty": "createdAt"}, []),
     ],
 )
-def test_a_window_of_time_is_told_of(
+def test_a_time_range_is_returned(
     http: httpx.Client, car: str, window: dict[str, Any], expected: list[int]
 ) -> None:
-    assert values(told(http, car, **window)) == expected
+    assert values(read_evolution(http, car, **window)) == expected
 
 
-def test_forms_of_the_past(http: httpx.Client, car: str) -> None:
-    pairs = told(http, car, options="temporalValues")
+def test_temporal_representations(http: httpx.Client, car: str) -> None:
+    pairs = read_evolution(http, car, options="temporalValues")
     assert pairs["speed"] == {"type": "Property", "values": [[10 * (n + 1), at(n)] for n in range(5)]}
     assert [one.get("datasetId") for one in pairs["heading"]] == [None, "urn:x:gps"]
     assert pairs["heading"][1]["values"] == [[8, at(0)], [9, at(1)]]
-    concise = told(http, car, format="concise", attrs="speed")
+    concise = read_evolution(http, car, format="concise", attrs="speed")
     assert set(concise) == {"id", "type", "speed"}
     assert set(concise["speed"][0]) == {"value", "observedAt", "instanceId"}
-    whole = told(http, car, options="sysAttrs", pick="id,heading", datasetId="urn:x:gps")
+    whole = read_evolution(http, car, options="sysAttrs", pick="id,heading", datasetId="urn:x:gps")
     assert set(whole) == {"id", "heading"}
     assert all({"createdAt", "modifiedAt"} < set(one) for one in whole["heading"])
     assert values(whole, "heading") == [8, 9]
-    assert set(told(http, car, omit="type,speed")) == {"id", "heading"}
+    assert set(read_evolution(http, car, omit="type,speed")) == {"id", "heading"}
     answer = http.get(f"{PAST}/{car}", headers=LD)
     assert "@context" in answer.json()
     assert answer.headers["content-type"] == "application/ld+json"
 
 
-def test_every_kind_of_attribute_has_its_pairs(http: httpx.Client, entity_id: str) -> None:
+def test_every_attribute_type_has_temporal_values(http: httpx.Client, entity_id: str) -> None:
     said: dict[str, tuple[dict[str, Any], str]] = {
         "a": ({"type": "GeoProperty", "value": {"type": "Point", "coordinates": [1.0, 2.0]}}, "values"),
         "b": ({"type": "Relationship", "object": "urn:x:1"}, "objects"),
@@ -75,7 +75,7 @@ def test_every_kind_of_attribute_has_its_pairs(http: httpx.Client, entity_id: st
     }
     body = {name: [{**instance, "observedAt": at(0)}] for name, (instance, _) in said.items()}
     assert http.post(PAST, json={"id": entity_id, "type": "Car", **body}).status_code == 201
-    pairs = told(http, entity_id, format="temporalValues")
+    pairs = read_evolution(http, entity_id, format="temporalValues")
     assert {name: [set(pairs[name]), pairs[name]["type"]] for name in said} == {
         name: [{"type", member}, instance["type"]] for name, (instance, member) in said.items()
     }
@@ -83,12 +83,14 @@ def test_every_kind_of_attribute_has_its_pairs(http: httpx.Client, entity_id: st
     assert pairs["e"]["vocabs"] == [[{"vocab": "monument"}, at(0)]]
     assert pairs["f"]["valueLists"] == [[[1.5, 2.5], at(0)]]
     assert pairs["g"]["objectLists"] == [[["urn:x:1"], at(0)]]
-    assert told(http, entity_id, format="temporalValues", lang="fr")["c"]["values"] == [["rouge", at(0)]]
-    assert told(http, entity_id, lang="en")["c"][0]["value"] == "red"
+    assert read_evolution(http, entity_id, format="temporalValues", lang="fr")["c"]["values"] == [
+        ["rouge", at(0)]
+    ]
+    assert read_evolution(http, entity_id, lang="en")["c"][0]["value"] == "red"
 
 
 def test_values_are_aggregated(http: httpx.Client, car: str) -> None:
-    found = told(
+    found = read_evolution(
         http, car, options="aggregatedValues", aggrMethods="avg,max", aggrPeriodDuration="PT2M", attrs="speed"
     )
     assert found["speed"] == {
@@ -97,12 +99,14 @@ def test_values_are_aggregated(http: httpx.Client, car: str) -> None:
         "max": [[20, at(0), at(2)], [40, at(2), at(4)], [50, at(4), at(6)]],
     }
     window = {"timerel": "between", "timeAt": at(1), "endTimeAt": at(4)}
-    whole = told(http, car, format="aggregatedValues", aggrMethods="totalCount,sum", attrs="speed", **window)
+    whole = read_evolution(
+        http, car, format="aggregatedValues", aggrMethods="totalCount,sum", attrs="speed", **window
+    )
     assert whole["speed"]["totalCount"] == [[3, at(1), at(4)]]
     assert whole["speed"]["sum"] == [[90, at(1), at(4)]]
 
 
-def test_entities_are_found_by_what_they_were_in_the_window(http: httpx.Client) -> None:
+def test_entities_are_found_by_values_in_the_range(http: httpx.Client) -> None:
     window = {"timerel": "between", "timeAt": at(0), "endTimeAt": at(60)}
     for name, inside, outside in (("fast", 90, 5), ("slow", 10, 95), ("away", None, 99)):
         speeds = readings([outside], 120) + ([] if inside is None else readings([inside]))
@@ -149,7 +153,7 @@ def test_entities_are_found_by_what_they_were_in_the_window(http: httpx.Client) 
     assert "aggrMethods" in refused.json()["detail"]
 
 
-def test_entities_are_found_by_where_they_were_in_the_window(http: httpx.Client) -> None:
+def test_entities_are_found_by_locations_in_the_range(http: httpx.Client) -> None:
     for name, inside, outside in (
         ("paris", [2.29, 48.85], [10.0, 50.0]),
         ("far", [10.0, 50.0], [2.29, 48.85]),
@@ -190,7 +194,7 @@ def test_entities_are_found_by_where_they_were_in_the_window(http: httpx.Client)
     assert [one["id"] for one in answer.json()] == ["urn:ngsi-ld:Bus:demo:paris"]
 
 
-def test_more_than_fits_an_answer_is_told_in_parts(http: httpx.Client, entity_id: str) -> None:
+def test_results_beyond_the_limit_come_in_parts(http: httpx.Client, entity_id: str) -> None:
     minutes = [n % 1400 for n in range(2500)]
     speeds = [{"type": "Property", "value": n, "observedAt": at(m)} for n, m in enumerate(minutes)]
     assert http.post(PAST, json={"id": entity_id, "type": "Lorry", "speed": speeds}).status_code == 201
@@ -239,7 +243,9 @@ def test_more_than_fits_an_answer_is_told_in_parts(http: httpx.Client, entity_id
         {"aggrMethods": "avg", "options": "temporalValues"},
     ],
 )
-def test_what_cannot_be_asked_is_refused(http: httpx.Client, car: str, parameters: dict[str, str]) -> None:
+def test_invalid_temporal_queries_are_refused(
+    http: httpx.Client, car: str, parameters: dict[str, str]
+) -> None:
     assert fault(http.get(f"{PAST}/{car}", params=parameters)) == (400, "BadRequestData")
     some_time = {"timerel": "after", "timeAt": at(0)}
     for time in ({}, {} if "timerel" in parameters or "timeAt" in parameters else some_time):
@@ -247,7 +253,7 @@ def test_what_cannot_be_asked_is_refused(http: httpx.Client, car: str, parameter
         assert fault(answer) == (400, "BadRequestData")
 
 
-def test_queries_that_are_too_broad_or_unknown_are_refused(http: httpx.Client) -> None:
+def test_too_broad_or_unknown_temporal_queries_are_refused(http: httpx.Client) -> None:
     assert fault(http.get(PAST, params={"timerel": "after", "timeAt": at(0)})) == (400, "BadRequestData")
     assert fault(http.get(PAST, params={"type": "Car"})) == (400, "BadRequestData")
     assert fault(http.get(PAST, params={"type": "Car", "format": "csv"})) == (400, "InvalidRequest")
@@ -271,19 +277,19 @@ def test_queries_that_are_too_broad_or_unknown_are_refused(http: httpx.Client) -
         assert fault(http.post("/temporal/entityOperations/query", json=body)) == (400, "BadRequestData")
 
 
-def test_tenants_have_their_own_past(http: httpx.Client, car: str, entity_id: str) -> None:
+def test_tenants_have_their_own_history(http: httpx.Client, car: str, entity_id: str) -> None:
     assert fault(http.get(f"{PAST}/{car}", headers={"NGSILD-Tenant": "nobody"}))[1] == "NonexistentTenant"
     theirs = {"NGSILD-Tenant": "theirs"}
     body = {"id": car, "type": "Car", "speed": readings([7])}
     assert http.post(PAST, json=body, headers=theirs).status_code == 201
     assert values(http.get(f"{PAST}/{car}", headers=theirs).json()) == [7]
-    assert values(told(http, car)) == [10, 20, 30, 40, 50]
+    assert values(read_evolution(http, car)) == [10, 20, 30, 40, 50]
     asked = {"type": "Car", "attrs": "speed", "timerel": "after", "timeAt": "2026-01-01T03:00:00+04:00"}
     found = http.get(PAST, params=asked, headers=theirs).json()
     assert [one["id"] for one in found] == [car]
 
 
-def test_a_map_of_entities_also_serves_looks_into_the_past(http: httpx.Client) -> None:
+def test_a_map_of_current_entities_serves_temporal_queries(http: httpx.Client) -> None:
     for number in range(3):
         body = {"id": f"urn:ngsi-ld:Tram:demo:{number}", "type": "Tram", "speed": readings([number, number])}
         assert http.post(PAST, json=body).status_code == 201
@@ -301,14 +307,14 @@ def test_a_map_of_entities_also_serves_looks_into_the_past(http: httpx.Client) -
     assert [one["speed"]["values"][0][0] for one in (*first.json(), *second.json())] == [0, 1, 2]
 
 
-def test_entities_are_found_by_the_scopes_they_had_in_the_window(http: httpx.Client, entity_id: str) -> None:
+def test_entities_are_found_by_scopes_in_the_range(http: httpx.Client, entity_id: str) -> None:
     path = f"/entities/{entity_id}"
     body = {"id": entity_id, "type": "Trolley", "scope": "/hall/a", "load": {"type": "Property", "value": 1}}
     assert http.post("/entities", json=body).status_code == 201
     assert http.patch(f"{path}/attrs/load", json={"value": 2}).status_code == 204
     assert http.post(f"{path}/attrs", json={"scope": "/hall/b"}).status_code == 204
     assert http.patch(f"{path}/attrs/load", json={"value": 3}).status_code == 204
-    past = told(http, entity_id, options="sysAttrs")
+    past = read_evolution(http, entity_id, options="sysAttrs")
     moved = past["scope"][1]["modifiedAt"]
     second, third = (one["modifiedAt"] for one in past["load"][1:])
 
@@ -331,7 +337,7 @@ def test_entities_are_found_by_the_scopes_they_had_in_the_window(http: httpx.Cli
 
 
 @pytest.mark.parametrize("narrow", [{}, {"id": "urn:ngsi-ld:Car:demo:1"}, {"idPattern": ".*"}])
-def test_ids_alone_do_not_narrow_a_query_of_the_past(http: httpx.Client, narrow: dict[str, str]) -> None:
+def test_ids_alone_are_too_broad_for_a_temporal_query(http: httpx.Client, narrow: dict[str, str]) -> None:
     some_time = {"timerel": "after", "timeAt": at(0)}
     answer = http.get(PAST, params={**some_time, **narrow})
     assert fault(answer) == (400, "BadRequestData")

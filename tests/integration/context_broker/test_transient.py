@@ -7,7 +7,7 @@ from typing import Any
 
 import httpx
 
-from .past import PAST, at, readings, told, values
+from .temporal_requests import PAST, at, read_evolution, readings, values
 
 
 def soon(seconds: float) -> str:
@@ -100,15 +100,15 @@ def test_the_past_of_an_entity_ends_when_its_time_has_come(
     body = {"id": one, "type": "Guest", "expiresAt": soon(3600), "a": readings([1, 2])}
     assert http.post(PAST, json=body).status_code == 201
     assert http.post(f"{PAST}/{one}/attrs", json={"expiresAt": end, "a": readings([3], 2)}).status_code == 204
-    told_with = told(http, one, options="sysAttrs")
+    told_with = read_evolution(http, one, options="sysAttrs")
     assert (told_with["expiresAt"], values(told_with, "a")) == (end, [1, 2, 3])
-    assert "expiresAt" not in told(http, one)
+    assert "expiresAt" not in read_evolution(http, one)
     eventually(lambda: http.get(f"{PAST}/{one}").status_code == 404)
     since = {"type": "Guest", "id": one, "timerel": "after", "timeAt": at(0), "timeproperty": "observedAt"}
     assert http.get(PAST, params=since).json() == []
     assert http.post(f"{PAST}/{one}/attrs", json={"a": readings([4], 3)}).status_code == 404
     assert http.post(PAST, json={"id": one, "type": "Guest", "a": readings([5], 4)}).status_code == 201
-    assert values(told(http, one), "a") == [5]
+    assert values(read_evolution(http, one), "a") == [5]
 
 
 def test_an_instance_of_the_past_ends_when_its_time_has_come(
@@ -117,8 +117,11 @@ def test_an_instance_of_the_past_ends_when_its_time_has_come(
     one = "urn:ngsi-ld:Guest:demo:fading"
     fading = [*readings([1]), *readings([2], 1, expiresAt=soon(1.0))]
     assert http.post(PAST, json={"id": one, "type": "Guest", "a": fading}).status_code == 201
-    assert [("expiresAt" in each) for each in told(http, one, options="sysAttrs")["a"]] == [False, True]
-    eventually(lambda: values(told(http, one), "a") == [1])
+    assert [("expiresAt" in each) for each in read_evolution(http, one, options="sysAttrs")["a"]] == [
+        False,
+        True,
+    ]
+    eventually(lambda: values(read_evolution(http, one), "a") == [1])
 
 
 def test_the_past_of_what_ended_now_is_still_told(http: httpx.Client, eventually: Callable[..., Any]) -> None:
@@ -126,10 +129,10 @@ def test_the_past_of_what_ended_now_is_still_told(http: httpx.Client, eventually
     assert http.post("/entities", json=guest("left", badge=badge)).status_code == 201
     one, listed = "urn:ngsi-ld:Guest:demo:left", {"timeproperty": "modifiedAt", "options": "sysAttrs"}
     eventually(lambda: "badge" not in http.get(f"/entities/{one}").json())
-    assert values(told(http, one, **listed), "badge") == ["visitor"]
+    assert values(read_evolution(http, one, **listed), "badge") == ["visitor"]
     end = soon(3600)
     assert http.patch(f"/entities/{one}", json={"expiresAt": end}).status_code == 204
-    assert told(http, one, **listed)["expiresAt"] == end
+    assert read_evolution(http, one, **listed)["expiresAt"] == end
 
 
 def test_the_end_of_a_current_entity_is_not_set_in_its_past(http: httpx.Client) -> None:

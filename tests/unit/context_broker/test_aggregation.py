@@ -1,4 +1,4 @@
-"""Aggregation: periods of the calendar and of the clock, and what each method makes of each kind of value."""
+"""Aggregation: periods of calendar and clock, and the methods for each type of value."""
 
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -39,14 +39,14 @@ def micros(text: str) -> int:
         ("P0D", 0, 0),
     ],
 )
-def test_a_duration_is_read(text: str, months: int, length: int) -> None:
+def test_a_duration_is_parsed(text: str, months: int, length: int) -> None:
     assert read_duration(text, "d") == Duration(months, length)
 
 
 @pytest.mark.parametrize(
     "text", ["", "P", "PT", "1H", "P1H", "PT1D", "P-1D", "P1.5D", "P99999999D", "p1d", "P1DT"]
 )
-def test_what_is_no_duration_is_refused(text: str) -> None:
+def test_an_invalid_duration_is_refused(text: str) -> None:
     with pytest.raises(Problem) as refused:
         read_duration(text, "aggrPeriodDuration")
     assert refused.value.status == 400
@@ -54,7 +54,7 @@ def test_what_is_no_duration_is_refused(text: str) -> None:
 
 
 @given(st.text(alphabet="PT0123456789YMWDHS.,", max_size=12))
-def test_any_duration_is_read_or_refused(text: str) -> None:
+def test_any_text_is_a_duration_or_refused(text: str) -> None:
     try:
         found = read_duration(text, "d")
     except Problem:
@@ -64,7 +64,7 @@ def test_any_duration_is_read_or_refused(text: str) -> None:
         assert found.number(0, 5 * DAY) >= 0
 
 
-def test_months_are_those_of_the_calendar() -> None:
+def test_months_are_calendar_months() -> None:
     origin = micros("2024-01-31T00:00:00+00:00")
     month = read_duration("P1M", "d")
     starts = [written_time(month.boundary(origin, count)) for count in range(4)]
@@ -86,9 +86,7 @@ def test_a_time_with_an_offset_lies_in_the_period_of_its_instant() -> None:
     st.integers(0, 4 * 10**9),
     st.integers(0, 10**9),
 )
-def test_every_time_lies_in_the_period_that_is_its_own(
-    count: int, unit: str, start_s: int, later_s: int
-) -> None:
+def test_every_time_lies_in_its_period(count: int, unit: str, start_s: int, later_s: int) -> None:
     duration = Duration(count, 0) if unit == "months" else Duration(0, count * HOUR)
     origin = start_s * MICROS
     at = origin + later_s * MICROS
@@ -122,7 +120,7 @@ NUMBERS = [2, 4, 4, 4, 5, 5, 7, 9]
         ("stddev", 2), ("sumsq", 232),
     ],
 )  # fmt: skip
-def test_numbers_take_every_method(method: str, value: float) -> None:
+def test_numbers_have_every_method(method: str, value: float) -> None:
     assert measure(method, "Property", NUMBERS) == value
 
 
@@ -145,7 +143,7 @@ def test_numbers_take_every_method(method: str, value: float) -> None:
         ),
     ],
 )
-def test_other_values_take_the_methods_that_mean_something(said: list[Any], expected: dict[str, Any]) -> None:
+def test_other_values_have_the_applicable_methods(said: list[Any], expected: dict[str, Any]) -> None:
     assert {method: measure(method, "Property", said) for method in expected} == expected
 
 
@@ -158,13 +156,13 @@ def test_relationships_can_only_be_counted() -> None:
     }
 
 
-def test_sums_beyond_64_bits_are_still_numbers_that_json_can_carry() -> None:
+def test_sums_beyond_64_bits_are_valid_json_numbers() -> None:
     assert measure("sum", "Property", [2**62, 2**62, 2**62]) == float(3 * 2**62)
     assert isinstance(measure("sumsq", "Property", [2**62]), float)
     assert measure("sum", "Property", [1e308, 1e308]) is None
 
 
-def test_a_method_that_means_nothing_has_no_rows() -> None:
+def test_an_inapplicable_method_has_no_rows() -> None:
     found = totals(periods([(0, "a"), (5, 3)], read_duration("PT1S", "d"), 0, 6), "Property", ["avg", "max"])
     rows = written_totals(found, ["avg", "max"])
     assert rows == {

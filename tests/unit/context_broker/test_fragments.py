@@ -1,4 +1,4 @@
-"""One entity told by several sources: the newest counts, and the order of answers never matters."""
+"""Fragments of one entity: the newest counts, and the order of responses never matters."""
 
 import itertools
 from typing import Any
@@ -51,7 +51,7 @@ def value_of(found: Entity, name: str) -> Any:
         ({"observedAt": "2026-01-02T01:00:00+02:00"}, {"observedAt": LATE}, "theirs"),
     ],
 )
-def test_what_was_observed_last_counts_then_what_was_written_last_then_our_own(
+def test_the_latest_observation_counts_then_the_latest_write_then_the_own_part(
     ours: dict[str, str], theirs: dict[str, str], winner: str
 ) -> None:
     fragments = [
@@ -70,7 +70,7 @@ def test_an_auxiliary_source_only_fills_gaps() -> None:
     assert (value_of(found, "a"), value_of(found, "b")) == (1, 3)
 
 
-def test_instances_of_several_datasets_stand_side_by_side() -> None:
+def test_instances_of_several_datasets_are_kept() -> None:
     first = entity(
         a=[{"type": "Property", "value": 1}, {"type": "Property", "value": 2, "datasetId": "urn:d:1"}]
     )
@@ -106,22 +106,22 @@ _FRAGMENTS = st.lists(
 
 
 @given(_FRAGMENTS)
-def test_the_order_of_answers_does_not_matter(fragments: list[Fragment]) -> None:
+def test_the_order_of_responses_does_not_matter(fragments: list[Fragment]) -> None:
     expected = merged(fragments).stored()
     assert all(merged(some).stored() == expected for some in itertools.permutations(fragments))
 
 
 @given(_FRAGMENTS)
-def test_nothing_is_made_up_and_no_attribute_is_lost(fragments: list[Fragment]) -> None:
+def test_a_merge_adds_and_loses_no_attribute(fragments: list[Fragment]) -> None:
     found = merged(fragments)
-    told = {name for one in fragments for name in one.entity.attributes}
-    assert found.attributes.keys() == told
+    returned = {name for one in fragments for name in one.entity.attributes}
+    assert found.attributes.keys() == returned
     for name, instances in found.attributes.items():
         everything = [one for each in fragments for one in each.entity.attributes.get(name, ())]
         assert all(instance in everything for instance in instances)
 
 
-def test_an_entity_is_limited_to_some_attributes() -> None:
+def test_attributes_of_an_entity_are_selected() -> None:
     whole = entity(a=one(1), b=one(2), c=one(3))
     assert select_attributes(whole, None) is whole
     assert select_attributes(
@@ -129,7 +129,7 @@ def test_an_entity_is_limited_to_some_attributes() -> None:
     ).attributes.keys() == {"urn:x:a"}
 
 
-def test_the_times_that_a_source_gives_are_kept() -> None:
+def test_timestamps_of_a_source_are_kept() -> None:
     document = {
         "id": "urn:x:1",
         "type": "T",
@@ -143,10 +143,10 @@ def test_the_times_that_a_source_gives_are_kept() -> None:
     assert (instance["createdAt"], instance["modifiedAt"]) == (EARLY, LATE)
 
 
-def test_what_has_expired_is_not_there_any_more() -> None:
+def test_expired_parts_are_removed() -> None:
     over, to_come = {"expiresAt": EARLY}, {"expiresAt": "2999-01-01T00:00:00Z"}
     assert without_expired({"id": "urn:x:1", "type": "T", **over}, 2e9) is None
-    told: dict[str, Any] = {
+    returned: dict[str, Any] = {
         "id": "urn:x:1",
         "type": "T",
         **to_come,
@@ -155,8 +155,8 @@ def test_what_has_expired_is_not_there_any_more() -> None:
         "c": [{"value": 1, **over}],
         "d": {"value": []},
     }
-    left = {name: said for name, said in told.items() if name not in {"a", "b", "c"}}
-    assert without_expired(told, 2e9) == {**left, "b": told["b"][1:]}
+    left = {name: said for name, said in returned.items() if name not in {"a", "b", "c"}}
+    assert without_expired(returned, 2e9) == {**left, "b": returned["b"][1:]}
 
 
 PIECES = st.sampled_from(
@@ -172,7 +172,7 @@ ANYTHING = st.recursive(
 
 
 @given(ANYTHING)
-def test_anything_that_a_source_says_is_an_entity_or_a_problem(said: Any) -> None:
+def test_any_document_of_a_source_is_an_entity_or_a_problem(said: Any) -> None:
     try:
         found = read_fragment(without_expired(said, 2e9), TERMS, 1)
     except Problem:
@@ -181,6 +181,6 @@ def test_anything_that_a_source_says_is_an_entity_or_a_problem(said: Any) -> Non
 
 
 @given(ANYTHING)
-def test_anything_that_a_source_says_can_be_put_in_other_names(said: Any) -> None:
+def test_any_document_of_a_source_can_be_translated(said: Any) -> None:
     if isinstance(said, dict):
         translated(said, TERMS, TERMS)

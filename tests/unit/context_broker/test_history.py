@@ -1,4 +1,4 @@
-"""History: what was written change by change is what is told of the past, whatever is asked."""
+"""History: recorded changes are returned, for any query."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -38,7 +38,7 @@ from services.context_broker.temporal.query import TemporalQuery
 from services.context_broker.temporal.rendering import content_range
 from services.context_broker.temporal.subjects import subjects_of
 
-from .lives import PLACES, START, TERMS, Life, event
+from .recorded_entities import PLACES, START, TERMS, RecordedEntity, event
 
 NAMES = ("speed", "heading", "place")
 
@@ -80,8 +80,8 @@ STEPS = st.lists(
 )
 
 
-def lived(journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[str, Any]]]) -> Life:
-    life = Life(journal)
+def lived(journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[str, Any]]]) -> RecordedEntity:
+    life = RecordedEntity(journal)
     life.create(first)
     for how, document in steps:
         life.change(document, how)
@@ -89,20 +89,20 @@ def lived(journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[s
 
 
 @given(DOCUMENTS, STEPS)
-def test_what_was_written_change_by_change_is_what_is_told(
+def test_recorded_changes_are_returned(
     journal: Journal, first: dict[str, Any], steps: list[tuple[str, dict[str, Any]]]
 ) -> None:
     life = lived(journal, first, steps)
-    told = [
+    returned = [
         (name, without_id(one))
-        for name, _, one in points_of(life.told(TemporalQuery(time_property="modifiedAt")))
+        for name, _, one in points_of(life.read(TemporalQuery(time_property="modifiedAt")))
     ]
-    assert sorted(told, key=repr) == sorted(life.written, key=repr)
-    everything = [(name, without_id(one)) for name, _, one in points_of(life.told(TemporalQuery()))]
+    assert sorted(returned, key=repr) == sorted(life.written, key=repr)
+    everything = [(name, without_id(one)) for name, _, one in points_of(life.read(TemporalQuery()))]
     assert sorted(everything, key=repr) == sorted(life.written, key=repr)
     gone = [
         (name, one.get("datasetId"), one["deletedAt"])
-        for name, _, one in points_of(life.told(TemporalQuery(time_property="deletedAt")))
+        for name, _, one in points_of(life.read(TemporalQuery(time_property="deletedAt")))
     ]
     assert sorted(gone, key=repr) == sorted(life.deleted, key=repr)
 
@@ -113,15 +113,15 @@ def test_what_was_written_change_by_change_is_what_is_told(
     st.sampled_from(["before", "after", "between"]),
     st.tuples(st.integers(-1, 21), st.integers(1, 10), st.sampled_from([1, 60])),
 )
-def test_a_window_tells_what_lies_in_it_and_nothing_else(
+def test_a_range_returns_exactly_its_instances(
     journal: Journal,
-    told_to: tuple[dict[str, Any], list[tuple[str, dict[str, Any]]]],
+    end: tuple[dict[str, Any], list[tuple[str, dict[str, Any]]]],
     name: str,
     relation: str,
     window: tuple[int, int, int],
 ) -> None:
     at, length, unit_s = window
-    life = lived(journal, *told_to)
+    life = lived(journal, *end)
     low = micros_of(timestamp(START + timedelta(seconds=at * unit_s)))
     high = low + length * unit_s * MICROS
     query = {
@@ -137,8 +137,8 @@ def test_a_window_tells_what_lies_in_it_and_nothing_else(
         return {"before": time < low, "after": time >= low, "between": low <= time < high}[relation]
 
     expected = [(attribute, one) for attribute, one in life.written if is_in(one)]
-    told = [(attribute, without_id(one)) for attribute, _, one in points_of(life.told(query))]
-    assert sorted(told, key=repr) == sorted(expected, key=repr)
+    returned = [(attribute, without_id(one)) for attribute, _, one in points_of(life.read(query))]
+    assert sorted(returned, key=repr) == sorted(expected, key=repr)
 
 
 @given(DOCUMENTS, STEPS, st.integers(1, 4))
@@ -147,18 +147,18 @@ def test_the_last_instances_are_the_latest_of_each_series(
 ) -> None:
     life = lived(journal, first, steps)
     everything = TemporalQuery(time_property="modifiedAt")
-    (whole,) = life.told(everything).evolutions
-    (some,) = life.told(replace(everything, last=last)).evolutions
+    (whole,) = life.read(everything).evolutions
+    (some,) = life.read(replace(everything, last=last)).evolutions
     for name, named in whole.series.items():
         for dataset, series in named.items():
             assert some.series[name][dataset].points == series.points[-last:]
 
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=40), st.integers(1, 5), st.booleans())
-def test_asking_on_where_an_answer_ended_tells_all_and_only_its_last_instant_twice(
+def test_continuing_at_the_edge_repeats_only_the_last_instant(
     journal: Journal, minutes: list[int], most: int, latest: bool
 ) -> None:
-    life = Life(journal)
+    life = RecordedEntity(journal)
     life.create({})
     for number, minute in enumerate(minutes):
         seen = timestamp(START + timedelta(minutes=minute))
@@ -171,16 +171,16 @@ def test_asking_on_where_an_answer_ended_tells_all_and_only_its_last_instant_twi
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(history_reader, "MAX_INSTANCES_PER_ATTRIBUTE", most)
         for _ in range(2 * len(minutes) + 1):
-            told = life.told(query)
-            found += [one["value"] for _, _, one in points_of(told)]
-            said = content_range(told, query)
-            if told.edge is None:
+            returned = life.read(query)
+            found += [one["value"] for _, _, one in points_of(returned)]
+            said = content_range(returned, query)
+            if returned.edge is None:
                 assert said is None
                 break
             assert said is not None
             start, _, end = said.decode().removeprefix("date-time ").rpartition("/")[0].partition("Z-")
             assert latest or f"{start}Z" != end, "the next request would be the same"
-            query = replace(query, end=told.edge) if latest else replace(query, start=micros_of(end))
+            query = replace(query, end=returned.edge) if latest else replace(query, start=micros_of(end))
     assert sorted(set(found)) == list(range(len(minutes)))
     again = {minutes[number] for number in found if found.count(number) > 1}
     assert all(found.count(number) <= 2 for number in found)
@@ -192,10 +192,10 @@ def test_asking_on_where_an_answer_ended_tells_all_and_only_its_last_instant_twi
     st.integers(1, 4),
     st.sampled_from(["PT7M", "PT1H"]),
 )
-def test_totals_are_asked_on_for_where_an_answer_ended(
+def test_aggregations_continue_at_the_edge(
     journal: Journal, minutes: list[int], most: int, period: str
 ) -> None:
-    life = Life(journal)
+    life = RecordedEntity(journal)
     life.create({})
     for number, minute in enumerate(minutes):
         seen = timestamp(START + timedelta(minutes=minute))
@@ -206,7 +206,7 @@ def test_totals_are_asked_on_for_where_an_answer_ended(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(history_reader, "MAX_INSTANCES_PER_ATTRIBUTE", most)
         for _ in range(2 * len(minutes) + 1):
-            found = life.told(query)
+            found = life.read(query)
             series = [one for evolution in found.evolutions for one in evolution.all()]
             assert all(len(one.totals) <= most for one in series)
             counted += sum(total.values["totalCount"] for one in series for total in one.totals)
@@ -218,37 +218,37 @@ def test_totals_are_asked_on_for_where_an_answer_ended(
     assert counted == len(minutes)
 
 
-def test_of_several_instances_of_one_time_the_last_written_are_the_last(journal: Journal) -> None:
-    life = Life(journal)
+def test_instances_of_one_time_are_ordered_by_write(journal: Journal) -> None:
+    life = RecordedEntity(journal)
     life.create({})
     for number in range(5):
         life.change({"speed": {"type": "Property", "value": number, "observedAt": timestamp(START)}})
-    told = life.told(TemporalQuery(time_property="observedAt", last=2))
-    assert [one["value"] for _, _, one in points_of(told)] == [3, 4]
+    returned = life.read(TemporalQuery(time_property="observedAt", last=2))
+    assert [one["value"] for _, _, one in points_of(returned)] == [3, 4]
 
 
-def test_too_much_to_aggregate_is_refused_with_the_way_out(
+def test_too_many_values_to_aggregate_are_refused_with_a_remedy(
     journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(history_reader, "MAX_AGGREGATED_VALUES", 3)
-    life = Life(journal)
+    life = RecordedEntity(journal)
     life.create({})
     for number in range(9):
         seen = timestamp(START + timedelta(minutes=number))
         life.change({"speed": {"type": "Property", "value": number, "observedAt": seen}})
     wanted = Aggregation(("sum",), read_duration("PT0S", "d"))
     with pytest.raises(Problem, match="shorter time") as refused:
-        life.told(TemporalQuery(time_property="observedAt", aggregation=wanted))
+        life.read(TemporalQuery(time_property="observedAt", aggregation=wanted))
     assert refused.value.status == 403
-    (latest,) = life.told(TemporalQuery(time_property="observedAt", last=2, aggregation=wanted)).evolutions
+    (latest,) = life.read(TemporalQuery(time_property="observedAt", last=2, aggregation=wanted)).evolutions
     assert [total.values for series in latest.all() for total in series.totals] == [{"sum": 15}]
 
 
-def test_an_answer_over_many_entities_ends_at_one_time_for_all(
+def test_a_partial_response_ends_at_one_time_for_all_entities(
     journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(history_reader, "MAX_INSTANCES_PER_ANSWER", 10)
-    lives = [Life(journal) for _ in range(3)]
+    lives = [RecordedEntity(journal) for _ in range(3)]
     for life in lives:
         life.create({})
     for minute in range(10):
@@ -260,11 +260,11 @@ def test_an_answer_over_many_entities_ends_at_one_time_for_all(
     assert found.total == 3
     assert found.edge is not None
     counts = [sum(len(series.points) for series in one.all()) for one in found.evolutions]
-    assert counts == [4, 4, 4]  # the tenth and those of its instant: nothing of one time is left for later
+    assert counts == [4, 4, 4]  # the tenth and those of its instant: instances of one time stay together
 
 
 def test_pages_of_entities_hold_each_once(journal: Journal) -> None:
-    lives = [Life(journal) for _ in range(7)]
+    lives = [RecordedEntity(journal) for _ in range(7)]
     for number, life in enumerate(lives):
         life.create({"speed": number} if number % 2 else {"heading": number})
     subjects = [life.subject() for life in lives]
@@ -278,8 +278,8 @@ def test_pages_of_entities_hold_each_once(journal: Journal) -> None:
     assert [page.more for page in pages] == [True, False]
 
 
-def test_an_entity_that_was_made_again_has_one_past(journal: Journal) -> None:
-    life = Life(journal)
+def test_a_recreated_entity_has_one_history(journal: Journal) -> None:
+    life = RecordedEntity(journal)
     life.create({"speed": 1})
     assert life.entity is not None
     entity_id, first = life.entity.id, life.place
@@ -311,8 +311,8 @@ def test_a_change_of_the_same_value_is_a_change() -> None:
     assert change_of(event(after, after)) is None
 
 
-def test_a_change_without_a_time_of_its_own_takes_no_row_from_another(journal: Journal) -> None:
-    life = Life(journal)
+def test_a_change_without_a_new_time_has_its_own_row(journal: Journal) -> None:
+    life = RecordedEntity(journal)
     life.create({"speed": 1})
     assert life.entity is not None
     life.take(replace(life.entity, scopes=("/a",)), life.entity.modified_at)
@@ -329,12 +329,12 @@ def test_changes_of_one_instant_keep_their_order() -> None:
 
 
 @given(st.integers(0, 2**60 - 1), st.integers(0, 2**60 - 1), st.integers(0, 10**6))
-def test_an_instance_id_leads_back_to_its_place(place: int, seq: int, position: int) -> None:
+def test_an_instance_id_contains_its_position(place: int, seq: int, position: int) -> None:
     assert place_of(instance_id(place, seq, position)) == (place, seq, position)
 
 
 @pytest.mark.parametrize(
     "text", ["", "urn:ngsi-ld:Instance:1-2", "urn:ngsi-ld:Instance:1-2-3x", "urn:x:1-2-3"]
 )
-def test_another_id_leads_nowhere(text: str) -> None:
+def test_a_foreign_instance_id_is_not_found(text: str) -> None:
     assert place_of(text) is None

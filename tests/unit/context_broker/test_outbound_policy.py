@@ -1,4 +1,4 @@
-"""The outbound policy: which addresses the broker connects to, and how much of an answer it inflates."""
+"""The outbound policy: allowed addresses, and the limit for inflated bodies."""
 
 import asyncio
 import gzip
@@ -51,13 +51,13 @@ def test_link_local_metadata_and_multicast_addresses_are_always_refused(
 
 
 @pytest.mark.parametrize("host", [*LOOPBACK, *NOT_PUBLIC])
-def test_a_broker_that_others_reach_connects_to_public_addresses_alone(host: str) -> None:
+def test_a_reachable_broker_connects_to_public_addresses_only(host: str) -> None:
     assert SETTING in (BEYOND.fault_of(host) or "")
     assert ON_LOOPBACK.fault_of(host) is None
 
 
 @pytest.mark.parametrize("host", PUBLIC)
-def test_public_addresses_are_open(host: str) -> None:
+def test_public_addresses_are_allowed(host: str) -> None:
     assert BEYOND.fault_of(host) is None
 
 
@@ -71,7 +71,7 @@ def test_public_addresses_are_open(host: str) -> None:
         ("64:ff9b::/96", ["64:ff9b::808:808"], ["64:ff9b:1::808:808"]),
     ],
 )
-def test_the_setting_opens_networks_and_addresses(
+def test_the_setting_allows_networks_and_addresses(
     allowed: str, opened: list[str], refused: list[str]
 ) -> None:
     policy = BrokerSettings.load(host="0.0.0.0", broker_outbound_allow=allowed).outbound_policy()
@@ -80,21 +80,21 @@ def test_the_setting_opens_networks_and_addresses(
 
 
 @pytest.mark.parametrize("host", ["localhost", "LOCALHOST"])
-def test_the_setting_opens_hosts_by_their_names(host: str) -> None:
+def test_the_setting_allows_hosts_by_name(host: str) -> None:
     policy = OutboundPolicy.of("0.0.0.0", "task-orchestrator,localhost")
     assert set(asyncio.run(policy.resolved(host, 80))) <= {"127.0.0.1", "::1"}
     assert policy.fault_of("127.0.0.1"), "the name is open, not every way to write its address"
 
 
 @pytest.mark.parametrize("wrong", ["10.0.0.1/8", "10.0.0.300", "http://cell:80", "a b", "*", "10.0.0.0/33"])
-def test_an_entry_that_is_neither_host_nor_network_is_named(wrong: str) -> None:
+def test_an_invalid_entry_is_named_in_the_error(wrong: str) -> None:
     with pytest.raises(UsageError, match=SETTING) as refused:
         BrokerSettings.load(broker_outbound_allow=f"localhost,{wrong}")
     assert repr(wrong) in str(refused.value)
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.1", "2130706433", "0x7f.1", "0177.0.0.1"])
-def test_names_and_odd_spellings_are_judged_by_what_they_resolve_to(host: str) -> None:
+def test_names_and_odd_spellings_are_checked_by_their_address(host: str) -> None:
     with pytest.raises(AddressRefused, match="own machine"):
         asyncio.run(BEYOND.resolved(host, 80))
     with pytest.raises(Problem) as refused:
@@ -103,7 +103,7 @@ def test_names_and_odd_spellings_are_judged_by_what_they_resolve_to(host: str) -
     assert SETTING in refused.value.detail
 
 
-def test_a_name_that_does_not_resolve_yet_passes_and_fails_when_used() -> None:
+def test_an_unresolved_name_is_accepted_and_fails_when_used() -> None:
     asyncio.run(BEYOND.require_open("nobody.invalid", "the endpoint"))
     with pytest.raises(SendError):
         asyncio.run(PooledHttpClient(BEYOND).post("http://nobody.invalid/", [], b"", 5))
@@ -115,8 +115,8 @@ def test_a_refused_address_is_refused_again_when_it_is_used(client: type[PooledH
         asyncio.run(client(BEYOND).post("http://127.0.0.1:9/", [], b"", 5))
 
 
-def test_a_connection_goes_to_the_address_that_was_judged_whatever_the_name_resolves_to_later() -> None:
-    """A name server that answers with an open address first and with another machine's from then on."""
+def test_a_connection_uses_the_checked_address() -> None:
+    """A name server that returns an allowed address first and a refused one from then on."""
 
     async def scenario() -> tuple[int, int]:
         served = 0
@@ -170,7 +170,7 @@ def test_the_address_that_the_broker_listens_on_decides(host: str, *, beyond: bo
 
 
 @pytest.mark.parametrize("pack", [gzip.compress, zlib.compress])
-def test_a_body_is_inflated_up_to_the_limit_and_no_farther(pack: Any) -> None:
+def test_a_body_is_inflated_up_to_the_limit(pack: Any) -> None:
     assert inflate(pack(b"x" * 1000), 1000) == b"x" * 1000
     with pytest.raises(ResponseTooLarge, match="inflates to more than 999 bytes"):
         inflate(pack(b"x" * 1000), 999)
@@ -185,6 +185,6 @@ def test_a_body_is_inflated_up_to_the_limit_and_no_farther(pack: Any) -> None:
     assert peak < 16 * 1024 * 1024
 
 
-def test_what_cannot_be_inflated_is_an_error() -> None:
+def test_an_invalid_compressed_body_is_an_error() -> None:
     with pytest.raises(SendError, match="cannot be inflated"):
         inflate(b"no gzip at all", 1000)

@@ -1,4 +1,4 @@
-"""Which source can serve what: matching by table (clauses 4.3.6, 4.20 and 5.2.8 to 5.2.10)."""
+"""Matching of registrations, by table (clauses 4.3.6, 4.20 and 5.2.8 to 5.2.10)."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ ONE, TWO = "urn:ngsi-ld:Task:demo:1", "urn:ngsi-ld:Task:demo:2"
 
 
 class NoDisk:
-    """Takes what is written in passing."""
+    """Ignores writes."""
 
     def submit(self, *_: Any) -> None: ...
     async def store(self, *_: Any) -> None: ...
@@ -63,7 +63,7 @@ ANY_SPEED = {"propertyNames": ["speed"], "relationshipNames": ["isPartOf"]}
 
 
 @pytest.mark.parametrize(
-    ("piece", "asked", "ids", "attributes"),
+    ("piece", "target", "ids", "attributes"),
     [
         (TASKS, EntityTarget(types=frozenset({TASK})), None, None),
         (TASKS, EntityTarget(types=frozenset({TASK, ROBOT}), attributes=frozenset({SPEED})), None, {SPEED}),
@@ -79,16 +79,16 @@ ANY_SPEED = {"propertyNames": ["speed"], "relationshipNames": ["isPartOf"]}
         (ANY_SPEED, EntityTarget(), None, {SPEED, PART_OF}),
     ],
 )
-def test_a_source_serves_what_both_sides_name(
-    piece: dict[str, Any], asked: EntityTarget, ids: tuple[str, ...] | None, attributes: set[str] | None
+def test_a_match_is_the_intersection_of_registration_and_target(
+    piece: dict[str, Any], target: EntityTarget, ids: tuple[str, ...] | None, attributes: set[str] | None
 ) -> None:
-    (match,) = registry(registered(piece)).matching("queryEntity", asked)
+    (match,) = registry(registered(piece)).matching("queryEntity", target)
     assert match.ids == ids
     assert match.attributes == (None if attributes is None else frozenset(attributes))
 
 
 @pytest.mark.parametrize(
-    ("piece", "asked"),
+    ("piece", "target"),
     [
         (TASKS, EntityTarget(types=frozenset({ROBOT}))),
         (TASK_ONE, EntityTarget(ids=(TWO,))),
@@ -98,8 +98,10 @@ def test_a_source_serves_what_both_sides_name(
         (ANY_SPEED, EntityTarget(types=frozenset({TASK}), attributes=frozenset({STATUS}))),
     ],
 )
-def test_a_source_is_left_alone_when_it_has_nothing_of_it(piece: dict[str, Any], asked: EntityTarget) -> None:
-    assert registry(registered(piece)).matching("queryEntity", asked) == []
+def test_a_registration_without_intersection_does_not_match(
+    piece: dict[str, Any], target: EntityTarget
+) -> None:
+    assert registry(registered(piece)).matching("queryEntity", target) == []
 
 
 @pytest.mark.parametrize(
@@ -111,7 +113,7 @@ def test_a_source_is_left_alone_when_it_has_nothing_of_it(piece: dict[str, Any],
         (["retrieveOps"], {"retrieveEntity", "queryEntity"}, {"queryBatch", "updateEntity"}),
     ],
 )
-def test_groups_stand_for_their_operations(
+def test_groups_are_resolved_to_operations(
     operations: list[str] | None, taken: set[str], not_taken: set[str]
 ) -> None:
     one = registered(TASKS, **({} if operations is None else {"operations": operations}))
@@ -119,13 +121,13 @@ def test_groups_stand_for_their_operations(
     assert not any(one.takes(operation) for operation in not_taken)
 
 
-def test_a_registration_with_an_interval_is_about_the_past_alone() -> None:
+def test_a_registration_with_an_interval_is_temporal_only() -> None:
     one = registered(TASKS, observationInterval={"startAt": "2024-01-01T00:00:00Z"})
     assert one.takes("queryTemporal")
     assert not one.takes("queryEntity")
 
 
-def test_matches_come_in_the_order_of_their_say() -> None:
+def test_matches_are_ordered_by_mode() -> None:
     found = registry(
         registered(TASKS, number=1),
         registered(TASKS, number=2, mode="auxiliary"),
@@ -136,7 +138,7 @@ def test_matches_come_in_the_order_of_their_say() -> None:
     assert [match.registration.id[-1] for match in found] == ["4", "3", "1", "5", "2"]
 
 
-def test_attributes_are_told_for_each_entity() -> None:
+def test_attributes_are_matched_for_each_entity() -> None:
     (match,) = registry(
         registered(
             {**TASK_ONE, "propertyNames": ["speed"]},
@@ -148,11 +150,11 @@ def test_attributes_are_told_for_each_entity() -> None:
     assert match.ids == (ONE, TWO)
 
 
-def test_an_expired_registration_serves_nothing() -> None:
+def test_an_expired_registration_does_not_match() -> None:
     assert registry(registered(TASKS, expiresAt="2020-01-01T00:00:00Z")).matching("queryEntity") == []
 
 
-def test_a_registry_is_empty_again_when_its_last_registration_goes() -> None:
+def test_a_registry_is_empty_after_the_last_deletion() -> None:
     one = registered(TASKS)
     made = registry(one)
     seen: list[Any] = []
@@ -181,15 +183,15 @@ questions = st.builds(
 
 
 @given(st.lists(st.lists(pieces, min_size=1, max_size=2), max_size=4), questions)
-def test_the_index_finds_what_looking_at_each_would(
-    kept: list[list[dict[str, Any]]], asked: EntityTarget
+def test_the_index_agrees_with_a_linear_search(
+    kept: list[list[dict[str, Any]]], target: EntityTarget
 ) -> None:
     all_of_them = [registered(*information, number=number) for number, information in enumerate(kept)]
-    found = registry(*all_of_them).matching("queryEntity", asked)
-    assert [match.registration for match in found] == [one for one in all_of_them if one.parts(asked)]
+    found = registry(*all_of_them).matching("queryEntity", target)
+    assert [match.registration for match in found] == [one for one in all_of_them if one.parts(target)]
 
 
-def test_an_exclusive_source_shares_with_no_other_proxied_one() -> None:
+def test_an_exclusive_registration_conflicts_with_proxied_ones() -> None:
     held = {**TASK_ONE, "propertyNames": ["speed"]}
     made = registry(registered(held, mode="exclusive"))
     assert made.conflicting_with(registered(held, number=2, mode="exclusive")) is not None
@@ -205,7 +207,7 @@ def test_redirect_sources_may_overlap() -> None:
     assert made.conflicting_with(registered(TASKS, number=2, mode="redirect")) is None
 
 
-def test_a_claim_looks_at_types_and_attributes() -> None:
+def test_a_claim_compares_types_and_attributes() -> None:
     entity = Entity(ONE, (TASK,), {SPEED: [{"type": "Property", "value": 1}]}, "", "")
     assert claims(registered(TASKS, mode="redirect"), entity)
     assert not claims(registered(SPEEDS, mode="redirect"), entity)
@@ -245,7 +247,7 @@ def test_endpoints_with_and_without_the_path_of_the_api_are_one(endpoint: str) -
         ({"tenant": "a b"}, "tenant"),
     ],
 )
-def test_what_cannot_be_used_is_named(members: dict[str, Any], says: str) -> None:
+def test_an_invalid_member_is_named_in_the_error(members: dict[str, Any], says: str) -> None:
     with pytest.raises(Problem, match=says) as caught:
         registered(**{"information": [TASKS], **members}) if "information" not in members else _raw(members)
     assert caught.value.status == 400
@@ -287,21 +289,21 @@ def test_any_document_is_a_registration_or_a_problem(given_members: dict[str, An
         kept = {name: value for name, value in kept_document(document, CONTEXT).items() if value is not None}
         one = registration({**kept, "id": "urn:x:1"}, CONTEXT)
     except Problem:
-        return  # any other exception is a fault of ours
+        return  # any other exception is a defect
     assert shown_document(one, CONTEXT, sys_attrs=True)["id"] == "urn:x:1"
 
 
-def test_a_reader_gets_what_was_sent_with_the_defaults() -> None:
-    one = registered(SPEEDS, floor="second", management={"timeout": 250})
+def test_a_reader_gets_the_document_with_defaults() -> None:
+    one = registered(SPEEDS, hall="second", management={"timeout": 250})
     shown = shown_document(one, CONTEXT, sys_attrs=False)
     assert shown["information"] == [SPEEDS]
-    assert shown["floor"] == "second"
+    assert shown["hall"] == "second"
     assert (shown["mode"], shown["operations"]) == ("inclusive", ["federationOps"])
     assert one.management.timeout_s == 0.25
     assert one.mode is Mode.INCLUSIVE
 
 
-def test_counts_tell_how_the_last_attempt_went() -> None:
+def test_counts_report_the_last_attempt() -> None:
     one = registered(TASKS, management={"cooldown": 60_000})
     made = registry(one)
     assert "status" not in shown_document(one, CONTEXT, sys_attrs=False)

@@ -1,4 +1,4 @@
-"""Retention: history that is too old is forgotten, and the past of entities whose own end has come."""
+"""Retention: deletion of old history, and of expired history."""
 
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -14,7 +14,7 @@ from services.context_broker.storage.journal import Journal, NotStored
 from services.context_broker.temporal.history import Change, Departed, Recorder, micros_of
 from services.context_broker.temporal.retention import Retention
 
-from .lives import START, Life
+from .recorded_entities import START, RecordedEntity
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ class Straight:
         self.journal.commit(entries)
 
 
-async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
+async def test_old_history_and_departed_entities_are_deleted_in_small_commits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.context_broker.temporal.retention.CHANGES_PER_COMMIT", 3)
@@ -43,7 +43,11 @@ async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
     monkeypatch.setattr("services.context_broker.temporal.retention.PLACES_PER_SCAN", 1)
     own = Journal(SqliteDatabase(tmp_path / "broker.db"))
     own.open()
-    living, gone, young = Life(own), Life(own), Life(own, now=START + timedelta(days=2))
+    living, gone, young = (
+        RecordedEntity(own),
+        RecordedEntity(own),
+        RecordedEntity(own, now=START + timedelta(days=2)),
+    )
     for life in (living, gone, young):
         life.create({"speed": 0})
         for number in range(8):
@@ -68,7 +72,7 @@ async def test_old_history_is_cleared_in_pieces_and_departed_entities_with_it(
         Journal(SqliteDatabase(tmp_path / "none" / "broker.db")).archive.first_change(0)
 
 
-async def test_the_past_of_what_has_ended_is_forgotten_with_all_that_was_before(
+async def test_expired_history_is_deleted_with_all_earlier_places(
     own: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.context_broker.temporal.retention.CHANGES_PER_COMMIT", 2)

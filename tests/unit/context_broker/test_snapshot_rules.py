@@ -1,4 +1,4 @@
-"""Snapshots: what becomes of one from what became of its queries, and how long it lasts."""
+"""Status, lifetime and validation of snapshots."""
 
 from datetime import UTC, datetime
 from typing import Any
@@ -35,19 +35,19 @@ QUERY = {"type": "Query", "entities": [{"type": "Task"}]}
         (["success", "partial"], "partial"),
     ],
 )
-def test_a_snapshot_is_as_good_as_its_queries(queries: list[str], snapshot: str) -> None:
+def test_the_status_of_a_snapshot_follows_its_queries(queries: list[str], snapshot: str) -> None:
     assert status_of([details(Status(one)) for one in queries]) == snapshot
 
 
 @pytest.mark.parametrize(
     ("wanted", "lasts_s"), [("PT1H", 3600.0), ("PT0S", 1.0), ("P100Y", MAX_LIFETIME_S), (None, 86400.0)]
 )
-def test_a_snapshot_lasts_as_wished_within_bounds(wanted: str | None, lasts_s: float) -> None:
+def test_the_lifetime_of_a_snapshot_is_limited(wanted: str | None, lasts_s: float) -> None:
     start = datetime(2026, 1, 1, tzinfo=UTC)
     assert (moment(expiry_of(start, wanted)) or 0.0) - start.timestamp() == lasts_s
 
 
-def test_a_snapshot_that_could_not_be_made_has_the_reason_at_each_query() -> None:
+def test_a_failed_snapshot_has_the_reason_at_each_query() -> None:
     made = new_snapshot("urn:x:1", require_valid({"snapshotQueries": [QUERY, QUERY]}, has_queries=True))
     assert made.status is Status.PREPARING
     failed = restored(made.failed(Problem(500, "Internal error", "no luck")).stored())["urn:x:1"]
@@ -58,7 +58,7 @@ def test_a_snapshot_that_could_not_be_made_has_the_reason_at_each_query() -> Non
     assert "snapshotTemporalQueriesDetails" not in failed.document
 
 
-def test_nothing_stays_of_a_query_that_failed_halfway() -> None:
+def test_a_failed_query_adds_nothing() -> None:
     content, at = SnapshotContent(), "2026-01-01T00:00:00Z"
     one, other = (Entity(f"urn:x:{each}", ("urn:t",), {}, at, at) for each in (1, 2))
     content.add([one], None)
@@ -70,16 +70,16 @@ def test_nothing_stays_of_a_query_that_failed_halfway() -> None:
 
 
 @pytest.mark.parametrize("tenant", ["", "cell4"])
-def test_what_belongs_to_a_snapshot_is_told_by_headers_and_named_by_none(tenant: str) -> None:
+def test_the_tenant_of_a_snapshot_cannot_be_named_in_a_header(tenant: str) -> None:
     name = inside(tenant, "urn:x:1")
     assert outside(name) == (tenant, "urn:x:1")
     assert outside(tenant) == (tenant, None)
-    told: list[Any] = [("NGSILD-Tenant", tenant)] if tenant else []
-    assert tenant_headers(name) == [*told, ("NGSILD-Snapshot", "urn:x:1")]
+    document: list[Any] = [("NGSILD-Tenant", tenant)] if tenant else []
+    assert tenant_headers(name) == [*document, ("NGSILD-Snapshot", "urn:x:1")]
     with pytest.raises(UnicodeEncodeError):  # headers are Latin-1
         name.encode("latin-1")
 
 
-def test_members_that_are_for_the_broker_to_say_are_refused() -> None:
+def test_members_set_by_the_broker_are_refused() -> None:
     with pytest.raises(Problem, match="set by the broker"):
         require_valid({"snapshotQueries": [QUERY], "snapshotStatus": "success"}, has_queries=True)

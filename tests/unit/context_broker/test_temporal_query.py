@@ -1,4 +1,4 @@
-"""Questions about the past and what is said of it: any input is read or refused."""
+"""Temporal queries and provided evolutions: any input is parsed or refused."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -36,7 +36,7 @@ Read = TypeVar("Read")
 
 
 def read(act: Callable[[], Read]) -> Read | None:
-    """What was read; None for what was refused with a reason. Anything else is a defect."""
+    """Return the parsed input; None if it was refused with a reason. Anything else is a defect."""
     try:
         return act()
     except Problem as problem:
@@ -46,7 +46,7 @@ def read(act: Callable[[], Read]) -> Read | None:
 
 
 @given(PARAMETERS, st.booleans())
-def test_any_question_is_read_or_refused(parameters: dict[str, str], aggregates: bool) -> None:
+def test_any_temporal_query_is_parsed_or_refused(parameters: dict[str, str], aggregates: bool) -> None:
     query = read(lambda: temporal_query(parameters, aggregates=aggregates))
     if query is None:
         return
@@ -82,7 +82,7 @@ ANYTHING = st.recursive(
 
 
 @given(ANYTHING, ANYTHING)
-def test_anything_said_of_the_past_is_kept_or_refused(attribute: Any, scope: Any) -> None:
+def test_any_temporal_input_is_stored_or_refused(attribute: Any, scope: Any) -> None:
     document = {"id": "urn:x:1", "type": "Car", "speed": attribute, "scope": scope}
     past = read(lambda: read_past(document, TERMS))
     if past is None:
@@ -100,7 +100,7 @@ def test_anything_said_of_the_past_is_kept_or_refused(attribute: Any, scope: Any
     assert kept.is_empty()
 
 
-def test_each_instance_of_a_list_is_one_and_a_list_of_values_is_one() -> None:
+def test_a_list_of_instances_is_several_and_a_list_of_values_is_one() -> None:
     document = {
         "speed": [{"value": 1}, {"value": 2}, {"type": "Property", "value": 3}],
         "sizes": [1, 2, 3],
@@ -119,7 +119,7 @@ def test_each_instance_of_a_list_is_one_and_a_list_of_values_is_one() -> None:
     ("relation", "inside"),
     [("before", [0, 9]), ("after", [10, 11, 19, 20, 21]), ("between", [10, 11, 19])],
 )
-def test_where_a_window_begins_and_ends(relation: str, inside: list[int]) -> None:
+def test_start_and_end_of_a_range(relation: str, inside: list[int]) -> None:
     start, end = {"before": (None, 10), "after": (10, None), "between": (10, 20)}[relation]
     query = TemporalQuery(
         relation,
@@ -132,7 +132,7 @@ def test_where_a_window_begins_and_ends(relation: str, inside: list[int]) -> Non
     assert found == inside
 
 
-def test_without_a_window_each_instance_has_the_time_it_knows() -> None:
+def test_without_a_range_each_instance_has_its_own_time() -> None:
     query = TemporalQuery()
     assert (
         query.time_of({"observedAt": "1970-01-01T00:00:01Z", "modifiedAt": "1970-01-01T00:00:02Z"}) == MICROS

@@ -1,4 +1,4 @@
-"""The words of a source: names of another @context, kinds of an older version, and the chain in Via."""
+"""Dialects of sources: names of another @context, older versions, and the Via header."""
 
 from typing import Any
 
@@ -37,7 +37,7 @@ ENTITY: dict[str, Any] = {
 }
 
 
-def test_names_change_and_what_is_said_does_not() -> None:
+def test_translation_changes_names_but_not_values() -> None:
     there = translated(ENTITY, CORE, OTHER)
     assert there["type"] == "Auto"
     assert there["tempo"]["value"] == {"speed": 1}
@@ -46,7 +46,7 @@ def test_names_change_and_what_is_said_does_not() -> None:
     assert there["many"][1]["quelle"] == {"value": "x"}
 
 
-def test_there_and_back_is_the_same() -> None:
+def test_translation_is_reversible() -> None:
     assert translated(translated(ENTITY, CORE, OTHER), OTHER, CORE) == ENTITY
 
 
@@ -58,12 +58,14 @@ def test_there_and_back_is_the_same() -> None:
         ({"type": "JsonProperty", "json": {}}, "attribute"),
     ],
 )
-def test_an_older_source_is_told_in_kinds_that_it_knows(document: dict[str, Any], expected: str) -> None:
-    told = older(document, "1.6")
-    attribute = told if expected == "attribute" else told["a"]
+def test_an_older_source_receives_attribute_types_of_its_version(
+    document: dict[str, Any], expected: str
+) -> None:
+    returned = older(document, "1.6")
+    attribute = returned if expected == "attribute" else returned["a"]
     assert attribute == {"type": "Property", "value": {}}
-    assert told.keys() == document.keys() or expected == "attribute"
-    assert older([document], "v1.6") == [told]
+    assert returned.keys() == document.keys() or expected == "attribute"
+    assert older([document], "v1.6") == [returned]
     assert older(document, "1.9") is document
     assert older(document, "newest") is document
 
@@ -76,10 +78,10 @@ def test_an_older_source_is_told_in_kinds_that_it_knows(document: dict[str, Any]
         (b", ,  1.1, ;;; (x)", ()),
     ],
 )
-def test_whom_a_request_has_passed_is_read_with_care(via: bytes, names: tuple[str, ...]) -> None:
+def test_any_via_header_is_parsed(via: bytes, names: tuple[str, ...]) -> None:
     assert chain(via) == names
 
 
-def test_a_broker_puts_itself_at_the_end_of_the_chain() -> None:
+def test_a_broker_appends_itself_to_the_via_header() -> None:
     assert append_to_via(b"", "me") == "1.1 me"
     assert append_to_via(b"1.1 a", "me") == "1.1 a, 1.1 me"

@@ -1,4 +1,4 @@
-"""What a source can have at all: a source is left alone only where it surely has nothing of what is asked."""
+"""Coverage: a source is skipped only if it cannot have matching data."""
 
 from typing import Any
 
@@ -77,7 +77,7 @@ AUTUMN = {"startAt": "2026-09-01T00:00:00Z", "endAt": "2026-11-15T00:00:00Z"}
         ({"datasetId": "urn:x:a"}, {}, True),
     ],
 )
-def test_a_source_is_left_alone_where_it_can_have_nothing(
+def test_a_source_without_coverage_is_not_queried(
     members: dict[str, Any], asked: dict[str, str], may_be_there: bool
 ) -> None:
     assert coverage_of(asked, EXPAND).may_match(registered(TASKS, **members)) is may_be_there
@@ -95,7 +95,7 @@ RELATIONS = st.sampled_from(
     st.builds(square, GRID, GRID, st.integers(1, 3)),
     st.builds(square, *[st.integers(0, 3)] * 2, st.sampled_from([0.25, 0.5, 1])),
 )
-def test_whatever_is_in_the_place_of_a_source_is_asked_for_there(
+def test_a_location_within_the_coverage_matches(
     relation: str, asked: dict[str, Any], place: dict[str, Any]
 ) -> None:
     source = registered(TASKS, location=square(0, 0, 4))
@@ -119,9 +119,7 @@ PATTERN = st.builds(
 
 
 @given(SCOPE, SCOPE, PATTERN)
-def test_whatever_is_in_the_scope_of_a_source_or_below_is_asked_for_there(
-    scope: str, below: str, wanted: str
-) -> None:
+def test_a_scope_within_the_coverage_matches(scope: str, below: str, wanted: str) -> None:
     source, query = registered(TASKS, scope=scope), scope_query(wanted)
     for one in (scope, scope + below):
         if query.wants([one]):
@@ -141,14 +139,14 @@ def test_whatever_is_in_the_scope_of_a_source_or_below_is_asked_for_there(
         ({"scope": "/Madrid"}, {"scope": "/Madrid2"}, False),
     ],
 )
-def test_what_is_sent_goes_where_there_is_room_for_it(
+def test_a_document_goes_to_sources_that_may_contain_it(
     members: dict[str, Any], sent: dict[str, Any], has_room: bool
 ) -> None:
     where = placement_filter(sent)
     assert (where is None or where(registered(TASKS, **members))) is has_room
 
 
-def test_what_is_elsewhere_is_not_hidden_by_a_source() -> None:
+def test_entities_outside_the_coverage_are_not_claimed() -> None:
     source = registered(TASKS, location=CITY, mode="redirect")
     place = {"type": "GeoProperty", "value": {"type": "Point", "coordinates": [50, 5]}}
     entity = Entity("urn:x:1", (EXPAND("Task"),), {EXPAND("location"): [place]}, "", "")

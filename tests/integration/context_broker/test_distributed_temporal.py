@@ -1,4 +1,4 @@
-"""What several brokers tell together: the past, and which types and attributes there are."""
+"""Temporal evolutions, types and attributes from several brokers."""
 
 from typing import Any
 
@@ -14,8 +14,8 @@ DISCOVERY = [
 ]  # fmt: skip
 
 
-def tell(client: httpx.Client, entity_id: str, kind: str, **evolutions: dict[int, int]) -> None:
-    """Tell how attributes have been: values by the second at which they were observed."""
+def provide(client: httpx.Client, entity_id: str, kind: str, **evolutions: dict[int, int]) -> None:
+    """Provide evolutions of attributes: values by the second at which they were observed."""
     document: dict[str, Any] = {"id": entity_id, "type": kind}
     for name, values in evolutions.items():
         document[name] = [
@@ -26,34 +26,34 @@ def tell(client: httpx.Client, entity_id: str, kind: str, **evolutions: dict[int
     assert answer.status_code == 201, answer.text
 
 
-def told(document: dict[str, Any], name: str) -> list[Any]:
+def values_of(document: dict[str, Any], name: str) -> list[Any]:
     said = document.get(name, [])
     return [one["value"] for one in (said if isinstance(said, list) else [said])]
 
 
-def test_evolutions_are_put_together(
+def test_evolutions_of_sources_are_merged(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     entity_id = f"urn:ngsi-ld:{kind}:1"
     register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
-    tell(near, entity_id, kind, a={1: 1, 3: 3}, b={1: 7})
-    tell(far, entity_id, kind, a={2: 2, 3: 3, 4: 4}, c={9: 9})
+    provide(near, entity_id, kind, a={1: 1, 3: 3}, b={1: 7})
+    provide(far, entity_id, kind, a={2: 2, 3: 3, 4: 4}, c={9: 9})
     document = near.get(f"/temporal/entities/{entity_id}").json()
-    assert told(document, "a") == [1, 2, 3, 4]
-    assert told(document, "b") == [7]
-    assert told(document, "c") == [9]
+    assert values_of(document, "a") == [1, 2, 3, 4]
+    assert values_of(document, "b") == [7]
+    assert values_of(document, "c") == [9]
     document = near.get(f"/temporal/entities/{entity_id}?lastN=2").json()
-    assert told(document, "a") == [3, 4]
+    assert values_of(document, "a") == [3, 4]
     values = near.get(f"/temporal/entities/{entity_id}?options=temporalValues").json()["a"]["values"]
     assert [value for value, _ in values] == [1, 2, 3, 4]
     between = {"timerel": "between", "timeAt": "2026-01-01T00:00:02Z", "endTimeAt": "2026-01-01T00:00:04Z"}
     document = near.get(f"/temporal/entities/{entity_id}", params=between).json()
-    assert told(document, "a") == [2, 3]
-    assert told(near.get(f"/temporal/entities/{entity_id}?local=true").json(), "a") == [1, 3]
+    assert values_of(document, "a") == [2, 3]
+    assert values_of(near.get(f"/temporal/entities/{entity_id}?local=true").json(), "a") == [1, 3]
 
 
 @pytest.mark.parametrize("single", [True, False])
-def test_the_past_ends_when_all_of_it_has(
+def test_a_merged_evolution_expires_with_its_last_part(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str, single: bool
 ) -> None:
     register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
@@ -61,7 +61,7 @@ def test_the_past_ends_when_all_of_it_has(
     path = f"/temporal/entities/{one}" if single else "/temporal/entities"
     asked = {} if single else {"type": kind, "timerel": "after", "timeAt": "2025-01-01T00:00:00Z"}
     for client, values in ((near, {1: 1}), (far, {2: 2})):
-        tell(client, one, kind, a=values)
+        provide(client, one, kind, a=values)
 
     def end(client: httpx.Client, expires_at: str) -> Any:
         at = f"/temporal/entities/{one}/attrs?local=true"
@@ -69,7 +69,7 @@ def test_the_past_ends_when_all_of_it_has(
         assert "expiresAt" not in near.get(path, params=asked).text
         document = near.get(path, params={**asked, "options": "sysAttrs"}).json()
         (change_data,) = document if isinstance(document, list) else [document]
-        assert told(change_data, "a") == [1, 2]
+        assert values_of(change_data, "a") == [1, 2]
         return change_data.get("expiresAt")
 
     sooner, later = "2095-01-01T00:00:00Z", "2096-01-01T00:00:00Z"
@@ -77,14 +77,14 @@ def test_the_past_ends_when_all_of_it_has(
     assert end(far, sooner) == later
 
 
-def test_pages_of_the_past_are_over_all(
+def test_temporal_pages_cover_all_sources(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
     for number in range(3):
-        tell(near, f"urn:ngsi-ld:{kind}:near{number}", kind, a={1: 1})
-        tell(far, f"urn:ngsi-ld:{kind}:far{number}", kind, a={1: 1})
-    tell(far, f"urn:ngsi-ld:{kind}:near0", kind, a={2: 2})
+        provide(near, f"urn:ngsi-ld:{kind}:near{number}", kind, a={1: 1})
+        provide(far, f"urn:ngsi-ld:{kind}:far{number}", kind, a={1: 1})
+    provide(far, f"urn:ngsi-ld:{kind}:near0", kind, a={2: 2})
     time = {"timerel": "after", "timeAt": "2025-01-01T00:00:00Z"}
     found: list[str] = []
     for offset in range(0, 8, 2):
@@ -97,24 +97,26 @@ def test_pages_of_the_past_are_over_all(
     assert len(answer.json()) == 6, answer.text
 
 
-def test_who_alone_has_the_past_tells_it_alone(
+def test_an_exclusive_source_alone_provides_its_evolution(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     entity_id = f"urn:ngsi-ld:{kind}:1"
-    tell(near, entity_id, kind, a={1: 1}, b={1: 1})
-    tell(far, entity_id, kind, b={2: 2})
+    provide(near, entity_id, kind, a={1: 1}, b={1: 1})
+    provide(far, entity_id, kind, b={2: 2})
     register(
         near, brokers[1].url, {"type": kind, "id": entity_id}, ["b"], mode="exclusive", operations=TEMPORAL
     )
     document = near.get(f"/temporal/entities/{entity_id}").json()
-    assert told(document, "a") == [1]
-    assert told(document, "b") == [2]
+    assert values_of(document, "a") == [1]
+    assert values_of(document, "b") == [2]
 
 
-def test_a_past_that_is_not_told_is_warned_of(near: httpx.Client, source: ScriptedSource, kind: str) -> None:
+def test_a_failed_temporal_source_causes_a_warning(
+    near: httpx.Client, source: ScriptedSource, kind: str
+) -> None:
     path = register(near, source.url, {"type": kind}, operations=TEMPORAL)
     entity_id = f"urn:ngsi-ld:{kind}:1"
-    tell(near, entity_id, kind, a={1: 1})
+    provide(near, entity_id, kind, a={1: 1})
     source.answers["GET", f"/ngsi-ld/v1/temporal/entities/{entity_id}"] = 200, b"nonsense"
     assert near.get(f"/temporal/entities/{entity_id}").headers["ngsild-warning"].startswith("111")
     near.delete(path)
@@ -123,7 +125,7 @@ def test_a_past_that_is_not_told_is_warned_of(near: httpx.Client, source: Script
     assert near.get(f"/temporal/entities/{entity_id}x").status_code == 502
 
 
-def test_types_and_attributes_of_all_are_told(
+def test_types_and_attributes_of_all_sources_are_listed(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     name, other = f"a{kind}", f"b{kind}"
@@ -151,7 +153,7 @@ def test_types_and_attributes_of_all_are_told(
 @pytest.mark.parametrize(
     "path", ["/types", "/types?details=true", "/types/Any", "/attributes", "/attributes/any"]
 )
-def test_a_source_that_answers_nonsense_is_warned_of(
+def test_an_invalid_discovery_response_causes_a_warning(
     near: httpx.Client, source: ScriptedSource, path: str
 ) -> None:
     register(near, source.url, {"type": "Any"}, ["any"], operations=DISCOVERY)
@@ -170,14 +172,14 @@ def totals(document: dict[str, Any], name: str) -> dict[str, list[Any]]:
     return {method: [pair[0] for pair in pairs] for method, pairs in said.items()}
 
 
-def test_totals_are_those_of_all_values_wherever_they_are(
+def test_aggregations_cover_the_values_of_all_sources(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     one, other = f"urn:ngsi-ld:{kind}:1", f"urn:ngsi-ld:{kind}:2"
     register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
-    tell(near, one, kind, a={1: 1, 2: 2, 3: 3}, b={1: 5})
-    tell(far, one, kind, a={3: 3, 4: 3, 5: 11}, c={2: 8})
-    tell(far, other, kind, a={1: 100})
+    provide(near, one, kind, a={1: 1, 2: 2, 3: 3}, b={1: 5})
+    provide(far, one, kind, a={3: 3, 4: 3, 5: 11}, c={2: 8})
+    provide(far, other, kind, a={1: 100})
     expected = {
         "totalCount": [5],
         "avg": [4],
@@ -213,19 +215,19 @@ def test_totals_are_those_of_all_values_wherever_they_are(
     assert first.keys() == {"id", "a", "b"}
 
 
-def test_of_one_moment_told_twice_our_own_counts(
+def test_for_one_time_the_own_instance_counts(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     entity_id = f"urn:ngsi-ld:{kind}:1"
     register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
-    tell(near, entity_id, kind, a={1: 700})
-    tell(far, entity_id, kind, a={1: 800, 2: 900})
-    assert told(near.get(f"/temporal/entities/{entity_id}").json(), "a") == [700, 900]
+    provide(near, entity_id, kind, a={1: 700})
+    provide(far, entity_id, kind, a={1: 800, 2: 900})
+    assert values_of(near.get(f"/temporal/entities/{entity_id}").json(), "a") == [700, 900]
     pairs = near.get(f"/temporal/entities/{entity_id}?options=temporalValues").json()["a"]["values"]
     assert [value for value, _ in pairs] == [700, 900]
 
 
-def test_what_is_more_than_one_answer_is_told_up_to_the_same_moment_by_all(
+def test_partial_responses_of_sources_end_at_one_time(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     entity_id = f"urn:ngsi-ld:{kind}:1"
@@ -238,13 +240,13 @@ def test_what_is_more_than_one_answer_is_told_up_to_the_same_moment_by_all(
     assert answer.status_code == 201
     first = near.get(f"/temporal/entities/{entity_id}", params=THAT_DAY)
     assert first.status_code == 206
-    seen = told(first.json(), "a")
+    seen = values_of(first.json(), "a")
     edge = first.headers["content-range"].removeprefix("date-time ").partition("/")[0][-20:]
     assert edge == times[999]
     after = {**THAT_DAY, "timeAt": edge.replace("Z", ".000001Z")}
     rest = near.get(f"/temporal/entities/{entity_id}", params=after)
     assert rest.status_code == 200
-    seen += told(rest.json(), "a")
+    seen += values_of(rest.json(), "a")
     assert (seen.count(1), seen.count(2)) == (1500, 25)
     assert totals(near.get(f"/temporal/entities/{entity_id}", params={**AGGREGATES, **THAT_DAY}).json(), "a")[
         "sum"
@@ -252,17 +254,17 @@ def test_what_is_more_than_one_answer_is_told_up_to_the_same_moment_by_all(
     assert near.get(f"/temporal/entities/{entity_id}", params=AGGREGATES).status_code == 403
 
 
-def test_pages_of_the_past_do_not_depend_on_the_order_of_ids(
+def test_temporal_pages_do_not_depend_on_the_order_of_ids(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     register(near, brokers[1].url, {"type": kind}, operations=TEMPORAL)
     register(near, brokers[2].url, {"type": kind}, operations=TEMPORAL)
     with brokers[2].client() as third:
         for name in "dabc":
-            tell(far, f"urn:ngsi-ld:{kind}:{name}", kind, a={1: 1})
+            provide(far, f"urn:ngsi-ld:{kind}:{name}", kind, a={1: 1})
         for name in "zbx":
-            tell(third, f"urn:ngsi-ld:{kind}:{name}", kind, b={1: 1})
-    tell(near, f"urn:ngsi-ld:{kind}:x", kind, c={1: 1})
+            provide(third, f"urn:ngsi-ld:{kind}:{name}", kind, b={1: 1})
+    provide(near, f"urn:ngsi-ld:{kind}:x", kind, c={1: 1})
     seen: dict[str, set[str]] = {}
     for offset in range(7):
         asked = {"type": kind, "limit": 1, "offset": offset, **THAT_DAY}
@@ -279,19 +281,19 @@ def test_pages_of_the_past_do_not_depend_on_the_order_of_ids(
     }
 
 
-def test_conditions_on_the_past_are_looked_at_on_whole_entities(
+def test_temporal_filters_apply_to_merged_evolutions(
     near: httpx.Client, far: httpx.Client, brokers: list[Any], kind: str
 ) -> None:
     register(near, brokers[1].url, {"type": kind}, ["there"], operations=TEMPORAL)
     ids = [f"urn:ngsi-ld:{kind}:{number}" for number in range(5)]
     for number, one in enumerate(ids):
-        tell(near, one, kind, here={1: number})
-        tell(far, one, kind, there={1: 0, 2: 10 * number})
-    tell(far, f"urn:ngsi-ld:{kind}:elsewhere", kind, there={1: 50})
+        provide(near, one, kind, here={1: number})
+        provide(far, one, kind, there={1: 0, 2: 10 * number})
+    provide(far, f"urn:ngsi-ld:{kind}:elsewhere", kind, there={1: 50})
     asked = {"type": kind, "q": "here>1;there<40", **THAT_DAY}
     answer = near.get("/temporal/entities", params={**asked, "limit": 2, "count": "true"})
     assert [one["id"] for one in answer.json()] == ids[2:4], answer.text
-    assert told(answer.json()[0], "there") == [0, 20]
+    assert values_of(answer.json()[0], "there") == [0, 20]
     assert answer.headers["ngsild-results-count"] == "3"  # of the last one, 0 is below 40, too
     assert "next" in answer.links
     rest = near.get("/temporal/entities", params={**asked, "limit": 2, "offset": 2}).json()

@@ -1,4 +1,4 @@
-"""The past, as tests of the temporal API write it and read it."""
+"""Requests that write and read temporal evolutions, for tests."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ def readings(values: list[Any], first: int = 0, **more: Any) -> list[dict[str, A
 
 
 def a_car(http: httpx.Client, entity_id: str) -> str:
-    """Tell of a car that only has a past: five speeds, two headings of a second sensor."""
+    """Create a car with a history only: five speeds, two headings of a second sensor."""
     body = {
         "id": entity_id,
         "type": "Car",
@@ -32,7 +32,7 @@ def a_car(http: httpx.Client, entity_id: str) -> str:
     return entity_id
 
 
-def told(http: httpx.Client, entity_id: str, **parameters: Any) -> dict[str, Any]:
+def read_evolution(http: httpx.Client, entity_id: str, **parameters: Any) -> dict[str, Any]:
     answer = http.get(f"{PAST}/{entity_id}", params=parameters)
     assert answer.status_code == 200, answer.text
     found: dict[str, Any] = answer.json()

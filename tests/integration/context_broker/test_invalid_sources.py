@@ -1,4 +1,4 @@
-"""Sources that are dead, slow or answer rubbish: the rest is told all the same, in time, with a warning."""
+"""Dead, slow and invalid sources: the other results arrive in time, with a warning."""
 
 import itertools
 import threading
@@ -71,7 +71,7 @@ def rubbish() -> Iterator[RubbishSource]:
 
 
 def everything(http: httpx.Client, kind: str) -> dict[str, httpx.Response]:
-    """Ask everything of a broker that has one entity of a kind; return what it answers."""
+    """Send every kind of query to a broker with one entity; return the responses."""
     one = f"urn:ngsi-ld:{kind}:1"
     past = {"timerel": "after", "timeAt": "2020-01-01T00:00:00Z", "timeproperty": "modifiedAt"}
     totals = {**past, "options": "aggregatedValues", "aggrMethods": "avg"}
@@ -95,7 +95,7 @@ def everything(http: httpx.Client, kind: str) -> dict[str, httpx.Response]:
 
 
 @pytest.mark.parametrize("said", RUBBISH)
-def test_rubbish_is_warned_of_and_the_rest_is_told(
+def test_invalid_responses_cause_warnings_beside_the_other_results(
     http: httpx.Client, rubbish: RubbishSource, kind: str, said: str
 ) -> None:
     rubbish.says(*RUBBISH[said])
@@ -121,11 +121,11 @@ def test_rubbish_is_warned_of_and_the_rest_is_told(
     made = http.post("/subscriptions", json=wish)
     assert made.status_code == 201, made.text
     assert http.delete(made.headers["location"].removeprefix("/ngsi-ld/v1")).status_code == 204
-    told = http.get(path).json()
-    assert told["timesSent"] >= told["timesFailed"]
+    returned = http.get(path).json()
+    assert returned["timesSent"] >= returned["timesFailed"]
 
 
-def test_the_dead_the_slow_and_the_endless_cost_their_patience_and_no_more(
+def test_dead_slow_and_endless_sources_cost_their_timeout_only(
     http: httpx.Client, broker: BrokerProcess, rubbish: RubbishSource, kind: str
 ) -> None:
     process = psutil.Process(broker.process.pid if broker.process else 0)
@@ -154,7 +154,7 @@ def test_the_dead_the_slow_and_the_endless_cost_their_patience_and_no_more(
         one.stop()
 
 
-def test_many_askers_of_a_source_that_hangs_do_not_hold_up_the_others(
+def test_many_requests_to_a_hanging_source_do_not_delay_others(
     http: httpx.Client, broker: BrokerProcess, rubbish: RubbishSource, kind: str
 ) -> None:
     rubbish.says(HEAD, closes=False)

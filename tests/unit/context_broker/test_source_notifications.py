@@ -1,4 +1,4 @@
-"""What sources tell of changes: as it is, was, and no longer is; whatever they say does no harm."""
+"""Notifications of sources: current, previous and deleted values, and invalid input."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ LISTENER = subscription(
 )
 
 
-def told(own: Entity | None = None, **attributes: Any) -> Any:
+def read_change(own: Entity | None = None, **attributes: Any) -> Any:
     document = {"id": "urn:x:1", "type": "Task", **attributes}
     return change_of_notification(document, registered(TASKS), own, CONTEXT.terms)
 
@@ -40,8 +40,8 @@ def told(own: Entity | None = None, **attributes: Any) -> Any:
         ({"languageMap": {"en": "b"}, "previousLanguageMap": {"en": "a"}}, {"en": "b"}, {"en": "a"}),
     ],
 )
-def test_what_was_before_is_told_apart_from_what_is(said: dict[str, Any], value: Any, was: Any) -> None:
-    change = told(a=said)
+def test_previous_values_are_separated_from_current_ones(said: dict[str, Any], value: Any, was: Any) -> None:
+    change = read_change(a=said)
     name = EXPAND("a")
     (before,), (after,) = change.before.attributes[name], change.after.attributes[name]
     assert was in before.values()
@@ -60,31 +60,31 @@ def test_what_was_before_is_told_apart_from_what_is(said: dict[str, Any], value:
         [{"value": 1}, {"value": NULL, "datasetId": "urn:x:d", "previousValue": 3}],
     ],
 )
-def test_what_is_gone_is_told_as_gone(said: Any) -> None:
-    change = told(a=said, b=2)
+def test_deleted_attributes_are_reported(said: Any) -> None:
+    change = read_change(a=said, b=2)
     assert change.lost == {EXPAND("a")}
     assert NULL not in str(change.after.attributes)
     assert NULL.encode() in change_data(LISTENER, change)
 
 
-def test_what_the_broker_has_itself_is_not_gone() -> None:
+def test_own_instances_are_not_deleted_with_the_source() -> None:
     own = Entity("urn:x:1", (EXPAND("Task"),), {EXPAND("a"): [{"type": "Property", "value": 1}]}, "", "")
-    change = told(own, a=NULL)
+    change = read_change(own, a=NULL)
     assert change.lost == set()
     assert change.after.attributes[EXPAND("a")] == own.attributes[EXPAND("a")]
 
 
-def test_the_end_of_an_entity_is_told_with_what_it_has_lost() -> None:
-    change = told(deletedAt="2026-01-01T00:00:00Z", a={"value": NULL, "previousValue": 3})
+def test_a_deleted_entity_is_reported_with_its_deleted_attributes() -> None:
+    change = read_change(deletedAt="2026-01-01T00:00:00Z", a={"value": NULL, "previousValue": 3})
     assert change.after is None
     assert b'"previousValue":3' in change_data(LISTENER, change)
-    assert told(deletedAt="2026-01-01T00:00:00Z").lost == set()
+    assert read_change(deletedAt="2026-01-01T00:00:00Z").lost == set()
 
 
 @given(ANYTHING, ANYTHING)
-def test_whatever_a_source_tells_can_be_told_on_or_is_a_problem(said: Any, other: Any) -> None:
+def test_any_notification_is_a_change_or_a_problem(said: Any, other: Any) -> None:
     try:
-        change = told(a=said, b=other)
+        change = read_change(a=said, b=other)
     except Problem:
         return
     assert change_data(LISTENER, change).startswith(b'{"id":"urn:x:1"')

@@ -1,4 +1,4 @@
-"""Lives of entities, step by step, as tests of history record them."""
+"""Entities with recorded changes, for tests of the history."""
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -31,7 +31,7 @@ def event(before: Entity | None, after: Entity | None) -> Event:
 
 
 @dataclass
-class Life:
+class RecordedEntity:
     """An entity that is changed step by step, with a note of every instance that was written."""
 
     journal: Journal
@@ -83,5 +83,5 @@ class Life:
         (found,) = subjects_of(() if self.entity is None else (self.entity,), departed)
         return found
 
-    def told(self, query: TemporalQuery) -> EvolutionPage:
+    def read(self, query: TemporalQuery) -> EvolutionPage:
         return read_evolution(self.journal.archive, self.subject(), HistoryRequest(query, lambda _: True))
