@@ -1,21 +1,21 @@
-# One image for every service of Handover; the command says which one a container is.
+# One image for every service of Handover; the command selects the service.
 #
-# Behind a mirror or a proxy, the configuration of pip and npm and the certificates they trust come in as build
-# secrets, so that nothing of them stays in the image: deploy/README.md shows how.
+# Behind a mirror or a proxy, the configuration of pip and npm and the certificates are build secrets, so that the
+# image does not contain them: deploy/README.md shows how.
 
 ARG BASE=python:3.12-slim
 
-# What both building stages need: an environment to install into, away from the system's Python.
-FROM ${BASE} AS workshop
+# The build stages install into a virtual environment.
+FROM ${BASE} AS build
 ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_CONFIG_FILE=/run/secrets/pip.conf \
     NPM_CONFIG_USERCONFIG=/run/secrets/npmrc PYTHONDONTWRITEBYTECODE=1
 WORKDIR /source
-RUN python -m venv /workshop
-ENV PATH=/workshop/bin:$PATH
+RUN python -m venv /build
+ENV PATH=/build/bin:$PATH
 
 
-# The page, with the Node that comes as a Python wheel: no second base image.
-FROM workshop AS page
+# The page is built with Node from a Python wheel, so that no second base image is needed.
+FROM build AS page
 COPY requirements/node.lock requirements/
 RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
     pip install --quiet --require-hashes -r requirements/node.lock
@@ -25,8 +25,8 @@ RUN --mount=type=secret,id=npmrc --mount=type=secret,id=certificates \
     python -m webui.build
 
 
-# The wheel with the page in it, installed beside exactly what requirements/container.lock names.
-FROM workshop AS house
+# The wheel with the page, and the packages of requirements/container.lock.
+FROM build AS install
 RUN python -m venv /opt/handover
 COPY requirements/container.lock requirements/build.lock requirements/
 RUN --mount=type=secret,id=pip.conf --mount=type=secret,id=certificates \
@@ -45,7 +45,7 @@ LABEL org.opencontainers.image.title="Handover" \
       org.opencontainers.image.description="People and robots hand work to each other"
 RUN useradd --uid 10001 --user-group --no-create-home --home-dir /data --shell /usr/sbin/nologin handover \
     && install -d -o handover -g handover -m 0700 /data /secrets
-COPY --from=house /opt/handover /opt/handover
+COPY --from=install /opt/handover /opt/handover
 ENV PATH=/opt/handover/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \

@@ -1,4 +1,4 @@
-# The front door. `make demo` shows it, `make test` proves it; both do all their own set-up.
+# `make demo` and `make test` install what they need. `make help` lists all commands.
 
 PYTHON ?= python3
 VENV := .venv
@@ -8,18 +8,18 @@ READY := $(VENV)/.ready
 export UV_PYTHON_DOWNLOADS := never
 export UV_NO_PROGRESS := 1
 
-# Else every service would compile itself at each start, and the tests start some hundreds.
+# Otherwise each of the hundreds of services that the tests start would compile its modules again.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Three workers suit two cores, since tests wait a third of their time; what a test starts is on free ports,
-# so that they do not meet. tests/shares.py says which tests stay together.
+# Three workers suit two cores, because tests wait a third of their time. Tests use free ports, so that they do not
+# collide. tests/kit/scheduling.py keeps tests together that share services.
 WORKERS ?= 3
 PYTEST := $(BIN)/pytest -n $(WORKERS)
 
-# What needs the Node that built the page: lint and tests of its TypeScript.
+# Lint and tests of the TypeScript, with the Node that built the page.
 PAGE := $(BIN)/python -m webui.build
 
-# Tests wait more than they compute, so the page is checked beside them; what that says is said at the end.
+# The page is checked in parallel with the tests; its output is printed at the end.
 PAGE_SAYS := build/page-check.log
 define tests_beside_page
 	@mkdir -p $(dir $(PAGE_SAYS))
@@ -33,13 +33,13 @@ endef
 
 .PHONY: help setup demo up test ros-test crashes thorough check lint python-check page-check docs reference dist third-party lock bench bench-broker bench-gestures bench-handover bench-bridge bench-screen clean
 
-help:  ## say what there is
+help:  ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1: \2/' 
 
 setup: $(READY)  ## install everything that demo and test need into .venv, and build the page
 	@$(PAGE)
 
-# Compiled at once: where PYTHONDONTWRITEBYTECODE is set, every service would compile its libraries at each start.
+# Compiled here: where PYTHONDONTWRITEBYTECODE is set, every service would compile its libraries at each start.
 define install
 	@command -v $(PYTHON) >/dev/null || { echo "there is no $(PYTHON) on this machine; install Python 3.11 to 3.13, or name another with make PYTHON=…" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; ok = (3, 11) <= sys.version_info[:2] <= (3, 13); sys.exit(not ok and f"Handover needs Python 3.11 to 3.13, and $(PYTHON) is {sys.version.split()[0]}; choose another with make PYTHON=python3.12")'
@@ -53,7 +53,7 @@ endef
 $(READY): $(LOCK) requirements/uv.lock pyproject.toml
 	$(call install,$(LOCK))
 
-# The demo needs a third of it. Where everything is installed already, that is used.
+# The demo needs fewer packages. If everything is installed already, it uses that.
 DEMO_LOCKS := requirements/run.lock requirements/build.lock
 DEMO_READY := $(if $(wildcard $(READY)),$(READY),$(VENV)/.ready-demo)
 
@@ -64,27 +64,26 @@ demo: $(DEMO_READY)  ## a person and a robot work through the bin-picking proces
 	@$(PAGE)
 	@$(BIN)/handover demo $(if $(filter 1 yes true,$(ONCE)),--once) $(ARGS)
 
-up: setup  ## every service, nobody simulated but the robot
+up: setup  ## every service, with the simulated robot only
 	@$(BIN)/handover up $(ARGS)
 
 test: setup python-check  ## every check and every test
 	$(call tests_beside_page)
 
-# A genuine ROS 2 with Fast DDS, from wheels, in an environment of its own: it starts more slowly, and its types
-# take the place of ours. The wheels are for Python 3.11 on Linux.
+# ROS 2 with Fast DDS from wheels, in a separate environment, because it starts more slowly and its types replace
+# ours. The wheels are for Python 3.11 on Linux.
 ROS_VENV := $(VENV)-ros
 ROS_TESTS := tests/integration/ros_fiware_bridge/graph tests/integration/ros_fiware_bridge/test_fast_dds.py
 
-ros-test: setup  ## the ROS bridge against genuine ROS 2 nodes (rclpy, Fast DDS; Python 3.11 on Linux)
+ros-test: setup  ## the ROS bridge against ROS 2 nodes (rclpy, Fast DDS; Python 3.11 on Linux)
 	@if $(BIN)/python -c 'import sys; sys.exit(not (sys.platform == "linux" and sys.version_info[:2] == (3, 11)))'; then \
 		$(MAKE) --no-print-directory $(ROS_VENV)/.ready && HANDOVER_TEST_ROS=1 $(ROS_VENV)/bin/pytest -n 2 $(ROS_TESTS) $(ARGS); \
 	else \
-		echo "ros-test: rclpy has wheels for Python 3.11 on Linux alone, so the ROS bridge was not tried against genuine nodes" >&2; \
+		echo "ros-test: rclpy has wheels for Python 3.11 on Linux only; the ROS bridge was not tested against ROS 2 nodes" >&2; \
 		[ -z "$$CI" ]; \
 	fi
 
-# Rebuilt for a new lock: the wheels bring a second record of each package, which `uv pip sync` takes for
-# packages that nobody asked for, and removes.
+# Rebuilt for a new lock: the wheels contain a second record of each package, and `uv pip sync` would remove those.
 $(ROS_VENV)/.ready: requirements/rclpy.lock pyproject.toml
 	@rm -rf $(ROS_VENV)
 	@$(BIN)/python -m venv $(ROS_VENV)
@@ -92,16 +91,16 @@ $(ROS_VENV)/.ready: requirements/rclpy.lock pyproject.toml
 	@$(BIN)/uv pip install --quiet --python $(ROS_VENV)/bin/python --no-deps --no-build-isolation --editable .
 	@touch $@
 
-crashes: setup  ## kill the broker a hundred times in the middle of writing, and look what is left
+crashes: setup  ## kill the broker a hundred times while it writes, and check its data
 	@HANDOVER_TEST_CRASHES=100 $(PYTEST) -q tests/integration/context_broker/test_crashes*.py $(ARGS)
 
 thorough: crashes  ## the crashes, every test of the broker on PostgreSQL, and many more examples
 	@HANDOVER_TEST_DATABASE=postgresql HANDOVER_TEST_EXAMPLES=300 $(PYTEST) tests/unit tests/integration/context_broker $(ARGS)
 
-check: setup python-check  ## what an everyday change needs: lint, types, structure and the quick tests
+check: setup python-check  ## lint, types, structure and quick tests, for an everyday change
 	$(call tests_beside_page,-m "not slow")
 
-lint: python-check  ## lint, types and structure alone
+lint: python-check  ## lint, types and structure only
 	@$(PAGE) lint
 	@$(PAGE) size
 
@@ -133,7 +132,7 @@ reference: setup  ## write the reference pages of the documentation from the cod
 third-party: setup  ## write THIRD_PARTY.md from the metadata of the installed packages
 	@$(BIN)/python -m requirements.third_party
 
-lock: $(VENV)/.ready  ## resolve the dependencies anew (names no host, holds hashes)
+lock: $(VENV)/.ready  ## resolve the dependencies again (no host names, with hashes)
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) pyproject.toml -o requirements/run.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra research pyproject.toml -o requirements/container.lock
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 $(ARGS) --extra ros pyproject.toml -o requirements/ros.lock
@@ -159,7 +158,7 @@ bench-bridge: setup  ## the ROS bridge: DDS alone, both ways through the broker,
 	@$(BIN)/python -m benchmarks.ros_graph
 	@$(BIN)/python -m benchmarks.ros_bridge $(ARGS)
 
-bench-screen: setup  ## the screen in Chromium: how fast it answers, whether its memory grows
+bench-screen: setup  ## the screen in Chromium: response times and memory
 	@$(BIN)/python -m benchmarks.screen $(ARGS)
 
 clean:  ## remove what setup made (not your data in .handover)

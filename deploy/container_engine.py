@@ -165,11 +165,11 @@ def build(engine: Engine, place: Path) -> None:
 
 def of_pip() -> dict[str, str]:
     """Return how pip reaches its index here, as far as a container can use it."""
-    told = subprocess.run(
+    listed = subprocess.run(
         [sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False
     ).stdout
     found: dict[str, str] = {}
-    for line in told.splitlines():
+    for line in listed.splitlines():
         name, _, value = line.partition("=")
         name, value = name.rpartition(".")[2], value.strip("'")
         if name in {"index-url", "extra-index-url", "trusted-host", "proxy", "default-timeout"}:
@@ -183,13 +183,13 @@ def of_npm() -> dict[str, str]:
     if shutil.which("npm") is None:
         return {}
     names = ("registry", "proxy", "https-proxy")
-    told = {
+    values = {
         name: subprocess.run(
             ["npm", "config", "get", name], capture_output=True, text=True, check=False, cwd="/"
         ).stdout.strip()
         for name in names
     }
-    return {name: value for name, value in told.items() if value not in {"", "null", "undefined"}}
+    return {name: value for name, value in values.items() if value not in {"", "null", "undefined"}}
 
 
 def written(path: Path, lines: list[str]) -> str:

@@ -135,7 +135,7 @@ def test_the_broker_may_connect_to_every_service_of_the_cell(more: str) -> None:
 
 
 @every_one_of_ours
-def test_what_a_container_is_told_are_settings_that_there_are(name: str) -> None:
+def test_environment_of_a_container_has_known_settings_only(name: str) -> None:
     known = {origin.name for origin in origins([service.settings for service in SERVICES])}
     assert set(OURS[name]["environment"]) <= known
 
@@ -179,7 +179,7 @@ def test_the_image_runs_as_nobody_of_importance() -> None:
     dockerfile = (REPOSITORY / "Dockerfile").read_text()
     last_stage = dockerfile.rsplit("\nFROM ", 1)[1]
     assert re.search(r"^USER (\d+):(\d+)$", last_stage, re.MULTILINE)
-    assert set(re.findall(r"^FROM (\S+)", dockerfile, re.MULTILINE)) == {"${BASE}", "workshop"}
+    assert set(re.findall(r"^FROM (\S+)", dockerfile, re.MULTILINE)) == {"${BASE}", "build"}
     assert "ARG BASE=python:3.12-slim\n" in dockerfile
 
 

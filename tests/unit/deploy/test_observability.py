@@ -65,7 +65,7 @@ def test_a_panel_asks_for_what_is_counted(panel: str, expression: str) -> None:
         "up",
     ],
 )
-def test_what_matters_on_a_shop_floor_is_on_the_dashboard(name: str) -> None:
+def test_dashboard_shows_the_important_metrics(name: str) -> None:
     assert any(name in METRIC.findall(expression) for _, expression in questions())
 
 

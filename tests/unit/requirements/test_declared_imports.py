@@ -1,6 +1,7 @@
 """Every import of the shipped packages comes from a declared dependency, or from the extra of its part."""
 
 import ast
+import json
 import re
 import sys
 import tomllib
@@ -76,3 +77,9 @@ def _name(requirement: str) -> str:
 
 def _normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_page_and_package_have_the_same_version() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    page = json.loads((REPOSITORY / "webui" / "app" / "package.json").read_text(encoding="utf-8"))
+    assert page["version"] == project["version"]
