@@ -1,5 +1,4 @@
-"""What every component stands on: the NGSI-LD client, the Performer, settings, telemetry, the database.
+"""The kit of every component: NGSI-LD client, Performer, settings, telemetry, database and security.
 
-No word of gloves, robots or processes stands here; the command line, `handover.cli`, is the roof and may
-know everyone.
+It does not know gloves, robots or processes. Only the command line, `handover.cli`, imports the services.
 """

@@ -1,7 +1,7 @@
 """Body limit: a request body that is too large is refused before it is read into memory and parsed.
 
-Bodies are parsed and validated on the event loop. JSON in which everything is wrong costs most, since each
-fault is described: a second for each MiB. So a route takes little unless it says otherwise.
+Bodies are parsed and validated on the event loop. Invalid JSON costs most, since each fault is described: a
+second for each MiB. So the default limit of a route is small.
 """
 
 from collections.abc import Callable
@@ -14,14 +14,14 @@ from starlette.types import Message
 
 DEFAULT_MAX_BODY_BYTES: Final = 64 * 1024
 MAX_NOTIFICATION_BYTES: Final = 32 * 1024 * 1024
-"""A broker tells of many entities in one notification, which is read by orjson and is not validated."""
+"""A notification may have many entities; orjson parses it, and it is not validated."""
 _NOTIFICATIONS: Final = "/notifications"
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 
 def max_body(max_bytes: int) -> Callable[[Endpoint], Endpoint]:
-    """Say how large the body of a route may be; it stands below the route."""
+    """Set the maximum size of the body of a route; a decorator below that of the route."""
 
     def marked(endpoint: Endpoint) -> Endpoint:
         endpoint.max_body_bytes = max_bytes  # type: ignore[attr-defined]

@@ -1,7 +1,7 @@
-"""The context broker as seen from a component: an asynchronous NGSI-LD client that works with any broker.
+"""An asynchronous NGSI-LD client for any context broker.
 
-Nothing here goes beyond ETSI GS CIM 009; the @context travels in the Link header of every request, so
-that types and attributes mean the same whoever asks.
+It uses only ETSI GS CIM 009. The Link header of every request has the @context, so that types and attributes
+have the same meaning for all clients.
 """
 
 import asyncio
@@ -22,14 +22,14 @@ log = get_logger(__name__)
 
 JSON = "application/json"
 PAGE = 500
-"""Entities asked for at once; brokers commonly refuse more than 1000."""
+"""Entities per page; many brokers refuse more than 1000."""
 
 AnEntity = TypeVar("AnEntity", bound=Entity)
 NgsiLd = Mapping[str, Any]
 
 
 class BrokerError(Problem):
-    """The broker refused; `status`, `title` and `detail` are its words."""
+    """The broker refused the request with `status`, `title` and `detail`."""
 
 
 class NotFound(BrokerError):
@@ -37,18 +37,18 @@ class NotFound(BrokerError):
 
 
 class AlreadyExists(BrokerError):
-    """An entity or subscription with this id is there already."""
+    """An entity or subscription with this id exists."""
 
 
 class BrokerUnavailable(BrokerError):
-    """The broker cannot be reached, or cannot answer now; trying again later may help."""
+    """The broker is unreachable or cannot answer now; a retry may succeed."""
 
 
 class BrokerClient:
-    """Talks to the broker of `settings`; use it as an asynchronous context manager.
+    """A client of the broker of `settings`; an asynchronous context manager.
 
     Every method raises `BrokerUnavailable` when the broker does not answer, and another `BrokerError` when
-    it refuses. `transport` puts another httpx transport in place, an ASGI one for example.
+    it refuses the request. `transport` replaces the httpx transport, for example by an ASGI one.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class BrokerClient:
             transport=self._transport,
             trust_env=False,
         )
-        # A robot's updates go hundreds of times a second: all of such a request but its body is made once.
+        # A robot may be updated hundreds of times a second, so everything but the body is built once.
         self._upsert = self._http.build_request(
             "POST", "/entityOperations/upsert", params={"options": "update"}, headers={"Content-Type": JSON}
         )
@@ -87,7 +87,7 @@ class BrokerClient:
         await self._http.aclose()
 
     async def probe(self) -> None:
-        """Return if the broker answers a small question; raise `BrokerUnavailable` if not."""
+        """Send a small query; raise `BrokerUnavailable` if the broker does not answer."""
         await self._call("GET", "/entities", params={"type": "Device", "limit": 1})
 
     async def create(self, entity: Entity | NgsiLd) -> None:
@@ -105,7 +105,7 @@ class BrokerClient:
         return model.from_ngsild(await self.retrieve(entity_id))
 
     async def query(self, **selection: Any) -> list[dict[str, Any]]:
-        """Return all entities that match, in normalized form, however many pages they fill.
+        """Return all entities that match, of all pages, in normalized form.
 
         `selection` holds the query parameters of NGSI-LD (clause 6.4.3.2): `type`, `id`, `id_pattern`,
         `attrs`, `q`; lists are joined with commas.
@@ -113,19 +113,19 @@ class BrokerClient:
         return [entity async for entity in self._pages(selection)]
 
     async def find(self, model: type[AnEntity], **selection: Any) -> list[AnEntity]:
-        """Return all entities of `model` that match; one that does not fit is logged and left out."""
+        """Return all entities of `model` that match; an invalid one is logged and skipped."""
         found: list[AnEntity] = []
         for entity in await self.query(type=model.ngsi_type(), **selection):
             try:
                 found.append(model.from_ngsild(entity))
             except ValueError as error:
-                log.warning("entity does not fit its data model", entity=entity.get("id"), error=str(error))
+                log.warning("entity does not match the data model", entity=entity.get("id"), error=str(error))
         return found
 
     async def update(self, entity_id: str, attributes: NgsiLd) -> None:
-        """Overwrite attributes (PATCH …/attrs); brokers add those that are not there, or refuse them.
+        """Overwrite attributes (PATCH …/attrs); some brokers add missing attributes, others refuse them.
 
-        Raises `NotFound` if the entity is not there, `BrokerError` with the reasons if something was refused.
+        Raises `NotFound` if the entity does not exist, `BrokerError` with the reasons for refused attributes.
         """
         answer = await self._call("PATCH", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
         _require_all_done(
@@ -133,11 +133,11 @@ class BrokerClient:
         )
 
     async def append(self, entity_id: str, attributes: NgsiLd) -> None:
-        """Overwrite or add attributes (POST …/attrs); raise `NotFound` if the entity is not there."""
+        """Overwrite or add attributes (POST …/attrs); raise `NotFound` if the entity does not exist."""
         await self._call("POST", f"/entities/{_in_path(entity_id)}/attrs", body=attributes)
 
     async def upsert(self, entities: Sequence[Entity | NgsiLd]) -> None:
-        """Create the entities, or update the attributes given of those that are there (one batch)."""
+        """Create the entities, or update the given attributes of existing ones, in one batch."""
         made = self._upsert
         request = httpx.Request(
             made.method,
@@ -146,7 +146,7 @@ class BrokerClient:
             content=orjson.dumps([_as_ngsild(entity) for entity in entities]),
             extensions=made.extensions,
         )
-        response = await self._answer(self._straight(request), "POST /entityOperations/upsert")
+        response = await self._answer(self._send_directly(request), "POST /entityOperations/upsert")
         _require_all_done(response, "errors", _batch_error)
 
     async def delete(self, entity_id: str) -> None:
@@ -154,13 +154,13 @@ class BrokerClient:
         await self._call("DELETE", f"/entities/{_in_path(entity_id)}")
 
     async def delete_batch(self, entity_ids: Sequence[str]) -> None:
-        """Delete entities in one request; those that are not there do not matter."""
-        with suppress(NotFound):  # some brokers say so when none of them is there
+        """Delete entities in one request; missing ones are ignored."""
+        with suppress(NotFound):  # some brokers answer so when none exists
             answer = await self._call("POST", "/entityOperations/delete", body=list(entity_ids))
             _require_all_done(answer, "errors", _batch_error, but_for=_is_not_found)
 
     async def ensure_subscription(self, subscription: NgsiLd) -> None:
-        """Make sure that exactly this subscription (with its `id`) is there, however often it is called."""
+        """Create this subscription (with its `id`), or update the existing one; idempotent."""
         try:
             await self._call("POST", "/subscriptions", body=subscription)
         except AlreadyExists:
@@ -168,12 +168,12 @@ class BrokerClient:
             await self._call("PATCH", f"/subscriptions/{_in_path(subscription['id'])}", body=change)
 
     async def types(self) -> list[str]:
-        """Return the types of the entities that there are."""
+        """Return the types of all entities."""
         response = await self._call("GET", "/types")
         return [str(name) for name in orjson.loads(response.content).get("typeList", [])]
 
     async def subscriptions(self) -> list[dict[str, Any]]:
-        """Return the subscriptions that there are."""
+        """Return all subscriptions."""
         return [subscription async for subscription in self._pages({}, "/subscriptions")]
 
     async def delete_subscription(self, subscription_id: str) -> None:
@@ -202,8 +202,8 @@ class BrokerClient:
         asking = self._http.request(method, path, params=params, content=content, headers=headers)
         return await self._answer(asking, f"{method} {path}")
 
-    async def _straight(self, request: httpx.Request) -> httpx.Response:
-        """Ask past what the client has for redirects, cookies and credentials, of which brokers use none."""
+    async def _send_directly(self, request: httpx.Request) -> httpx.Response:
+        """Send a request without redirects, cookies and credentials, which brokers do not use."""
         response = await self._transport.handle_async_request(request)
         response.request = request
         try:
@@ -253,9 +253,9 @@ def _require_all_done(
     *,
     but_for: Callable[[NgsiLd], bool] = lambda _: False,
 ) -> None:
-    """Raise `BrokerError` if a broker that did a part says, in the list `undone`, what it did not do.
+    """Raise `BrokerError` for the failures in the list `undone` of a partial success.
 
-    What `but_for` holds of does not count.
+    Failures for which `but_for` is true are ignored.
     """
     if answer.status_code == httpx.codes.MULTI_STATUS:
         left = [one for one in orjson.loads(answer.content).get(undone, []) if not but_for(one)]

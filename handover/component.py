@@ -1,4 +1,4 @@
-"""A component of one performer: the shortest way from a class to a running service.
+"""A component with one performer: runs a `Performer` class as a service.
 
 serve(Lamp, "lamp", acts_for=["Device:lamp-1"], port=9100)
 """
@@ -23,9 +23,9 @@ def component_app(
     acts_for: Sequence[str],
     url: str,
 ) -> FastAPI:
-    """Return the application of a performer that the broker reaches at `url`.
+    """Return the application of a performer; `url` is its address for the broker.
 
-    `acts_for` are the resources it takes Tasks for: `Type:id`, or whole URNs.
+    `acts_for` are the resources whose Tasks it executes: `Type:id` or URNs.
     """
     broker = BrokerClient(settings)
     performer = performer_class(name, settings, broker, notify_url=f"{url}/notifications")
@@ -58,15 +58,15 @@ def serve(
 ) -> None:
     """Run a performer as a service on `port` until it is stopped.
 
-    `url` is where the broker reaches it, when that is not the address it listens on.
+    `url` is its address for the broker, by default the address on which it listens.
     """
     settings = Settings.load()
-    reached_at = settings.url_of(port, url)
+    own_url = settings.url_of(port, url)
     serve_app(
-        lambda: component_app(performer_class, name, settings, acts_for=acts_for, url=reached_at),
+        lambda: component_app(performer_class, name, settings, acts_for=acts_for, url=own_url),
         settings,
         service=name,
         port=port,
         port_setting=f"the port of {name}",
-        urls=[reached_at],
+        urls=[own_url],
     )

@@ -1,6 +1,6 @@
 """The database: SQLite in the data directory, or PostgreSQL by URL.
 
-Either way a committed transaction survives `kill -9` and a power cut.
+In both a committed transaction survives `kill -9` and a power cut.
 """
 
 import sqlite3
@@ -23,11 +23,11 @@ def connect(
     answers_within_s: float | None = None,
     is_own: bool = True,
 ) -> Engine:
-    """Return an engine for `url` (`sqlite:///…` or `postgresql://…`), which stands in `setting`.
+    """Return an engine for `url` (`sqlite:///…` or `postgresql://…`), the value of `setting`.
 
-    Raises `UsageError` for any other, and when the database cannot be reached or opened, or a file is damaged
-    or, if it is our own, was deleted or emptied. With `answers_within_s` neither connecting nor any one
-    statement of PostgreSQL takes longer.
+    Raises `UsageError` for other URLs, when the database cannot be opened, or when a file is damaged or, if
+    it is our own, was deleted or emptied. `answers_within_s` limits connecting and each statement of
+    PostgreSQL.
     """
     try:
         parsed = make_url(url)
@@ -53,7 +53,7 @@ def connect(
         reason = str(error.orig).strip().splitlines()[0]
         shown = parsed.render_as_string(hide_password=True)
         raise UsageError(
-            f"the database {shown} cannot be used: {reason}; mend that or correct {setting}"
+            f"the database {shown} cannot be used: {reason}; correct that or {setting}"
         ) from None
     return engine
 
@@ -72,9 +72,7 @@ def _prepare(file: Path, setting: str) -> None:
     except UsageError as error:
         raise UsageError(f"{error}; or name another database with {setting}") from None
     except (sqlite3.Error, OSError) as error:
-        raise UsageError(
-            f"the database {file} cannot be used: {error}; mend that or correct {setting}"
-        ) from None
+        raise UsageError(f"the database {file} cannot be used: {error}; correct that or {setting}") from None
 
 
 def _limits(seconds: float) -> dict[str, Any]:

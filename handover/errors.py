@@ -1,4 +1,4 @@
-"""Errors that a person is meant to read: they name the thing, the rule and the way out."""
+"""Errors for people: they name the thing, the rule and the way out."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,19 +7,19 @@ from handover.messages import with_code
 
 
 class HandoverError(Exception):
-    """The root of all errors of ours."""
+    """The base class of all our errors."""
 
 
 class UsageError(HandoverError):
-    """Something a person typed or configured cannot be used; shown without a traceback."""
+    """An invalid input or setting; shown without a traceback."""
 
 
 @dataclass
 class Problem(HandoverError):
-    """An error as it travels over HTTP (RFC 7807 problem details).
+    """An error as HTTP problem details (RFC 7807).
 
-    `type` is a URI (or `about:blank`), `title` the kind of problem, `detail` what to change. A `detail` that
-    is a `handover.messages.Message` travels with its `detailCode` and `detailParameters`.
+    `type` is a URI (or `about:blank`), `title` the kind of problem, `detail` the correction. The document of
+    a `detail` that is a `handover.messages.Message` has its `detailCode` and `detailParameters`.
     """
 
     status: int

@@ -1,9 +1,8 @@
-"""Finished Tasks: how the Tasks of a performer ended, in a small database file of its own.
+"""Finished Tasks: a record of the ended Tasks of a performer, in a separate SQLite file.
 
-A finished Task is deleted from the broker after a while. It can come back from an old backup, or because
-somebody posts it again, and must not be performed twice. So its end is recorded here before it is reported,
-and reported again from here if the broker shows the Task as unfinished. Records are kept for longer than
-finished Tasks stay in the broker.
+A finished Task is deleted from the broker after some time. It may reappear from an old backup or because a
+client posts it again, and must not be executed twice. So its end is recorded before it is reported, and
+reported again if the broker shows the Task as unfinished. Records outlive the Tasks in the broker.
 """
 
 import asyncio
@@ -25,21 +24,21 @@ from handover.sqlite_files import prepare_own
 MIN_KEEP_H = 30 * 24.0
 KEEP_PER_RETENTION = 2.0
 DELETE_OLD_EVERY = 1_000
-"""Records that are too old are deleted at the start, and once in so many new ones."""
+"""Expired records are deleted at the start, and after so many new ones."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """How a Task ended: `completed` or `failed`, with its outputParameters."""
+    """The end of a Task: `completed` or `failed`, with its outputParameters."""
 
     status: TaskStatus
     outputs: Mapping[str, Any]
 
 
 class FinishedTasks:
-    """The ends of the Tasks of `performer`; `open` it first. All work is done in one thread of its own."""
+    """The ends of the Tasks of `performer`; call `open` first. One separate thread accesses the file."""
 
     def __init__(self, settings: Settings, performer: str, *, clock: Callable[[], float] = time.time) -> None:
         name = re.sub(r"[^A-Za-z0-9_.-]", "_", performer)
@@ -68,11 +67,11 @@ class FinishedTasks:
             self._disk.shutdown(wait=False)
 
     async def find(self, task_id: str) -> End | None:
-        """Return how a Task ended; None if this performer has not finished it."""
+        """Return the end of a Task; None if this performer has not finished it."""
         return await self._on_disk(self._find, task_id)
 
     async def record(self, task_id: str, end: End) -> None:
-        """Record how a Task ended; once this returns, that survives `kill -9` and a power cut.
+        """Record the end of a Task durably: it survives `kill -9` and a power cut.
 
         Raises `OSError` when it cannot be written, `TypeError` when the outputs are no plain JSON.
         """

@@ -1,7 +1,7 @@
 """Connections: how long a server waits for a client, and how many connections it has.
 
-uvicorn reads requests; what it lacks is here: nobody may keep a connection for a request that never becomes
-complete. `Connections` looks at all connections of a server once a second, so requests cost no timers:
+uvicorn parses requests; this module adds limits, so that no client keeps a connection with an incomplete
+request. `Connections` checks all connections of a server once a second, so requests need no timers:
 
 - An unfinished request is ended (408) when its head takes longer than `http_header_timeout_s`, when no byte
   of its body comes for `http_body_timeout_s`, or when its body comes slower than `http_min_body_bytes_per_s`
@@ -157,7 +157,7 @@ class HttpProtocol(HttpToolsProtocol):
         self._unread_bytes = 0
         self._stalled_s = 0.0
 
-    # What uvicorn's parser tells
+    # Events of uvicorn's parser
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for a request."""

@@ -1,18 +1,18 @@
-"""Messages for people: English text with a code and parameters, so that a page can say it in its language.
+"""Messages for people: English text with a code and parameters, so that the page can translate it.
 
     raise Problem(404, "Unknown glove", message("glove.unknown", 'there is no glove "{glove}"', glove=name))
 
-A `Message` is a string: logs, command lines and clients that know nothing of codes read its English text.
-Where it travels as JSON, `with_code` adds the code and the parameters beside the text. Codes are an API: one
-keeps its meaning, and the page has a translation for each (`webui/app/src/i18n/*/server.json`). The module
-`webui.messages` finds the codes in the source, and a test compares.
+A `Message` is a string: logs, command lines and clients that ignore codes use its English text. In JSON,
+`with_code` adds the code and the parameters beside the text. Codes are an API: a code keeps its meaning, and
+the page has a translation for each (`webui/app/src/i18n/*/server.json`). The module `webui.messages` finds
+the codes in the source, and a test compares them.
 """
 
 from collections.abc import Mapping
 from typing import Any, Self
 
 Parameter = str | int | float | bool | None
-"""What a message may be about. A `Message` may be part of another one."""
+"""The type of a parameter; a `Message` may be a parameter of another one."""
 
 
 class Message(str):
@@ -40,7 +40,7 @@ def message(code: str, template: str, /, **parameters: Parameter) -> Message:
 
 
 def text_of(error: BaseException) -> str:
-    """Return what an error says, as the `Message` that it was raised with if it was."""
+    """Return the text of an error, as a `Message` if it was raised with one."""
     first = error.args[0] if error.args else None
     return first if isinstance(first, Message) else str(error)
 
@@ -55,9 +55,9 @@ def with_code(name: str, text: str) -> dict[str, Any]:
 
 
 def message_in(members: Mapping[str, Any], name: str) -> str | None:
-    """Return what `with_code` wrote, as a `Message` again where it was one; None where there is no text.
+    """Return the text that `with_code` wrote, as a `Message` if it has a code; None without a text.
 
-    What is read comes from another service, maybe a foreign one: members of other types are left out.
+    The members come from another service, so members of other types are ignored.
     """
     text = members.get(name)
     if not isinstance(text, str):

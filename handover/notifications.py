@@ -1,12 +1,13 @@
-"""Notifications: how a service of ours receives what the broker sends to its subscriptions.
+"""Notifications: receives the notifications of the broker.
 
-A notification is a hint: it may be late, doubled, lost or forged. Two rules follow.
+A notification is a hint: it may be late, duplicated, lost or forged. Two rules follow.
 
-1. It is accepted only with the key that we put into the subscription (`endpoint.receiverInfo`, which brokers
-   send as an HTTP header), never from a web page (`Origin`), and only as JSON. The key is random, one per
-   service, and kept in the data directory, so that a subscription of an earlier run stays valid.
-2. What moves a Task, a process, a robot or a gripper reads the entity from the broker before it acts
-   (`read`). A notification says only which entities are worth reading.
+1. It is accepted only with the key of the subscription (`endpoint.receiverInfo`, which brokers send as an
+HTTP
+   header), never from a web page (`Origin`), and only as JSON. The key is random, one per service, and stored
+   in the data directory, so that a subscription of an earlier run stays valid.
+2. A component reads the entity from the broker (`read`) before it changes a Task, a process, a robot or a
+   gripper. A notification only names the entities to read.
 """
 
 import asyncio
@@ -35,7 +36,7 @@ KEY_HEADER: Final = "Handover-Notification-Key"
 MEDIA_TYPES: Final = ("application/json", "application/ld+json")
 MAX_BYTES: Final = 10 * 1024 * 1024
 MAX_IDS_PER_QUERY: Final = 40
-"""Entities that one query asks for; their ids stand in its URL."""
+"""Entities per query; their ids are in its URL."""
 
 REFUSED = Counter("handover_notifications_refused_total", "Notifications that were refused", ["reason"])
 
@@ -43,7 +44,7 @@ _KEY: Final = re.compile(r"^[\x21-\x7e]{16,200}$")
 
 
 class NotificationReceiver:
-    """Receives the notifications of the service `name`, and reads from `broker` what they are about."""
+    """Receives the notifications of the service `name`, and reads their entities from `broker`."""
 
     def __init__(self, name: str, settings: Settings, broker: BrokerClient) -> None:
         self._name = name
@@ -54,14 +55,14 @@ class NotificationReceiver:
 
     @cached_property
     def key(self) -> str:
-        """Return the key of this service. Raises `UsageError` if it cannot be kept."""
+        """Return the key of this service. Raises `UsageError` if it cannot be stored."""
         if self._settings.notification_key is not None:
             return self._settings.notification_key.get_secret_value()
         file_name = re.sub(r"[^A-Za-z0-9_.-]", "_", self._name) + ".notification-key"
-        return _kept_key(self._settings.data_dir / file_name)
+        return _stored_key(self._settings.data_dir / file_name)
 
     def require_key(self) -> None:
-        """Return if this service has a key; raise `UsageError` if none can be kept."""
+        """Raise `UsageError` if this service has no key and none can be stored."""
         _ = self.key
 
     def endpoint(self, uri: str) -> dict[str, Any]:
@@ -73,7 +74,7 @@ class NotificationReceiver:
         }
 
     async def receive(self, request: Request) -> list[dict[str, Any]]:
-        """Return the entities that the notification `request` carries.
+        """Return the entities of the notification `request`.
 
         Raises `Problem`: 403 without our key or from a web page, 415 for another media type, 413 when it is
         too large, 400 when it cannot be read.
@@ -85,8 +86,8 @@ class NotificationReceiver:
             raise _refuse(
                 "key",
                 403,
-                f"the header {KEY_HEADER} does not hold the key of {self._name}; the broker sends what "
-                "stands in the receiverInfo of the subscription",
+                f"the header {KEY_HEADER} does not have the key of {self._name}; the broker sends the "
+                "receiverInfo of the subscription",
             )
         if headers.get("content-type", "").partition(";")[0].strip().lower() not in MEDIA_TYPES:
             raise _refuse("media type", 415, f"a notification is {' or '.join(MEDIA_TYPES)}")
@@ -95,10 +96,10 @@ class NotificationReceiver:
     async def read(
         self, entity_type: str, ids: Iterable[str], *, q: str | None = None
     ) -> list[dict[str, Any]]:
-        """Return the entities `ids` of one type as the broker has them now, those of them that match `q`.
+        """Return the present state of the entities `ids` of one type that match `q`.
 
-        What is asked for while a query is under way is read together with the next one, so that many
-        notifications cost few queries. Raises `BrokerError`.
+        Calls during a running query are served by the next one together, so that many notifications cause
+        few queries. Raises `BrokerError`.
         """
         wanted = frozenset(ids)
         if not wanted:
@@ -117,7 +118,7 @@ class NotificationReceiver:
 
 
 class _Read:
-    """One read of several entities, on behalf of several callers."""
+    """One read of several entities for several callers."""
 
     def __init__(self) -> None:
         self.ids: frozenset[str] = frozenset()
@@ -138,7 +139,7 @@ class _Read:
 
 
 def ids_of(entities: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the ids of entities that have one that is a string."""
+    """Return the ids of the entities with a valid id."""
     return [entity["id"] for entity in entities if isinstance(entity.get("id"), str)]
 
 
@@ -162,8 +163,8 @@ def _entities_of(body: bytes) -> list[dict[str, Any]]:
     return data
 
 
-def _kept_key(file: Path) -> str:
-    """Return the key that `file` holds, after writing a new one if it holds none."""
+def _stored_key(file: Path) -> str:
+    """Return the key of `file`, after writing a new one if there is none."""
     try:
         with suppress(FileNotFoundError, UnicodeDecodeError):
             kept = file.read_text("ascii").strip()
@@ -180,8 +181,8 @@ def _kept_key(file: Path) -> str:
         unfinished.replace(file)
     except OSError as error:
         raise UsageError(
-            f"the key for notifications cannot be kept in {file}: {error.strerror}; make it writable, "
-            "or give the key by HANDOVER_NOTIFICATION_KEY"
+            f"the key for notifications cannot be stored in {file}: {error.strerror}; make it writable, "
+            "or set the key with HANDOVER_NOTIFICATION_KEY"
         ) from None
     return key
 

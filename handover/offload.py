@@ -1,10 +1,10 @@
-"""Offload: run a function in a Python process of its own.
+"""Offload: runs a function in a separate Python process.
 
-Work that grows with its input must not run on an event loop, and a thread does not help enough: threads share
+Work that grows with its input must not run on the event loop, and a thread is not enough: threads share
 the interpreter lock, and extensions such as a YAML or statistics library hold it throughout. So the function
 and its arguments are pickled to a new process, and its result or exception is pickled back. The process ends
-with its work; one that takes too long is killed. Starting it takes up to a second, so small inputs are better
-worked on in place.
+with its work; after a timeout it is killed. Starting it takes up to a second, so small inputs are better
+processed directly.
 """
 
 import asyncio
@@ -30,16 +30,16 @@ class OffloadFailed(HandoverError):
 
 
 class Offload:
-    """Runs functions in processes of their own, at most `max_processes` at once; the others wait."""
+    """Runs functions in separate processes, at most `max_processes` at the same time."""
 
     def __init__(self, max_processes: int = 1, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         self._slots = asyncio.Semaphore(max_processes)
         self._timeout_s = timeout_s
 
     async def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-        """Return what `function` returns, or raise what it raises; `OffloadFailed` if it did neither.
+        """Return the result of `function` or raise its exception; `OffloadFailed` if it has neither.
 
-        `function` stands at the top of a module; its arguments, result and exceptions can be pickled.
+        `function` is a top-level function; its arguments, result and exceptions can be pickled.
         """
         request = pickle.dumps((function.__module__, function.__qualname__, args, kwargs))
         async with self._slots:
@@ -75,7 +75,7 @@ class Offload:
 
 
 def _main() -> None:
-    """Answer the one request on standard input; whatever the function prints goes to standard error."""
+    """Answer the request on standard input; output of the function goes to standard error."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     module, qualname, args, kwargs = pickle.load(sys.stdin.buffer)  # noqa: S301 - our own parent wrote it

@@ -1,15 +1,16 @@
-"""The origin check: which requests a server accepts, by its name in them and the page they come from.
+"""The origin check: accepts or refuses requests by their headers `Host` and `Origin`.
 
-A web page must not act on a server of ours only because the browser that shows it can reach that server:
+A foreign web page must not use a server only because the browser can reach it:
 
-- `Host`: a name that somebody else points at this machine (DNS rebinding) is refused. Accepted are loopback
+- `Host`: a foreign name that resolves to this machine (DNS rebinding) is refused. Accepted are loopback
   names, numeric addresses, the host names in our own `HANDOVER_*_URL` settings, and `HANDOVER_ALLOWED_HOSTS`.
-- `Origin`: the page must be the server's own (same host and port), or stand in `HANDOVER_ALLOWED_ORIGINS`. A
-  request without `Origin` is accepted, since programs send none, unless `Sec-Fetch-Site` says that it comes
-  from another site; following a link to us from there is no request that acts.
+- `Origin`: the page must be the server's own (same host and port), or be listed in
+`HANDOVER_ALLOWED_ORIGINS`. A
+  request without `Origin` is accepted, since programs send none, unless `Sec-Fetch-Site` names another site;
+  navigation by a link changes nothing and is accepted.
 
-`serving.serve` puts `OriginGuard` before every application. A protocol that answers without ASGI asks
-`OriginPolicy` itself: `is_known` costs three look-ups in a dictionary and decides nearly always.
+`serving.serve` wraps every application in `OriginGuard`. A protocol that answers without ASGI uses
+`OriginPolicy`: `is_known` costs three dictionary look-ups and is sufficient for nearly all requests.
 """
 
 import ipaddress
@@ -26,10 +27,10 @@ from handover.errors import Problem
 from handover.settings import Settings
 
 OPEN_BY_ANY_NAME: Final = frozenset({"/healthz", "/readyz", "/metrics", "/context.jsonld"})
-"""What platforms and brokers read, by whatever name they know us."""
+"""Paths that platforms and brokers read under any host name."""
 MAX_REMEMBERED_HOSTS: Final = 1000
 
-REFUSED = Counter("handover_http_requests_refused_total", "Requests refused by their head", ["reason"])
+REFUSED = Counter("handover_http_requests_refused_total", "Requests refused for their headers", ["reason"])
 
 _READS: Final = frozenset({"GET", "HEAD"})
 _HOST: Final = re.compile(r"^(\[[0-9A-Fa-f:.]+\]|[^:\[\]/@\s]+)(?::(\d{1,5}))?$")
@@ -51,7 +52,7 @@ class OriginPolicy:
         return cls((*named, settings.host, *settings.allowed_hosts), settings.allowed_origins)
 
     def is_known(self, headers: Mapping[bytes, bytes]) -> bool:
-        """Say whether a request is accepted without a closer look: by a known `Host`, from no browser."""
+        """Return whether a request has a known `Host` and is not from a browser, so it is accepted."""
         return (
             headers.get(b"host") in self._known
             and b"origin" not in headers
@@ -75,7 +76,7 @@ class OriginPolicy:
                 return Problem(
                     403,
                     "Unknown host",
-                    f'this server does not go by the name "{host[:200]}"; use its address, or add the name '
+                    f'this server has no name "{host[:200]}"; use its address, or add the name '
                     "to HANDOVER_ALLOWED_HOSTS",
                 )
         if self._is_accepted_page(method, host, headers):
@@ -85,7 +86,7 @@ class OriginPolicy:
         return Problem(
             403,
             "Foreign origin",
-            f"a page of {page[:200]} may not use this server; use the page that it shows, or add the origin "
+            f"a page of {page[:200]} may not use this server; use the page of the server, or add the origin "
             "to HANDOVER_ALLOWED_ORIGINS",
         )
 
@@ -100,7 +101,7 @@ class OriginPolicy:
 
 
 class OriginGuard:
-    """An ASGI application that passes to `app` what `policy` accepts, and answers 403 to the rest."""
+    """An ASGI application that passes requests to `app` if `policy` accepts them, else answers 403."""
 
     def __init__(self, app: ASGIApp, policy: OriginPolicy) -> None:
         self._app = app
@@ -126,7 +127,7 @@ class OriginGuard:
 
 
 async def send_problem(send: Send, problem: Problem) -> None:
-    """Answer with `problem`, where no web framework is at hand."""
+    """Answer with `problem`, without a web framework."""
     body = orjson.dumps(problem.body())
     headers = [
         (b"content-type", b"application/problem+json"),
@@ -138,7 +139,7 @@ async def send_problem(send: Send, problem: Problem) -> None:
 
 
 def host_and_port(host: str, scheme: str) -> tuple[str, int] | None:
-    """Return the two parts of a `Host` header, None if it is none; the port may follow from the scheme."""
+    """Return host and port of a `Host` header (default port by the scheme); None if it is invalid."""
     met = _HOST.match(host)
     if met is None:
         return None
@@ -147,7 +148,7 @@ def host_and_port(host: str, scheme: str) -> tuple[str, int] | None:
 
 
 def is_known_host(name: str, known: Iterable[str]) -> bool:
-    """Say whether `name` is loopback, a numeric address, or one of those `known`."""
+    """Return whether `name` is loopback, a numeric address, or one of `known`."""
     try:
         ipaddress.ip_address(name.strip("[]"))
     except ValueError:
@@ -156,7 +157,7 @@ def is_known_host(name: str, known: Iterable[str]) -> bool:
 
 
 def is_same_origin(origin: str, host: str) -> bool:
-    """Say whether a page of `origin` comes from the server that was asked for as `host`.
+    """Return whether a page of `origin` comes from the server `host`.
 
     A proxy may add TLS, so the page's scheme gives the default port of both.
     """

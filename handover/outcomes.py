@@ -1,11 +1,11 @@
-"""Outcomes: what a person answered to a Task, as the reason of a Task that fails by it."""
+"""Outcomes: the reason of a Task that fails because of its outcome."""
 
 from datamodels.states import Outcome
 from handover.messages import Message, message
 
 
 def reason_of(outcome: str, note: str | None) -> Message:
-    """Return why a Task with this `outcome` (other than `ok`) fails: who answered what, with their note."""
+    """Return the reason for the failure of a Task with this `outcome` (other than `ok`) and `note`."""
     if outcome == Outcome.NOT_GOOD:
         if note:
             return message("task.not_good_because", 'answered "not good": {note}', note=note)

@@ -1,9 +1,9 @@
-"""Ports: whether a server may listen where it is set to, said in one line before anything starts.
+"""Ports: checks before the start whether a server can listen on its port.
 
-Our ports lie where Linux numbers outgoing connections (32768 to 60999), so any outgoing connection of this
-machine may have one: for a minute after it has ended, or for as long as it lasts. A server waits for it and
-says so; it does not wait for another program that listens. Reserving the ports keeps connections away from
-them: `unreserved` says which are not reserved, and `handover doctor` how to do it.
+Our ports are in the range of outgoing connections of Linux (32768 to 60999), so an outgoing connection of
+this machine may occupy one: while it is open and for a minute afterwards. A server waits for it and logs
+that; it does not wait for another program that listens. Reserved ports are not used for connections:
+`unreserved` lists the others, and `handover doctor` explains how to reserve them.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from pathlib import Path
 from handover.errors import UsageError
 
 UNSEEN_TIMEOUT_S = 75.0
-"""How long to wait where the system does not show what holds the port (TIME_WAIT: 60 s on Linux)."""
+"""Waiting time if the system does not show the connection (TIME_WAIT: 60 s on Linux)."""
 FIRST_LOOK_S, LAST_LOOK_S = 0.25, 2.0
 SAY_AGAIN_S = 60.0
 
@@ -32,7 +32,7 @@ Say = Callable[[str], None]
 
 
 class PortLeaving(UsageError):
-    """Nobody listens on the port, but a connection has it; `peer` is its other end, where that is known."""
+    """A connection occupies the port, but no program listens; `peer` is its other end, if known."""
 
     def __init__(self, words: str, peer: str | None) -> None:
         super().__init__(words)
@@ -41,17 +41,17 @@ class PortLeaving(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class _Socket:
-    """A TCP socket of this machine: where it listens, or the other end of its connection."""
+    """A TCP socket of this machine: its address, or the other end of its connection."""
 
     address: str
     peer: str | None
 
 
 def hold(host: str, port: int, setting: str) -> socket.socket:
-    """Keep `port` from being given to an outgoing connection until what is returned is closed.
+    """Reserve `port` against outgoing connections until the returned socket is closed.
 
-    A server that reuses addresses (all of ours do) can listen there meanwhile. `setting` names the way
-    out. Raises `UsageError` in one line: `PortLeaving` where waiting helps.
+    A server that reuses addresses (all of ours do) can listen there meanwhile. The error names `setting`.
+    Raises `UsageError` in one line: `PortLeaving` if waiting helps.
     """
     probe = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
     if os.name == "posix":  # elsewhere the option would let a second server take the port unnoticed
@@ -67,7 +67,7 @@ def hold(host: str, port: int, setting: str) -> socket.socket:
         if error.errno != errno.EADDRINUSE:
             raise UsageError(f"{where} cannot be used ({error.strerror}); {way_out}") from None
         holders = _holders(host, port)
-        listens = any(each.peer is None for each in holders) if holders else _somebody_listens(host, port)
+        listens = any(each.peer is None for each in holders) if holders else _has_listener(host, port)
         if listens:
             raise UsageError(f"{where} is taken by another program; stop that program or {way_out}") from None
         peer = holders[0].peer if holders else None
@@ -75,15 +75,15 @@ def hold(host: str, port: int, setting: str) -> socket.socket:
         raise PortLeaving(
             f"{where} is held by a connection of another program{to}; {way_out}", peer
         ) from None
-    if os.name != "posix":  # a socket that is only bound would keep the server away
+    if os.name != "posix":  # a socket that is only bound would block the server
         probe.close()
     return probe
 
 
 def hold_when_free(host: str, port: int, setting: str, *, say: Say) -> socket.socket:
-    """Return the port held, as `hold` does, once no connection has it any more; `say` gets lines meanwhile.
+    """Reserve the port as `hold` does, after waiting for a connection to end; `say` gets progress lines.
 
-    Raises `UsageError` in one line when the port cannot be had by waiting.
+    Raises `UsageError` in one line if waiting does not help.
     """
     for attempt in _attempts(host, port, setting, say):
         if isinstance(attempt, socket.socket):
@@ -93,12 +93,12 @@ def hold_when_free(host: str, port: int, setting: str, *, say: Say) -> socket.so
 
 
 def require_free(host: str, port: int, setting: str, *, say: Say) -> None:
-    """Return when `port` can be listened on, as `hold_when_free` does, without holding it."""
+    """Wait until `port` is free, as `hold_when_free` does, without reserving it."""
     hold_when_free(host, port, setting, say=say).close()
 
 
 async def held(host: str, port: int, setting: str, *, say: Say) -> socket.socket:
-    """Return the port held, as `hold_when_free` does."""
+    """Reserve the port as `hold_when_free` does, asynchronously."""
     for attempt in _attempts(host, port, setting, say):
         if isinstance(attempt, socket.socket):
             return attempt
@@ -107,7 +107,7 @@ async def held(host: str, port: int, setting: str, *, say: Say) -> socket.socket
 
 
 def unreserved(ports: Iterable[int]) -> list[int]:
-    """Return those of `ports` that Linux may give to outgoing connections; none on other systems."""
+    """Return those of `ports` that Linux may use for outgoing connections; none on other systems."""
     try:
         first, last = map(int, (_SYSCTL / "ip_local_port_range").read_text().split())
         reserved = reserved_ports()
@@ -117,7 +117,7 @@ def unreserved(ports: Iterable[int]) -> list[int]:
 
 
 def reserved_ports() -> set[int]:
-    """Return the ports that Linux never gives to outgoing connections. Raises `OSError` on other systems."""
+    """Return the ports that Linux never uses for outgoing connections. Raises `OSError` on other systems."""
     found: set[int] = set()
     for part in (_SYSCTL / "ip_local_reserved_ports").read_text().strip().split(","):
         first, _, last = part.partition("-")
@@ -127,7 +127,7 @@ def reserved_ports() -> set[int]:
 
 
 def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.socket | float]:
-    """Try to hold the port: yield how long to wait before the next attempt, in the end the port held."""
+    """Try to reserve the port: yield the delay before each further attempt, finally the socket."""
     began_s = time.monotonic()
     say_at_s, wait_s = began_s, FIRST_LOOK_S
     while True:
@@ -151,7 +151,7 @@ def _attempts(host: str, port: int, setting: str, say: Say) -> Iterator[socket.s
 
 
 def _holders(host: str, port: int) -> list[_Socket]:
-    """Return the sockets on `port` that keep a server from `host`, as far as the system shows them."""
+    """Return the sockets on `port` that block a server on `host`, as far as the system shows them."""
     ours = _addresses(host)
     found = [each for table in _TABLES for each in _sockets(table, port)]
     anywhere = {"0.0.0.0", "::"}  # noqa: S104 - compared, not bound
@@ -174,7 +174,7 @@ def _sockets(table: Path, port: int) -> Iterator[_Socket]:
 
 
 def _readable(address: str) -> str:
-    """Return an address as people write it; Linux writes words of 32 bits in the machine's byte order."""
+    """Return an address in its usual notation; Linux uses 32-bit words in the machine's byte order."""
     words = struct.pack(
         f"={len(address) // 8}I", *(int(address[i : i + 8], 16) for i in range(0, len(address), 8))
     )
@@ -190,10 +190,10 @@ def _addresses(host: str) -> set[str]:
         return {host}
 
 
-def _somebody_listens(host: str, port: int) -> bool:
+def _has_listener(host: str, port: int) -> bool:
     try:
         with socket.create_connection((host, port), timeout=1.0) as met:
-            return bool(met.getsockname() != met.getpeername())  # on loopback one can meet oneself
+            return bool(met.getsockname() != met.getpeername())  # on loopback a socket can connect to itself
     except TimeoutError:
         return True
     except OSError:

@@ -1,11 +1,10 @@
-"""A service: a FastAPI application with the rooms that every one has. (`serving.py` runs it.)
+"""A service: a FastAPI application with the routes that all services have; `serving.py` runs it.
 
-`create_app` adds `/healthz` (the process lives), `/readyz` (what it depends on answers), `/metrics`
-(Prometheus), `/context.jsonld` (our @context, so that any broker can fetch it) and problem details for
-every error.
+`create_app` adds `/healthz` (the process runs), `/readyz` (its dependencies answer), `/metrics` (Prometheus),
+`/context.jsonld` (our @context, so that any broker can fetch it) and problem details for every error.
 
-A route takes JSON only, unless `accepts` names other media types: a form or a page of another site can send a
-body only as plain text or as a form, and nothing acts on those.
+A route accepts only JSON, unless `accepts` names other media types: a page of another site can send a body
+only as plain text or as a form.
 """
 
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
@@ -29,7 +28,7 @@ from handover.telemetry import get_logger
 log = get_logger(__name__)
 
 Check = Callable[[], Awaitable[None]]
-"""A readiness probe: returns when the thing answers, raises (with a sentence) when it does not."""
+"""A readiness check: raises an exception with the reason if the dependency is not ready."""
 
 
 JSON_TYPES: Final = ("application/json", "application/*+json")
@@ -40,13 +39,13 @@ _CHANGES: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 MAX_FAULTS_LISTED: Final = 20
 MAX_FAULT_CHARACTERS: Final = 1_000
 CLIENT_CLOSED_REQUEST: Final = 499
-"""What nginx logs for a client that goes before it has its answer; nobody receives it."""
+"""The status that nginx logs for a client that disconnected before the response; it is not sent."""
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 
 def accepts(*media_types: str) -> Callable[[Endpoint], Endpoint]:
-    """Say which media types the body of a route has, in place of JSON; it stands below the route."""
+    """Set the media types of the body of a route instead of JSON; a decorator below that of the route."""
 
     def marked(endpoint: Endpoint) -> Endpoint:
         endpoint.accepted_media_types = media_types  # type: ignore[attr-defined]
@@ -56,13 +55,10 @@ def accepts(*media_types: str) -> Callable[[Endpoint], Endpoint]:
 
 
 class TypedRoute(APIRoute):
-    """A route that answers 415 to a media type that it does not take and 413 to a body that is too large.
-
-    Both are answered before anything is parsed.
-    """
+    """A route that answers 415 to other media types and 413 to a body that is too large, before parsing."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return what answers a request."""
+        """Return the handler of requests."""
         answer = super().get_route_handler()
         accepted = getattr(self.endpoint, "accepted_media_types", JSON_TYPES)
         max_bytes = limit_of(self.endpoint, self.path)
@@ -76,7 +72,7 @@ class TypedRoute(APIRoute):
 
 
 def require_media_type(request: Request, accepted: tuple[str, ...]) -> None:
-    """Return if the body of `request` is of an `accepted` type; raise `Problem` 415 if not."""
+    """Raise `Problem` 415 unless the body of `request` has an `accepted` media type."""
     given = request.headers.get("content-type")
     if given is None:
         has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
@@ -105,7 +101,7 @@ def create_app(
 ) -> FastAPI:
     """Return a FastAPI application with health, metrics and problem details in place.
 
-    `checks` names what the service cannot work without; each is awaited by `/readyz`.
+    `checks` are the dependencies of the service by name; `/readyz` awaits each.
     """
     app = FastAPI(title=title, description=description, lifespan=lifespan)
     app.router.route_class = TypedRoute
@@ -119,16 +115,16 @@ def create_app(
 
 
 def add_operations(app: FastAPI, checks: Mapping[str, Check]) -> None:
-    """Add the routes that operators and orchestrating platforms expect of every service."""
+    """Add the routes for operators and orchestration platforms."""
 
     @app.get("/healthz", tags=["operations"])
     async def healthz() -> dict[str, str]:
-        """Say that the process lives."""
+        """Return that the process runs."""
         return {"status": "ok"}
 
     @app.get("/readyz", tags=["operations"])
     async def readyz() -> Response:
-        """Say whether everything the service depends on answers: 200, or 503 with what does not."""
+        """Return whether all dependencies are ready: 200, or 503 with those that are not."""
         failures: dict[str, str] = {}
         for name, check in checks.items():
             try:
@@ -181,7 +177,7 @@ async def _on_validation_error(_: Request, error: Exception) -> Response:
 
 
 async def _on_disconnect(_: Request, __: Exception) -> Response:
-    return Response(status_code=CLIENT_CLOSED_REQUEST)  # nobody receives it, and nothing is wrong with us
+    return Response(status_code=CLIENT_CLOSED_REQUEST)  # it is not sent, and it is no error of the service
 
 
 async def _on_unexpected(request: Request, error: Exception) -> Response:

@@ -1,7 +1,4 @@
-"""Serving: how the application of a service is run, until SIGTERM or Ctrl-C.
-
-Nothing here needs a web framework: a service that starts quickly need not load one first.
-"""
+"""Serving: runs the application of a service until SIGTERM or Ctrl-C, without importing a web framework."""
 
 import errno
 import os
@@ -39,9 +36,9 @@ def run(
     *,
     port_field: str,
 ) -> None:
-    """Run a service until it is told to stop; `port_field` is the setting that says where it listens.
+    """Run a service until it is stopped; `port_field` is the setting of its port.
 
-    Exits with 2 and one line when it cannot start as it is set.
+    Exits with 2 and one line when it cannot start with its settings.
     """
     try:
         settings = settings_class.load()
@@ -65,18 +62,18 @@ def serve(
     port_setting: str,
     urls: Sequence[str] = (),
 ) -> None:
-    """Serve what `make_app` makes on `port` until told to stop; exits as `run` does.
+    """Serve the application of `make_app` on `port` until stopped; exits as `run` does.
 
-    `urls` are where it is reached, besides what the settings say.
+    `urls` are further addresses of the server, in addition to those in the settings.
     """
     try:
         set_up_logging(settings, service)
         require_writable(settings.data_dir)
-        # Held from here on: until the server listens, connections that the service opens could get the port.
+        # Reserved until the server listens: otherwise a connection of the service itself could get the port.
         held_port = hold_when_free(settings.host, port, port_setting, say=log.warning)
         made = make_app()
         policy = OriginPolicy.of(settings, urls)
-        application = _SaysWhy(OriginGuard(made, policy))
+        application = _StartupErrors(OriginGuard(made, policy))
     except (UsageError, OSError) as error:
         raise SystemExit(_in_one_line(service, error)) from None
     if os.environ.get(LIFELINE):
@@ -95,9 +92,9 @@ def serve(
         )
     )
     try:
-        with held_port, suppress(KeyboardInterrupt):  # Ctrl-C has stopped it in good order by now
+        with held_port, suppress(KeyboardInterrupt):  # uvicorn has already shut down after Ctrl-C
             server.run()
-    except SystemExit:  # so it ends when the start has failed, and would take the reason along
+    except SystemExit:  # uvicorn exits so after a failed start, without the reason
         if application.why is None:
             raise
     if application.why is not None:
@@ -107,7 +104,7 @@ def serve(
 
 
 def _protocol(made: ASGIApp, policy: OriginPolicy, connections: Connections) -> Any:
-    """Return what reads connections; one that an application brings asks `policy` itself."""
+    """Return the HTTP protocol; the own protocol of an application applies `policy` itself."""
     own = getattr(made, "protocol", None)
     if own is None:
         return partial(HttpProtocol, connections=connections)
@@ -115,9 +112,9 @@ def _protocol(made: ASGIApp, policy: OriginPolicy, connections: Connections) -> 
 
 
 def require_writable(folder: Path) -> None:
-    """Make the data directory; raise `UsageError` in one line when no file can be made in it.
+    """Create the data directory; raise `UsageError` in one line when it is not writable.
 
-    A full disk is no reason: what is there can still be read, and the service says what it cannot write.
+    A full disk is only logged: existing data can still be read, and the service reports failed writes.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -133,8 +130,8 @@ def require_writable(folder: Path) -> None:
         ) from None
 
 
-class _SaysWhy:
-    """Keeps what makes the start fail, if it is for a person to mend, from being told as a traceback."""
+class _StartupErrors:
+    """Catches a `UsageError` of the start, so that it is shown in one line, without a traceback."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -172,6 +169,6 @@ def _in_one_line(service: str, error: Exception) -> int:
 def _end_with_parent() -> None:
     while os.read(
         sys.stdin.fileno(), 4096
-    ):  # without the lock of sys.stdin, which an early end would wait for
+    ):  # without the lock of sys.stdin, for which an early exit would wait
         pass
     os.kill(os.getpid(), signal.SIGTERM)

@@ -1,10 +1,10 @@
-"""Settings: one prefix, `HANDOVER_`, read from the environment and from `.env`; every one has a default.
+"""Settings: read from environment variables `HANDOVER_…` and from `.env`; every setting has a default.
 
-Secrets can also be files: with `HANDOVER_SECRETS_DIR`, a file of that directory named like a setting is its
-value, unless the environment gives one (an empty variable does not count).
+Secrets can also be files: in the directory `HANDOVER_SECRETS_DIR`, the file with the name of a setting has
+its value, unless the environment has a value that is not empty.
 
-A service adds its own by subclassing `Settings` in its `settings.py`; `handover settings` prints them all
-with the place each value comes from.
+A service subclasses `Settings` in its `settings.py`; `handover settings` prints all settings with the source
+of each value.
 """
 
 import os
@@ -24,7 +24,7 @@ from handover.errors import UsageError
 
 PREFIX = "HANDOVER_"
 LIFELINE = f"{PREFIX}LIFELINE"
-"""Set by the launcher: the service ends when its standard input closes, so that no orphan stays."""
+"""Set by the launcher: the service ends when its standard input closes, so that no orphan remains."""
 ENV_FILE = ".env"
 SECRETS_DIR = f"{PREFIX}SECRETS_DIR"
 STARS = "********"
@@ -33,7 +33,7 @@ USER_WITHOUT_PASSWORD = re.compile(r"^([^:/@\s]+://[^:/@\s]+)@")
 
 
 MaybePath = Annotated[Path | None, BeforeValidator(lambda given: given or None)]
-"""A path that may be absent, or empty, which is how a container is told nothing."""
+"""An optional path; an empty string, as in containers, counts as absent."""
 
 
 def _split_at_commas(given: object) -> object:
@@ -41,7 +41,7 @@ def _split_at_commas(given: object) -> object:
 
 
 Names = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split_at_commas)]
-"""Several names, in the environment with commas between them."""
+"""Several names, separated by commas in the environment."""
 
 
 def _secrets_folder() -> str:
@@ -49,7 +49,7 @@ def _secrets_folder() -> str:
 
 
 def secret_file(name: str) -> Path | None:
-    """Return the file that holds the setting `name`, if there is one and the environment does not say it."""
+    """Return the secret file of the setting `name`; None without one or if the environment has a value."""
     folder = _secrets_folder()
     if not folder or os.environ.get(name):
         return None
@@ -85,7 +85,7 @@ class _SecretFiles(PydanticBaseSettingsSource):
 
 
 class Settings(BaseSettings):
-    """What every component shares."""
+    """The settings that all components have."""
 
     model_config = SettingsConfigDict(
         env_prefix=PREFIX, env_file=ENV_FILE, env_file_encoding="utf-8", extra="ignore", frozen=True
@@ -93,7 +93,7 @@ class Settings(BaseSettings):
 
     factory: str = Field("demo", pattern=r"^[A-Za-z0-9_.-]+$", description="the factory part of entity ids")
     host: str = Field("127.0.0.1", description="the address that servers listen on")
-    data_dir: Path = Field(Path(".handover"), description="where everything that must survive is kept")
+    data_dir: Path = Field(Path(".handover"), description="the directory of all persistent data")
     broker_url: str = Field("http://127.0.0.1:1026", description="the NGSI-LD broker, without /ngsi-ld/v1")
     broker_tenant: str | None = Field(None, description="NGSILD-Tenant to work in, if any")
     context_url: str = Field(
@@ -107,18 +107,18 @@ class Settings(BaseSettings):
     retention_h: float = Field(
         24.0,
         ge=0,
-        description="a process that ended so many hours ago, and its Tasks, are deleted from the broker; "
+        description="an ended process and its Tasks are deleted from the broker after so many hours; "
         "the orchestrator keeps their history; 0: never",
     )
     notification_key: SecretStr | None = Field(
         None,
-        description="what the broker must send with each notification to this service; "
-        "random and kept in the data directory if absent",
+        description="the key that the broker sends with each notification; "
+        "by default random and stored in the data directory",
     )
     allowed_hosts: Names = Field(
         (),
-        description="further names by which our servers may be reached, with commas; loopback, numeric "
-        "addresses and the host names in HANDOVER_*_URL always may",
+        description="further host names of the servers, separated by commas; loopback, numeric "
+        "addresses and the host names in HANDOVER_*_URL are always accepted",
     )
     allowed_origins: Names = Field(
         (),
@@ -126,24 +126,24 @@ class Settings(BaseSettings):
         "with commas: for a proxy that changes Host, and for WebSockets; CORS headers are not sent",
     )
     http_header_timeout_s: float = Field(
-        10.0, gt=0, description="how long a server of ours waits for the head of a request, in seconds"
+        10.0, gt=0, description="timeout for the head of a request, in seconds"
     )
     http_body_timeout_s: float = Field(
-        15.0, gt=0, description="how long it waits for the next bytes of a request's body, in seconds"
+        15.0, gt=0, description="timeout for the next bytes of a request's body, in seconds"
     )
     http_min_body_bytes_per_s: float = Field(
-        500.0, ge=0, description="how fast a body must come on average, after that time"
+        500.0, ge=0, description="minimum average rate of a body after that time"
     )
     http_send_timeout_s: float = Field(
-        60.0, gt=0, description="how long it waits for a client that reads nothing of its answer, in seconds"
+        60.0, gt=0, description="timeout for a client that does not read its response, in seconds"
     )
     http_max_connections: int = Field(
-        4000, ge=16, description="connections to a server at once, as far as the limit of open files lets it"
+        4000, ge=16, description="maximum connections to a server; the limit of open files may reduce it"
     )
     http_max_unfinished_per_address: int = Field(
-        100, ge=1, description="connections of an address whose request has not come as a whole"
+        100, ge=1, description="maximum connections of one address with incomplete requests"
     )
-    http_max_websockets: int = Field(1000, ge=1, description="WebSockets of a server at once")
+    http_max_websockets: int = Field(1000, ge=1, description="maximum WebSockets of a server")
     database_password: SecretStr | None = Field(
         None, description="the password for database URLs that name a user but no password"
     )
@@ -154,7 +154,9 @@ class Settings(BaseSettings):
     extra_services: Names = Field(
         (), description="services of other packages that `handover up` starts as well, with commas"
     )
-    reconcile_s: float = Field(5.0, gt=0, description="how often the broker is asked again, in seconds")
+    reconcile_s: float = Field(
+        5.0, gt=0, description="period of the reconciliation with the broker, in seconds"
+    )
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least level logged")
     log_format: Literal["text", "json"] = Field("text", description="how log lines look")
 
@@ -186,25 +188,25 @@ class Settings(BaseSettings):
 
     @classmethod
     def load(cls, **overrides: Any) -> Self:
-        """Read the settings; raise `UsageError` with one line a wrong setting."""
+        """Read the settings; raise `UsageError` with one line for each invalid setting."""
         try:
             return cls(**overrides)
         except ValidationError as error:
             raise UsageError("\n".join(_in_plain_words(error))) from None
 
     def entity_id(self, kind: str, name: str) -> str:
-        """Return `name` as `urn:ngsi-ld:<kind>:<factory>:<name>`; an id that is a URN already stays."""
+        """Return `name` as `urn:ngsi-ld:<kind>:<factory>:<name>`; a URN is returned unchanged."""
         return name if name.startswith("urn:") else f"urn:ngsi-ld:{kind}:{self.factory}:{name}"
 
-    def url_of(self, port: int, told: str | None = None) -> str:
-        """Return where a server of ours on `port` is reached: as `told`, else where it listens."""
-        if told:
-            return told.rstrip("/")
+    def url_of(self, port: int, url: str | None = None) -> str:
+        """Return the address of a server on `port`: `url`, or by default host and port."""
+        if url:
+            return url.rstrip("/")
         host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)  # noqa: S104 - not bound
         return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
     def own_urls(self) -> Iterator[str]:
-        """Yield the addresses of our servers that these settings name."""
+        """Yield the addresses of our servers in these settings."""
         for name in type(self).model_fields:
             url = getattr(self, name)
             if (
@@ -234,7 +236,7 @@ class Settings(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,
         file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - ours know the environment
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Return where settings come from, the first that has one counts."""
+        """Return the sources of settings in the order of precedence."""
         return init_settings, _SecretFiles(settings_cls), env_settings, dotenv_settings
 
 
@@ -243,7 +245,7 @@ Source = Literal["environment", "secret file", ".env", "default"]
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """One setting, its value as text and where that value comes from."""
+    """One setting, its value as text and the source of the value."""
 
     name: str
     value: str
@@ -252,7 +254,7 @@ class Origin:
 
 
 def origins(classes: Sequence[type[Settings]]) -> Iterator[Origin]:
-    """Yield every setting of `classes` once, in order; secrets are shown as stars."""
+    """Yield every setting of `classes` once, in order; secrets are masked."""
     in_file = {name.upper() for name in dotenv_values(ENV_FILE)}
     in_environment = {name.upper() for name in os.environ}
     seen: set[str] = set()

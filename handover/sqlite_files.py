@@ -1,7 +1,7 @@
-"""SQLite files: whether one is sound, looked at before anything is written to it. Only the standard library.
+"""SQLite files: integrity checks before a file is written. Uses only the standard library.
 
-SQLite keeps no checksums of its pages. Its integrity check finds pages, indexes and rows that do not fit
-together; what a table itself can tell of its rows is checked by its owner.
+SQLite stores no checksums of its pages. Its integrity check finds inconsistent pages, indexes and rows; the
+owner of a table checks its content.
 """
 
 import os
@@ -19,9 +19,9 @@ from handover.errors import UsageError
 UNRELEASED_SUFFIX: Final = "_schema"
 """Formats before the first release recorded their version in a table `<component>_schema`."""
 START_CHECK_S: Final = 1.0
-"""How long a start waits for the integrity check at most; `handover check` completes it."""
+"""Maximum time of the integrity check at a start; `handover check` completes it."""
 _STEPS: Final = 20_000
-"""Steps of SQLite's virtual machine between two looks at the clock: some milliseconds."""
+"""Steps of SQLite's virtual machine between two checks of the time: some milliseconds."""
 _NO_DAMAGE: Final = frozenset(
     {
         sqlite3.SQLITE_BUSY,
@@ -32,7 +32,7 @@ _NO_DAMAGE: Final = frozenset(
         sqlite3.SQLITE_READONLY,
     }
 )
-"""Errors of which the cause is around the file, such as a full disk; the check is not completed then."""
+"""Errors with a cause outside the file, such as a full disk; the check is incomplete then."""
 REMEDY: Final = (
     "restore the data directory from a backup (deploy/restore, or a copy of the whole folder); "
     "`handover check` lists all damage"
@@ -40,9 +40,9 @@ REMEDY: Final = (
 
 
 def require_sound(path: Path, within_s: float = START_CHECK_S) -> bool:
-    """Raise `UsageError` if a file that exists is damaged; say whether all of it was looked at in time.
+    """Raise `UsageError` if an existing file is damaged; return whether the check was completed in time.
 
-    The message names the file, the damage and the remedy. A file that is busy is not waited for.
+    The message names the file, the damage and the remedy. A busy file is not checked.
     """
     if (fault := fault_of_files(path)) is not None:
         raise UsageError(damage(fault))
@@ -55,24 +55,24 @@ def require_sound(path: Path, within_s: float = START_CHECK_S) -> bool:
 
 
 def damage(fault: str) -> str:
-    """Return why a database is not used in one line; `fault` names the file and what is wrong with it."""
+    """Return the error text for a damaged database; `fault` names the file and the damage."""
     return f"damaged data: {fault}; {REMEDY}"
 
 
 def fault_of_files(path: Path) -> str | None:
-    """Return what is wrong with the files of a database, by their names and sizes alone; None if nothing."""
+    """Return a fault of the names and sizes of the files of a database; None if there is none."""
     wal = path.with_name(f"{path.name}-wal")
     if not path.exists():
         if wal.exists() and wal.stat().st_size:
-            return f"{path} is missing, while {wal.name} beside it holds changes of it"
+            return f"{path} is missing, but {wal.name} beside it has changes of it"
         return None
-    return None if path.stat().st_size else f"{path} is empty (0 bytes), where a database was made"
+    return None if path.stat().st_size else f"{path} is empty (0 bytes) instead of a database"
 
 
 def faults_of(path: Path, within_s: float | None = None) -> tuple[list[str], bool]:
-    """Return what SQLite's integrity check finds, and whether it was completed in time.
+    """Return the faults of SQLite's integrity check, and whether it was completed in time.
 
-    Nothing is written; `sqlite3.Error` is a fault too, unless the file is only busy.
+    Nothing is written. An `sqlite3.Error` is a fault as well, unless the file is only busy.
     """
     try:
         with closing(
@@ -88,7 +88,7 @@ def faults_of(path: Path, within_s: float | None = None) -> tuple[list[str], boo
 
 
 def integrity_faults(connection: sqlite3.Connection, within_s: float | None = None) -> tuple[list[str], bool]:
-    """Return what the integrity check finds over a connection, and whether it was completed in time."""
+    """Return the faults of the integrity check of a connection, and whether it was completed in time."""
     connection.set_progress_handler(_deadline(within_s), _STEPS)
     try:
         rows = connection.execute("PRAGMA integrity_check(20)").fetchall()
@@ -108,16 +108,16 @@ def _deadline(within_s: float | None) -> Callable[[], int]:
 
 
 def prepare_own(path: Path) -> None:
-    """Make a database of ours if there is none yet; raise `UsageError` if there was one, or it is damaged.
+    """Create a database of ours if there was none; raise `UsageError` if it is missing or damaged.
 
-    Beside it stands `….stamp` with the number that is in its header (`application_id`): a database that was
-    deleted, or replaced by an empty one or by another one, is not taken for a new one.
+    The file `….stamp` beside it has the number of its header (`application_id`), so that a database that was
+    deleted, emptied or replaced is detected.
     """
     require_sound(path)
     if (fault := fault_of_stamp(path)) is not None:
         raise UsageError(damage(fault))
     if not path.exists():
-        _make_stamped(path)
+        _create_stamped(path)
     stamp = stamp_of(path)
     if not stamp.exists():
         with closing(sqlite3.connect(path, timeout=5)) as database:
@@ -126,7 +126,7 @@ def prepare_own(path: Path) -> None:
 
 
 def unreleased_format(path: Path) -> str | None:
-    """Return which format that was never released a database of ours has; None for any other file.
+    """Return the format of a database of ours if it was never released; None for any other file.
 
     The file is opened read-only. Raises `sqlite3.Error` if it cannot be read.
     """
@@ -144,13 +144,13 @@ def unreleased_format(path: Path) -> str | None:
 
 
 def fault_of_stamp(path: Path) -> str | None:
-    """Return what is wrong by what the stamp beside a database says; None if nothing, or if there is none."""
+    """Return the difference between a database and its stamp; None without one, or without a stamp."""
     stamp = stamp_of(path)
     if not stamp.exists():
         return None
     if not path.exists():
-        made = f"{path} is missing, while {stamp.name} says that it was made"
-        return f"{made} (delete that too to begin with none)"
+        made = f"{path} is missing, but {stamp.name} shows that it was created"
+        return f"{made} (delete that as well to start without data)"
     with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, timeout=5)) as database:
         if stamp.read_text().strip() != f"{_number_in(database):08x}":
             return (
@@ -170,10 +170,10 @@ def _number_in(database: sqlite3.Connection) -> int:
     return int(number)
 
 
-def _make_stamped(path: Path) -> None:
-    """Make an empty database whole under another name first, so that one of 0 bytes is always damaged.
+def _create_stamped(path: Path) -> None:
+    """Create an empty database atomically, so that a file of 0 bytes is always damage.
 
-    Of several processes that make it at the same time, the first one succeeds, and the others use its file.
+    Of several processes that do so at the same time, the first one succeeds, and the others use its file.
     """
     with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
         unfinished = Path(folder) / path.name
@@ -188,7 +188,7 @@ def _make_stamped(path: Path) -> None:
 
 
 def _stamped(database: sqlite3.Connection) -> int:
-    """Return the number in a database, after writing a random one if it has none; others wait meanwhile."""
+    """Return the number of a database, after writing a random one if it has none, under its lock."""
     database.execute("BEGIN IMMEDIATE")
     number = _number_in(database)
     if not number:
@@ -199,7 +199,7 @@ def _stamped(database: sqlite3.Connection) -> int:
 
 
 def _replace(file: Path, text: str) -> None:
-    """Write a small file such that it is there as a whole or not at all, also after a power cut."""
+    """Write a small file atomically and durably."""
     with NamedTemporaryFile("w", dir=file.parent, prefix=f".{file.name}.", delete=False) as new:
         new.write(text)
         new.flush()

@@ -1,8 +1,8 @@
-"""How a Task lives: which moves are legal, and which news counts.
+"""The life cycle of a Task: the legal transitions, and which observations are accepted.
 
-A Task is `pending`, then `assigned` to whoever performs it, `inProgress`, perhaps `paused`, and ends
-`completed` or `failed`; a finished Task never reopens. Notifications may be late, doubled or lost, so an
-observer applies states, not events: it may have missed steps, but never goes back in time.
+A Task is `pending`, then `assigned` to its performer, `inProgress`, possibly `paused`, and ends `completed`
+or `failed`; a finished Task never reopens. Notifications may be late, duplicated or lost, so an observer
+applies states, not events: it may miss steps, but never goes back in time.
 """
 
 from collections.abc import Mapping
@@ -23,24 +23,24 @@ _NEXT: Mapping[TaskStatus, frozenset[TaskStatus]] = {
 
 
 def is_legal(before: TaskStatus, after: TaskStatus) -> bool:
-    """Say whether whoever writes a Task may move it from `before` to `after` in one step."""
+    """Return whether a writer may change a Task from `before` to `after` in one step."""
     return after in _NEXT[before]
 
 
 def is_reachable(before: TaskStatus, after: TaskStatus) -> bool:
-    """Say whether `after` can follow `before` by one or more legal steps, some of them unseen."""
+    """Return whether `after` can follow `before` by one or more legal steps, observed or not."""
     seen: set[TaskStatus] = set()
-    ahead = set(_NEXT[before])
-    while ahead - seen:
-        seen |= ahead
-        ahead = {after for status in ahead for after in _NEXT[status]}
+    following = set(_NEXT[before])
+    while following - seen:
+        seen |= following
+        following = {after for status in following for after in _NEXT[status]}
     return after in seen
 
 
 def is_news(known: Task | None, seen: Task) -> bool:
-    """Say whether an observer who knows the Task as `known` should believe it to be as `seen`.
+    """Return whether an observer that knows the Task as `known` accepts the state `seen`.
 
-    Nothing older than what is known counts, and nothing that no chain of legal moves could have led to.
+    An older state is refused, and one that no chain of legal steps can reach.
     """
     if known is None:
         return True
@@ -53,7 +53,7 @@ def is_news(known: Task | None, seen: Task) -> bool:
 
 
 def _not_older(known: datetime | None, seen: datetime | None) -> bool:
-    """Compare in milliseconds: some brokers keep no finer time than that."""
+    """Compare in milliseconds, the resolution of some brokers."""
     return (
         known is None or seen is None or seen >= known.replace(microsecond=known.microsecond // 1000 * 1000)
     )

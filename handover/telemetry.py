@@ -1,7 +1,7 @@
-"""Telemetry: structured log lines that carry the task and the process, and metrics for Prometheus.
+"""Telemetry: structured log lines with the task and the process.
 
-`log.info("task taken up", task=task_id)` is a line a person can read (`HANDOVER_LOG_FORMAT=text`) or a JSON
-object a machine can (`json`). What is bound with `working_on` is on every line written inside it.
+`log.info("task accepted", task=task_id)` is a readable line (`HANDOVER_LOG_FORMAT=text`) or a JSON object
+(`json`). `working_on` adds fields to all lines inside its context.
 """
 
 import logging
@@ -17,19 +17,19 @@ from handover.settings import Settings
 
 
 def log_to_stderr() -> None:
-    """Send log lines to standard error: the standard output of a command is its answer, such as a file.
+    """Send log lines to standard error: the standard output of a command is its result, such as a file.
 
     Commands call this before anything else; a service calls `set_up_logging` with its settings.
     """
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),  # what that is now, not at this call
+        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),  # the present one, not that at this call
         cache_logger_on_first_use=False,
     )
 
 
 def set_up_logging(settings: Settings, service: str) -> None:
-    """Send all logs, the libraries' too, to standard error as one stream in one form."""
+    """Send all logs, including those of libraries, to standard error in one format."""
     shared: list[Processor] = [
         structlog.contextvars.merge_contextvars,
         structlog.stdlib.add_log_level,
@@ -49,7 +49,7 @@ def set_up_logging(settings: Settings, service: str) -> None:
         renderer = structlog.dev.ConsoleRenderer(
             colors=sys.stderr.isatty(),
             pad_event_to=0,
-            exception_formatter=structlog.dev.plain_traceback,  # a rich one shows local values, secrets too
+            exception_formatter=structlog.dev.plain_traceback,  # a rich one would show secrets
         )
     structlog.configure(
         processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
@@ -84,6 +84,6 @@ def get_logger(name: str) -> structlog.stdlib.BoundLogger:
 
 @contextmanager
 def working_on(**ids: Any) -> Iterator[None]:
-    """Put `task=…`, `process=…` and the like on every log line written inside."""
+    """Add fields such as `task=…` and `process=…` to every log line inside the context."""
     with structlog.contextvars.bound_contextvars(**ids):
         yield

@@ -18,21 +18,19 @@ app = typer.Typer(
 )
 
 DISCOVERY_WAIT_S = 3.0
-"""Nodes of other middleware need this long to make themselves known."""
+"""Time for the discovery of nodes of other middleware."""
 Answer = TypeVar("Answer")
 
-WaitS = Annotated[float, typer.Option("--wait", min=0.1, help="Seconds to look round on the graph.")]
+WaitS = Annotated[float, typer.Option("--wait", min=0.1, help="Seconds for the discovery of the graph.")]
 
 
 @app.command()
 def check(
     file: Annotated[Path, typer.Argument(help="A mapping file, or the name of a shipped one.")],
-    live: Annotated[
-        bool, typer.Option("--live", help="Also look at the graph: types, who is there, QoS.")
-    ] = False,
+    live: Annotated[bool, typer.Option("--live", help="Also check the graph: types, peers, QoS.")] = False,
     wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
-    """Say what a mapping would do, or what is wrong with it and where."""
+    """Print the effect of a mapping, or its faults with their positions."""
     from ros_fiware_bridge import mapping  # noqa: PLC0415 - only this command needs it
     from ros_fiware_bridge.inspection import description  # noqa: PLC0415
     from ros_fiware_bridge.rules import plan  # noqa: PLC0415
@@ -83,9 +81,9 @@ def graph(wait_s: WaitS = DISCOVERY_WAIT_S) -> None:
 
 @app.command()
 def scaffold(
-    topic: Annotated[str, typer.Argument(help="A topic that somebody publishes, such as /joint_states.")],
+    topic: Annotated[str, typer.Argument(help="A published topic, such as /joint_states.")],
     type_name: Annotated[
-        str | None, typer.Option("--type", help="Its type; then nobody need publish it now.")
+        str | None, typer.Option("--type", help="Its type; then it need not be published now.")
     ] = None,
     wait_s: WaitS = DISCOVERY_WAIT_S,
 ) -> None:
@@ -110,10 +108,10 @@ def scaffold(
     if found is None:
         raise UsageError(
             f"nobody publishes {wanted} in ROS domain {settings.ros_domain_id}; start its node, set "
-            "ROS_DOMAIN_ID, or say what it would be with --type"
+            "ROS_DOMAIN_ID, or name its type with --type"
         )
     if len(found.type_names) > 1:
-        raise UsageError(f"{wanted} has the types {' and '.join(found.type_names)}; say which with --type")
+        raise UsageError(f"{wanted} has the types {' and '.join(found.type_names)}; choose one with --type")
     print(scaffolding.mapping_for(wanted, found.type_names[0], found.publishers[0].qos, store), end="")
 
 
@@ -152,7 +150,7 @@ async def _on_the_graph(
 
 
 def _asked_of_bridge(path: str) -> Any:
-    """Return what a bridge that runs answers; None if none does."""
+    """Return the answer of a running bridge; None without one."""
     try:
         answer = httpx.get(f"{ROS_BRIDGE.url()}{path}", timeout=5, trust_env=False)
     except httpx.TransportError:
@@ -167,5 +165,5 @@ async def _entities(settings: BridgeSettings) -> list[str]:
         async with BrokerClient(settings) as broker:
             types = await broker.types()
     except BrokerError as error:
-        return [f"the broker cannot be asked: {error}"]
+        return [f"the broker does not answer: {error}"]
     return [f"entities  {', '.join(types) if types else 'none'}"]

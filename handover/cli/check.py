@@ -11,7 +11,7 @@ BROKER = "broker.db"
 
 
 def databases(data_dir: Path) -> list[Path]:
-    """Return the databases in a data directory, also those of which only what stood beside is left."""
+    """Return the databases in a data directory, including those of which only the stamp or WAL is left."""
     found = set(data_dir.glob("*.db"))
     found |= {stamp.with_suffix("") for stamp in data_dir.glob("*.db.stamp")}
     if any(data_dir.glob("broker.log-*")):
@@ -20,7 +20,7 @@ def databases(data_dir: Path) -> list[Path]:
 
 
 def faults_in(path: Path) -> Iterator[str]:
-    """Yield what is wrong with a database, a line each."""
+    """Yield the faults of a database, one line each."""
     if path.name == BROKER:
         from services.context_broker.storage import check  # noqa: PLC0415 - not every check needs it
 

@@ -14,19 +14,19 @@ from datamodels.entities import Task
 from handover.broker import BrokerClient, BrokerError
 from handover.cli.glove import bridge_words
 from handover.cli.launcher import Launcher
+from handover.cli.progress import ProgressPrinter, Say
 from handover.cli.services import service_named, wanted
-from handover.cli.story import Say, Story
 from handover.errors import UsageError
 from handover.settings import Settings
 
 DEFINITION = "bin-picking"
 GLOVE = "glove-1"
-LOOK_EVERY_S = 0.15
+QUERY_EVERY_S = 0.15
 FINISHED = {"completed", "failed"}
 
 
 async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) -> None:
-    """Start everything, run the process, tell its story; stay until stopped unless `once`.
+    """Start everything, run the process, print its progress; run until stopped unless `once`.
 
     Raises `UsageError` with the reason when the process does not complete within `timeout_s`.
     """
@@ -42,17 +42,17 @@ async def demo(settings: Settings, *, once: bool, timeout_s: float, say: Say) ->
         except TimeoutError:
             raise UsageError(
                 f"the process did not complete within {timeout_s:.0f} s; "
-                f"the logs in {settings.data_dir / 'logs'} say more"
+                f"see the logs in {settings.data_dir / 'logs'}"
             ) from None
         if not once:
             say("")
-            say("Everything stays up; Ctrl-C ends it. To run the process again, in another terminal:")
+            say("Everything keeps running; Ctrl-C stops it. To run the process again, in another terminal:")
             say(f"  {_program()} process start {DEFINITION}")
             await asyncio.Event().wait()
 
 
 async def run_process(settings: Settings, say: Say) -> None:
-    """Start the bin-picking process and tell its story to the end; raise `UsageError` if it fails."""
+    """Start the bin-picking process and print its progress; raise `UsageError` if it fails."""
     orchestrator = service_named("task-orchestrator").url()
     began = datetime.now(UTC)
     async with (
@@ -65,25 +65,25 @@ async def run_process(settings: Settings, say: Say) -> None:
         process_id = str(answer.json()["id"])
         instance = process_id.rsplit(":", 1)[-1]
         say(f"{0:6.1f} s  process   {instance} begins")
-        story = Story(began, say)
+        progress = ProgressPrinter(began, say)
         tasks = f"^{settings.entity_id('Task', instance)}-.*"
         while True:
             process = await _look(http, process_id)
-            story.tell(await _tasks(broker, tasks))
+            progress.update(await _tasks(broker, tasks))
             if process.get("status") in FINISHED:
                 break
-            await asyncio.sleep(LOOK_EVERY_S)
+            await asyncio.sleep(QUERY_EVERY_S)
     seconds = (datetime.now(UTC) - began).total_seconds()
     if process["status"] == "failed":
         raise UsageError(
             f"the process failed after {seconds:.1f} s: {process.get('reason', 'no reason given')}"
         )
     say(f"{seconds:6.1f} s  process   completed")
-    say(story.summary())
+    say(progress.summary())
 
 
 async def _look(http: httpx.AsyncClient, process_id: str) -> dict[str, Any]:
-    """Return what the orchestrator says of the process; empty while it is being started again."""
+    """Return the process as the orchestrator has it; empty while the orchestrator restarts."""
     try:
         answer = await http.get(f"/processes/{process_id}")
     except httpx.TransportError:
@@ -100,7 +100,7 @@ async def _tasks(broker: BrokerClient, id_pattern: str) -> list[Task]:
 
 
 def _program() -> str:
-    """Return how a person calls this program from here: by name where that finds it, else by path."""
+    """Return the command of this program: its name if that is in the path, else its path."""
     program = Path(sys.executable).with_name("handover")
     if shutil.which(program.name) == str(program):
         return program.name

@@ -1,4 +1,4 @@
-"""The doctor: what this machine lacks, in one line each, and how to mend it."""
+"""The doctor: checks this machine and prints one line for each missing part, with the remedy."""
 
 import importlib.util
 import os
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from handover.cli.launcher import make_room
+from handover.cli.launcher import require_space
 from handover.cli.services import wanted
 from handover.errors import UsageError
 from handover.ports import hold, reserved_ports, unreserved
@@ -47,7 +47,7 @@ def _python() -> Iterator[Finding]:
 
 def _disk(settings: Settings) -> Iterator[Finding]:
     try:
-        make_room(settings.data_dir)
+        require_space(settings.data_dir)
     except UsageError as error:
         yield Finding("data directory", False, str(error))
     else:

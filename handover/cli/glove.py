@@ -1,4 +1,4 @@
-"""`handover glove`: tokens of gloves, and the words of the glove bridge with our settings."""
+"""`handover glove`: tokens of gloves, and the arguments of the glove bridge from our settings."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -21,10 +21,10 @@ TALKS_TO = {
 
 
 def bridge_words(said: Sequence[str]) -> list[str]:
-    """Return what a person said to the bridge, and before it what `HANDOVER_…` and `.env` say.
+    """Return the arguments of the user after those from `HANDOVER_…` and `.env`.
 
-    The bridge knows nothing of our settings, since it runs where nothing of ours is installed; of two words
-    it takes the later, so that what the person says counts.
+    The bridge does not read our settings, since it is a separate program. The last of two equal options
+    counts, so the user overrides the settings.
     """
     if not said or said[0] not in {*TALKS_TO, *source_kinds()}:
         return list(said)
@@ -41,13 +41,11 @@ def bridge_words(said: Sequence[str]) -> list[str]:
 
 
 def change_token(words: Sequence[str], say: Callable[[str], None]) -> None:
-    """Make a token for a glove and show it, or remove it: the words are NAME, or NAME --remove."""
+    """Create and show a token for a glove, or remove it; the arguments are NAME or NAME --remove."""
     remove = "--remove" in words
     names = [word for word in words if word != "--remove"]
     if len(names) != 1 or names[0].startswith("-"):
-        raise UsageError(
-            "say for which glove: handover glove token NAME, or handover glove token NAME --remove"
-        )
+        raise UsageError("name the glove: handover glove token NAME, or handover glove token NAME --remove")
     settings = ControllerSettings.load()
     controller = settings.url_of(settings.controller_port, settings.controller_url)
     url = f"{controller}/gloves/{quote(names[0], safe='')}/token"
@@ -60,9 +58,9 @@ def change_token(words: Sequence[str], say: Callable[[str], None]) -> None:
     if not answer.is_success:
         raise UsageError(_reason(answer))
     if remove:
-        say(f"{names[0]} has no token of its own any more")
+        say(f"{names[0]} has no token any more")
         return
-    say(f"The token of {names[0]}, shown only now:")
+    say(f"The token of {names[0]} (it is shown only once):")
     say(str(answer.json()["token"]))
     say("Give it to the glove as HANDOVER_GLOVE_TOKEN; it connects with this token only.")
 

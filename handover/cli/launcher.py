@@ -1,7 +1,6 @@
-"""The launcher: starts the services as processes, watches them, starts again what dies, stops them all.
+"""The launcher: runs the services as processes, restarts them when they end, and stops them.
 
-What a service prints goes to `logs/` in the data directory; no service outlives the launcher, even one
-that is killed.
+Their output goes to `logs/` in the data directory. No service outlives the launcher, even if that is killed.
 """
 
 import asyncio
@@ -28,17 +27,17 @@ from services.context_broker.settings import BrokerSettings
 
 READY_WITHIN_S = 30.0
 STOP_WITHIN_S = 2.0
-LEAST_FREE_BYTES = 50 * 1024 * 1024
-LARGEST_LOG_BYTES = 10 * 1024 * 1024
+MIN_FREE_BYTES = 50 * 1024 * 1024
+MAX_LOG_BYTES = 10 * 1024 * 1024
 LOOPBACK = "localhost,127.0.0.0/8,::1"
 NO_USE = 2
-"""What a process ends with when starting it again would not help."""
+"""The exit code of a process for which a restart does not help."""
 INITIAL_RESTART_S, MAX_RESTART_S = 0.2, 5.0
 
 
 @dataclass
 class Running:
-    """A process that the launcher keeps running; `url` is None where there is nothing to ask."""
+    """A process of the launcher; `url` is None for a process without an HTTP server."""
 
     name: str
     command: Sequence[str]
@@ -48,29 +47,29 @@ class Running:
     backoff: Backoff = field(default_factory=lambda: Backoff(INITIAL_RESTART_S, MAX_RESTART_S))
     started_s: float = field(default_factory=time.monotonic)
 
-    def last_words(self) -> str:
-        """Return the last line it logged, which says why it ended."""
+    def last_log_line(self) -> str:
+        """Return its last log line, which has the reason of its end."""
         with contextlib.suppress(OSError):
             lines = [line for line in self.log.read_text(errors="replace").splitlines() if line.strip()]
             if lines:
                 return lines[-1]
-        return f"it said nothing; see {self.log}"
+        return f"no log line; see {self.log}"
 
 
 def _hosts_of(services: Sequence[Service]) -> set[str]:
-    """Return the names and addresses at which services are reached by one another."""
+    """Return the host names and addresses of the services."""
     urls = [url for one in services for url in (one.url(), *one.settings.load().own_urls())]
     return {host for url in urls if (host := urlsplit(url).hostname)}
 
 
 class Launcher:
-    """Keeps `services` running while the context lasts; `say` gets a line when a person should know."""
+    """Keeps `services` running inside the context; `say` gets lines for the user."""
 
     def __init__(self, services: Sequence[Service], settings: Settings, say: Callable[[str], None]) -> None:
         self._services = services
         self._data_dir = settings.data_dir.absolute()
         self._settings = settings
-        # Whichever address the broker listens on, it may notify the services, wherever they are reached.
+        # The broker may notify the services at all their addresses.
         given = BrokerSettings.load().broker_outbound_allow
         self._outbound_allow = ",".join(filter(None, (LOOPBACK, *sorted(_hosts_of(services)), given)))
         self._say = say
@@ -80,7 +79,7 @@ class Launcher:
         self._stopping = False
 
     async def __aenter__(self) -> Self:
-        make_room(self._data_dir)
+        require_space(self._data_dir)
         try:
             await self._hold_ports()
             for service in self._services:
@@ -103,12 +102,12 @@ class Launcher:
         self._running.append(running)
 
     async def keep(self, name: str, command: Sequence[str]) -> None:
-        """Start one more process and start it again whenever it ends, unless it says that this is no use."""
+        """Start one more process and restart it when it ends, unless its exit code is NO_USE."""
         await self.add(name, command)
         self._watchers.append(asyncio.create_task(self._keep(self._running[-1])))
 
     async def stop(self) -> None:
-        """End every process: ask, wait two seconds, insist."""
+        """Stop every process: SIGTERM, and SIGKILL after two seconds."""
         self._stopping = True
         for watcher in self._watchers:
             watcher.cancel()
@@ -127,14 +126,14 @@ class Launcher:
         self._ports.close()
 
     async def _hold_ports(self) -> None:
-        """Keep the services' ports theirs: no connection gets one, not even while its service is down."""
+        """Reserve the ports of the services, also while a service restarts."""
         for service in self._services:
             for host, port, setting in service.listens():
                 self._ports.enter_context(await held(host, port, setting, say=self._say))
 
     async def _start(self, running: Running) -> None:
         running.log.parent.mkdir(parents=True, exist_ok=True)
-        if running.log.exists() and running.log.stat().st_size > LARGEST_LOG_BYTES:
+        if running.log.exists() and running.log.stat().st_size > MAX_LOG_BYTES:
             running.log.replace(running.log.with_suffix(".log.1"))
         environment = {
             **os.environ,
@@ -163,7 +162,7 @@ class Launcher:
         reason = "it does not answer"
         while time.monotonic() < deadline_s:
             if running.process is not None and running.process.returncode is not None:
-                raise UsageError(f"{running.name} could not start: {running.last_words()}")
+                raise UsageError(f"{running.name} could not start: {running.last_log_line()}")
             with contextlib.suppress(httpx.TransportError):
                 answer = await http.get(f"{running.url}/readyz")
                 if answer.is_success:
@@ -181,18 +180,18 @@ class Launcher:
             if self._stopping:
                 return
             if running.url is None and code == NO_USE:
-                self._say(f"{running.name} has ended: {running.last_words()}")
+                self._say(f"{running.name} has ended: {running.last_log_line()}")
                 return
             if time.monotonic() - running.started_s > MAX_RESTART_S:
                 running.backoff.reset()
             how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
-            self._say(f"{running.name} {how}; starting it again ({running.last_words()})")
+            self._say(f"{running.name} {how}; restarting it ({running.last_log_line()})")
             await running.backoff.wait()
             await self._start(running)
 
 
-def make_room(data_dir: Path) -> None:
-    """Make the data directory; raise `UsageError` in one line when it cannot hold anything."""
+def require_space(data_dir: Path) -> None:
+    """Create the data directory; raise `UsageError` in one line when it is not writable or full."""
     try:
         data_dir.mkdir(parents=True, exist_ok=True)
         probe = data_dir / ".writable"
@@ -203,8 +202,8 @@ def make_room(data_dir: Path) -> None:
         raise UsageError(
             f"the data directory {data_dir} cannot be used: {error.strerror}; choose another with --data-dir"
         ) from None
-    if free_bytes < LEAST_FREE_BYTES:
+    if free_bytes < MIN_FREE_BYTES:
         raise UsageError(
-            f"the disk of {data_dir} is full ({free_bytes // 2**20} MB left, {LEAST_FREE_BYTES // 2**20} MB "
-            "needed); make room or choose another with --data-dir"
+            f"the disk of {data_dir} is full ({free_bytes // 2**20} MB left, {MIN_FREE_BYTES // 2**20} MB "
+            "needed); free disk space or choose another with --data-dir"
         )

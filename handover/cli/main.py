@@ -1,4 +1,4 @@
-"""The `handover` command: everything a person starts, watches and asks."""
+"""The `handover` command."""
 
 import asyncio
 import os
@@ -32,20 +32,20 @@ app.add_typer(bridge.app, name="bridge")
 app.add_typer(specification.app, name="specification")
 app.add_typer(secrets.app, name="secrets")
 
-DataDir = Annotated[
-    Path | None, typer.Option("--data-dir", help="Where everything that must survive is kept.")
-]
+DataDir = Annotated[Path | None, typer.Option("--data-dir", help="The directory of all persistent data.")]
 
 
 @app.command()
 def demo(
     once: Annotated[
-        bool, typer.Option("--once", help="End after the process, with 0 if it completed.")
+        bool, typer.Option("--once", help="End after the process, with exit code 0 if it completed.")
     ] = False,
-    timeout_s: Annotated[float, typer.Option("--timeout", help="Seconds the process may take.")] = 300.0,
+    timeout_s: Annotated[
+        float, typer.Option("--timeout", help="Maximum duration of the process in seconds.")
+    ] = 300.0,
     data_dir: DataDir = None,
 ) -> None:
-    """Everything, simulated, with the bin-picking process."""
+    """Run a complete simulated cell with the bin-picking process."""
     say("A person and a robot empty a bin together: simulated operator with glove-1, simulated UR10.")
     _until_stopped(run_demo(_settings(data_dir), once=once, timeout_s=timeout_s, say=say))
 
@@ -56,11 +56,11 @@ def up(
     ros: Annotated[
         Path | None,
         typer.Option(
-            "--ros", help="Also the ROS bridge, with this mapping: a file, or the name of a shipped one."
+            "--ros", help="Also start the ROS bridge with this mapping: a file, or the name of a shipped one."
         ),
     ] = None,
 ) -> None:
-    """Every service with the simulated robot; nobody wears a glove, no process is started."""
+    """Run all services with the simulated robot, without a glove and without a process."""
     if ros is not None:
         os.environ["HANDOVER_ROS_MAPPING"] = str(ros.absolute() if ros.exists() else ros)
     _until_stopped(_up(_settings(data_dir)))
@@ -71,7 +71,7 @@ async def _up(settings: Settings) -> None:
     async with Launcher(services, settings, say):
         for service in services:
             say(f"{service.name:<20} {service.url()}")
-        say(f"ready; look at it on {service_named('webui').url()}; Ctrl-C ends it")
+        say(f"ready; the page is at {service_named('webui').url()}; Ctrl-C stops it")
         await asyncio.Event().wait()
 
 
@@ -83,7 +83,7 @@ def run(
     port: Annotated[int | None, typer.Option("--port", help="Listen here instead.")] = None,
     data_dir: DataDir = None,
 ) -> None:
-    """One service in the foreground."""
+    """Run one service in the foreground."""
     chosen = service_named(service)
     secrets.wait_for_secrets()
     if port is not None:
@@ -96,7 +96,7 @@ def run(
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 )
 def glove(context: typer.Context) -> None:
-    """A glove becomes frames: forward, serial, replay, record, simulate, calibrate; token makes it one."""
+    """Run the glove bridge: forward, serial, replay, record, simulate, calibrate; or manage a token."""
     if context.args[:1] == ["token"]:
         change_token(context.args[1:], say)
         return
@@ -108,7 +108,7 @@ def glove(context: typer.Context) -> None:
 
 @app.command()
 def settings() -> None:
-    """Every setting, its value and where it comes from."""
+    """Print every setting with its value and source."""
     known = list(origins([service.settings for service in all_services()]))
     width = max(len(setting.name) for setting in known)
     for setting in known:
@@ -117,7 +117,7 @@ def settings() -> None:
 
 @app.command()
 def check(data_dir: DataDir = None) -> None:
-    """Every database in the data directory, looked at completely; ends with 1 if anything is damaged."""
+    """Check all databases in the data directory completely; exit with 1 if one is damaged."""
     folder = _settings(data_dir).data_dir
     found = databases(folder)
     if not found:
@@ -131,13 +131,13 @@ def check(data_dir: DataDir = None) -> None:
         if not faults:
             say(f"ok       {path}")
     if is_damaged:
-        say(f"to mend it: {REMEDY}")
+        say(f"remedy: {REMEDY}")
         raise typer.Exit(1)
 
 
 @app.command()
 def doctor(data_dir: DataDir = None) -> None:
-    """What this machine lacks, in one line each."""
+    """Check this machine, and print the remedy for each missing part."""
     findings = examine(_settings(data_dir))
     for finding in findings:
         say(f"{'ok     ' if finding.ok else 'missing'}  {finding.about}: {finding.words}")
@@ -146,12 +146,12 @@ def doctor(data_dir: DataDir = None) -> None:
 
 
 def say(line: str) -> None:
-    """Print one line at once, whether a terminal or a file reads it."""
+    """Print a line without buffering."""
     print(line, flush=True)
 
 
 def main() -> None:
-    """Run the command; what a person can mend is said in one line, without a traceback."""
+    """Run the command; print errors of the user in one line, without a traceback."""
     log_to_stderr()
     try:
         app()
@@ -175,7 +175,7 @@ def _settings(data_dir: Path | None) -> Settings:
 
 
 def _until_stopped(work: Any) -> None:
-    """Run `work` until it ends or a person stops it with Ctrl-C or SIGTERM."""
+    """Run `work` until it ends or until Ctrl-C or SIGTERM."""
 
     async def watched() -> None:
         import signal  # noqa: PLC0415

@@ -17,7 +17,7 @@ app = typer.Typer(help="Processes: deploy, start, list, show, export, cancel, re
 
 @app.command()
 def deploy(file: Annotated[Path, typer.Argument(help="A BPMN 2.0 file.")]) -> None:
-    """Make a process known to the orchestrator."""
+    """Deploy a process definition to the orchestrator."""
     try:
         bpmn = file.read_bytes()
     except OSError as error:
@@ -50,7 +50,7 @@ def list_processes() -> None:
 
 @app.command()
 def show(process: Annotated[str, typer.Argument(help="The id of the process.")]) -> None:
-    """Show all that is known of a process."""
+    """Show a process with all details."""
     print(orjson.dumps(_ask("GET", f"/processes/{process}"), option=orjson.OPT_INDENT_2).decode())
 
 
@@ -81,20 +81,20 @@ def cancel(
     process: Annotated[str, typer.Argument(help="The id of the process.")],
     by: Annotated[str | None, typer.Option("--by", help="Who cancels it.")] = None,
 ) -> None:
-    """Cancel a process; the Tasks that are being done are asked to stop."""
+    """Cancel a process and its Tasks."""
     _ask("POST", f"/processes/{process}/cancel", json={"by": by})
-    print(f"{process} is being cancelled")
+    print(f"{process} is cancelled")
 
 
 @app.command()
 def retry(
     process: Annotated[str, typer.Argument(help="The id of the process that failed.")],
     task: Annotated[str, typer.Argument(help="The id of the Task it failed by, as `show` has it in retry.")],
-    by: Annotated[str, typer.Option("--by", help="Who wants it.")],
+    by: Annotated[str, typer.Option("--by", help="The person who retries it.")],
 ) -> None:
-    """Have the failed Task that has ended a process done anew; the process goes on."""
+    """Retry the failed Task that has ended a process; the process continues."""
     answer = _ask("POST", f"/processes/{process}/tasks/{task}/retry", json={"by": by})
-    print(f"{answer['id']} goes on: {', '.join(answer['waiting']) or answer['status']}")
+    print(f"{answer['id']} continues: {', '.join(answer['waiting']) or answer['status']}")
 
 
 def _ask(method: str, path: str, **content: Any) -> Any:

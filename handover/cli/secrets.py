@@ -1,7 +1,7 @@
-"""`handover secrets`: random secrets as files, made once, never overwritten.
+"""`handover secrets`: random secrets as files, created once and never overwritten.
 
-The containers run `make` before everything else, so that no secret is the same in two places and none has to
-be chosen by hand. Each secret is a file named like its setting, which only the user of the services can read.
+The containers run `make` first, so that every installation has its own random secrets. Each secret is a file
+with the name of its setting, which only the user of the services can read.
 """
 
 import os
@@ -18,35 +18,35 @@ from handover.settings import SECRETS_DIR, Settings
 SECRETS = ("HANDOVER_GLOVE_TOKEN", "HANDOVER_DATABASE_PASSWORD")
 RANDOM_BYTES = 32
 READY_TIMEOUT_S = 60.0
-LOOK_EVERY_S = 0.1
+CHECK_EVERY_S = 0.1
 
 app = typer.Typer(help="Random secrets as files.", no_args_is_help=True)
 
 
 @app.command()
 def make() -> None:
-    """Make the secrets that are not there yet; change none."""
+    """Create the missing secrets; change none."""
     folder = _folder()
     for name in SECRETS:
         if write_once(folder / name, os.environ.get(name) or secrets.token_hex(RANDOM_BYTES)):
-            typer.echo(f"{name}: made, in {folder / name}")
+            typer.echo(f"{name}: created in {folder / name}")
         else:
-            typer.echo(f"{name}: is there already, in {folder / name}")
+            typer.echo(f"{name}: exists in {folder / name}")
     typer.echo("To read them: handover secrets show (containers: docker compose run --rm secrets show)")
 
 
 @app.command()
 def show() -> None:
-    """Print the secrets, to be given to gloves and devices."""
+    """Print the secrets for gloves and devices."""
     folder = _folder()
     for name in SECRETS:
         typer.echo(f"{name}={os.environ.get(name) or _read(folder / name)}")
 
 
 def wait_for_secrets(*, timeout_s: float = READY_TIMEOUT_S) -> None:
-    """Return once the secrets are there, at once without `HANDOVER_SECRETS_DIR`.
+    """Wait until the secrets exist; return at once without `HANDOVER_SECRETS_DIR`.
 
-    What makes them may have been started at the same moment. Raises `UsageError` if they do not come.
+    `handover secrets make` may run at the same time. Raises `UsageError` after the timeout.
     """
     folder = os.environ.get(SECRETS_DIR)
     deadline_s = time.monotonic() + timeout_s
@@ -58,13 +58,13 @@ def wait_for_secrets(*, timeout_s: float = READY_TIMEOUT_S) -> None:
                     f"there is no secret {file}; make it with: handover secrets make "
                     "(containers: docker compose up secrets)"
                 )
-            time.sleep(LOOK_EVERY_S)
+            time.sleep(CHECK_EVERY_S)
 
 
 def write_once(file: Path, secret: str) -> bool:
-    """Write `secret` to `file`, for its owner alone, unless that is there; return whether it was written.
+    """Write `secret` to `file`, readable by its owner only, unless it exists; return whether it was written.
 
-    The file is there as a whole or not at all, whatever is killed, and the first of two writers wins.
+    The write is atomic, and the first of two writers wins.
     """
     if file.exists():
         return False

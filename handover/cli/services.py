@@ -1,4 +1,4 @@
-"""The services of a cell, as the command line knows them: name, module and port."""
+"""The services of a cell: name, module and port."""
 
 from handover.errors import UsageError
 from handover.extensions import EXTRA_SERVICES, Service
@@ -25,7 +25,7 @@ SERVICES = (
 )
 ROS_BRIDGE = Service("ros-bridge", "ros_fiware_bridge", BridgeSettings, "bridge_port")
 OPTIONAL_SERVICES = (ROS_BRIDGE,)
-"""Services that start where a setting asks for them."""
+"""Services that start only with a setting."""
 
 
 def wanted() -> tuple[Service, ...]:
@@ -40,7 +40,7 @@ def all_services() -> tuple[Service, ...]:
 
 
 def service_named(name: str) -> Service:
-    """Return the service called `name`; raise `UsageError` with the names there are."""
+    """Return the service called `name`; raise `UsageError` with the known names."""
     for service in (*SERVICES, *OPTIONAL_SERVICES):
         if service.name == name:
             return service

@@ -10,11 +10,11 @@ import typer
 from handover.errors import UsageError
 from services.gesture_controller.settings import ControllerSettings
 
-if TYPE_CHECKING:  # loading it takes longer than most commands do
+if TYPE_CHECKING:  # the import takes longer than most commands
     from sqlalchemy import Engine
 
 app = typer.Typer(
-    help="What Tasks ask for, looked up where they do not say it: import, list, table.", no_args_is_help=True
+    help="Descriptions and gestures of Tasks in a database: import, list, table.", no_args_is_help=True
 )
 
 Url = Annotated[
@@ -28,7 +28,7 @@ def take_in(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="A YAML file of definitions.")],
     url: Url = None,
 ) -> None:
-    """Write the definitions of a file into the database, each in place of the one of its id."""
+    """Write the definitions of a file into the database; each replaces the one with its id."""
     from services.gesture_controller.configuration.gestures_file import load  # noqa: PLC0415 - only this command needs it
     from services.gesture_controller.specifications import file, table  # noqa: PLC0415 - loads SQLAlchemy
 
@@ -48,7 +48,7 @@ def take_in(
 
 @app.command("list")
 def every(url: Url = None) -> None:
-    """Print all definitions, as a file that can be imported."""
+    """Print all definitions as a file that can be imported."""
     from services.gesture_controller.specifications import file, table  # noqa: PLC0415 - loads SQLAlchemy
 
     with _database(url, "read") as engine:
@@ -57,7 +57,7 @@ def every(url: Url = None) -> None:
 
 @app.command("table")
 def show(url: Url = None) -> None:
-    """Print the SQL that makes the table, for who does that by hand."""
+    """Print the SQL statement that creates the table."""
     from services.gesture_controller.specifications import table  # noqa: PLC0415 - loads SQLAlchemy
 
     with _database(url, "asked") as engine:
@@ -78,7 +78,7 @@ def _database(url: str | None, act: str) -> "Iterator[Engine]":
         reason = str(getattr(error, "orig", None) or error).strip().splitlines()[0]
         raise UsageError(
             f"the specification database cannot be {act}: {reason}; "
-            "its table is made by: handover specification import FILE"
+            "create its table with: handover specification import FILE"
         ) from None
     finally:
         engine.dispose()

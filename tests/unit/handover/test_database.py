@@ -125,7 +125,7 @@ def test_a_database_whose_log_alone_is_left_is_refused(tmp_path: Path) -> None:
     file = filled(tmp_path)
     file.with_name("lamp.db.stamp").unlink()
     file.rename(file.with_name("lamp.db-wal"))
-    with pytest.raises(UsageError, match=r"lamp\.db is missing, while lamp\.db-wal beside it holds changes"):
+    with pytest.raises(UsageError, match=r"lamp\.db is missing, but lamp\.db-wal beside it has changes"):
         connect(f"sqlite:///{file}")
 
 

@@ -26,7 +26,7 @@ from tests.unit.task_orchestrator.drawing import (
 ERROR = "<bpmn:errorEventDefinition{}/>"
 
 
-class Story:
+class RunDriver:
     """A run that is written down and read again after every step, as after a crash."""
 
     def __init__(self, body: str, beside: str = "", **variables: Any) -> None:
@@ -49,7 +49,7 @@ class Story:
     def _token(self, name: str) -> str:
         return next(each.token for each in self.run.open() if f"{each.element}-{each.visit}" == name)
 
-    def done(self, name: str, **results: Any) -> "Story":
+    def done(self, name: str, **results: Any) -> "RunDriver":
         self.run.complete(self._token(name), results, self.now)
         self.run = self._again(self.run)
         return self
@@ -59,7 +59,7 @@ class Story:
         self.run = self._again(self.run)
         return caught
 
-    def after(self, **time: float) -> "Story":
+    def after(self, **time: float) -> "RunDriver":
         self.now += timedelta(**time)
         self.run.advance(self.now)
         self.run = self._again(self.run)
@@ -67,12 +67,12 @@ class Story:
 
 
 def test_a_process_of_one_step_waits_for_it_and_ends() -> None:
-    story = Story(ONE_STEP, colour="red")
-    assert story.open == ["work-1"]
-    assert story.run.open()[0].variables == {"colour": "red"}
-    story.done("work-1", work={"grip": 3})
-    assert story.run.completed
-    assert story.run.variables() == {"colour": "red", "work": {"grip": 3}}
+    driver = RunDriver(ONE_STEP, colour="red")
+    assert driver.open == ["work-1"]
+    assert driver.run.open()[0].variables == {"colour": "red"}
+    driver.done("work-1", work={"grip": 3})
+    assert driver.run.completed
+    assert driver.run.variables() == {"colour": "red", "work": {"grip": 3}}
 
 
 CHOICE = (
@@ -89,24 +89,24 @@ CHOICE = (
 
 
 def test_a_gateway_goes_by_the_result_and_a_loop_counts_its_visits() -> None:
-    story = Story(CHOICE)
-    story.done("scan-1", scan={"found": False})
-    assert story.open == ["stir-1"]
-    story.done("stir-1").done("scan-2", scan={"found": True})
-    assert story.open == ["pick-1"]
-    story.done("pick-1")
-    assert story.run.completed
+    driver = RunDriver(CHOICE)
+    driver.done("scan-1", scan={"found": False})
+    assert driver.open == ["stir-1"]
+    driver.done("stir-1").done("scan-2", scan={"found": True})
+    assert driver.open == ["pick-1"]
+    driver.done("pick-1")
+    assert driver.run.completed
 
 
 def test_a_loop_costs_the_same_however_often_it_is_walked() -> None:
-    story = Story(CHOICE)
+    driver = RunDriver(CHOICE)
     sizes = []
     for visit in range(1, 400):
-        story.done(f"scan-{visit}", scan={"found": False}).done(f"stir-{visit}")
-        sizes.append(len(story.run.snapshot()))
+        driver.done(f"scan-{visit}", scan={"found": False}).done(f"stir-{visit}")
+        sizes.append(len(driver.run.snapshot()))
     assert max(sizes[100:]) <= max(sizes[:100]) + 200
-    story.done("scan-400", scan={"found": True}).done("pick-1")
-    assert story.run.completed
+    driver.done("scan-400", scan={"found": True}).done("pick-1")
+    assert driver.run.completed
 
 
 def test_a_gateway_without_a_way_out_fails_by_name() -> None:
@@ -120,12 +120,12 @@ def test_a_gateway_without_a_way_out_fails_by_name() -> None:
         + flow("g", "other", "x == 2")
     )
     with pytest.raises(RunFailed, match='"g"'):
-        Story(body, x=3)
+        RunDriver(body, x=3)
 
 
 def test_a_condition_on_a_missing_variable_fails_by_name() -> None:
     with pytest.raises(RunFailed, match=r'at "found".*there is no "found"'):
-        Story(CHOICE).done("scan-1", scan={})
+        RunDriver(CHOICE).done("scan-1", scan={})
 
 
 PARALLEL = (
@@ -147,15 +147,15 @@ PARALLEL = (
     "order", [("left", "right", "middle"), ("middle", "right", "left"), ("right", "left", "middle")]
 )
 def test_parallel_ways_are_open_together_and_join_once(order: tuple[str, ...]) -> None:
-    story = Story(PARALLEL)
-    assert story.open == ["left-1", "middle-1", "right-1"]
+    driver = RunDriver(PARALLEL)
+    assert driver.open == ["left-1", "middle-1", "right-1"]
     for way in order:
-        assert "after-1" not in story.open
-        story.done(f"{way}-1", **{way: 1})
-    assert story.open == ["after-1"]
-    story.done("after-1")
-    assert story.run.completed
-    assert story.run.variables() == {"left": 1, "middle": 1, "right": 1}
+        assert "after-1" not in driver.open
+        driver.done(f"{way}-1", **{way: 1})
+    assert driver.open == ["after-1"]
+    driver.done("after-1")
+    assert driver.run.completed
+    assert driver.run.variables() == {"left": 1, "middle": 1, "right": 1}
 
 
 def test_parallel_ways_in_a_loop_join_every_time() -> None:
@@ -163,12 +163,12 @@ def test_parallel_ways_in_a_loop_join_every_time() -> None:
         path("join", "after", "end"), path("join", "after", "more")
     )
     body += gateway("merge") + gateway("more", default="more_merge")
-    story = Story(body + flow("more", "merge") + flow("more", "end", "after.stop"))
+    driver = RunDriver(body + flow("more", "merge") + flow("more", "end", "after.stop"))
     for round_ in range(1, 30):
         for way in ("right", "middle", "left"):
-            story.done(f"{way}-{round_}")
-        story.done(f"after-{round_}", after={"stop": round_ == 29})
-    assert story.run.completed
+            driver.done(f"{way}-{round_}")
+        driver.done(f"after-{round_}", after={"stop": round_ == 29})
+    assert driver.run.completed
 
 
 def test_an_inclusive_gateway_takes_every_way_whose_condition_holds() -> None:
@@ -189,25 +189,25 @@ def test_an_inclusive_gateway_takes_every_way_whose_condition_holds() -> None:
         + flow("none", "j")
         + flow("j", "end")
     )
-    both = Story(body, x=3)
+    both = RunDriver(body, x=3)
     assert both.open == ["a-1", "b-1"]
     assert not both.done("a-1").run.completed
     assert both.done("b-1").run.completed
-    assert Story(body, x=2).open == ["a-1"]
-    assert Story(body, x=0).open == ["none-1"]
+    assert RunDriver(body, x=2).open == ["a-1"]
+    assert RunDriver(body, x=0).open == ["none-1"]
 
 
 CAUGHT = ONE_STEP + boundary("any", "work", ERROR.format("")) + activity("help") + path("any", "help", "work")
 
 
 def test_a_failed_activity_goes_to_its_error_boundary_event() -> None:
-    story = Story(CAUGHT)
-    assert story.failed("work-1")
-    assert story.open == ["help-1"]
-    assert story.run.variables()["error"] == {"code": None, "reason": "slipped"}
-    story.done("help-1")
-    assert story.open == ["work-2"]
-    assert story.done("work-2").run.completed
+    driver = RunDriver(CAUGHT)
+    assert driver.failed("work-1")
+    assert driver.open == ["help-1"]
+    assert driver.run.variables()["error"] == {"code": None, "reason": "slipped"}
+    driver.done("help-1")
+    assert driver.open == ["work-2"]
+    assert driver.done("work-2").run.completed
 
 
 def test_an_error_code_chooses_its_boundary_event_and_the_one_without_takes_the_rest() -> None:
@@ -218,25 +218,25 @@ def test_an_error_code_chooses_its_boundary_event_and_the_one_without_takes_the_
         + path("jam", "clear", "end")
     )
     beside = '<bpmn:error id="e" errorCode="JAM"/>'
-    story = Story(body, beside)
-    assert story.failed("work-1", "JAM")
-    assert story.open == ["clear-1"]
-    other = Story(body, beside)
+    driver = RunDriver(body, beside)
+    assert driver.failed("work-1", "JAM")
+    assert driver.open == ["clear-1"]
+    other = RunDriver(body, beside)
     assert other.failed("work-1", "OTHER")
     assert other.open == ["help-1"]
 
 
 def test_a_failed_activity_that_nobody_catches_is_said_to_be_so() -> None:
     body = ONE_STEP + boundary("jam", "work", ERROR.format(' errorRef="e"')) + flow("jam", "end")
-    story = Story(body, '<bpmn:error id="e" errorCode="JAM"/>')
-    assert not story.failed("work-1", "OTHER")
-    assert story.open == ["work-1"]
+    driver = RunDriver(body, '<bpmn:error id="e" errorCode="JAM"/>')
+    assert not driver.failed("work-1", "OTHER")
+    assert driver.open == ["work-1"]
 
 
 def test_an_error_end_event_fails_the_process() -> None:
     body = start() + activity("work") + end("bad", ERROR.format("")) + path("start", "work", "bad")
     with pytest.raises(RunFailed, match='error end event "bad"'):
-        Story(body).done("work-1")
+        RunDriver(body).done("work-1")
 
 
 def test_a_terminate_end_event_ends_every_way() -> None:
@@ -253,9 +253,9 @@ def test_a_terminate_end_event_ends_every_way() -> None:
         + flow("a", "stop")
         + flow("b", "end")
     )
-    story = Story(body).done("a-1")
-    assert story.run.completed
-    assert story.open == []
+    driver = RunDriver(body).done("a-1")
+    assert driver.run.completed
+    assert driver.open == []
 
 
 def catch(name: str, text: str) -> str:
@@ -265,49 +265,49 @@ def catch(name: str, text: str) -> str:
 @pytest.mark.parametrize("text", ["PT90S", "2026-05-04T08:01:30Z", "pause", "'PT' + seconds + 'S'"])
 def test_a_timer_waits_by_the_clock_it_is_told(text: str) -> None:
     body = start() + catch("wait", text) + activity("work") + end() + path("start", "wait", "work", "end")
-    story = Story(body, pause="PT90S", seconds="90")
-    assert story.run.next_due() == NOW + timedelta(seconds=90)
-    assert story.run.waiting() == ("wait",)
-    assert story.after(seconds=89).open == []
-    assert story.after(seconds=1).open == ["work-1"]
-    assert story.run.next_due() is None
+    driver = RunDriver(body, pause="PT90S", seconds="90")
+    assert driver.run.next_due() == NOW + timedelta(seconds=90)
+    assert driver.run.waiting() == ("wait",)
+    assert driver.after(seconds=89).open == []
+    assert driver.after(seconds=1).open == ["work-1"]
+    assert driver.run.next_due() is None
 
 
 def test_a_timer_in_a_loop_starts_anew_each_time() -> None:
     body = start() + catch("wait", "PT10S") + activity("work") + gateway("g", default="g_wait") + end()
-    story = Story(body + path("start", "wait", "work", "g", "wait") + flow("g", "end", "work.stop"))
+    driver = RunDriver(body + path("start", "wait", "work", "g", "wait") + flow("g", "end", "work.stop"))
     for visit in (1, 2, 3):
-        assert story.run.next_due() == story.now + timedelta(seconds=10)
-        story.after(seconds=10).done(f"work-{visit}", work={"stop": False})
+        assert driver.run.next_due() == driver.now + timedelta(seconds=10)
+        driver.after(seconds=10).done(f"work-{visit}", work={"stop": False})
 
 
 def test_a_timer_that_is_no_time_fails_by_name() -> None:
     body = start() + catch("wait", "pause") + end() + path("start", "wait", "end")
     with pytest.raises(RunFailed):
-        Story(body, pause=90)
+        RunDriver(body, pause=90)
 
 
 LATE = ONE_STEP + activity("remind") + end("reminded") + path("late", "remind", "reminded")
 
 
 def test_an_interrupting_timer_takes_the_activity_away() -> None:
-    story = Story(LATE + boundary("late", "work", timer("PT1M"))).after(seconds=60)
-    assert story.open == ["remind-1"]
-    assert story.done("remind-1").run.completed
+    driver = RunDriver(LATE + boundary("late", "work", timer("PT1M"))).after(seconds=60)
+    assert driver.open == ["remind-1"]
+    assert driver.done("remind-1").run.completed
 
 
 def test_a_non_interrupting_timer_leaves_the_activity_open() -> None:
-    story = Story(LATE + boundary("late", "work", timer("PT1M"), interrupting=False)).after(seconds=60)
-    assert story.open == ["remind-1", "work-1"]
-    story.done("work-1")
-    assert story.open == ["remind-1"]
-    assert story.done("remind-1").run.completed
+    driver = RunDriver(LATE + boundary("late", "work", timer("PT1M"), interrupting=False)).after(seconds=60)
+    assert driver.open == ["remind-1", "work-1"]
+    driver.done("work-1")
+    assert driver.open == ["remind-1"]
+    assert driver.done("remind-1").run.completed
 
 
 def test_an_activity_done_in_time_stops_its_timer() -> None:
-    story = Story(LATE + boundary("late", "work", timer("PT1M"))).done("work-1")
-    assert story.run.completed
-    assert story.run.next_due() is None
+    driver = RunDriver(LATE + boundary("late", "work", timer("PT1M"))).done("work-1")
+    assert driver.run.completed
+    assert driver.run.next_due() is None
 
 
 def script(text: str) -> str:
@@ -316,7 +316,7 @@ def script(text: str) -> str:
 
 def test_a_script_sets_variables_in_our_language() -> None:
     body = start() + script("tries = tries + 1\ntwice = tries * 2") + end() + path("start", "count", "end")
-    assert Story(body, tries=1).run.variables() == {"tries": 2, "twice": 4}
+    assert RunDriver(body, tries=1).run.variables() == {"tries": 2, "twice": 4}
 
 
 def test_a_loop_that_never_waits_is_stopped() -> None:
@@ -328,11 +328,11 @@ def test_a_loop_that_never_waits_is_stopped() -> None:
         + path("start", "count", "g", "count")
     )
     with pytest.raises(RunFailed, match="without waiting"):
-        Story(body + flow("g", "end", "n &lt; 0"), n=0)
+        RunDriver(body + flow("g", "end", "n &lt; 0"), n=0)
 
 
 def test_a_value_that_doubles_in_a_loop_is_stopped() -> None:
-    story = Story(
+    driver = RunDriver(
         start()
         + script("n = [n, n]")
         + gateway("g", default="g_work")
@@ -343,12 +343,12 @@ def test_a_value_that_doubles_in_a_loop_is_stopped() -> None:
         n=1,
     )
     with pytest.raises(RunFailed, match="holds at most"):
-        _walk(story, "work", times=100)
+        _walk(driver, "work", times=100)
 
 
-def _walk(story: Story, name: str, times: int) -> None:
+def _walk(driver: RunDriver, name: str, times: int) -> None:
     for visit in range(1, times):
-        story.done(f"{name}-{visit}")
+        driver.done(f"{name}-{visit}")
 
 
 HOSTILE = "__import__('pathlib').Path('{}').touch()"
@@ -380,9 +380,9 @@ def test_no_python_is_evaluated_for_gateways_timers_scripts_and_parameters() -> 
         + path("wait", "work", "end")
         + flow("late", "end")
     )
-    story = Story(body, pause="PT1S").after(seconds=1)
-    assert story.open == ["work-1"]
-    assert story.after(seconds=1).run.completed
+    driver = RunDriver(body, pause="PT1S").after(seconds=1)
+    assert driver.open == ["work-1"]
+    assert driver.after(seconds=1).run.completed
 
 
 @pytest.mark.parametrize(
@@ -424,12 +424,14 @@ def test_python_that_got_past_the_reading_is_refused_when_it_is_reached(
 
 def test_results_that_look_like_the_engines_own_records_stay_plain_data() -> None:
     odd = {"typename": "BpmnWorkflow", "id": "x", "data": {"typename": "UUID", "value": "no"}}
-    story = Story(ONE_STEP.replace(flow("work", "end"), "") + activity("more") + path("work", "more", "end"))
-    story.done("work-1", work=odd)
-    assert story.run.open()[0].variables["work"] == odd
+    body = ONE_STEP.replace(flow("work", "end"), "") + activity("more") + path("work", "more", "end")
+    driver = RunDriver(body)
+    driver.done("work-1", work=odd)
+    assert driver.run.open()[0].variables["work"] == odd
 
 
 def test_variables_beyond_measure_fail_the_run() -> None:
-    story = Story(ONE_STEP.replace(flow("work", "end"), "") + activity("more") + path("work", "more", "end"))
+    body = ONE_STEP.replace(flow("work", "end"), "") + activity("more") + path("work", "more", "end")
+    driver = RunDriver(body)
     with pytest.raises(RunFailed, match="bytes"):
-        story.done("work-1", work={"much": "x" * 5_000_000})
+        driver.done("work-1", work={"much": "x" * 5_000_000})

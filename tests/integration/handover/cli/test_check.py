@@ -86,7 +86,7 @@ def cut(folder: Path) -> None:
     [
         (past, "broker.db: history: the row 7, 7, None is not as it was written"),
         (present, "broker.db: entities: the row 7,  is not as it was written"),
-        (deleted, "orchestrator.db is missing, while orchestrator.db.stamp says that it was made"),
+        (deleted, "orchestrator.db is missing, but orchestrator.db.stamp shows that it was created"),
         (without_database, "broker.db is missing, while broker.log-1 and broker.log-2 beside it"),
         (cut, "broker.db: "),
     ],

@@ -114,7 +114,7 @@ def test_a_failed_task_is_retried(
     eventually(lambda: httpx.get(asked, trust_env=False).json()["status"] == "failed")
 
     retried = handover("process", "retry", process, task, "--by", "Anna")
-    assert retried.stdout == f"{process} goes on: {shown()['waiting'][0]}\n", retried.stderr
+    assert retried.stdout == f"{process} continues: {shown()['waiting'][0]}\n", retried.stderr
     assert shown()["acts"][0]["by"] == "Anna"
 
 

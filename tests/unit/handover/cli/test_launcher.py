@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
-from handover.cli.launcher import Launcher, make_room
+from handover.cli.launcher import Launcher, require_space
 from handover.cli.services import SERVICES
 from handover.errors import UsageError
 from handover.extensions import Service
@@ -28,18 +28,18 @@ def test_a_full_disk_is_said_in_one_line_with_the_way_out(
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**9, 10**9, 2**20))
     with pytest.raises(UsageError, match=r"is full \(1 MB left, 50 MB needed\).*--data-dir") as full:
-        make_room(tmp_path)
+        require_space(tmp_path)
     assert "\n" not in str(full.value)
 
 
 def test_a_directory_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match=r"file/data cannot be used.*--data-dir"):
-        make_room(tmp_path / "file" / "data")
+        require_space(tmp_path / "file" / "data")
 
 
 def test_a_new_directory_is_made_and_left_clean(tmp_path: Path) -> None:
-    make_room(tmp_path / "a" / "b")
+    require_space(tmp_path / "a" / "b")
     assert list((tmp_path / "a" / "b").iterdir()) == []
 
 

@@ -46,7 +46,7 @@ def test_secrets_are_made_once_and_only_the_owner_can_read_them(folder: Path, ru
         assert value not in said, "the log must not hold it"
         assert stat.S_IMODE((folder / name).stat().st_mode) == 0o600
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    assert "is there already" in run("make")
+    assert "exists in" in run("make")
     assert {name: (folder / name).read_text().strip() for name in SECRETS} == made
     assert run("show").splitlines() == [f"{name}={value}" for name, value in made.items()]
     assert sorted(file.name for file in folder.iterdir()) == sorted(SECRETS), "nothing is left over"

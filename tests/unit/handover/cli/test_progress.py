@@ -4,7 +4,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from datamodels.entities import Task
-from handover.cli.story import Story
+from handover.cli.progress import ProgressPrinter
 
 BEGAN = datetime(2026, 1, 1, 12, tzinfo=UTC)
 
@@ -36,12 +36,12 @@ SHOWN = {"gesture": "Thumbs up", "commandId": 1, "heldMs": 1520, "by": "gesture"
 
 def test_a_story_says_who_which_gesture_and_how_long_and_says_it_once() -> None:
     lines: list[str] = []
-    story = Story(BEGAN, lines.append)
-    story.tell([seen("a", "pending", 0, CONFIRM)])
-    story.tell([seen("a", "inProgress", 0.1, CONFIRM)])
+    progress = ProgressPrinter(BEGAN, lines.append)
+    progress.update([seen("a", "pending", 0, CONFIRM)])
+    progress.update([seen("a", "inProgress", 0.1, CONFIRM)])
     ended = [seen("a", "completed", 3, CONFIRM, SHOWN)]
-    story.tell(ended)
-    story.tell(ended)
+    progress.update(ended)
+    progress.update(ended)
     assert lines == [
         '   0.0 s  glove-1   is asked: "Confirm"; show Thumbs up',
         "   3.0 s  glove-1   showed Thumbs up for 1.5 s, 3.0 s after being asked",
@@ -50,40 +50,40 @@ def test_a_story_says_who_which_gesture_and_how_long_and_says_it_once() -> None:
 
 def test_a_pause_is_told_each_time_it_happens() -> None:
     lines: list[str] = []
-    story = Story(BEGAN, lines.append)
+    progress = ProgressPrinter(BEGAN, lines.append)
     for at_s, status in enumerate(["pending", "inProgress", "paused", "inProgress", "paused", "inProgress"]):
-        story.tell([seen("a", status, at_s, {"operation": "scan"})])
+        progress.update([seen("a", status, at_s, {"operation": "scan"})])
     assert [line.split(maxsplit=3)[-1] for line in lines] == [
-        "takes over: scan", "pauses", "goes on", "pauses", "goes on",
+        "takes over: scan", "pauses", "continues", "pauses", "continues",
     ]  # fmt: skip
 
 
 def test_a_failure_is_told_with_its_reason_and_the_sum_counts_both_hands() -> None:
     lines: list[str] = []
-    story = Story(BEGAN, lines.append)
+    progress = ProgressPrinter(BEGAN, lines.append)
     robot = {"operation": "pick"}
-    story.tell([seen("a", "pending", 0, CONFIRM), seen("b", "pending", 3, robot)])
-    story.tell(
+    progress.update([seen("a", "pending", 0, CONFIRM), seen("b", "pending", 3, robot)])
+    progress.update(
         [
             seen("a", "completed", 3, CONFIRM, SHOWN),
             seen("b", "failed", 5, robot, {"reason": "the part slipped"}),
         ]
     )
     assert lines[-1].endswith("failed after 2.0 s: the part slipped")
-    assert story.summary() == (
+    assert progress.summary() == (
         "2 Tasks: 1 by the operator with 1 different gestures in 3.0 s, 1 by the robot in 2.0 s"
     )
 
 
 def test_an_answer_other_than_ok_is_told_with_its_note() -> None:
     lines: list[str] = []
-    story = Story(BEGAN, lines.append)
+    progress = ProgressPrinter(BEGAN, lines.append)
     shown = {"gesture": "Horns", "heldMs": 1520, "by": "gesture", "outcome": "notGood"}
     pressed = {"heldMs": 0, "by": "screen", "operator": "Anna", "outcome": "problem", "note": "oil"}
-    story.tell([seen("a", "pending", 0, CONFIRM), seen("b", "pending", 0, CONFIRM)])
-    story.tell([seen("a", "completed", 3, CONFIRM, shown), seen("b", "failed", 4, CONFIRM, pressed)])
+    progress.update([seen("a", "pending", 0, CONFIRM), seen("b", "pending", 0, CONFIRM)])
+    progress.update([seen("a", "completed", 3, CONFIRM, shown), seen("b", "failed", 4, CONFIRM, pressed)])
     assert [line.split("glove-1   ")[1] for line in lines[2:]] == [
         'answered "not good" with Horns after 3.0 s',
         'answered "problem" on the screen after 4.0 s: oil',
     ]
-    assert story.summary().startswith("2 Tasks: 2 by the operator with 1 different gestures")
+    assert progress.summary().startswith("2 Tasks: 2 by the operator with 1 different gestures")

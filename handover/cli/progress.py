@@ -1,4 +1,4 @@
-"""The story of a process: what happens to its Tasks, told line by line as it happens."""
+"""The progress of a process on the terminal: one line for each event of its Tasks."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,34 +10,40 @@ from datamodels.entities import Outcome, Task, TaskStatus
 Say = Callable[[str], None]
 
 OUTCOMES = {Outcome.NOT_GOOD.value: '"not good"', Outcome.PROBLEM.value: '"problem"'}
-"""How an answer other than `ok` is called."""
+"""The texts of outcomes other than `ok`."""
+
+_BEFORE_PAUSE = frozenset({TaskStatus.PENDING, TaskStatus.ASSIGNED, TaskStatus.IN_PROGRESS})
 
 
 @dataclass
-class Story:
-    """Follows the Tasks of one process; `tell` is given them again and again, and says only what is new."""
+class ProgressPrinter:
+    """Prints the progress of one process; `update` gets all its Tasks and prints only what is new."""
 
     began: datetime
     say: Say
-    _told: dict[str, set[str]] = field(default_factory=dict)
+    _printed: dict[str, set[str]] = field(default_factory=dict)
     _asked_at: dict[str, datetime] = field(default_factory=dict)
     done: list[Task] = field(default_factory=list)
 
-    def tell(self, tasks: Sequence[Task]) -> None:
-        """Say what has happened to `tasks` since the last time."""
+    def update(self, tasks: Sequence[Task]) -> None:
+        """Print the changes of `tasks` since the last call."""
         for task in sorted(tasks, key=self._when):
-            told = self._told.setdefault(task.id, set())
+            printed = self._printed.setdefault(task.id, set())
             status = task.status.value
-            if not told:
+            if not printed:
                 self._asked_at[task.id] = self._when(task)
                 self._line(task, self._asked(task))
-                told.add(TaskStatus.PENDING)
-            if status in told or status in {TaskStatus.PENDING, TaskStatus.ASSIGNED, TaskStatus.IN_PROGRESS}:
-                if status is TaskStatus.IN_PROGRESS and TaskStatus.PAUSED in told:
-                    told.discard(TaskStatus.PAUSED)
-                    self._line(task, "goes on")
+                printed.add(TaskStatus.PENDING)
+            if status in printed or status in {
+                TaskStatus.PENDING,
+                TaskStatus.ASSIGNED,
+                TaskStatus.IN_PROGRESS,
+            }:
+                if status is TaskStatus.IN_PROGRESS and TaskStatus.PAUSED in printed:
+                    printed.discard(TaskStatus.PAUSED)
+                    self._line(task, "continues")
                 continue
-            told.add(status)
+            printed.add(status)
             if status is TaskStatus.PAUSED:
                 self._line(task, "pauses")
             else:
@@ -45,7 +51,7 @@ class Story:
                 self._line(task, self._ended(task))
 
     def summary(self) -> str:
-        """Return the closing sentence: who did how much, and how long it took them."""
+        """Return a summary: the number of Tasks and the time by operator and robot."""
         people = [task for task in self.done if outputs_of(task).get("by") in {"gesture", "screen"}]
         robots = [task for task in self.done if task not in people]
         gestures = {str(outputs_of(task)["gesture"]) for task in people if "gesture" in outputs_of(task)}
