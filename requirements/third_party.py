@@ -180,10 +180,9 @@ def _licence_of(name: str) -> str:
         fields = metadata(name)
     except PackageNotFoundError:
         raise LicenceError(f'"{name}" is not installed; install it with: make setup') from None
-    expression = fields.get("License-Expression")
-    if expression:
-        return str(expression)
-    named = (fields.get("License") or "").strip().partition("\n")[0].strip()
+    if "License-Expression" in fields:
+        return fields["License-Expression"]
+    named = (fields.get_all("License") or [""])[0].strip().partition("\n")[0].strip()
     if named and len(named) <= MAX_NAME_LENGTH and "(" not in named:
         return SPDX.get(named.lower(), named)
     classifiers = [

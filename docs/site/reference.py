@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import click
 from fastapi import FastAPI
 from pydantic import SecretStr
 from pydantic.fields import FieldInfo
@@ -186,7 +185,7 @@ def _default(info: FieldInfo) -> str:
     return f"`{value}`"
 
 
-def _command(command: click.Command, name: str) -> Iterator[str]:
+def _command(command: Any, name: str) -> Iterator[str]:
     subcommands = getattr(command, "commands", None)
     if subcommands is None or command.help:
         yield ""
@@ -199,11 +198,7 @@ def _command(command: click.Command, name: str) -> Iterator[str]:
         yield "| Argument or option | Default | Meaning |"
         yield "|---|---|---|"
     for parameter in parameters:
-        shown = (
-            parameter.human_readable_name
-            if isinstance(parameter, click.Argument)
-            else ", ".join(parameter.opts)
-        )
+        shown = ", ".join(parameter.opts)
         default = parameter.default
         plain = (
             default not in (None, False)

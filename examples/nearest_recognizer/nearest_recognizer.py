@@ -1,38 +1,50 @@
 """A recognizer that returns the gesture whose finger positions are nearest to the hand."""
 
+from collections.abc import Mapping
+
+from services.gesture_controller.recognition.frames import Frame
 from services.gesture_controller.recognition.recognizer import CannotRecognize, HandContext, Recognition
 
-NEAR = 0.35
+MAX_DISTANCE = 0.35
+STRAIGHT_ABOVE, BENT_BELOW = 0.7, 0.4
 
 
 class Nearest:
-    """Compares where the fingers stand, from 0 (fist) to 1 (open hand), with where each gesture has them."""
+    """Compares each finger, from 0 (fist) to 1 (open hand), with its position in each gesture."""
 
     def __init__(self, context: HandContext) -> None:
         if context.calibration is None:
             raise CannotRecognize("it compares with your fist and your open hand; calibrate the glove first")
-        self.levels, self.codes = context.calibration.levels, context.gestures.codes
+        self.levels = context.calibration.levels
+        self.codes = context.gestures.codes
 
-    def see(self, before, frame):
-        """Return the gesture whose worst finger is nearest; it needs no memory, so `before` is left alone."""
-        stands = [
+    def see(self, before: Recognition | None, frame: Frame) -> Recognition:
+        """Return the gesture whose worst finger is nearest; `before` is not used."""
+        positions = [
             (bend - level.fist) / level.span for bend, level in zip(frame.bend, self.levels, strict=True)
         ]
-        states = "".join("0" if stand > 0.7 else "2" if stand < 0.4 else "1" for stand in stands)
-        apart = {
-            name: max(abs(stand - (state == "0")) for stand, state in zip(stands, code, strict=True))
+        states = "".join(
+            "0" if position > STRAIGHT_ABOVE else "2" if position < BENT_BELOW else "1"
+            for position in positions
+        )
+        distances = {
+            name: max(abs(position - (state == "0")) for position, state in zip(positions, code, strict=True))
             for name, code in self.codes.items()
         }
-        name = min(apart, key=apart.get)
-        return Recognition(
-            states, name if apart[name] < NEAR else None, max(0.0, 1 - apart[name]), frame.t_s, apart
-        )
+        name, distance = nearest(distances)
+        gesture = name if distance < MAX_DISTANCE else None
+        return Recognition(states, gesture, max(0.0, 1 - distance), frame.t_s, distances)
 
-    def odds(self, seen):
-        """Return how near each gesture is: 1 for every finger in its place, 0 for one on the wrong side."""
-        return {name: max(0.0, 1 - apart) for name, apart in seen.memory.items()}
+    def odds(self, seen: Recognition) -> Mapping[str, float]:
+        """Return 1 for a gesture that all fingers match, 0 for one with a finger at the other end."""
+        return {name: max(0.0, 1 - distance) for name, distance in seen.memory.items()}
 
-    def why(self, seen):
-        """Return how far the worst finger was away."""
-        name = min(seen.memory, key=seen.memory.get)
-        return f"no finger is further than {seen.memory[name]:.0%} of its way from {name}"
+    def why(self, seen: Recognition) -> str:
+        """Return the distance of the worst finger."""
+        name, distance = nearest(seen.memory)
+        return f"no finger differs by more than {distance:.0%} of its range from {name}"
+
+
+def nearest(distances: Mapping[str, float]) -> tuple[str, float]:
+    """Return the gesture with the smallest distance, and the distance."""
+    return min(distances.items(), key=lambda item: item[1])

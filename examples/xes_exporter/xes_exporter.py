@@ -32,7 +32,8 @@ def export(process: Mapping[str, Any]) -> bytes:
         _add(event, "string", "org:resource", " ".join(task["involves"]))
         _add(event, "date", "time:timestamp", change["at"])
     ET.indent(log)
-    return ET.tostring(log, encoding="utf-8", xml_declaration=True)
+    content: bytes = ET.tostring(log, encoding="utf-8", xml_declaration=True)
+    return content
 
 
 def _changes(task: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -101,7 +101,7 @@ def test_recognizer_reads_a_glove(extended_cell: Cell) -> None:
             return controller.get("/gloves/glove-1/recognition").json()
 
         wait_for(lambda: recognition()["gesture"] == "Thumbs up", why=lambda: str(recognition()))
-        assert "no finger is further than" in recognition()["why"]
+        assert "no finger differs by more than" in recognition()["why"]
         glove.close()
 
 
