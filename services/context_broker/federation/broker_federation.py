@@ -65,7 +65,7 @@ class BrokerFederation:
 
     def tenant_state(self, tenant: Tenant) -> FederatedTenant:
         state = FederatedTenant(tenant)
-        state.registry.watchers.append(lambda *_: self._subscription_forwarder.wake(tenant))
+        state.registry.watchers.append(lambda *_: self._subscription_forwarder.schedule_alignment(tenant))
         return state
 
     async def restore(self, journal: Journal) -> None:

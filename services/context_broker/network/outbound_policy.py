@@ -143,7 +143,7 @@ class OutboundPolicy:
             raise AddressRefused(why if host in faults else f"{host} resolves to {why}")
         return allowed
 
-    async def require_open(self, host: str, what: str) -> None:
+    async def require_allowed(self, host: str, what: str) -> None:
         """Raise a problem (400) if `host` is refused; a name that does not resolve yet is allowed."""
         try:
             async with asyncio.timeout(LOOKUP_TIMEOUT_S):

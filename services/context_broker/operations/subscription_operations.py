@@ -215,7 +215,7 @@ class SubscriptionOperations:
     @staticmethod
     async def _require_open(tenant: Tenant, made: Subscription) -> None:
         policy = tenant.notifier.outbound.policy
-        await policy.require_open(made.endpoint.host, "notification.endpoint.uri")
+        await policy.require_allowed(made.endpoint.host, "notification.endpoint.uri")
 
     async def keep(self, tenant: Tenant, made: Subscription) -> None:
         """Write a new or a changed subscription, and heed it once it is safe."""

@@ -102,7 +102,7 @@ class BrokerSnapshots:
         self._creator.fail_interrupted()
         for tenant in self._tenants:
             if outside(tenant.name)[1] is not None and tenant.name not in kept:
-                self._snapshots.later(self._snapshots.clear(tenant))
+                self._snapshots.run_in_background(self._snapshots.delete_content(tenant))
 
     def stop(self) -> None:
         """Stop all background tasks; unfinished snapshots fail at the next start."""
@@ -168,7 +168,7 @@ class BrokerSnapshots:
             after = before.changed(**members)
             if after.document.get("snapshotPriority") is None:
                 after.document["snapshotPriority"] = before.document["snapshotPriority"]
-            await self._snapshots.keep(exchange.tenant, after, notify=True)
+            await self._snapshots.store(exchange.tenant, after, notify=True)
         return await _snapshot_answer(exchange, after)
 
     async def delete(self, exchange: Exchange) -> Answer:
@@ -193,12 +193,12 @@ class BrokerSnapshots:
             if made.id in self._snapshots.of(tenant):
                 raise already_exists(f"there is a snapshot {made.id} already; choose another id")
             await self._snapshots.evict_for_one(tenant)
-            await self._snapshots.keep(tenant, made)
+            await self._snapshots.store(tenant, made)
 
     async def _require_open(self, tenant: Tenant, document: Mapping[str, Any]) -> None:
         if document.get("endpoint") is not None:
             host = urlsplit(document["endpoint"]).hostname or ""
-            await tenant.notifier.outbound.policy.require_open(host, '"endpoint"')
+            await tenant.notifier.outbound.policy.require_allowed(host, '"endpoint"')
 
     def _existing(self, tenant: Tenant, snapshot_id: str) -> Snapshot:
         require_uri(snapshot_id, "the id of a snapshot")

@@ -80,11 +80,11 @@ class SnapshotCreator:
                 if one.status is Status.PREPARING and (tenant.name, one.id) not in self._running:
                     failed = one.failed(_INTERRUPTED)
                     self._snapshots.publish(tenant, failed)
-                    self._snapshots.later(self._record_failure(tenant, failed))
+                    self._snapshots.run_in_background(self._record_failure(tenant, failed))
 
     def _start(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
         self._running.add((tenant.name, made.id))
-        self._snapshots.later(self._run(tenant, made, work))
+        self._snapshots.run_in_background(self._run(tenant, made, work))
 
     async def _run(self, tenant: Tenant, made: Snapshot, work: Awaitable[None]) -> None:
         try:
@@ -99,7 +99,7 @@ class SnapshotCreator:
     async def _fail(self, tenant: Tenant, made: Snapshot, problem: Problem) -> None:
         now = self._snapshots.of(tenant).get(made.id)
         if now is None:  # deleted during its creation
-            await self._snapshots.clear(self._tenants.inside(tenant, made.id))
+            await self._snapshots.delete_content(self._tenants.inside(tenant, made.id))
             return
         failed = now.failed(problem)
         self._snapshots.publish(tenant, failed)  # readers see the failure even if the disk refuses it
@@ -109,8 +109,8 @@ class SnapshotCreator:
         """Store the failure of a snapshot and delete its partial content."""
         async with self._snapshots.lock:
             if self._snapshots.of(tenant).get(failed.id) is failed:
-                await self._snapshots.keep(tenant, failed, notify=True)
-                await self._snapshots.clear(self._tenants.inside(tenant, failed.id))
+                await self._snapshots.store(tenant, failed, notify=True)
+                await self._snapshots.delete_content(self._tenants.inside(tenant, failed.id))
 
     async def _fill(self, exchange: Exchange, made: Snapshot, context: Any) -> None:
         """Carry out the queries and store their results (clause 5.16.1.4)."""
@@ -162,9 +162,9 @@ class SnapshotCreator:
         async with self._snapshots.lock:
             now = self._snapshots.of(tenant).get(made.id)
             if now is None:  # deleted during its creation
-                await self._snapshots.clear(self._tenants.inside(tenant, made.id))
+                await self._snapshots.delete_content(self._tenants.inside(tenant, made.id))
                 return
-            await self._snapshots.keep(
+            await self._snapshots.store(
                 tenant, now.changed(snapshotStatus=status.value, **results), notify=True
             )
 

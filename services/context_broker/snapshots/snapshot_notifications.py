@@ -104,7 +104,7 @@ class SnapshotNotifier:
         waiting = self._waiting.setdefault(one.endpoint, deque())
         waiting.append(one)
         while len(waiting) > MAX_PENDING:
-            self._fail(waiting.popleft(), "too many")
+            self._drop(waiting.popleft(), "too many")
         self._ensure_running_worker(one.endpoint)
 
     def stop(self) -> None:
@@ -116,9 +116,9 @@ class SnapshotNotifier:
     def _ensure_running_worker(self, endpoint: str) -> None:
         if endpoint not in self._tasks:
             task = self._tasks[endpoint] = asyncio.get_running_loop().create_task(self._work(endpoint))
-            task.add_done_callback(lambda done: self._on_end(endpoint, done))
+            task.add_done_callback(lambda done: self._worker_ended(endpoint, done))
 
-    def _on_end(self, endpoint: str, task: asyncio.Task[None]) -> None:
+    def _worker_ended(self, endpoint: str, task: asyncio.Task[None]) -> None:
         if self._tasks.get(endpoint) is task:
             del self._tasks[endpoint]
         if not task.cancelled() and (error := task.exception()) is not None:
@@ -133,9 +133,9 @@ class SnapshotNotifier:
                 if time.time() - one.at <= self._tenants.outbound.keep_s:
                     await backoff.wait()
                     continue
-                self._fail(one, "too old")
+                self._drop(one, "too old")
             elif status >= 300:
-                self._fail(one, "refused")
+                self._drop(one, "refused")
             else:
                 backoff.reset()
                 self._delete(one)
@@ -152,7 +152,7 @@ class SnapshotNotifier:
             log.info("snapshot notification failed", endpoint=one.endpoint, error=str(error))
             return None
 
-    def _fail(self, one: SnapshotNotification, why: str) -> None:
+    def _drop(self, one: SnapshotNotification, why: str) -> None:
         DROPPED.labels(why).inc()
         log.warning("snapshot notification dropped", endpoint=one.endpoint, reason=why)
         self._delete(one)

@@ -47,7 +47,7 @@ class SnapshotStore:
             task.cancel()
         self.notifier.stop()
 
-    def later(self, work: Coroutine[Any, Any, None]) -> None:
+    def run_in_background(self, work: Coroutine[Any, Any, None]) -> None:
         """Run a background task."""
         task: asyncio.Task[None] = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
@@ -62,9 +62,9 @@ class SnapshotStore:
             loop = asyncio.get_running_loop()
             loop.call_later(min(left_s, MAX_TIMER_S), self.schedule_expiry, tenant, one)
         else:
-            self.later(self._end(tenant, one))
+            self.run_in_background(self._end(tenant, one))
 
-    async def keep(self, tenant: Tenant, one: Snapshot, *, notify: bool = False) -> None:
+    async def store(self, tenant: Tenant, one: Snapshot, *, notify: bool = False) -> None:
         """Store a snapshot in its current state. Raises a problem (507) if the disk refuses."""
         notification = notification_of(tenant.name, one) if notify else None
         kept = entries(tenant, one)
@@ -88,11 +88,11 @@ class SnapshotStore:
             gone.documents[notification.key] = notification.stored()
         await _write(tenant, gone)
         self.of(tenant).pop(one.id, None)
-        await self.clear(self._tenants.inside(tenant, one.id))
+        await self.delete_content(self._tenants.inside(tenant, one.id))
         if notification is not None:
             self.notifier.add(notification)
 
-    async def clear(self, inner: Tenant) -> None:
+    async def delete_content(self, inner: Tenant) -> None:
         """Delete the content of a snapshot from the disk."""
         departed = await asyncio.to_thread(lambda: list(inner.notifier.journal.archive.departed(inner.name)))
         for each in deletion_entries(inner, [(place, one) for place, one, _ in departed]):

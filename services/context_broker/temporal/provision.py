@@ -32,8 +32,8 @@ from services.context_broker.request.routing import Operation
 from services.context_broker.storage.database import NotStored
 from services.context_broker.storage.entries import Entries
 from services.context_broker.storage.history_archive import END_OF_TIME, Archive, DepartedRow, HistoryRow
+from services.context_broker.temporal.evolution_parser import ProvidedEvolution, parse_evolution
 from services.context_broker.temporal.history import SCOPE, Change, Departed, Recorder, place_of
-from services.context_broker.temporal.intake import Past, read_past
 from services.context_broker.temporal.subjects import Subject, subjects_of
 from services.context_broker.tenants import Tenant
 
@@ -54,7 +54,7 @@ class TemporalProvision:
     def __init__(self, archive: Archive, recorder: Recorder | None) -> None:
         self._archive = archive
         self._recorder = recorder or Recorder()
-        self._turns: dict[tuple[str, str], tuple[asyncio.Lock, int]] = {}
+        self._locks: dict[tuple[str, str], tuple[asyncio.Lock, int]] = {}
 
     def operations(self) -> tuple[Operation, ...]:
         """Return the operations."""
@@ -92,35 +92,39 @@ class TemporalProvision:
         request adds nothing. (POST …/attrs only ever adds.)
         """
         document, context = await exchange.body()
-        past = await _past_in(exchange, document, context.terms)
-        if past.id is None:
+        provided = await _parsed_evolution(exchange, document, context.terms)
+        if provided.id is None:
             raise bad_request_data('the entity has no "id"; give it a URI such as urn:ngsi-ld:Task:demo:1')
-        if not past.types:
-            raise bad_request_data(f'the entity {past.id} has no "type"; name its type, for example "Task"')
-        async with self._turn(exchange.tenant, past.id):
-            subject = await self._subject(exchange.tenant, past.id)
-            await self._add(exchange.tenant, past.id, past, subject, overwrites=True)
+        if not provided.types:
+            raise bad_request_data(
+                f'the entity {provided.id} has no "type"; name its type, for example "Task"'
+            )
+        async with self._exclusive(exchange.tenant, provided.id):
+            subject = await self._subject(exchange.tenant, provided.id)
+            await self._add(exchange.tenant, provided.id, provided, subject, overwrites=True)
         if subject is not None:
             return DONE
-        location = f"{PREFIX}temporal/entities/{quote(past.id, safe=':')}".encode()
+        location = f"{PREFIX}temporal/entities/{quote(provided.id, safe=':')}".encode()
         return Answer(201, b"", [(b"location", location)])
 
     async def append(self, exchange: Exchange) -> Answer:
         """POST temporal/entities/{id}/attrs."""
         document, context = await exchange.body()
         entity_id = _entity_id(exchange)
-        past = await _past_in(exchange, document, context.terms)
-        if past.id is not None and past.id != entity_id:
-            raise bad_request_data(f"the body is about {past.id}, the path about {entity_id}; agree on one")
-        async with self._turn(exchange.tenant, entity_id):
+        provided = await _parsed_evolution(exchange, document, context.terms)
+        if provided.id is not None and provided.id != entity_id:
+            raise bad_request_data(
+                f"the body is about {provided.id}, the path about {entity_id}; agree on one"
+            )
+        async with self._exclusive(exchange.tenant, entity_id):
             subject = await self._existing(exchange.tenant, entity_id)
-            await self._add(exchange.tenant, entity_id, past, subject)
+            await self._add(exchange.tenant, entity_id, provided, subject)
         return DONE
 
     async def delete(self, exchange: Exchange) -> Answer:
         """DELETE temporal/entities/{id}: delete the history."""
         entity_id, tenant = _entity_id(exchange), exchange.tenant
-        async with self._turn(tenant, entity_id):
+        async with self._exclusive(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
             for place in subject.places:
                 while True:
@@ -143,7 +147,7 @@ class TemporalProvision:
         def cut(change: Change) -> bool:
             return change.cut(name, lambda one: every or one == dataset)
 
-        async with self._turn(tenant, entity_id):
+        async with self._exclusive(tenant, entity_id):
             subject = await self._existing(tenant, entity_id)
             found = 0
             for place in subject.places:
@@ -173,7 +177,7 @@ class TemporalProvision:
                 document = document[0]
             if not isinstance(document, dict):
                 raise bad_request_data(f"a PATCH takes one instance, not {shown(document)}; send an object")
-        async with self._turn(tenant, entity_id):
+        async with self._exclusive(tenant, entity_id):
             place, seq, position, change = await self._row(exchange, entity_id)
             instance = change.find(name, position)
             if instance is None:
@@ -196,7 +200,7 @@ class TemporalProvision:
         """DELETE temporal/entities/{id}/attrs/{name}/{instance}."""
         entity_id, tenant = _entity_id(exchange), exchange.tenant
         name = _attribute(exchange, (await exchange.reader_context()).terms)
-        async with self._turn(tenant, entity_id):
+        async with self._exclusive(tenant, entity_id):
             place, seq, position, change = await self._row(exchange, entity_id)
             if not change.without(name, position):
                 raise _absent_instance(exchange)
@@ -206,14 +210,20 @@ class TemporalProvision:
     # Storing
 
     async def _add(
-        self, tenant: Tenant, entity_id: str, past: Past, subject: Subject | None, *, overwrites: bool = False
+        self,
+        tenant: Tenant,
+        entity_id: str,
+        provided: ProvidedEvolution,
+        subject: Subject | None,
+        *,
+        overwrites: bool = False,
     ) -> None:
         at = timestamp_now()
         entries = Entries()
-        added = past.stamped(at).attributes
+        added = provided.stamped(at).attributes
         live = tenant.store.latest(entity_id)
         if live is not None:
-            if past.expires_at is not None:
+            if provided.expires_at is not None:
                 raise bad_request_data(
                     f"{entity_id} is current: set its expiresAt with PATCH entities/{{id}}"
                 )
@@ -223,9 +233,9 @@ class TemporalProvision:
             known = Departed((), (), at, at, None) if subject is None else subject.departed(at)
             known = replace(
                 known,
-                types=tuple(dict.fromkeys((*known.types, *past.types))),
-                scopes=past.scopes or known.scopes,
-                expires_at=past.expires_at or known.expires_at,
+                types=tuple(dict.fromkeys((*known.types, *provided.types))),
+                scopes=provided.scopes or known.scopes,
+                expires_at=provided.expires_at or known.expires_at,
             )
             entries.departed[place] = DepartedRow(tenant.name, entity_id, known.stored())
         try:
@@ -308,27 +318,27 @@ class TemporalProvision:
         return rows, found[-1][0] if len(found) == ROWS_PER_COMMIT else None
 
     @asynccontextmanager
-    async def _turn(self, tenant: Tenant, entity_id: str) -> AsyncIterator[None]:
+    async def _exclusive(self, tenant: Tenant, entity_id: str) -> AsyncIterator[None]:
         """Serialize changes of the history of one entity."""
         key = (tenant.name, entity_id)
-        lock, waiting = self._turns.get(key, (asyncio.Lock(), 0))
-        self._turns[key] = (lock, waiting + 1)
+        lock, waiting = self._locks.get(key, (asyncio.Lock(), 0))
+        self._locks[key] = (lock, waiting + 1)
         try:
             async with lock:
                 yield
         finally:
-            lock, waiting = self._turns[key]
+            lock, waiting = self._locks[key]
             if waiting == 1:
-                del self._turns[key]
+                del self._locks[key]
             else:
-                self._turns[key] = (lock, waiting - 1)
+                self._locks[key] = (lock, waiting - 1)
 
 
-async def _past_in(exchange: Exchange, document: Any, terms: Terms) -> Past:
+async def _parsed_evolution(exchange: Exchange, document: Any, terms: Terms) -> ProvidedEvolution:
     """Return the evolution in the body; a long body is parsed in a thread."""
     if len(exchange.raw) < LONG_BODY_BYTES:
-        return read_past(document, terms)
-    return await asyncio.to_thread(read_past, document, terms)
+        return parse_evolution(document, terms)
+    return await asyncio.to_thread(parse_evolution, document, terms)
 
 
 async def _commit(tenant: Tenant, entries: Entries) -> None:

@@ -78,27 +78,27 @@ class Retention:
         """
         pieces, place = 0, -1
         while True:
-            place, has_old = await asyncio.to_thread(self._next_with_old, place, before)
+            place, has_old = await asyncio.to_thread(self._next_with_old_history, place, before)
             if not has_old:
                 if place < 0:
                     return pieces
                 await asyncio.sleep(PAUSE_S)
                 continue
-            pieces += await self._forget(place, before)
-            await self._forget_if_empty(place)
+            pieces += await self._delete(place, before)
+            await self._delete_if_empty(place)
 
     async def end(self, now_s: float) -> int:
         """Delete the history of entities whose `expiresAt` has passed; return the number of places.
 
         Raises `NotStored` when the disk refuses; earlier commits stay.
         """
-        over = await asyncio.to_thread(self._over, tuple(self._tenants()), now_s)
+        over = await asyncio.to_thread(self._expired, tuple(self._tenants()), now_s)
         for tenant, entity_id, place in over:
-            await self._forget(place, END_OF_TIME)
+            await self._delete(place, END_OF_TIME)
             await self._commits.store(Entries(departed={place: DepartedRow(tenant, entity_id, None)}))
         return len(over)
 
-    def _over(self, tenants: Iterable[str], now_s: float) -> list[tuple[str, str, int]]:
+    def _expired(self, tenants: Iterable[str], now_s: float) -> list[tuple[str, str, int]]:
         """Return tenant, id and place of expired history, including earlier places of the same entities."""
         found: list[tuple[str, str, int]] = []
         for tenant in tenants:
@@ -109,7 +109,7 @@ class Retention:
                     found += [(tenant, entity_id, one) for one in before.pop(entity_id)]
         return found
 
-    async def _forget(self, place: int, before: int) -> int:
+    async def _delete(self, place: int, before: int) -> int:
         """Delete the changes at a place with a seq below `before`; return the number of commits."""
         pieces = 0
         bound: int | None = 0
@@ -120,7 +120,7 @@ class Retention:
             await asyncio.sleep(PAUSE_S)
         return pieces
 
-    def _next_with_old(self, after: int, before: int) -> tuple[int, bool]:
+    def _next_with_old_history(self, after: int, before: int) -> tuple[int, bool]:
         """Return the next place with something to delete, else the last scanned place, -1 at the end."""
         place = after
         for _ in range(PLACES_PER_SCAN):
@@ -132,7 +132,7 @@ class Retention:
                 return place, True
         return place, False
 
-    async def _forget_if_empty(self, place: int) -> None:
+    async def _delete_if_empty(self, place: int) -> None:
         gone = await asyncio.to_thread(self._archive.departed_without_history, place)
         if gone is not None:
             tenant, entity_id = gone

@@ -98,13 +98,13 @@ def test_names_and_odd_spellings_are_checked_by_their_address(host: str) -> None
     with pytest.raises(AddressRefused, match="own machine"):
         asyncio.run(BEYOND.resolved(host, 80))
     with pytest.raises(Problem) as refused:
-        asyncio.run(BEYOND.require_open(host, "the endpoint"))
+        asyncio.run(BEYOND.require_allowed(host, "the endpoint"))
     assert refused.value.status == 400
     assert SETTING in refused.value.detail
 
 
 def test_an_unresolved_name_is_accepted_and_fails_when_used() -> None:
-    asyncio.run(BEYOND.require_open("nobody.invalid", "the endpoint"))
+    asyncio.run(BEYOND.require_allowed("nobody.invalid", "the endpoint"))
     with pytest.raises(SendError):
         asyncio.run(PooledHttpClient(BEYOND).post("http://nobody.invalid/", [], b"", 5))
 

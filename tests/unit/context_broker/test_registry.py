@@ -16,7 +16,7 @@ from services.context_broker.federation.registrations.registration import (
     root_of,
     shown_document,
 )
-from services.context_broker.federation.registrations.registration_intake import kept_document, registration
+from services.context_broker.federation.registrations.registration_parser import kept_document, registration
 from services.context_broker.federation.registrations.registry import Registry, claims
 from services.context_broker.model.context import Context
 from services.context_broker.model.entity import Entity

@@ -37,7 +37,7 @@ async def settled(
     """Create a snapshot; return it once its status is no longer "preparing"."""
     tenant = broker.tenants.of(b"", makes=False)
     made = new_snapshot("urn:x:1", {"snapshotQueries": list(queries)})
-    await store.keep(tenant, made)
+    await store.store(tenant, made)
     exchange = RequestContext(Request("POST", b"/ngsi-ld/v1/snapshots", b"", {}), (), broker.contexts, tenant)
     creator.start(exchange, made, context)
     async with asyncio.timeout(120):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from datamodels.contexts import HANDOVER_URL, TermMap
 from handover.errors import Problem
 from services.context_broker.temporal.durations import MICROS
+from services.context_broker.temporal.evolution_parser import parse_evolution
 from services.context_broker.temporal.history import SCOPE, Change
-from services.context_broker.temporal.intake import read_past
 from services.context_broker.temporal.query import TemporalQuery, temporal_query
 
 TERMS = TermMap(HANDOVER_URL)
@@ -84,15 +84,15 @@ ANYTHING = st.recursive(
 @given(ANYTHING, ANYTHING)
 def test_any_temporal_input_is_stored_or_refused(attribute: Any, scope: Any) -> None:
     document = {"id": "urn:x:1", "type": "Car", "speed": attribute, "scope": scope}
-    past = read(lambda: read_past(document, TERMS))
-    if past is None:
+    provided = read(lambda: parse_evolution(document, TERMS))
+    if provided is None:
         return
-    assert isinstance(past.scopes, tuple)
-    stamped = past.stamped("2026-01-01T00:00:00.000000Z").attributes
+    assert isinstance(provided.scopes, tuple)
+    stamped = provided.stamped("2026-01-01T00:00:00.000000Z").attributes
     change = Change({name: [*several] for name, several in stamped.items()})
     kept = Change.restored(change.stored())
     instances = list(kept.instances(0))
-    assert len(instances) == sum(len(several) for several in past.attributes.values())
+    assert len(instances) == sum(len(several) for several in provided.attributes.values())
     assert all(one["createdAt"] == one["modifiedAt"] for _, _, one in instances)
     for name, position, _ in instances:
         assert kept.without(name, position)
@@ -106,13 +106,14 @@ def test_a_list_of_instances_is_several_and_a_list_of_values_is_one() -> None:
         "sizes": [1, 2, 3],
         "scope": [{"type": "Property", "value": ["/a", "/b"]}, {"value": "/c"}],
     }
-    past = read_past(document, TERMS)
+    provided = parse_evolution(document, TERMS)
     found = {
-        TERMS.compact(name): [one["value"] for one in several] for name, several in past.attributes.items()
+        TERMS.compact(name): [one["value"] for one in several]
+        for name, several in provided.attributes.items()
     }
     assert found == {"speed": [1, 2, 3], "sizes": [[1, 2, 3]], "scope": [["/a", "/b"], "/c"]}
-    assert past.scopes == ("/c",)
-    assert SCOPE in past.attributes
+    assert provided.scopes == ("/c",)
+    assert SCOPE in provided.attributes
 
 
 @pytest.mark.parametrize(

@@ -188,16 +188,16 @@ def narrowed(
         types = asked_types
         if any_type:
             types = set() if ids else _types_at(match.registration)
-        plain = [("type", ",".join(sorted(dialect.name(kind) for kind in types)))] if types else []
+        without_context = [("type", ",".join(sorted(dialect.name(kind) for kind in types)))] if types else []
         if not ids and "idPattern" in parameters:
-            plain.append(("idPattern", parameters["idPattern"]))
+            without_context.append(("idPattern", parameters["idPattern"]))
         if names is not None:
-            plain.append(("attrs", joined_names(names, dialect)))
-        plain += [*filters, ("options", "sysAttrs")]
+            without_context.append(("attrs", joined_names(names, dialect)))
+        without_context += [*filters, ("options", "sysAttrs")]
         listed = list(ids)
         for start in range(0, max(1, len(listed)), MAX_IDS):
             some = listed[start : start + MAX_IDS]
-            yield [*plain, ("id", ",".join(some))] if some else plain
+            yield [*without_context, ("id", ",".join(some))] if some else without_context
 
 
 def _types_at(registration: Registration) -> set[str]:

@@ -35,7 +35,10 @@ from services.context_broker.federation.distribution.query_targets import (
     target_of,
 )
 from services.context_broker.federation.distribution.source_responses import query_source
-from services.context_broker.federation.distribution.temporal_fetching import of_the_past, who
+from services.context_broker.federation.distribution.temporal_fetching import (
+    entity_parameters,
+    temporal_parameters_of,
+)
 from services.context_broker.federation.entity_maps.entity_map import Listed
 from services.context_broker.federation.entity_maps.mapped_exchange import with_map
 from services.context_broker.federation.registrations.registration import Match, Registration
@@ -73,8 +76,8 @@ class EntityMapCollector:
                 dialect = await self._sources.forwarder.dialect(registration, self._context, body=None)
                 questions = list(narrowed(match, parameters, self._context, dialect, is_split=is_split))
                 if len(questions) == 1:
-                    plain = [one for one in questions[0] if one[0] != "options"]
-                    request = SourceRequest("GET", "entityMaps", dialect, (*plain, *self._lifetime))
+                    without_context = [one for one in questions[0] if one[0] != "options"]
+                    request = SourceRequest("GET", "entityMaps", dialect, (*without_context, *self._lifetime))
                     is_listed = await self._take(registration, request)
             except SourceError as error:
                 self._sources.add_error(error)
@@ -123,8 +126,10 @@ class EntityMapCollector:
         registration = match.registration
         try:
             dialect = await self._sources.forwarder.dialect(registration, self._context, body=None)
-            target = [*who(match, parameters, dialect.name)]
-            target += of_the_past(match, parameters, dialect, same=dialect.context is self._context)
+            target = [*entity_parameters(match, parameters, dialect.name)]
+            target += temporal_parameters_of(
+                match, parameters, dialect, same=dialect.context is self._context
+            )
             if registration.takes(CREATE_TEMPORAL_MAP):
                 request = SourceRequest("GET", "temporal/entityMaps", dialect, (*target, *self._lifetime))
                 if await self._take(registration, request):
@@ -139,10 +144,10 @@ class EntityMapCollector:
             self._sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
 
     async def _read_ids(self, registration: Registration, request: SourceRequest) -> None:
-        plain = [one for one in request.parameters if one[0] not in {"lastN", "options", "format"}]
+        without_context = [one for one in request.parameters if one[0] not in {"lastN", "options", "format"}]
         for page in range(_MAX_PAGES):
             window = (("lastN", "1"), ("limit", str(_PAGE)), ("offset", str(page * _PAGE)))
-            target = SourceRequest("GET", request.path, request.dialect, (*plain, *window))
+            target = SourceRequest("GET", request.path, request.dialect, (*without_context, *window))
             response = await query_source(self._sources, registration, target)
             try:
                 documents = orjson.loads(response.body) if response is not None and response.body else []
@@ -172,8 +177,10 @@ async def map_temporal(sources: Sources, exchange: Exchange, perform: Perform) -
         if not isinstance(document, dict):
             return await perform(exchange)
         parameters = {**exchange.parameters, **temporal_parameters(document)}
-        plain = {name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}}
-        questions = list(selector_parameters(plain, parameters))
+        without_context = {
+            name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}
+        }
+        questions = list(selector_parameters(without_context, parameters))
     map_collector = EntityMapCollector(sources, context, exchange.parameter(_LIFETIME))
     asking = []
     for each in questions:

@@ -15,7 +15,7 @@ from services.context_broker.delivery.subscription import Subscription
 from services.context_broker.delivery.subscription_documents import NAMES_IN, shown_document
 from services.context_broker.federation.distribution.forwarding import SourceDialect
 from services.context_broker.federation.registrations.registration import EntityTarget, Registration
-from services.context_broker.federation.registrations.registration_intake import registration
+from services.context_broker.federation.registrations.registration_parser import registration
 from services.context_broker.query.type_selection import TypeSelection
 
 PATH: Final = "sourceNotifications"
@@ -31,17 +31,17 @@ _FILTERS: Final = ("q", "geoQ", "scopeQ", "expandValues", "jsonKeys")
 class ForwardedSubscription:
     """One subscription at one source. `token` is part of its id there and of the notification endpoint here.
 
-    `said` is the digest of the forwarded document, `base` the address of this broker in the notification
-    endpoint. `is_there`: the source has confirmed the subscription.
+    `document_digest` changes with the forwarded document, `base` is the address of this broker in the
+    notification endpoint. `is_confirmed`: the source has accepted the subscription.
     """
 
     token: str
     tenant: str
     subscription: str
     registration: Registration
-    said: str
+    document_digest: str
     base: str
-    is_there: bool
+    is_confirmed: bool
 
     @property
     def id(self) -> str:
@@ -53,9 +53,9 @@ class ForwardedSubscription:
         """Return the ids of the subscription and of the registration."""
         return self.subscription, self.registration.id
 
-    def there(self) -> "ForwardedSubscription":
+    def confirmed(self) -> "ForwardedSubscription":
         """Return the forwarded subscription as confirmed by its source."""
-        return replace(self, is_there=True)
+        return replace(self, is_confirmed=True)
 
     def stored(self) -> bytes:
         """Return the document for the journal."""
@@ -65,9 +65,9 @@ class ForwardedSubscription:
                 self.subscription,
                 source.document,
                 source.context.document,
-                self.said,
+                self.document_digest,
                 self.base,
-                self.is_there,
+                self.is_confirmed,
             ]
         )
 
@@ -76,9 +76,9 @@ async def restored(
     token: str, tenant: str, stored: bytes, contexts: ContextResolver
 ) -> ForwardedSubscription:
     """Return the relay that `stored` had been; raises a problem if its source makes no sense any more."""
-    subscription, document, context, said, base, is_there = orjson.loads(stored)
+    subscription, document, context, document_digest, base, is_confirmed = orjson.loads(stored)
     source = registration(document, await contexts.as_before(context))
-    return ForwardedSubscription(token, tenant, subscription, source, said, base, is_there)
+    return ForwardedSubscription(token, tenant, subscription, source, document_digest, base, is_confirmed)
 
 
 def questions(one: Subscription) -> list[EntityTarget]:
@@ -97,7 +97,7 @@ def questions(one: Subscription) -> list[EntityTarget]:
     return found
 
 
-def passed_on(one: Subscription, source: Registration, dialect: SourceDialect) -> dict[str, Any]:
+def forwarded_document(one: Subscription, source: Registration, dialect: SourceDialect) -> dict[str, Any]:
     """Return the document to forward to a source, without its notification endpoint.
 
     Filters apply to whole entities, so this broker evaluates them. They are forwarded as well if the source

@@ -298,8 +298,12 @@ def in_dialect(document: Any, context: Context, dialect: SourceDialect) -> Any:
     """Return a document with its names in `context` translated to the dialect, without @context."""
     if isinstance(document, list):
         return [in_dialect(one, context, dialect) for one in document]
-    plain = {name: said for name, said in document.items() if name != "@context"}
-    return plain if dialect.context is context else translated(plain, context.terms, dialect.context.terms)
+    without_context = {name: said for name, said in document.items() if name != "@context"}
+    return (
+        without_context
+        if dialect.context is context
+        else translated(without_context, context.terms, dialect.context.terms)
+    )
 
 
 def quoted(part: str) -> str:

@@ -76,7 +76,9 @@ def part_of(document: Mapping[str, Any], names: Mapping[str, str], wanted: Insta
     return part
 
 
-def had_by(registration: Registration, instances: Instances, names: frozenset[str] | None) -> Instances:
+def instances_of_source(
+    registration: Registration, instances: Instances, names: frozenset[str] | None
+) -> Instances:
     """Return the instances that a source may have: of attributes (IRIs, None for all) and of its datasets."""
     datasets = registration.datasets
     if names is None and datasets is None:

@@ -30,27 +30,29 @@ def selector_parameters(
     document: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> Iterable[dict[str, str]]:
     """Yield the parameters that a GET for the same, or for one of its selectors, would have."""
-    plain = {name: said for name, said in {**parameters, **document}.items() if isinstance(said, str)}
+    without_context = {
+        name: said for name, said in {**parameters, **document}.items() if isinstance(said, str)
+    }
     for name in ("attrs", "pick", "omit", "datasetId", "expandValues", "jsonKeys"):
         if isinstance(document.get(name), list):
-            plain[name] = ",".join(str(one) for one in document[name])
+            without_context[name] = ",".join(str(one) for one in document[name])
     geo = document.get("geoQ")
     if isinstance(geo, dict):
         for name in ("georel", "geometry", "geoproperty", "coordinates"):
             if name in geo:
                 said = geo[name]
-                plain[name] = said if isinstance(said, str) else orjson.dumps(said).decode()
+                without_context[name] = said if isinstance(said, str) else orjson.dumps(said).decode()
     if isinstance(document.get("ordering"), dict):
-        plain["orderBy"] = ",".join(str(one) for one in document["ordering"].get("orderBy") or ())
-    plain.pop("type", None)  # the type of the document, "Query"
+        without_context["orderBy"] = ",".join(str(one) for one in document["ordering"].get("orderBy") or ())
+    without_context.pop("type", None)  # the type of the document, "Query"
     selectors = document.get("entities")
     if not isinstance(selectors, list) or not selectors:
-        yield plain
+        yield without_context
         return
     for one in selectors:
         if isinstance(one, dict):
             yield {
-                **plain,
+                **without_context,
                 **{
                     name: said if isinstance(said, str) else ",".join(str(part) for part in said)
                     for name, said in one.items()

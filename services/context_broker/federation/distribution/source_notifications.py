@@ -39,7 +39,7 @@ def change_of_notification(
 
     The entity is merged with the broker's `own` part. Raises a problem (400) for an invalid entity.
     """
-    before, kept, gone = _parted(document, terms)
+    before, kept, gone = _split(document, terms)
     fragment = read_fragment(without_expired(kept, time.time()) or kept, terms, place_of(kept))
     registered = about(registration, fragment)
     if registered is None:
@@ -57,7 +57,7 @@ def change_of_notification(
         after = merged([Fragment(registered, (1, registration.id)), Fragment(own, (0, ""))])
     was, updated = dict(after.attributes), set[str]()
     for name, instances in old.attributes.items():
-        was[name] = _with_those_of_before(
+        was[name] = _previous_instances(
             after.attributes.get(name, []), registered.attributes[name], instances
         )
         updated.add(name)
@@ -72,7 +72,7 @@ def change_of_notification(
     )
 
 
-def _with_those_of_before(
+def _previous_instances(
     now: list[Instance], registered: list[Instance], before: list[Instance]
 ) -> list[Instance]:
     """Return the previous instances of an attribute where the current ones come from the source."""
@@ -80,7 +80,7 @@ def _with_those_of_before(
     return [old.get(dataset_of(one), one) if one in registered else one for one in now]
 
 
-def _parted(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict[str, Any], Attributes]:
+def _split(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict[str, Any], Attributes]:
     """Return previous attributes (where given), the current document, and deleted attributes."""
     before: Attributes = {}
     kept: dict[str, Any] = {}
@@ -94,12 +94,12 @@ def _parted(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict
         iri = expand(name, terms)
         left = []
         for one in instances:
-            if (was := _before(one)) is not None:
+            if (was := _previous_instance(one)) is not None:
                 before.setdefault(iri, []).append(was)
-            if (lost := _gone(one, was)) is not None:
+            if (lost := _deleted_instance(one, was)) is not None:
                 gone.setdefault(iri, []).append(lost)
             else:
-                left.append(_now(one))
+                left.append(_current_value(one))
         if left:
             kept[name] = left if isinstance(said, list) and instances is said else left[0]
     for iri in gone.keys() & before.keys():
@@ -108,7 +108,7 @@ def _parted(document: Mapping[str, Any], terms: Terms) -> tuple[Attributes, dict
     return {iri: some for iri, some in before.items() if some}, kept, gone
 
 
-def _before(said: Any) -> Instance | None:
+def _previous_instance(said: Any) -> Instance | None:
     if not isinstance(said, Mapping):
         return None
     for member, kind in _PREVIOUS.items():
@@ -123,7 +123,7 @@ def _kind(said: Mapping[str, Any], kind: str) -> str:
     return given if isinstance(given, str) and SAYS.get(given) == SAYS[kind] else kind
 
 
-def _gone(said: Any, was: Instance | None) -> Instance | None:
+def _deleted_instance(said: Any, was: Instance | None) -> Instance | None:
     """Return the deleted instance, None if it was not deleted."""
     if said == NULL:
         return {"type": "Property", "value": NULL}
@@ -137,7 +137,7 @@ def _gone(said: Any, was: Instance | None) -> Instance | None:
     return None
 
 
-def _now(said: Any) -> Any:
+def _current_value(said: Any) -> Any:
     if not isinstance(said, Mapping):
         return said
     return {member: value for member, value in said.items() if member not in _PREVIOUS}

@@ -19,10 +19,10 @@ from services.context_broker.federation.distribution.temporal_fetching import (
     FetchPart,
     TemporalPart,
     TemporalRequest,
-    ask_source,
     edge_of,
-    plain,
-    values_of,
+    fetch_from_source,
+    fetch_values,
+    without_context,
 )
 from services.context_broker.federation.distribution.temporal_merge import Evolution
 from services.context_broker.federation.registrations.registration import Match, Registration
@@ -62,7 +62,7 @@ async def split_hits(
     readers: list[tuple[Registration | None, FetchPart]] = [(None, _pages_of_own(exchange, perform, request))]
     readers += [(match.registration, _pages_of(sources, match, request)) for match, _ in matched]
     known: dict[str, list[temporal_merge.SourceEvolution]] = {}
-    for registration, document in await values_of(readers, whole):
+    for registration, document in await fetch_values(readers, whole):
         known.setdefault(document["id"], []).append((registration, document))
     selection = _selection(exchange, request)
     return [
@@ -95,7 +95,7 @@ def _selection(exchange: Exchange, request: TemporalRequest) -> Selection:
 
 def _pages_of(sources: Sources, match: Match, request: TemporalRequest) -> FetchPart:
     def of_source(parameters: Mapping[str, str]) -> Awaitable[TemporalPart]:
-        return ask_source(sources, match, "temporal/entities", parameters, request.context)
+        return fetch_from_source(sources, match, "temporal/entities", parameters, request.context)
 
     return _all_pages(of_source, request)
 
@@ -109,7 +109,7 @@ def _pages_of_own(exchange: Exchange, perform: Perform, request: TemporalRequest
             asked.raw = orjson.dumps({**document, "temporalQ": times})
             asked.parameters = {name: parameters[name] for name in ("options", "offset", "limit")}
         parts = await perform(asked)
-        return TemporalPart([plain(one) for one in orjson.loads(parts.body)], edge_of(parts))
+        return TemporalPart([without_context(one) for one in orjson.loads(parts.body)], edge_of(parts))
 
     return _all_pages(of_own, request)
 

@@ -27,7 +27,7 @@ from services.context_broker.federation.distribution.forwarded_subscriptions imp
     PATH,
     ForwardedSubscription,
     digest,
-    passed_on,
+    forwarded_document,
     questions,
     restored,
     with_endpoint,
@@ -91,7 +91,7 @@ class SubscriptionForwarder:
         self._refused: dict[tuple[str, str, str], str] = {}
         self._locks: dict[str, asyncio.Lock] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        self._waking: set[str] = set()
+        self._aligning: set[str] = set()
         self._retrying: set[str] = set()
         self._base = ""
 
@@ -104,7 +104,7 @@ class SubscriptionForwarder:
     def handlers(self) -> dict[str, Handler]:
         """Return the handlers of operations that change subscriptions."""
         names = ("createSubscription", "updateSubscription", "deleteSubscription")
-        return dict.fromkeys(names, self._changed)
+        return dict.fromkeys(names, self._after_change)
 
     async def start(self, journal: Journal) -> None:
         """Load the forwarded subscriptions and bring them in step."""
@@ -115,7 +115,7 @@ class SubscriptionForwarder:
             self._base = self._public_url or forwarded.base
         for one in self._tenants:
             if not one.federation.is_empty or self._of(one):
-                self.wake(one)
+                self.schedule_alignment(one)
 
     def stop(self) -> None:
         """Stop the background tasks; forwarded subscriptions stay."""
@@ -129,11 +129,11 @@ class SubscriptionForwarder:
         except Problem as problem:
             log.exception("forwarded subscription cannot be loaded", token=token, why=problem.detail)
 
-    def wake(self, tenant: Tenant) -> None:
+    def schedule_alignment(self, tenant: Tenant) -> None:
         """Schedule an alignment of a tenant; changes in a row share one."""
-        self._align_later(tenant, SETTLE_S, self._waking)
+        self._schedule_alignment(tenant, SETTLE_S, self._aligning)
 
-    def _align_later(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
+    def _schedule_alignment(self, tenant: Tenant, after_s: float, waiting: set[str]) -> None:
         if tenant.name in waiting:
             return
         waiting.add(tenant.name)
@@ -152,7 +152,7 @@ class SubscriptionForwarder:
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("subscription forwarding failed", exc_info=error)
 
-    async def _changed(self, sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
+    async def _after_change(self, sources: Sources, exchange: Exchange, perform: Perform) -> Answer:
         answer = await perform(exchange)
         self._base = self._contexts.base(exchange.headers)
         for why in await self.align(exchange.tenant):
@@ -167,25 +167,31 @@ class SubscriptionForwarder:
             wanted = await self._wanted(tenant)
             held = {one.key: one for one in self._of(tenant)}
             gone = [
-                one for key, one in held.items() if key not in wanted or self._is_other(one, wanted[key][3])
+                one
+                for key, one in held.items()
+                if key not in wanted or self._is_outdated(one, wanted[key][3])
             ]
             kept = [one for one in held.values() if one not in gone]
-            failed = [why for why in await gather_all(*(self._take_back(tenant, one) for one in gone)) if why]
+            failed = [
+                why for why in await gather_all(*(self._delete_at_source(tenant, one) for one in gone)) if why
+            ]
             fresh = [
-                self._pass_on(tenant, *wanted[key])
+                self._forward(tenant, *wanted[key])
                 for key in wanted
-                if not any(one.key == key and one.is_there for one in kept)
+                if not any(one.key == key and one.is_confirmed for one in kept)
             ]
             failed += [why for why in await gather_all(*fresh) if why]
         if failed:
-            self._again_later(tenant)
+            self._retry_later(tenant)
         return failed
 
-    def _again_later(self, tenant: Tenant) -> None:
-        self._align_later(tenant, RETRY_S, self._retrying)
+    def _retry_later(self, tenant: Tenant) -> None:
+        self._schedule_alignment(tenant, RETRY_S, self._retrying)
 
-    def _is_other(self, forwarded: ForwardedSubscription, said: str) -> bool:
-        return forwarded.said != said or (self._public_url is not None and forwarded.base != self._public_url)
+    def _is_outdated(self, forwarded: ForwardedSubscription, document_digest: str) -> bool:
+        return forwarded.document_digest != document_digest or (
+            self._public_url is not None and forwarded.base != self._public_url
+        )
 
     async def _wanted(
         self, tenant: Tenant
@@ -204,7 +210,7 @@ class SubscriptionForwarder:
                         "@context of a source cannot be loaded", registration=source.id, why=problem.detail
                     )
                     continue
-                document = passed_on(one, source, dialect)
+                document = forwarded_document(one, source, dialect)
                 found[one.id, source.id] = (
                     one,
                     source,
@@ -228,23 +234,28 @@ class SubscriptionForwarder:
                     found[source.id] = source
         return found.values()
 
-    async def _pass_on(
-        self, tenant: Tenant, one: Subscription, source: Registration, document: dict[str, Any], said: str
+    async def _forward(
+        self,
+        tenant: Tenant,
+        one: Subscription,
+        source: Registration,
+        document: dict[str, Any],
+        document_digest: str,
     ) -> str | None:
         """Return why forwarding failed; None if it succeeded or the source will never take the
         subscription."""
         refused = (tenant.name, one.id, source.id)
-        if self._refused.get(refused) == said:
+        if self._refused.get(refused) == document_digest:
             return None
         held = next(
             (forwarded for forwarded in self._of(tenant) if forwarded.key == (one.id, source.id)), None
         )
         made = held or ForwardedSubscription(
-            uuid4().hex, tenant.name, one.id, source, said, self._base, is_there=False
+            uuid4().hex, tenant.name, one.id, source, document_digest, self._base, is_confirmed=False
         )
         try:
             if held is None:
-                await self._keep(tenant, made)
+                await self._store(tenant, made)
             dialect = await self._forwarder.dialect(source, one.names, body=JSON)
             body = with_endpoint(document, made.base, made.token)
             request = SourceRequest("POST", "subscriptions", dialect, (), body)
@@ -254,16 +265,16 @@ class SubscriptionForwarder:
         except (NotStored, Problem) as error:
             return str(error)
         if response.status in {201, 409}:  # 409: it exists, an earlier response was lost
-            await self._keep(tenant, made.there())
+            await self._store(tenant, made.confirmed())
             return None
         if response.status >= 500 and response.status != 508:
             return f"{source.endpoint} returns {response.status} for a subscription"
         log.warning("source refused a subscription", registration=source.id, status=response.status)
-        self._refused[refused] = said
-        await self._forget(tenant, made)
+        self._refused[refused] = document_digest
+        await self._remove(tenant, made)
         return None if response.status == 508 else _refusal(source, response)
 
-    async def _take_back(self, tenant: Tenant, forwarded: ForwardedSubscription) -> str | None:
+    async def _delete_at_source(self, tenant: Tenant, forwarded: ForwardedSubscription) -> str | None:
         try:
             source, path = forwarded.registration, f"subscriptions/{quoted(forwarded.id)}"
             dialect = await self._forwarder.dialect(source, await self._contexts.of(None), body=JSON)
@@ -274,13 +285,13 @@ class SubscriptionForwarder:
                     "PATCH", path, dialect, (), {"type": "Subscription", "isActive": False}
                 )
             else:  # the source learns from the 404 to its next notification that the subscription has ended
-                await self._forget(tenant, forwarded)
+                await self._remove(tenant, forwarded)
                 return None
             origin = RequestOrigin({}, tenant.alias, federated(tenant).registry)
             response, _ = await self._forwarder.send(forwarded.registration, request, origin)
             if response.status >= 500:
                 return f"{forwarded.registration.endpoint} returns {response.status}"
-            await self._forget(tenant, forwarded)
+            await self._remove(tenant, forwarded)
         except SourceError as error:
             return error.why
         except (NotStored, Problem) as error:
@@ -294,12 +305,12 @@ class SubscriptionForwarder:
     def _of(self, tenant: Tenant) -> list[ForwardedSubscription]:
         return [one for one in self._forwarded.values() if one.tenant == tenant.name]
 
-    async def _keep(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
+    async def _store(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
         key = (Kind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token)
         await tenant.commits.store(Entries(documents={key: forwarded.stored()}))
         self._forwarded[forwarded.token] = forwarded
 
-    async def _forget(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
+    async def _remove(self, tenant: Tenant, forwarded: ForwardedSubscription) -> None:
         await tenant.commits.store(
             Entries(documents={(Kind.FORWARDED_SUBSCRIPTION, tenant.name, forwarded.token): None})
         )

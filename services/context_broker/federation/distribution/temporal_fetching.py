@@ -92,7 +92,7 @@ FetchPart = Callable[[Mapping[str, str]], Awaitable[TemporalPart]]
 """Reads a part with these parameters."""
 
 
-async def values_of(
+async def fetch_values(
     readers: Iterable[tuple[Registration | None, FetchPart]],
     request: TemporalRequest,
     timeout_s: float = READ_TIMEOUT_S,
@@ -144,7 +144,7 @@ def _too_many() -> Problem:
     )
 
 
-def asking_sources(
+def source_fetchers(
     sources: Sources,
     matched: Iterable[tuple[Match, Mapping[str, str]]],
     context: Context,
@@ -155,7 +155,7 @@ def asking_sources(
     def of_source(match: Match) -> FetchPart:
         def ask(parameters: Mapping[str, str]) -> Awaitable[TemporalPart]:
             wanted = {**parameters, "limit": str(len(ids))}
-            return ask_source(sources, match, "temporal/entities", wanted, context)
+            return fetch_from_source(sources, match, "temporal/entities", wanted, context)
 
         return ask
 
@@ -171,7 +171,7 @@ def asking_sources(
     return found
 
 
-def asking_own(exchange: Exchange, perform: Perform, ids: tuple[str, ...]) -> FetchPart:
+def own_fetcher(exchange: Exchange, perform: Perform, ids: tuple[str, ...]) -> FetchPart:
     """Return a function that reads some of the broker's own entities."""
     narrowed = {"offset": "0", "limit": str(len(ids))}
     hidden = {"aggrParams", *SHOWING}
@@ -190,12 +190,12 @@ def asking_own(exchange: Exchange, perform: Perform, ids: tuple[str, ...]) -> Fe
             raw = orjson.dumps(document)
             wanted = derived(exchange, parameters={**forms, **narrowed}, raw=raw)
         answer = await perform(wanted)
-        return TemporalPart([plain(one) for one in orjson.loads(answer.body)], edge_of(answer))
+        return TemporalPart([without_context(one) for one in orjson.loads(answer.body)], edge_of(answer))
 
     return ask
 
 
-async def ask_source(
+async def fetch_from_source(
     sources: Sources,
     match: Match,
     path: str,
@@ -207,14 +207,14 @@ async def ask_source(
     """Return the evolutions of a source in the names of `context`."""
     pieces = [match] if single else list(match.split_by_ids(MAX_IDS))
     if len(pieces) == 1:
-        return await _asked(sources, match, path, parameters, context, single=single)
-    parts = await gather_all(*(_asked(sources, one, path, parameters, context) for one in pieces))
+        return await _fetch_once(sources, match, path, parameters, context, single=single)
+    parts = await gather_all(*(_fetch_once(sources, one, path, parameters, context) for one in pieces))
     edges = [part.edge for part in parts if part.edge is not None]
     edge = None if not edges else max(edges) if "lastN" in parameters else min(edges)
     return TemporalPart([document for part in parts for document in part.documents], edge)
 
 
-async def _asked(
+async def _fetch_once(
     sources: Sources,
     match: Match,
     path: str,
@@ -226,8 +226,8 @@ async def _asked(
     registration = match.registration
     try:
         dialect = await sources.forwarder.dialect(registration, context, body=None)
-        wanted = [] if single else who(match, parameters, dialect.name)
-        wanted += of_the_past(match, parameters, dialect, same=dialect.context is context)
+        wanted = [] if single else entity_parameters(match, parameters, dialect.name)
+        wanted += temporal_parameters_of(match, parameters, dialect, same=dialect.context is context)
         if not single:
             wanted += [
                 (name, parameters[name]) for name in ("limit", "offset") if parameters.get(name, "0") != "0"
@@ -245,12 +245,12 @@ async def _asked(
     except Problem as problem:
         sources.add_error(SourceError(registration, SILENT, 502, problem.detail))
         return _NOTHING
-    in_ours = (translated(plain(one), there.terms, context.terms) for one in documents)
+    in_ours = (translated(without_context(one), there.terms, context.terms) for one in documents)
     edge = temporal_merge.edge_in(response.headers.get("content-range")) if response.status == 206 else None
     return TemporalPart([_limited(one, match.attributes, context) for one in in_ours], edge)
 
 
-def of_the_past(
+def temporal_parameters_of(
     match: Match, parameters: Mapping[str, str], dialect: SourceDialect, *, same: bool
 ) -> list[tuple[str, str]]:
     """Return the query parameters for a source, without those that select entities.
@@ -266,7 +266,9 @@ def of_the_past(
     ]
 
 
-def who(match: Match, parameters: Mapping[str, str], name: Callable[[str], str]) -> list[tuple[str, str]]:
+def entity_parameters(
+    match: Match, parameters: Mapping[str, str], name: Callable[[str], str]
+) -> list[tuple[str, str]]:
     """Return the query parameters that select the entities of a source."""
     types = {kind for part in match.parts for kind in part.types or ()} or {
         kind for piece in match.registration.information for one in piece.entities for kind in one.types
@@ -296,7 +298,7 @@ def _documents(registration: Registration, response: HttpResponse, *, single: bo
     return documents
 
 
-def plain(document: Evolution) -> Evolution:
+def without_context(document: Evolution) -> Evolution:
     """Return an evolution without its @context."""
     return {name: said for name, said in document.items() if name != "@context"}
 

@@ -252,10 +252,10 @@ def _slot_of(one: Any) -> Any:
     """Return the identity of an instance: its dataset and time, or all of its content if it has no time."""
     if isinstance(one, dict) and isinstance(one.get("observedAt"), str):
         return _dataset_of(one), _time_of(one)
-    plain = one
+    without_context = one
     if isinstance(one, dict):
-        plain = {name: said for name, said in one.items() if name != "instanceId"}
-    return orjson.dumps(plain, option=orjson.OPT_SORT_KEYS)
+        without_context = {name: said for name, said in one.items() if name != "instanceId"}
+    return orjson.dumps(without_context, option=orjson.OPT_SORT_KEYS)
 
 
 def _times_of(document: Evolution) -> Iterator[float]:

@@ -35,12 +35,12 @@ from services.context_broker.federation.distribution.temporal_fetching import (
     FetchPart,
     TemporalPart,
     TemporalRequest,
-    ask_source,
-    asking_own,
-    asking_sources,
     edge_of,
-    plain,
-    values_of,
+    fetch_from_source,
+    fetch_values,
+    own_fetcher,
+    source_fetchers,
+    without_context,
 )
 from services.context_broker.federation.distribution.temporal_merge import Evolution
 from services.context_broker.federation.entity_maps.entity_map import OWN
@@ -86,11 +86,11 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> An
     path = f"temporal/entities/{quoted(entity_id)}"
 
     def of_source(match: Match) -> FetchPart:
-        return lambda parameters: ask_source(sources, match, path, parameters, context, single=True)
+        return lambda parameters: fetch_from_source(sources, match, path, parameters, context, single=True)
 
     async def of_own(parameters: Mapping[str, str]) -> TemporalPart:
         collected = await perform(derived(exchange, parameters=parameters))
-        return TemporalPart([plain(orjson.loads(collected.body))], edge_of(collected))
+        return TemporalPart([without_context(orjson.loads(collected.body))], edge_of(collected))
 
     asking = [of_source(one) for one in matches]
     parts = await gather_all(*(ask(request.parameters) for ask in asking))
@@ -115,10 +115,10 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> An
     if own is not None:
         readers.insert(0, (None, of_own))
     if (listed := listed_of(exchange)) is not None:
-        who = [OWN if registration is None else registration.id for registration, _ in readers]
-        listed.entities = {entity_id: who}
+        entity_parameters = [OWN if registration is None else registration.id for registration, _ in readers]
+        listed.entities = {entity_id: entity_parameters}
     if request.is_for_totals and len(readers) > 1:
-        values = await values_of(readers, request)
+        values = await fetch_values(readers, request)
         document = temporal_merge.aggregated(
             temporal_merge.merge_evolutions(values, context, request.query.last), request.query
         )
@@ -130,7 +130,7 @@ async def retrieve(sources: Sources, exchange: Exchange, perform: Perform) -> An
     ]
     edges = [part.edge for part in parts]
     if own is not None:
-        collected.insert(0, (None, plain(orjson.loads(own.body))))
+        collected.insert(0, (None, without_context(orjson.loads(own.body))))
         edges.append(edge_of(own))
     last = None if request.is_for_totals else request.query.last
     edge = temporal_merge.common_edge(edges, request.query)
@@ -151,10 +151,12 @@ async def query_batch(sources: Sources, exchange: Exchange, perform: Perform) ->
     document, context = await exchange.body()
     if not isinstance(document, dict):
         return await perform(exchange)
-    plain = {name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}}
+    without_context = {
+        name: said for name, said in document.items() if name not in {"temporalQ", "aggrParams"}
+    }
     flat = {**exchange.parameters, **temporal_parameters(document)}
     return await _query(
-        sources, exchange, perform, _Asked(context, flat, list(selector_parameters(plain, flat)))
+        sources, exchange, perform, _Asked(context, flat, list(selector_parameters(without_context, flat)))
     )
 
 
@@ -191,12 +193,12 @@ async def _query(sources: Sources, exchange: Exchange, perform: Perform, given: 
     request = _temporal_request(exchange, context, given.parameters)
     collected: list[TemporalPart] = await gather_all(
         *(
-            ask_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
+            fetch_from_source(sources, match, "temporal/entities", {**parameters, **paged}, context)
             for match, parameters in matched
         )
     )
     known: dict[str, list[temporal_merge.SourceEvolution]] = {
-        one["id"]: [(None, temporal_merge.shown(plain(one), request.view, context))]
+        one["id"]: [(None, temporal_merge.shown(without_context(one), request.view, context))]
         for one in orjson.loads(own.body)
     }
     mine = len(known)
@@ -213,9 +215,9 @@ async def _query(sources: Sources, exchange: Exchange, perform: Perform, given: 
         shared = tuple(one for one in page if len(known[one]) > 1)
         documents = [known[one][0][1] for one in page]
         if shared:
-            asking = asking_sources(sources, matched, context, shared)
-            asking.insert(0, (None, asking_own(exchange, perform, shared)))
-            values = await values_of(asking, request)
+            asking = source_fetchers(sources, matched, context, shared)
+            asking.insert(0, (None, own_fetcher(exchange, perform, shared)))
+            values = await fetch_values(asking, request)
             made = {
                 one: temporal_merge.aggregated(
                     temporal_merge.merge_evolutions(
@@ -267,7 +269,7 @@ async def _add_rest(
     request: TemporalRequest,
 ) -> None:
     """Add what the sources with more results than requested have of the entities on a page."""
-    asking = asking_sources(sources, full, request.context, tuple(page))
+    asking = source_fetchers(sources, full, request.context, tuple(page))
     parts = await gather_all(*(ask(request.parameters) for _, ask in asking))
     for (registration, _), part in zip(asking, parts, strict=True):
         for document in part.documents:

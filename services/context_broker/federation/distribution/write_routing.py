@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from services.context_broker.federation.distribution.distributed_operations import Sources
-from services.context_broker.federation.distribution.instances import ANY, Instances, had_by
+from services.context_broker.federation.distribution.instances import ANY, Instances, instances_of_source
 from services.context_broker.federation.registrations.operation_names import TEMPORAL
 from services.context_broker.federation.registrations.registration import (
     EntityTarget,
@@ -66,14 +66,14 @@ def route_write(
     `operations` are the names under which a source may take it, the preferred first. `instances` are those
     that are written, None for a write of the entity as a whole (a deletion). `where` filters the sources.
     """
-    found = _concerned(sources, operations, target, where)
+    found = _matching_sources(sources, operations, target, where)
     remaining, is_elsewhere, others = instances or frozenset(), False, list[WriteRoute]()
     for mode in (Mode.EXCLUSIVE, Mode.REDIRECT, Mode.INCLUSIVE):
         taken: set[tuple[str, str | None]] = set()
         for one, theirs, operation in found:
             if one.mode is not mode or (operation is None and not mode.is_proxied):
                 continue
-            part = had_by(one, remaining, theirs)
+            part = instances_of_source(one, remaining, theirs)
             if instances is not None and not part and (instances or theirs is not None):
                 continue
             others.append(WriteRoute(one, part, operation))
@@ -88,12 +88,12 @@ def route_write(
     return WriteRouting(tuple(others), remaining if stays else None)
 
 
-def _concerned(
+def _matching_sources(
     sources: Sources, operations: tuple[str, ...], target: EntityTarget, where: SourceFilter | None
 ) -> Iterable[tuple[Registration, Names | None, str | None]]:
     """Return the matching sources with their attributes (None: all) and the operation that they take."""
     found = []
-    for one in sources.registry.concerned((target,), where):
+    for one in sources.registry.matching_any((target,), where):
         if one.mode is Mode.AUXILIARY or sources.has_visited(one):
             continue
         names: set[str] | None = set()

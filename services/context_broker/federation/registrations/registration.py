@@ -1,6 +1,6 @@
 """A context source registration, ready for matching (clauses 5.2.8 to 5.2.11 and 5.2.34).
 
-`registration_intake` reads and validates documents, `registry` finds the registrations that match a target.
+`registration_parser` reads and validates documents, `registry` finds the registrations that match a target.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping

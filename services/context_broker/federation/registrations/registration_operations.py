@@ -16,7 +16,7 @@ import orjson
 from handover.errors import Problem
 from services.context_broker.contexts.context_resolver import ContextResolver
 from services.context_broker.federation.registrations.registration import Mode, Registration, shown_document
-from services.context_broker.federation.registrations.registration_intake import (
+from services.context_broker.federation.registrations.registration_parser import (
     kept_document,
     refuse_past,
     registration,
@@ -164,7 +164,7 @@ class RegistrationOperations:
         window = window_of(exchange)
         sys_attrs = "sysAttrs" in options_of(exchange, _SYS_ATTRS)
         search = search_of(exchange.parameters, context)
-        found = federated(exchange.tenant).registry.concerned(search.targets, search.wants)
+        found = federated(exchange.tenant).registry.matching_any(search.targets, search.wants)
         page = found[window.offset : window.offset + window.limit]
         documents = [
             shown_document(one, context, sys_attrs=sys_attrs, pieces=one.relevant(search.targets))
@@ -208,7 +208,7 @@ class RegistrationOperations:
 async def _require_open(tenant: Tenant, made: Registration) -> None:
     """Raise a problem (400) if the outbound policy refuses the address of the source."""
     host = urlsplit(made.endpoint).hostname or ""
-    await tenant.notifier.outbound.policy.require_open(host, '"endpoint"')
+    await tenant.notifier.outbound.policy.require_allowed(host, '"endpoint"')
 
 
 def _existing(exchange: Exchange) -> Registration:

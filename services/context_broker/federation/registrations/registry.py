@@ -115,17 +115,17 @@ class Registry:
         ]
         return sorted(found, key=lambda match: (match.registration.mode, self._places[match.registration.id]))
 
-    def concerned(
+    def matching_any(
         self, targets: Sequence[EntityTarget], where: SourceFilter | None = None
     ) -> list[Registration]:
         """Return the registrations that match any of the targets, whatever operations they take; oldest
         first."""
         now_s = time.time()
-        concerned = {one.id for target in targets for one in self._candidates(target) if one.parts(target)}
+        matching_any = {one.id for target in targets for one in self._candidates(target) if one.parts(target)}
         return [
             one
             for one in self._all.values()
-            if one.id in concerned and not one.has_expired(now_s) and (where is None or where(one))
+            if one.id in matching_any and not one.has_expired(now_s) and (where is None or where(one))
         ]
 
     def conflicting_with(self, registration: Registration) -> Registration | None:

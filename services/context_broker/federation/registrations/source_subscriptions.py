@@ -143,7 +143,7 @@ def notices_of_all(
     search = search_of(subscription)  # an invalid search is refused, also for a paused subscription
     if not subscription.is_active(time.time()):
         return []
-    found = registry.concerned(search.targets, search.wants)
+    found = registry.matching_any(search.targets, search.wants)
     return _notices(book, subscription, search, found, Reason.NEWLY_MATCHING)
 
 

@@ -26,7 +26,7 @@ _MEMBERS: Final = frozenset(
 
 
 @dataclass(frozen=True, slots=True)
-class Past:
+class ProvidedEvolution:
     """The evolution of an entity as a client provides it; scopes are instances of the attribute `SCOPE`.
 
     `expires_at` is the expiry of the history, None if it is not given.
@@ -45,7 +45,7 @@ class Past:
             return ()
         return (said[-1],) if isinstance(said[-1], str) else tuple(said[-1])
 
-    def stamped(self, at: str) -> "Past":
+    def stamped(self, at: str) -> "ProvidedEvolution":
         """Return a copy with the broker's timestamps for instances that are stored at `at`."""
         attributes = {
             name: [_stamped(one, at) for one in instances] for name, instances in self.attributes.items()
@@ -53,7 +53,7 @@ class Past:
         return replace(self, attributes=attributes)
 
 
-def read_past(document: Any, terms: Terms) -> Past:
+def parse_evolution(document: Any, terms: Terms) -> ProvidedEvolution:
     """Return the evolution in a document; raise a problem (400) if it is invalid.
 
     An instance with the value `NULL` deletes the attribute at its time (clause 5.5.4).
@@ -82,7 +82,7 @@ def read_past(document: Any, terms: Terms) -> Past:
         raise bad_request_data(
             f"the body has {total} instances; at most {MAX_INSTANCES} are accepted in one request"
         )
-    return Past(head.id, head.types, attributes, head.expires_at)
+    return ProvidedEvolution(head.id, head.types, attributes, head.expires_at)
 
 
 def _instances(name: str, given: Any, terms: Terms) -> list[Instance]:
