@@ -28,10 +28,16 @@ from urllib.parse import quote, urlsplit
 import orjson
 import psutil
 
-from benchmarks.company import company_told
+from benchmarks.steal_time import report_steal_time
 
 CONNECTIONS = 16
-FLOORS = {"create": 6000, "patch": 6000, "retrieve": 15000, "query, 20 hits": 1500, "query, 1000 hits": 200}
+MIN_PER_S = {
+    "create": 6000,
+    "patch": 6000,
+    "retrieve": 15000,
+    "query, 20 hits": 1500,
+    "query, 1000 hits": 200,
+}
 CONTEXT = "https://w3id.org/handover/context.jsonld"
 LINK = f'<{CONTEXT}>; rel="http://www.w3.org/ns/json-ld#context"; type="application/ld+json"'
 FIRST_HITS = 20
@@ -211,8 +217,8 @@ def report(name: str, rounds: Sequence[tuple[float, list[float]]]) -> None:
     """Print a row."""
     rate = statistics.median(rate for rate, _ in rounds)
     times = sorted(itertools.chain.from_iterable(times for _, times in rounds))
-    floor = FLOORS.get(name)
-    against = "" if floor is None else f"  floor {floor}: {rate / floor:.2f} times"
+    least = MIN_PER_S.get(name)
+    against = "" if least is None else f"  minimum {least}: {rate / least:.2f} times"
     print(
         f"{name:28} {rate:9.0f}/s   p50 {quantile(times, 0.5):6.2f} ms   "
         f"p99 {quantile(times, 0.99):6.2f} ms{against}"
@@ -227,7 +233,7 @@ def quantile(ordered: Sequence[float], share: float) -> float:
 class Subscriber(asyncio.Protocol):
     """A subscriber on a bare socket: notes when each notification came, answers at once."""
 
-    told: asyncio.Queue[float]
+    received_at: asyncio.Queue[float]
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a connection."""
@@ -246,14 +252,14 @@ class Subscriber(asyncio.Protocol):
             if len(rest) < length:
                 return
             self._buffer = rest[length:]
-            self.told.put_nowait(time.perf_counter())
+            self.received_at.put_nowait(time.perf_counter())
             self._transport.write(b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n")
 
 
 async def notifications(broker: Broker, subscriptions: int, count: int) -> list[float]:
     """Return the times from PATCH to notification in ms, of `count` in sequence; one subscription matches."""
-    kind = f"Told{subscriptions}"
-    Subscriber.told = asyncio.Queue()
+    kind = f"Notified{subscriptions}"
+    Subscriber.received_at = asyncio.Queue()
     server = await asyncio.get_running_loop().create_server(Subscriber, "127.0.0.1", 0)
     url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/notify"
     line = await Line.open(broker.port)
@@ -267,12 +273,12 @@ async def notifications(broker: Broker, subscriptions: int, count: int) -> list[
         }
         await line.exchange(request("POST", "/ngsi-ld/v1/subscriptions", orjson.dumps(body)))
     await line.exchange(request("POST", "/ngsi-ld/v1/entities", orjson.dumps(task(0, kind=kind))))
-    await Subscriber.told.get()
+    await Subscriber.received_at.get()
     times_ms = []
     for patch in itertools.islice(patches(kind, itertools.repeat(0)), count):
         started_s = time.perf_counter()
         await line.exchange(patch)
-        times_ms.append((await Subscriber.told.get() - started_s) * 1e3)
+        times_ms.append((await Subscriber.received_at.get() - started_s) * 1e3)
     line.close()
     server.close()
     return sorted(times_ms)
@@ -316,8 +322,8 @@ async def measure(broker: Broker, requests: int, rounds: int, stored: int, for_m
         for _ in range(rounds - 1):
             broker.stop()
             starts_s.append(await broker.start())
-        print(f"{'cold start':28} {statistics.median(starts_s) * 1e3:9.0f} ms  floor 800 ms")
-        print(f"{'memory, empty':28} {broker.memory_mb():9.0f} MB  floor 90 MB")
+        print(f"{'cold start':28} {statistics.median(starts_s) * 1e3:9.0f} ms  limit 800 ms")
+        print(f"{'memory, empty':28} {broker.memory_mb():9.0f} MB  limit 90 MB")
     path = "/ngsi-ld/v1/entities"
     fresh = itertools.count(10_000_000)
     rows = [
@@ -352,7 +358,7 @@ async def measure(broker: Broker, requests: int, rounds: int, stored: int, for_m
         name = f"PATCH to notification, {subscriptions}"
         print(
             f"{name:28} p50 {quantile(times, 0.5):.2f} ms, p99 {quantile(times, 0.99):.2f} ms  "
-            "floor 1 ms and 5 ms"
+            "limit 1 ms and 5 ms"
         )
     if broker.is_ours:
         await fill(broker, stored, for_memory)
@@ -376,7 +382,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         broker = Broker(Path(folder), settings, port)
         try:
-            with company_told():
+            with report_steal_time():
                 asyncio.run(measure(broker, options.requests, options.rounds, options.stored, options.memory))
         finally:
             broker.stop()

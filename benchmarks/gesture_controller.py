@@ -35,9 +35,9 @@ from services.gesture_controller.recognition.pipeline import RecognitionConfig
 from services.gesture_controller.recognition.registry import PERSONAL
 from services.gesture_controller.recognition.thresholds import M2O2P_THRESHOLDS
 
-FLOOR_FRAMES_PER_S = 20_000
-CEILING_US = 100
-CEILING_CORE_SHARE = 0.40
+MIN_FRAMES_PER_S = 20_000
+MAX_US = 100
+MAX_CORE_SHARE = 0.40
 STRAIGHT, BENT = [2000.0] * 5, [100.0] * 5
 RECORDINGS = Path(__file__).parents[2] / "shared" / "data" / "glove_recordings"
 LISTENER_EVENTS = ("state_changed", "went_silent", "came_back", "needs_calibration", "calibration_restored")
@@ -214,9 +214,9 @@ def print_speed(count: int) -> tuple[float, float]:
     """Print how fast both recognizers are; return frames/s of the first, µs a frame of the second."""
     per_second, took = measure_pipeline(count, quiet_glove)
     print("pipeline, one core, line on the wire to hold:")
-    print(f"  {per_second:,.0f} frames/s (floor {FLOOR_FRAMES_PER_S:,}), {_spread(took)}")
+    print(f"  {per_second:,.0f} frames/s (limit {MIN_FRAMES_PER_S:,}), {_spread(took)}")
     _, took = measure_pipeline(min(count, 20_000), personal_glove)
-    print(f"  personal recognizer: {_spread(took)} (ceiling {CEILING_US} µs)")
+    print(f"  personal recognizer: {_spread(took)} (ceiling {MAX_US} µs)")
     return per_second, statistics.median(took)
 
 
@@ -226,7 +226,7 @@ def _spread(took: Sequence[float]) -> str:
 
 
 def main() -> None:
-    """Measure and print; exit 1 when a floor is missed."""
+    """Measure and print; exit 1 when a limit is missed."""
     options = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -251,9 +251,9 @@ def main() -> None:
         return
     share, rate = asyncio.run(measure_gloves(Crowd(chosen.gloves, chosen.hz, chosen.seconds)))
     print(f"the process with {chosen.gloves} gloves at {chosen.hz:g} Hz for {chosen.seconds:g} s:")
-    print(f"  {rate:,.0f} frames/s taken, {share:.1%} of a core (ceiling {CEILING_CORE_SHARE:.0%})")
-    too_slow = per_second < FLOOR_FRAMES_PER_S or personal_us > CEILING_US
-    raise SystemExit(too_slow or share > CEILING_CORE_SHARE)
+    print(f"  {rate:,.0f} frames/s taken, {share:.1%} of a core (ceiling {MAX_CORE_SHARE:.0%})")
+    too_slow = per_second < MIN_FRAMES_PER_S or personal_us > MAX_US
+    raise SystemExit(too_slow or share > MAX_CORE_SHARE)
 
 
 if __name__ == "__main__":

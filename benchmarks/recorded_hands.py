@@ -1,9 +1,9 @@
-"""Recorded hands: how well gestures are recognized, told from recordings of people and simulated work.
+"""Recorded hands: the recognition rate in recordings of people and in simulated work.
 
-A recording is a CSV file with the columns pose, thumb, index, middle, ring, little; the rows of a pose follow
-each other in time. Of the person who is measured, the recognizer sees the first second of the fist (pose 0)
-and of the open hand (pose 5), and of each other pose where that is said; `first_second` is the one door to
-it. What it assumes of people at large comes from others.
+A recording is a CSV file with the columns pose, thumb, index, middle, ring, little; the rows of a pose are in
+order of time. The recognizer gets only the first second of the fist (pose 0) and of the open hand (pose 5) of
+the measured person, and where stated of each other pose; only `first_second` returns them. Its assumptions
+about people come from the recordings of others.
 """
 
 import csv
@@ -55,7 +55,7 @@ class Recording:
     poses: Mapping[str, Frames]
     hz: int = 50
     fingerprint: str = ""
-    """Tells whose recording it is, however the file is written."""
+    """Identifies the recording, independent of the format of the file."""
 
     def first_second(self, pose: str) -> Frames:
         """Return all that may be used of `pose` to calibrate for this person."""
@@ -329,7 +329,7 @@ def report(folder: Path, hz: int = 50) -> Iterator[str]:
             frames = sum(len(person.poses.get(pose, [])) for pose in SIX)
             lost = sum(share * len(person.poses[pose]) for pose, share in against.items())
             most = 1 - lost / frames
-            yield f"  {person.name}: so whoever goes by where fingers stand is right in {most:.1%} at most"
+            yield f"  {person.name}: a classifier of finger states is right in {most:.1%} at most"
 
 
 _HEAD = (

@@ -31,7 +31,7 @@ import orjson
 import psutil
 from httpx_aiohttp import AiohttpTransport
 
-from benchmarks.company import company_told
+from benchmarks.steal_time import report_steal_time
 from handover.broker import BrokerClient
 from handover.settings import Settings
 from ros_fiware_bridge.graph.joining import JoinSettings, join
@@ -338,7 +338,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=100.0, help="messages a second, each way")
     parser.add_argument("--memory", type=int, default=0, metavar="MINUTES", help="watch its memory instead")
     asked = parser.parse_args()
-    with company_told():
+    with report_steal_time():
         if sys.platform == "win32":
             asyncio.run(measure(asked.seconds, asked.rate, asked.memory))
         else:

@@ -147,9 +147,9 @@ async def measure_memory(
 
 def is_server(process: psutil.Process, env: dict[str, str]) -> bool:
     """Say whether a process is the screen's server of this measurement."""
-    told = process.info["environ"] or {}
+    environment = process.info["environ"] or {}
     return (process.info["cmdline"] or [])[-2:] == ["-m", "webui"] and (
-        told.get("HANDOVER_WEBUI_PORT") == env["HANDOVER_WEBUI_PORT"]
+        environment.get("HANDOVER_WEBUI_PORT") == env["HANDOVER_WEBUI_PORT"]
     )
 
 

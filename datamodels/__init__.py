@@ -1,7 +1,7 @@
-"""The vocabulary: the entities that people, robots and programs of a shop floor talk about.
+"""The vocabulary: the entity types of people, robots and software in manufacturing.
 
 Frozen models of the SHOP4CF data models in NGSI-LD, with their @contexts, JSON Schemas and examples. This
-package stands on its own; everything else of Handover stands on it.
+package imports no other package of Handover.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -70,9 +70,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Return a model or what it is made of, which are loaded when they are first asked for.
+    """Import a model or an attribute type on first access.
 
-    The broker needs the @contexts alone, and a start should not wait for what it does not use.
+    The broker needs only the @contexts, and its start should not wait for pydantic.
     """
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,7 +1,7 @@
-"""Attributes: what can be said of an entity, each with when it was observed and what else is said of it.
+"""Attributes: Property, Relationship and GeoProperty with their metadata.
 
-A bare value is as good as an attribute where one is expected: `Task(status="pending")`. Members that are
-not known here (attributes of attributes) are kept, normalized, and written again.
+A bare value is accepted in place of an attribute: `Task(status="pending")`. Unknown members (attributes of
+attributes) are stored in normalized form and written again.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -48,7 +48,7 @@ def _moment(given: Any) -> datetime:
     if isinstance(given, str):
         return Timestamp.read(given)
     if not isinstance(given, datetime):
-        raise ValueError("must be a moment like 2026-01-31T08:30:00Z")  # noqa: TRY004 - pydantic wants ValueError
+        raise ValueError("must be a time like 2026-01-31T08:30:00Z")  # noqa: TRY004 - pydantic wants ValueError
     if given.tzinfo is None:
         raise ValueError(f"{given.isoformat()} has no time zone; give one, such as datetime.now(UTC)")
     return given
@@ -73,7 +73,7 @@ def _only(given: Any) -> Any:
 
 
 def _as_list(given: Any) -> Any:
-    """Take a single item for a list of one: JSON-LD compaction, as some brokers do it, unpacks those."""
+    """Accept a single item as a list: the JSON-LD compaction of some brokers unpacks lists of one."""
     return given if isinstance(given, list | tuple) else (given,)
 
 
@@ -84,10 +84,10 @@ def _geometry(given: dict[str, Any]) -> dict[str, Any]:
 
 
 Moment = Annotated[datetime, PlainValidator(_moment), WithJsonSchema(_MOMENT_SCHEMA)]
-"""A time of observation or bookkeeping; written as text."""
+"""A time as metadata, such as `observedAt`; written as text."""
 
 DateTime = Annotated[datetime, PlainValidator(_date_time), WithJsonSchema(_DATE_TIME_SCHEMA)]
-"""A moment as the value of a Property; written as a typed value of JSON-LD."""
+"""A time as the value of a Property; written as a typed value of JSON-LD."""
 
 Uri = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9+.-]*:\S+$")]
 Whole = Annotated[int, BeforeValidator(_whole)]
@@ -108,9 +108,9 @@ Geometry = Annotated[
 
 
 class Attribute(BaseModel):
-    """What every attribute has: when it was observed, and what tells it from its other instances.
+    """The members of every attribute: time of observation and datasetId.
 
-    `alternatives` are the other instances of the same attribute (told apart by datasetId), normalized.
+    `alternatives` are the other instances of the attribute (with other datasetIds), normalized.
     """
 
     model_config = ConfigDict(
@@ -202,7 +202,7 @@ class Attribute(BaseModel):
 
 
 class Property(Attribute, Generic[T]):
-    """Something known of an entity: `value`, in `unit_code` (UN/CEFACT) where it has a unit."""
+    """A Property: `value`, in `unit_code` (UN/CEFACT) if it has a unit."""
 
     kind = "Property"
     member = "value"
@@ -212,7 +212,7 @@ class Property(Attribute, Generic[T]):
 
 
 class Relationship(Attribute):
-    """A link from an entity to another, whose id is `object`."""
+    """A Relationship to the entity with the id `object`."""
 
     kind = "Relationship"
     member = "object"
@@ -221,7 +221,7 @@ class Relationship(Attribute):
 
 
 class GeoProperty(Attribute):
-    """Where an entity is: `value`, a GeoJSON geometry in WGS 84, longitude first."""
+    """A GeoProperty: `value` is a GeoJSON geometry in WGS 84, longitude first."""
 
     kind = "GeoProperty"
     member = "value"
@@ -230,7 +230,7 @@ class GeoProperty(Attribute):
 
 
 class TaskLocation(Relationship):
-    """A Location at which a Task happens, and as what: `source` or `target`, for example."""
+    """A Location of a Task and its function, for example `source` or `target`."""
 
     location_function: Property[str] | None = None
 
@@ -248,7 +248,7 @@ PropertyOrRelationship = Annotated[
     Annotated[Property[str], Tag("Property")] | Annotated[Relationship, Tag("Relationship")],
     Discriminator(_source_kind),
 ]
-"""Where the published models leave the kind open: a URN is a Relationship, other text is a Property."""
+"""A URN becomes a Relationship, other text a Property: the published models leave that open."""
 
 LinkT_co = TypeVar("LinkT_co", bound=Relationship, covariant=True)
 
@@ -256,8 +256,8 @@ LinkT_co = TypeVar("LinkT_co", bound=Relationship, covariant=True)
 class Links(tuple[LinkT_co, ...], Generic[LinkT_co]):  # noqa: SLOT001 - a tuple takes no slots beside its items
     """Relationships that the vocabulary writes as one Property with a list: `involves`, `happensAt`.
 
-    A tuple, with what is said of that Property itself (`observed_at` and so on) in `about`. Read from that
-    form, from a Relationship, a list of Relationships or URNs, and a Relationship to several objects.
+    A tuple, with the metadata of the Property (`observed_at` and so on) in `about`. It is also read from a
+    Relationship, a list of Relationships or URNs, and a Relationship to several objects.
     """
 
     about: Property[tuple[LinkT_co, ...]]
@@ -269,12 +269,12 @@ class Links(tuple[LinkT_co, ...], Generic[LinkT_co]):  # noqa: SLOT001 - a tuple
         return links
 
     def __reduce__(self) -> Any:
-        """Copy and pickle with what is said of the Property."""
+        """Copy and pickle with the metadata of the Property."""
         return (Links, (self.about,))
 
     @property
     def observed_at(self) -> datetime | None:
-        """Return when the list was observed to be as it is."""
+        """Return the time of observation of the list."""
         return self.about.observed_at
 
     def to_normalized(self) -> dict[str, Any] | list[dict[str, Any]]:
@@ -314,7 +314,7 @@ def _each_link(given: Any) -> Iterable[Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: lists for tuples, words for enumerations, typed values for moments."""
+    """Return a value as JSON: lists for tuples, texts for enumerations, typed values for times."""
     if isinstance(value, Attribute | Links):
         return value.to_normalized()
     if isinstance(value, Enum):
@@ -333,7 +333,7 @@ _KNOWN_TO: dict[type[Attribute], frozenset[str]] = {}
 
 
 def _written_members(kind: type[Attribute]) -> tuple[tuple[str, str], ...]:
-    """Return name and alias of every member but the value; worked out once a class, asked on every write."""
+    """Return name and alias of every member except the value; cached for each class."""
     if kind not in _MEMBERS_OF:
         _MEMBERS_OF[kind] = tuple(
             (name, field.alias or name)

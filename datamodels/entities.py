@@ -1,7 +1,7 @@
-"""The entities of the shop floor: what is planned, what goes on, who and what takes part, what went wrong.
+"""The entity types: design, execution, resources and Alerts.
 
-The SHOP4CF data models and, for the four that were never published as data, our own. An entity is frozen;
-attributes that the vocabulary does not know are kept as they came (normalized) in `model_extra`.
+The SHOP4CF data models; four of them are published only as UML, and their attributes are ours. An entity is
+frozen; unknown attributes are stored in normalized form in `model_extra`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -82,9 +82,9 @@ _TIMES = {"createdAt": "created_at", "modifiedAt": "modified_at"}
 
 
 class Entity(BaseModel):
-    """Anything the broker knows: an `id` (a URI), a `type` and attributes.
+    """An NGSI-LD entity: an `id` (a URI), a `type` and attributes.
 
-    Its subclasses are the types of the vocabulary; `Entity` itself takes any type.
+    Its subclasses are the types of the vocabulary; `Entity` itself accepts any type.
     """
 
     model_config = ConfigDict(
@@ -104,12 +104,12 @@ class Entity(BaseModel):
 
     @classmethod
     def ngsi_type(cls) -> str:
-        """Return the entity type as NGSI-LD names it."""
+        """Return the name of the entity type in NGSI-LD."""
         return cls.__name__
 
     @classmethod
     def from_ngsild(cls, data: Mapping[str, Any], form: Form | None = None) -> Self:
-        """Return the entity that `data` describes, in whichever form.
+        """Return the entity `data` in any of the three forms.
 
         Without `form`, each attribute is read for what it looks like; a bare JSON object with a
         member `value` looks like a concise attribute, so give `Form.KEY_VALUES` where such values may come.
@@ -121,9 +121,7 @@ class Entity(BaseModel):
             key: Bare(value) if form is Form.KEY_VALUES and not forms.is_entity_member(key) else value
             for key, value in data.items()
         }
-        for name in (given.keys() & _names(cls)) - _aliases(
-            cls
-        ):  # an attribute that is only called like a field
+        for name in (given.keys() & _names(cls)) - _aliases(cls):  # an attribute with the name of a field
             given[name] = forms.normalized_attribute(given[name])
         try:
             return cls.model_validate(given, by_alias=True, by_name=False)
@@ -131,7 +129,7 @@ class Entity(BaseModel):
             raise DataModelError(explained(cls.ngsi_type(), data, error.errors())) from None
 
     def to_normalized(self) -> dict[str, Any]:
-        """Return the entity in normalized form, as JSON has it."""
+        """Return the entity in normalized form as JSON."""
         written: dict[str, Any] = {"id": self.id, "type": plain(self.type)}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -146,11 +144,11 @@ class Entity(BaseModel):
         return written
 
     def to_concise(self) -> dict[str, Any]:
-        """Return the entity in concise form: nothing is lost, `from_ngsild` brings it back."""
+        """Return the entity in concise form, without loss; `from_ngsild` is the inverse."""
         return forms.to_concise(self.to_normalized())
 
     def to_key_values(self) -> dict[str, Any]:
-        """Return the entity as bare values (also called simplified): kinds, times and so on are lost."""
+        """Return the entity as bare values (keyValues): attribute types and metadata are lost."""
         fields = type(self).model_fields.items()
         links = [field.alias or name for name, field in fields if isinstance(getattr(self, name), Links)]
         return forms.to_key_values(self.to_normalized(), link_lists=links)
@@ -198,7 +196,7 @@ class Entity(BaseModel):
 
 
 class ProcessDefinition(Entity):
-    """A process that can be run: its BPMN 2.0, as XML or as the URL of the XML."""
+    """A deployed process model: its BPMN 2.0, as XML or as the URL of the XML."""
 
     name: Property[str]
     version: Property[str]
@@ -207,10 +205,10 @@ class ProcessDefinition(Entity):
 
 
 class TaskDefinition(Entity):
-    """A kind of Task: what it asks for, and of whom.
+    """A kind of Task: its description, command and required skills.
 
-    With `handles_outcomes`, a Task of it that a person answers with another outcome than `ok` is completed,
-    since its process decides what follows; without it, such a Task fails.
+    With `handles_outcomes`, a Task with another outcome than `ok` is completed, since its process handles the
+    outcome; without it, such a Task fails.
     """
 
     name: Property[str]
@@ -224,7 +222,7 @@ class TaskDefinition(Entity):
 
 
 class ResourceSpecification(Entity):
-    """A kind of resource: what it can do."""
+    """A kind of resource with its skills."""
 
     name: Property[str]
     resource_type: Property[str]
@@ -233,7 +231,7 @@ class ResourceSpecification(Entity):
 
 
 class Location(Entity):
-    """A place with a name, perhaps part of another."""
+    """A place with a name, possibly a part of another one."""
 
     name: Property[str]
     location: GeoProperty | None = None
@@ -241,7 +239,7 @@ class Location(Entity):
 
 
 class Process(Entity):
-    """A process that is run: how far it is, and the Tasks it is made of so far."""
+    """One run of a process: its status and its Tasks."""
 
     is_defined_by: Relationship
     status: Property[TaskStatus]
@@ -251,10 +249,10 @@ class Process(Entity):
 
 
 class Task(Entity):
-    """A piece of work that is asked of somebody: the resources it involves, the first being the doer.
+    """A piece of work for the resources that it involves; the first one executes it.
 
-    `requested_status` is what somebody wishes of it while it goes on; `deadline` is when it must be taken up.
-    Where a person answers, `output_parameters` hold `outcome` (see `Outcome`) and, if there is one, a `note`.
+    `requested_status` is the requested action; `deadline` is the time until which a performer must accept it.
+    The `output_parameters` of a person's Task have an `outcome` (see `Outcome`) and optionally a `note`.
     """
 
     is_defined_by: Relationship
@@ -269,7 +267,7 @@ class Task(Entity):
 
 
 class Device(Entity):
-    """A machine, a robot, a sensor or a glove; `performer` is the component that acts for it."""
+    """A machine, a robot, a sensor or a glove; `performer` is the component that executes its Tasks."""
 
     controlled_property: Property[Words]
     category: Property[Words] | None = None
@@ -285,7 +283,7 @@ class Device(Entity):
 
 
 class Material(Entity):
-    """Something that is worked on or used up."""
+    """A workpiece or a consumable."""
 
     description: Property[str] | None = None
     state: Property[Any] | None = None
@@ -293,7 +291,7 @@ class Material(Entity):
 
 
 class Asset(Entity):
-    """Something that is used and kept: a tool, a carrier, a fixture."""
+    """A reusable object: a tool, a carrier, a fixture."""
 
     description: Property[str] | None = None
     state: Property[Any] | None = None
@@ -301,7 +299,7 @@ class Asset(Entity):
 
 
 class Person(Entity):
-    """Somebody who works here; `performer` is the component through which they are asked."""
+    """A person; `performer` is the component that executes their Tasks."""
 
     first_name: Property[str] | None = None
     last_name: Property[str] | None = None
@@ -311,12 +309,12 @@ class Person(Entity):
 
 
 class Alert(Entity):
-    """Something happened that a person should know of; it stands until `valid_to`.
+    """A problem that a person has to know; it is active until `valid_to`.
 
     `alert_state`, `priority`, `acknowledged_by` and `shelved_until` are ours and follow ISA-18.2. An Alert
-    of another component may lack them; `human_verified` then says whether a person has acknowledged it.
-    `description_code` and `description_parameters` are ours as well: by them a screen says the description in
-    the language of its reader.
+    of another component may lack them; `human_verified` then states whether a person has acknowledged it.
+    `description_code` and `description_parameters` are ours as well: the page translates the description with
+    them.
     """
 
     category: Property[str]
@@ -354,11 +352,11 @@ TYPES: dict[str, type[Entity]] = {
         Alert,
     )
 }
-"""The vocabulary: each entity type and its model."""
+"""The models by entity type."""
 
 
 def read(data: Mapping[str, Any], form: Form | None = None) -> Entity:
-    """Return the entity that `data` describes as the model of its type; a plain `Entity` for a foreign type.
+    """Return the entity `data` as the model of its type; a plain `Entity` for a foreign type.
 
     Raises `DataModelError`, as `Entity.from_ngsild` does.
     """

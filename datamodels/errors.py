@@ -1,4 +1,4 @@
-"""What is said of data that does not fit the vocabulary."""
+"""Errors of data that do not match the vocabulary."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -10,11 +10,11 @@ class DataModelError(ValueError):
 
 def explained(kind: str, data: Mapping[str, Any], faults: Iterable[Mapping[str, Any]]) -> str:
     """Return one line for all `faults` (pydantic's) of the entity `data`, which should be a `kind`."""
-    told = "; ".join(_told(fault) for fault in faults)
-    return f"{data.get('id') or 'an entity without id'} is no valid {kind}: {told}"
+    described = "; ".join(_described(fault) for fault in faults)
+    return f"{data.get('id') or 'an entity without id'} is no valid {kind}: {described}"
 
 
-def _told(fault: Mapping[str, Any]) -> str:
+def _described(fault: Mapping[str, Any]) -> str:
     path = [str(part) for part in fault["loc"]]
     rule = str(fault["msg"]).removeprefix("Value error, ")
     if fault["type"] == "missing":

@@ -1,7 +1,7 @@
-"""The three ways to write an entity: normalized (all of it), concise (shorter), keyValues (bare values).
+"""The three representations of an entity: normalized, concise and keyValues (bare values).
 
-Plain functions on JSON objects, for any entity type (ETSI GS CIM 009, clauses 4.5.1 to 4.5.17). Concise and
-normalized carry the same; keyValues loses kinds, times and other metadata.
+Functions on JSON objects, for any entity type (ETSI GS CIM 009, clauses 4.5.1 to 4.5.17). Concise and
+normalized are equivalent; keyValues loses attribute types, times and other metadata.
 """
 
 from collections.abc import Collection, Mapping
@@ -12,7 +12,7 @@ from typing import Any, Final
 
 
 class Form(StrEnum):
-    """A way to write an entity."""
+    """A representation of an entity."""
 
     NORMALIZED = "normalized"
     CONCISE = "concise"
@@ -21,7 +21,7 @@ class Form(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Bare:
-    """A value without its attribute, as keyValues has it; never to be mistaken for an attribute."""
+    """A value without its attribute, as in keyValues; it is never interpreted as an attribute."""
 
     value: Any
 
@@ -38,7 +38,7 @@ MEMBERS: Final = MappingProxyType(
         "ListRelationship": "objectList",
     }
 )
-"""Each kind of attribute, and the member that holds what it says."""
+"""The attribute types and their value members."""
 
 _KINDS: Final = MappingProxyType({m: k for k, m in MEMBERS.items() if k != "GeoProperty"})
 
@@ -62,11 +62,11 @@ GEOMETRIES: Final = frozenset(
 )
 
 NULL: Final = "urn:ngsi-ld:null"
-"""What stands in a change where something was deleted."""
+"""The value that marks a deletion in a change."""
 
 
 def kind_of(attribute: Any) -> str | None:
-    """Return the kind of a normalized attribute, None for anything else."""
+    """Return the type of a normalized attribute; None for other values."""
     kind = attribute.get("type") if isinstance(attribute, Mapping) else None
     if isinstance(kind, str) and (member := MEMBERS.get(kind)) is not None and member in attribute:
         return kind
@@ -74,19 +74,19 @@ def kind_of(attribute: Any) -> str | None:
 
 
 def is_geometry(value: Any) -> bool:
-    """Say whether `value` is a GeoJSON geometry."""
+    """Return whether `value` is a GeoJSON geometry."""
     if not isinstance(value, Mapping) or value.get("type") not in GEOMETRIES:
         return False
     return isinstance(value.get("coordinates", value.get("geometries")), list | tuple)
 
 
 def are_instances(value: Any) -> bool:
-    """Say whether `value` is a list of attributes: the instances that `datasetId` tells apart."""
+    """Return whether `value` is a list of attributes: instances with different `datasetId`s."""
     return isinstance(value, list) and bool(value) and all(kind_of(item) for item in value)
 
 
 def normalized_attribute(given: Any) -> Any:
-    """Return an attribute of any form in normalized form (a list, if it has several instances)."""
+    """Return an attribute of any form in normalized form (a list if it has several instances)."""
     if isinstance(given, Bare):
         return _from_bare(given.value)
     if are_instances(given):
@@ -100,7 +100,7 @@ def normalized_attribute(given: Any) -> Any:
 
 
 def with_normalized_members(attribute: Mapping[str, Any], member: str) -> dict[str, Any]:
-    """Return an attribute whose attributes are normalized; `member` and the metadata stay as they are."""
+    """Return an attribute with normalized sub-attributes; `member` and metadata are unchanged."""
     return {
         key: value if key == member or _is_metadata(key) else normalized_attribute(value)
         for key, value in attribute.items()
@@ -109,7 +109,7 @@ def with_normalized_members(attribute: Mapping[str, Any], member: str) -> dict[s
 
 
 def to_concise(entity: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a normalized entity in concise form; `normalized_attribute` brings every attribute back."""
+    """Return a normalized entity in concise form; `normalized_attribute` is the inverse for an attribute."""
     return {
         name: attribute if is_entity_member(name) else _concise(attribute)
         for name, attribute in entity.items()
@@ -132,7 +132,7 @@ def _is_metadata(name: str) -> bool:
 
 
 def is_entity_member(name: str) -> bool:
-    """Say whether a member of an entity is no attribute."""
+    """Return whether a member of an entity is no attribute."""
     return name in ENTITY_MEMBERS or name.startswith("@")
 
 
@@ -172,7 +172,7 @@ def _concise(attribute: Any) -> Any:
     kind = kind_of(attribute)
     if kind is None:
         return attribute
-    alone = len(attribute) == 2  # its type and what it says, nothing else
+    alone = len(attribute) == 2  # only its type and its value
     if alone and kind == "GeoProperty" and is_geometry(attribute["value"]):
         return attribute["value"]
     if alone and kind == "Property" and not _is_ambiguous(attribute["value"]):
@@ -182,7 +182,7 @@ def _concise(attribute: Any) -> Any:
 
 
 def _concise_instance(attribute: Mapping[str, Any]) -> dict[str, Any]:
-    """Return one of several instances, with its type: else the list could be the value of a Property."""
+    """Return one of several instances with its type; without it the list could be a Property value."""
     kind = attribute["type"]
     return {"type": kind, **_concise_members(attribute, MEMBERS[kind])}
 
@@ -196,7 +196,7 @@ def _concise_members(attribute: Mapping[str, Any], member: str) -> dict[str, Any
 
 
 def _is_ambiguous(value: Any) -> bool:
-    """Say whether a value standing alone could be taken for something else than the value of a Property."""
+    """Return whether a bare value could be interpreted as something else than a Property value."""
     if isinstance(value, str):
         return value.startswith("urn:")
     read: dict[str, Any] | list[Any] = normalized_attribute(value)

@@ -1,10 +1,10 @@
-"""The words that a state may be: of a Task, a device, an alarm, and of what is asked of a Task."""
+"""The enumerations of states: Task, requested action, outcome, device and Alert."""
 
 from enum import StrEnum
 
 
 class TaskStatus(StrEnum):
-    """How far a Task or a Process is; the last two are final."""
+    """The status of a Task or a Process; the last two are final."""
 
     PENDING = "pending"
     ASSIGNED = "assigned"
@@ -15,7 +15,7 @@ class TaskStatus(StrEnum):
 
 
 class RequestedStatus(StrEnum):
-    """What somebody asks of a Task that is under way; its performer answers by moving `status`."""
+    """The requested action on a Task; its performer then changes `status`."""
 
     PAUSED = "paused"
     IN_PROGRESS = "inProgress"
@@ -23,10 +23,7 @@ class RequestedStatus(StrEnum):
 
 
 class Outcome(StrEnum):
-    """What a person answers to a Task that asks something of them: `outcome` in its outputParameters.
-
-    A Task without an outcome was answered `ok`.
-    """
+    """The `outcome` in the outputParameters of a person's Task; `ok` if it is missing."""
 
     OK = "ok"
     NOT_GOOD = "notGood"
@@ -34,7 +31,7 @@ class Outcome(StrEnum):
 
 
 class DeviceState(StrEnum):
-    """How a device is."""
+    """The state of a device."""
 
     OK = "ok"
     IDLE = "idle"
@@ -47,7 +44,7 @@ class DeviceState(StrEnum):
 
 
 class Severity(StrEnum):
-    """How grave an Alert is."""
+    """The severity of an Alert."""
 
     INFORMATIONAL = "informational"
     LOW = "low"
@@ -66,7 +63,7 @@ class AlertState(StrEnum):
 
 
 class AlertPriority(StrEnum):
-    """How soon a person must respond to an Alert."""
+    """The urgency of a response to an Alert."""
 
     LOW = "low"
     MEDIUM = "medium"

@@ -1,7 +1,6 @@
-"""Moments, as NGSI-LD writes them: ISO 8601 in UTC with a `Z`.
+"""Times of NGSI-LD: ISO 8601 in UTC with a `Z`.
 
-What is read keeps the very text it came in, so that passing an entity on never changes it. Nothing here
-asks for the time; callers bring it.
+A parsed time keeps its text, so that an entity that is passed on does not change.
 """
 
 from datetime import UTC, datetime
@@ -9,18 +8,18 @@ from typing import Any, Literal, Self
 
 
 class Timestamp(datetime):
-    """A moment that remembers how it was written (`text`); otherwise an ordinary aware datetime."""
+    """An aware datetime that keeps the text from which it was parsed."""
 
     text: str | None = None
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """Return the moment `text` stands for; raise ValueError unless it is ISO 8601 with a time zone."""
+        """Return the time `text`; raise ValueError unless it is ISO 8601 with a time zone."""
         try:
             moment = datetime.fromisoformat(text)
         except ValueError:
             raise ValueError(
-                f'"{text}" is not a moment; write it in ISO 8601 like 2026-01-31T08:30:00Z'
+                f'"{text}" is not a time; write it in ISO 8601 like 2026-01-31T08:30:00Z'
             ) from None
         if moment.tzinfo is None:
             raise ValueError(f'"{text}" has no time zone; write UTC with a Z like 2026-01-31T08:30:00Z')
@@ -30,17 +29,17 @@ class Timestamp(datetime):
         return read
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Copy and pickle with the text, which a plain datetime would forget."""
+        """Copy and pickle with the text."""
         return (Timestamp.read, (self.text,)) if self.text is not None else super().__reduce_ex__(protocol)
 
 
 def parse(text: str) -> Timestamp:
-    """Return the moment written as `text`; raise ValueError unless it is ISO 8601 with a time zone."""
+    """Return the time `text`; raise ValueError unless it is ISO 8601 with a time zone."""
     return Timestamp.read(text)
 
 
 def iso(moment: datetime, timespec: Literal["microseconds", "milliseconds"] = "microseconds") -> str:
-    """Return `moment` in UTC with a `Z`, with six (or three) decimals, so that texts sort like moments.
+    """Return `moment` in UTC with a `Z`, with six (or three) decimals, so that the texts sort by time.
 
     Raises ValueError if it has no time zone.
     """
@@ -50,6 +49,6 @@ def iso(moment: datetime, timespec: Literal["microseconds", "milliseconds"] = "m
 
 
 def as_written(moment: datetime) -> str:
-    """Return the text that `moment` was read from, or its `iso` form if it was never text."""
+    """Return the text from which `moment` was parsed, otherwise its `iso` form."""
     text = moment.text if isinstance(moment, Timestamp) else None
     return text if text is not None else iso(moment)

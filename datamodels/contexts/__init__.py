@@ -1,6 +1,6 @@
-"""@contexts: which long name (IRI) each word of the vocabulary stands for.
+"""@contexts: the IRIs of the terms of the vocabulary.
 
-Those that matter here are shipped, never fetched: our own, the two published ones, the core of NGSI-LD.
+The relevant contexts are shipped, never fetched: our own, the two published ones, and the NGSI-LD core.
 """
 
 from datamodels.contexts.shipped import (

@@ -1,7 +1,7 @@
-"""The contexts that come with us, by the names under which the world knows them.
+"""The shipped contexts by their public URLs.
 
-The files are our own: they hold the words of our vocabulary and those of the NGSI-LD core, expanded as the
-published contexts expand them.
+The files are our own: they define the terms of our vocabulary and of the NGSI-LD core with the IRIs of the
+published contexts.
 """
 
 import json
@@ -26,21 +26,21 @@ _ANY_CORE = re.compile(
     r"https?://(uri\.etsi\.org/ngsi-ld/v1/ngsi-ld-core-context(-v1\.[0-9]{1,2}(\.[0-9])?)?\.jsonld"
     r"|forge\.etsi\.org/(gitlab|rep)/NGSI-LD/NGSI-LD/(-/)?raw/[\w.\-]+/coreContext/ngsi-ld-core-context\.jsonld)"
 )
-"""Where versions 1.0 to 1.9 of the core context are, and where drafts of the first ones were."""
+"""The URLs of the core context 1.0 to 1.9, and of drafts of the first ones."""
 
 
 def resolve(url: str) -> dict[str, Any] | None:
     """Return the JSON-LD document `{"@context": …}` of `url` if it is shipped, None if it is not.
 
-    Every published version of the core context answers with the same words: they only ever grew. The
-    document is the caller's own.
+    All versions of the core context return the same terms, since later versions only add terms. The
+    document is a copy.
     """
     name = _FILES.get(CORE_URL if is_core(url) else url)
     return None if name is None else deepcopy(_document(name))
 
 
 def is_core(url: str) -> bool:
-    """Say whether `url` is the core context, of whichever version."""
+    """Return whether `url` is the core context of any version."""
     return _ANY_CORE.fullmatch(url) is not None
 
 

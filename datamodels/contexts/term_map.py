@@ -1,8 +1,8 @@
-"""Term maps: from the short words of an @context to IRIs, and back.
+"""Term maps: from the terms of an @context to IRIs, and back.
 
-Not a JSON-LD processor: terms, prefixes and `@vocab` are all that NGSI-LD needs for names of types and
-attributes. The core context comes last and cannot be overridden (ETSI GS CIM 009, clause 4.4), which is why
-scoped contexts are refused (clause 5.5.7). Lookups are dictionary lookups, for the broker asks several a
+This is no complete JSON-LD processor: NGSI-LD needs only terms, prefixes and `@vocab` for names of types and
+attributes. The core context is applied last and cannot be overridden (ETSI GS CIM 009, clause 4.4), so scoped
+contexts are refused (clause 5.5.7). A lookup is a dictionary lookup, since the broker needs several for each
 request.
 """
 
@@ -16,36 +16,35 @@ from datamodels.contexts.shipped import CORE_URL, resolve
 from datamodels.errors import DataModelError
 
 Context: TypeAlias = str | Mapping[str, Any] | Sequence[Any] | None
-"""The URL of a context, a context itself (or the document that holds it), or a list of these."""
+"""The URL of a context, a context (or its document), or a list of these."""
 
 Loader: TypeAlias = Callable[[str], Mapping[str, Any] | None]
-"""What finds the document of a URL, and says None if it cannot."""
+"""Returns the document of a URL; None if it is not available."""
 
 DEFAULT_VOCAB: Final = "https://uri.etsi.org/ngsi-ld/default-context/"
 
 _REMEMBERED, _LONGEST_REMEMBERED = 4096, 256
-"""Names (and their length) remembered beside those of the context: enough for any vocabulary, too few to
-fill the memory."""
+"""Cached names (and their maximum length) in addition to those of the context; bounds the memory."""
 _MOST_DOCUMENTS = 100
 _DELIMITERS = (":", "/", "?", "#", "[", "]", "@")
 
 
 class ContextNotAvailable(DataModelError):
-    """The context at `url` is needed and not there."""
+    """The context at `url` is not available."""
 
     def __init__(self, url: str) -> None:
         super().__init__(
             f"the @context {url} is not shipped with Handover and was not loaded; "
-            "give its terms in place of the URL, or a URL that can be reached"
+            "send its terms instead of the URL, or a URL that is reachable"
         )
         self.url = url
 
 
 class TermMap:
-    """What the terms of a context (and of the core context, always) stand for.
+    """The IRIs of the terms of a context and of the core context.
 
-    `load` finds documents by URL; without it only those shipped are found. Raises `ContextNotAvailable`
-    with the URL that `load` did not find, `DataModelError` for what is no context.
+    `load` returns documents by URL; by default only the shipped ones are available. Raises
+    `ContextNotAvailable` with the URL that `load` did not find, `DataModelError` for an invalid context.
     """
 
     __slots__ = ("_iris", "_most", "_prefixes", "_terms", "vocab")
@@ -125,7 +124,7 @@ def _term_map_at(url: str) -> TermMap:
 
 
 def term_map(context: Context) -> TermMap:
-    """Return the term map of a context that needs only what is shipped; made once for equal contexts."""
+    """Return the term map of a context that needs only shipped documents; cached for equal contexts."""
     if isinstance(context, str):
         return _term_map_at(context)
     try:
@@ -136,7 +135,7 @@ def term_map(context: Context) -> TermMap:
 
 
 class _Reading:
-    """What has been read of a context so far; later contexts override earlier ones."""
+    """The definitions that were read so far; later contexts override earlier ones."""
 
     def __init__(self, load: Loader) -> None:
         self.terms: dict[str, str | None] = {}
@@ -145,7 +144,7 @@ class _Reading:
         self._documents = 0
 
     def take(self, context: Context, within: tuple[str, ...] = ()) -> None:
-        """Read a context, found in the documents `within` (the outermost first)."""
+        """Read a context of the documents `within` (the outermost first)."""
         if context is None:
             self.terms, self.vocab = {}, DEFAULT_VOCAB
         elif isinstance(context, str):
@@ -164,14 +163,12 @@ class _Reading:
     def _take_document(self, url: str, within: tuple[str, ...]) -> None:
         self._documents += 1
         if url in within or self._documents > _MOST_DOCUMENTS:
-            raise DataModelError(
-                f"the @context {url} leads back to itself or to too many others; simplify it"
-            )
+            raise DataModelError(f"the @context {url} refers to itself or to too many others; simplify it")
         document: Any = self._load(url)
         if document is None:
             raise ContextNotAvailable(url)
         if not isinstance(document, Mapping) or "@context" not in document:
-            raise DataModelError(f'what is at {url} has no "@context"; give the URL of a JSON-LD context')
+            raise DataModelError(f'the document at {url} has no "@context"; use the URL of a JSON-LD context')
         self.take(document["@context"], (*within, url))
 
     def _take_definitions(self, context: Mapping[str, Any], within: tuple[str, ...]) -> None:
@@ -188,11 +185,11 @@ class _Reading:
             self._define(term, definitions, begun)
 
     def _define(self, term: str, definitions: Mapping[str, Any], begun: dict[str, bool]) -> None:
-        """Read the definition of `term`, unless that is done; `begun` says of each term whether it is."""
+        """Read the definition of `term` unless it was read; `begun` has the state of each term."""
         if term in begun:
             if not begun[term]:  # JSON-LD 1.1 calls it a cyclic IRI mapping
                 raise DataModelError(
-                    f'the term "{term}" of an @context is defined by way of itself; give it a whole IRI'
+                    f'the term "{term}" of an @context is defined by itself; define it with a complete IRI'
                 )
             return
         begun[term] = False
@@ -201,12 +198,12 @@ class _Reading:
         if isinstance(meant, Mapping):
             if meant.get("@context") is not None and term not in _core_terms():  # the core has one of its own
                 raise DataModelError(
-                    f'the term "{term}" of an @context has a context of its own, with which it could give '
-                    "words of NGSI-LD another meaning; put its terms beside it"
+                    f'the term "{term}" of an @context has a scoped context, which could give '
+                    "terms of NGSI-LD another meaning; define its terms beside it"
                 )
             meant = meant["@id"] if "@id" in meant else self._unnamed(term, meant)
         if meant is not None and not isinstance(meant, str):
-            raise DataModelError(f'the term "{term}" of an @context stands for an IRI, not for {meant!r}')
+            raise DataModelError(f'the term "{term}" of an @context must be an IRI, not {meant!r}')
         if meant == term and ":" not in term:
             self.terms[term] = (self.vocab or DEFAULT_VOCAB) + term
         else:
@@ -215,13 +212,13 @@ class _Reading:
 
     @staticmethod
     def _unnamed(term: str, meant: Mapping[str, Any]) -> str | None:
-        """Return what a definition without `@id` stands for: the term itself; nothing, if it is a reverse."""
+        """Return the IRI of a definition without `@id`: the expanded term; None for a reverse property."""
         return None if "@reverse" in meant else term
 
     def _iri(
         self, meant: str, definitions: Mapping[str, Any], begun: dict[str, bool], term: str | None = None
     ) -> str:
-        """Return the IRI that `meant` stands for, in the definition of `term` if that is given."""
+        """Return the IRI of `meant`, in the definition of `term` if given."""
         if meant.startswith("@"):
             return meant
         if meant in definitions and meant != term:
@@ -244,7 +241,7 @@ def _too_deep() -> DataModelError:
 
 
 def _shortest_terms(iris: Mapping[str, str]) -> dict[str, str]:
-    """Return for each IRI its shortest term, the first in the alphabet among equals (as JSON-LD compacts)."""
+    """Return the shortest term of each IRI, the lexicographically first of equals (as in JSON-LD)."""
     terms: dict[str, str] = {}
     for term, iri in sorted(iris.items(), key=lambda known: (len(known[0]), known[0])):
         terms.setdefault(iri, term)

@@ -1,7 +1,6 @@
-"""JSON Schemas of the vocabulary in normalized form, for those who check entities without our models.
+"""JSON Schemas of the vocabulary in normalized form, for validation without our models.
 
-Generated from the models: `python -m datamodels.schemas` writes them, with `--check` it only says whether
-they are current.
+They are generated from the models: `python -m datamodels.schemas` writes them, `--check` compares them.
 """
 
 import json
@@ -18,7 +17,7 @@ FOLDER = Path(__file__).parent
 
 
 class _Normalized(GenerateJsonSchema):
-    """An attribute that may be left out is left out in normalized form: never null, and without a default."""
+    """Optional attributes are omitted in normalized form: they are never null and have no default."""
 
     def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
         return self.generate_inner(schema["schema"])
@@ -45,7 +44,7 @@ def written(model: type[Entity]) -> str:
 
 
 def outdated(folder: Path = FOLDER) -> list[Path]:
-    """Return the schema files in `folder` that are missing or not as the models have it."""
+    """Return the schema files in `folder` that are missing or outdated."""
     return [
         path
         for name, model in TYPES.items()
@@ -55,7 +54,7 @@ def outdated(folder: Path = FOLDER) -> list[Path]:
 
 
 def write(folder: Path = FOLDER) -> list[Path]:
-    """Write every schema file that is not current, and return which."""
+    """Write every outdated schema file and return their paths."""
     paths = outdated(folder)
     for path in paths:
         path.write_text(written(TYPES[path.stem]), encoding="utf-8", newline="\n")
@@ -63,9 +62,9 @@ def write(folder: Path = FOLDER) -> list[Path]:
 
 
 def _shortened(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema with one definition of a Property, in place of one for each type of value.
+    """Return the schema with one definition of a Property instead of one for each type of value.
 
-    It reads better so, and the names of pydantic's definitions are free to change between versions.
+    This is shorter and independent of the names of pydantic's definitions.
     """
     kinds = {name: made for name, made in schema["$defs"].items() if name.startswith("Property_")}
     definitions = {name: made for name, made in schema["$defs"].items() if name not in kinds}
@@ -78,7 +77,7 @@ def _shortened(schema: dict[str, Any]) -> dict[str, Any]:
 
 
 def _referred(schema: Any, values: Mapping[str, Any]) -> Any:
-    """Return the schema with each Property of `values` told as the common one with a value of its own."""
+    """Return the schema with each Property of `values` as the common one with a specific value."""
     if isinstance(schema, list):
         return [_referred(item, values) for item in schema]
     if not isinstance(schema, Mapping):
@@ -91,7 +90,7 @@ def _referred(schema: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _untitled(schema: Any) -> Any:
-    """Return the schema without pydantic's titles, which say nothing new, and with short descriptions."""
+    """Return the schema without pydantic's titles and with short descriptions."""
     if isinstance(schema, list):
         return [_untitled(item) for item in schema]
     if not isinstance(schema, Mapping):

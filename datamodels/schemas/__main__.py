@@ -1,4 +1,4 @@
-"""Write the JSON Schema files anew, or say with `--check` that they need it."""
+"""Write the JSON Schema files, or check with `--check` whether they are current."""
 
 import argparse
 import sys
@@ -16,7 +16,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     stale = schemas.outdated()
     for path in stale:
-        sys.stderr.write(f"{path.name} is not what the models say; run python -m datamodels.schemas\n")
+        sys.stderr.write(f"{path.name} differs from the models; run python -m datamodels.schemas\n")
     return 1 if stale else 0
 
 

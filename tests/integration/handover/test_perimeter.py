@@ -92,7 +92,7 @@ def test_a_page_of_another_site_reads_and_changes_nothing(cell: Cell, service: s
 
 
 @pytest.mark.parametrize("service", SERVICES)
-def test_health_is_told_by_any_name(cell: Cell, service: str) -> None:
+def test_health_is_available_under_any_name(cell: Cell, service: str) -> None:
     for path in ("/healthz", "/readyz", "/metrics", "/context.jsonld"):
         assert asked(cell, service, "GET", path, host="cell-3.evil.example").status == 200, path
 

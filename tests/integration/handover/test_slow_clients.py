@@ -149,9 +149,9 @@ def test_a_request_that_never_ends_is_ended(
                 said += piece
         assert b" 408 " in said.split(b"\r\n")[0], said
     assert answers(cell, service)
-    told = closed(cell, service)
-    assert 'reason="header timeout"' in told
-    assert 'reason="body timeout"' in told
+    reported = closed(cell, service)
+    assert 'reason="header timeout"' in reported
+    assert 'reason="body timeout"' in reported
     assert "Traceback" not in cell.log(service)
 
 

@@ -252,7 +252,7 @@ async def test_processes_are_filtered_by_key_version_and_person(api: httpx.Async
     assert (await api.get("/processes", params={"version": "9" * 20})).status_code == 422
 
 
-async def test_the_counts_of_a_day_tell_what_ended_and_how_long_it_took(
+async def test_the_counts_of_a_day_have_ended_processes_and_their_duration(
     joined: httpx.AsyncClient, broker: BrokerClient
 ) -> None:
     api = joined
@@ -359,7 +359,7 @@ async def test_the_same_key_never_starts_a_second_process(
         ([], 422, ""),
     ],
 )
-async def test_a_process_that_cannot_start_says_why(
+async def test_a_process_that_cannot_start_is_refused_with_the_reason(
     api: httpx.AsyncClient, body: Any, status: int, detail: str
 ) -> None:
     await deployed(api, parameters(bin="bin-1") + ONE_STEP)

@@ -53,7 +53,7 @@ def run_sql(settings: OrchestratorSettings, statement: str, **values: Any) -> No
     engine.dispose()
 
 
-async def test_what_could_not_be_written_is_taken_back_and_can_be_heard_again(
+async def test_a_change_that_could_not_be_written_is_reverted_and_can_be_received_again(
     orchestrator: Orchestrator, settings: OrchestratorSettings
 ) -> None:
     process, _ = await orchestrator.start("p", {})
@@ -143,7 +143,7 @@ async def test_a_retry_that_could_not_be_written_did_not_happen(
     assert [act.by for act in orchestrator.active_processes.processes[process].record.acts] == ["Anna"]
 
 
-async def test_a_retry_that_is_refused_leaves_nothing_on_the_floor(orchestrator: Orchestrator) -> None:
+async def test_a_refused_retry_loads_no_process(orchestrator: Orchestrator) -> None:
     process, _ = await orchestrator.start("p", {})
     await orchestrator.receive([completed(task_of(process))])
     with pytest.raises(Problem, match="completed"):
@@ -175,14 +175,14 @@ async def test_what_ended_longer_ago_than_it_is_to_be_kept_is_forgotten(
         assert await kept(99) == {running}
 
 
-async def test_a_hundred_at_once_are_all_moved_and_written(orchestrator: Orchestrator) -> None:
+async def test_a_hundred_changes_at_once_are_all_applied_and_written(orchestrator: Orchestrator) -> None:
     processes = [
         answer[0] for answer in await asyncio.gather(*(orchestrator.start("p", {}) for _ in range(100)))
     ]
-    heard = await asyncio.gather(
+    received = await asyncio.gather(
         *(orchestrator.receive([completed(task_of(process))]) for process in processes)
     )
-    assert heard == [1] * 100
+    assert received == [1] * 100
     assert orchestrator.active_processes.processes == {}
     records = await orchestrator.on_disk(lambda: orchestrator.store.page(status="completed"))
     assert {record.id for record in records} == set(processes)
@@ -223,7 +223,7 @@ async def test_timers_and_their_tasks_are_there_after_a_restart(settings: Orches
             assert due.subject == task_of(process)
 
 
-async def test_what_was_not_told_before_a_crash_is_told_after_it(settings: OrchestratorSettings) -> None:
+async def test_messages_pending_before_a_crash_are_delivered_after_it(settings: OrchestratorSettings) -> None:
     async with BrokerClient(settings) as broker:
         async with Orchestrator(settings, broker) as before:
             await before.deploy(drawing(ONE_STEP))

@@ -63,11 +63,11 @@ def test_a_retried_process_goes_on_in_the_broker_too_and_its_alert_is_over(runni
     ]
     eventually(lambda: "validTo" in running.alerts(seen["id"])[0], "the Alert being over")
 
-    def told() -> dict[str, Any] | None:
+    def reported() -> dict[str, Any] | None:
         entity = running.entity(seen["entity"])
         return entity if entity and entity["status"]["value"] == "completed" else None
 
-    entity = eventually(told, "the Process entity being completed")
+    entity = eventually(reported, "the Process entity being completed")
     assert "reason" not in entity["outputParameters"]["value"]
     assert len(entity["isComposedOf"]["value"]) == 2
 

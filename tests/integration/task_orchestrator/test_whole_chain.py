@@ -101,7 +101,7 @@ def test_bin_picking_goes_the_way_the_results_say(running: Cell) -> None:
     ],
     indirect=["database_url"],
 )
-def test_whoever_is_killed_the_process_ends_and_nothing_is_done_twice(
+def test_after_any_service_is_killed_the_process_ends_and_nothing_is_repeated(
     running: Cell, database_url: str | None, victim: str
 ) -> None:
     seed = int(os.environ.get("KILL_SEED", random.randrange(10**6)))

@@ -177,7 +177,7 @@ def test_later_contexts_override_earlier_ones() -> None:
     assert terms.expand("a") == "https://two.example/a"
     assert terms.expand("b") == DEFAULT + "b"
     assert term_map([{"a": "https://one.example/a"}, None]).expand("a") == DEFAULT + "a"
-    with pytest.raises(DataModelError, match="by way of itself"):  # not by way of what it was before
+    with pytest.raises(DataModelError, match="defined by itself"):  # not by way of what it was before
         term_map([{"a": "https://one.example/"}, {"a": "a:x"}])
 
 
@@ -208,25 +208,25 @@ def test_documents_may_come_from_elsewhere_and_lead_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("context", "told"),
+    ("context", "reported"),
     [
         (3, "a URL, an object or a list of both"),
-        ({"arm": 3}, 'the term "arm" of an @context stands for an IRI'),
+        ({"arm": 3}, 'the term "arm" of an @context must be an IRI'),
         ({"arm": {"@id": ["x"]}}, 'the term "arm"'),
         ({"@vocab": 3}, "the @vocab of an @context is an IRI"),
-        ({"Arm": {"@id": "urn:x:Arm", "@context": {"value": "urn:x:value"}}}, "a context of its own"),
-        ("https://example.com/self.jsonld", "leads back to itself"),
+        ({"Arm": {"@id": "urn:x:Arm", "@context": {"value": "urn:x:value"}}}, "a scoped context"),
+        ("https://example.com/self.jsonld", "refers to itself"),
         ("https://example.com/list.jsonld", 'has no "@context"'),
         (["https://example.com/empty.jsonld"] * 200, "too many others"),
     ],
 )
-def test_what_is_no_context_is_refused_with_the_reason(context: Any, told: str) -> None:
+def test_what_is_no_context_is_refused_with_the_reason(context: Any, reported: str) -> None:
     documents: dict[str, Any] = {
         "https://example.com/self.jsonld": {"@context": "https://example.com/self.jsonld"},
         "https://example.com/list.jsonld": ["@context"],
         "https://example.com/empty.jsonld": {"@context": {}},
     }
-    with pytest.raises(DataModelError, match=told):
+    with pytest.raises(DataModelError, match=reported):
         TermMap(context, documents.get)
 
 
@@ -280,7 +280,7 @@ def test_a_compacted_name_expands_to_the_same_iri(context: dict[str, Any], name:
     try:
         terms = TermMap(context)
     except DataModelError as error:
-        assume("by way of itself" not in str(error))
+        assume("defined by itself" not in str(error))
         raise
     iri = terms.expand(name)
     assert terms.expand(terms.compact(iri)) == iri
@@ -316,8 +316,8 @@ def test_names_expand_as_a_json_ld_processor_expands_them(
 @pytest.mark.parametrize(
     "context", [{"ex": "ex:b"}, {"ex": {"@id": "ex:b"}}, {"a": "b:x", "b": "a:y"}, {"a": "b", "b": "a"}]
 )
-def test_a_term_that_is_defined_by_way_of_itself_is_refused(context: dict[str, Any]) -> None:
-    with pytest.raises(DataModelError, match="by way of itself; give it a whole IRI"):
+def test_a_term_that_is_defined_by_itself_is_refused(context: dict[str, Any]) -> None:
+    with pytest.raises(DataModelError, match="by itself; define it with a complete IRI"):
         TermMap(context)
 
 

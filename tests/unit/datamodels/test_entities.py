@@ -230,9 +230,9 @@ def test_a_list_of_one_that_a_broker_unpacked_is_a_list_again() -> None:
 def test_a_source_may_be_text_or_an_entity() -> None:
     device = {"id": "urn:x:d", "type": "Device", "controlledProperty": ["gesture"]}
     linked = Device.from_ngsild({**device, "source": "urn:ngsi-ld:Person:demo:operator-1"})
-    told = Device.from_ngsild({**device, "source": "own measurement"})
+    reported = Device.from_ngsild({**device, "source": "own measurement"})
     assert isinstance(linked.source, Relationship)
-    assert isinstance(told.source, Property)
+    assert isinstance(reported.source, Property)
     as_property = {"type": "Property", "value": "urn:ngsi-ld:Person:demo:operator-1"}
     kept = Device.from_ngsild({**device, "source": as_property})
     assert isinstance(kept.source, Property)
@@ -273,7 +273,7 @@ def test_read_gives_the_model_of_the_type() -> None:
     assert foreign.to_normalized()["temperature"] == {"type": "Property", "value": 21}
 
 
-def test_bookkeeping_of_the_broker_is_kept() -> None:
+def test_metadata_of_the_broker_is_preserved() -> None:
     wire = a_wire_task(
         createdAt="2026-03-02T07:15:52.118Z", modifiedAt="2026-03-02T07:15:53Z", scope="/hall/2"
     )
@@ -281,7 +281,7 @@ def test_bookkeeping_of_the_broker_is_kept() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         ({"status": {"type": "Property", "value": "done"}}, r'attribute "status" \(value\): .*pending'),
         ({"status": {"type": "Property"}}, 'attribute "status": is a Property without "value"'),
@@ -292,20 +292,20 @@ def test_bookkeeping_of_the_broker_is_kept() -> None:
         ({"workParameters": "pick"}, 'attribute "workParameters"'),
         ({"deadline": "2026-03-02"}, 'attribute "deadline" .*has no time zone'),
         ({"deadline": {"@type": "Date", "@value": "2026-03-02"}}, 'attribute "deadline" .*DateTime'),
-        ({"deadline": 5}, "must be a moment"),
+        ({"deadline": 5}, "must be a time"),
         ({"status": {"value": "pending", "observedAt": "now"}}, r'attribute "status" \(observedAt\)'),
         ({"type": "Device"}, "its type is Device"),
         ({"type": 3}, 'attribute "type"'),
         ({"id": "task 1"}, 'task 1 is no valid Task: attribute "id"'),
     ],
 )
-def test_a_fault_is_told_with_entity_attribute_and_rule(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(DataModelError, match=told) as refused:
+def test_a_fault_is_reported_with_entity_attribute_and_rule(change: dict[str, Any], reported: str) -> None:
+    with pytest.raises(DataModelError, match=reported) as refused:
         Task.from_ngsild({**a_wire_task(), **change})
     assert "is no valid Task" in str(refused.value)
 
 
-def test_every_fault_is_told_at_once() -> None:
+def test_all_faults_are_reported_at_once() -> None:
     with pytest.raises(DataModelError) as refused:
         Task.from_ngsild({"id": "urn:ngsi-ld:Task:demo:t1", "type": "Task"})
     assert str(refused.value) == (

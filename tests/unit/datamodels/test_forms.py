@@ -1,4 +1,4 @@
-"""Normalized, concise and keyValues tell the same story, whatever the entity."""
+"""Normalized, concise and keyValues are equivalent for every entity."""
 
 import json
 from typing import Any
@@ -172,7 +172,7 @@ def entities(draw: st.DrawFn) -> dict[str, Any]:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Say whether two JSON values are the same, 1 and 1.0 and True told apart."""
+    """Return whether two JSON values are equal; 1, 1.0 and True are different."""
     return json.dumps(one, sort_keys=True) == json.dumps(other, sort_keys=True)
 
 
@@ -281,7 +281,7 @@ def test_key_values_are_the_bare_values() -> None:
     }
 
 
-def test_bare_objects_with_a_member_value_need_the_form_to_be_told() -> None:
+def test_bare_objects_with_a_member_value_need_an_explicit_form() -> None:
     bare = {
         "id": "urn:x:t",
         "type": "Task",
@@ -289,8 +289,8 @@ def test_bare_objects_with_a_member_value_need_the_form_to_be_told() -> None:
         "status": "pending",
         "workParameters": {"value": 5},
     }
-    told = read(bare, Form.KEY_VALUES)
-    assert told.to_normalized()["workParameters"] == {"type": "Property", "value": {"value": 5}}
+    reported = read(bare, Form.KEY_VALUES)
+    assert reported.to_normalized()["workParameters"] == {"type": "Property", "value": {"value": 5}}
     with pytest.raises(DataModelError, match='attribute "workParameters"'):
         read(bare)
 

@@ -22,7 +22,7 @@ def test_a_stale_file_fails_the_check_until_it_is_written(
     monkeypatch.setattr(schemas.outdated, "__defaults__", (tmp_path,))
     monkeypatch.setattr(schemas.write, "__defaults__", (tmp_path,))
     assert main(["--check"]) == 1
-    assert "Task.json is not what the models say; run python -m datamodels.schemas" in capsys.readouterr().err
+    assert "Task.json differs from the models; run python -m datamodels.schemas" in capsys.readouterr().err
     assert main([]) == 0
     assert "wrote Task.json" in capsys.readouterr().out
     assert main(["--check"]) == 0

@@ -52,7 +52,7 @@ def test_a_moment_without_a_time_zone_is_refused_with_the_way_out(text: str) -> 
 
 @pytest.mark.parametrize("text", ["", "yesterday", "2026-13-01T00:00:00Z", "2026-01-01T25:00:00Z"])
 def test_what_is_no_moment_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="is not a moment; write it in ISO 8601"):
+    with pytest.raises(ValueError, match="is not a time; write it in ISO 8601"):
         parse(text)
 
 

@@ -40,5 +40,5 @@ def test_package_that_cannot_be_imported_is_named() -> None:
 
 
 def test_unknown_name_is_refused_with_the_names_there_are() -> None:
-    with pytest.raises(UnknownExtension, match=f'no thing "onw"; there are: own. .* "{GROUP}"'):
-        POINT.load("onw")
+    with pytest.raises(UnknownExtension, match=f'no thing "none"; there are: own. .* "{GROUP}"'):
+        POINT.load("none")

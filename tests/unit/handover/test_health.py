@@ -44,7 +44,9 @@ def test_a_ready_service_is_well(service: str, capsys: pytest.CaptureFixture[str
     assert capsys.readouterr().err == ""
 
 
-def test_what_a_service_lacks_is_told(service: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_reason_is_printed_if_a_service_is_not_ready(
+    service: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([f"{service}/ill"]) == 1
     assert "503" in (said := capsys.readouterr().err)
     assert "broker" in said

@@ -24,7 +24,7 @@ def test_a_message_is_its_english_text() -> None:
     assert pickle.loads(pickle.dumps(said)).parameters == said.parameters
 
 
-def test_a_problem_tells_the_code_and_the_parameters_of_its_detail() -> None:
+def test_a_problem_has_the_code_and_the_parameters_of_its_detail() -> None:
     body = Problem(404, "Unknown glove", message("glove.unknown", 'no "{glove}"', glove="g")).body()
     assert body["detail"] == 'no "g"'
     assert body["detailCode"] == "glove.unknown"

@@ -52,16 +52,16 @@ async def test_a_port_that_a_leaving_connection_holds_is_waited_for(connection: 
     port = connection.getsockname()[1]
     with pytest.raises(PortLeaving, match=rf"port {port} .* connection"):
         hold(HERE, port, SETTING)
-    told: list[str] = []
-    waiting = asyncio.create_task(held(HERE, port, SETTING, say=told.append))
+    reported: list[str] = []
+    waiting = asyncio.create_task(held(HERE, port, SETTING, say=reported.append))
     async with asyncio.timeout(120):
-        while not told:
+        while not reported:
             await asyncio.sleep(0)
-    assert f"port {port}" in told[0]
-    assert "is held by a connection to " in told[0]  # maybe another one, with the same local port
+    assert f"port {port}" in reported[0]
+    assert "is held by a connection to " in reported[0]  # maybe another one, with the same local port
     reset(connection)
     (await asyncio.wait_for(waiting, 120)).close()
-    assert len(told) == 1
+    assert len(reported) == 1
 
 
 def test_a_server_can_listen_on_a_held_port_and_no_connection_gets_it() -> None:
@@ -89,11 +89,11 @@ def test_a_connection_that_lasts_is_waited_for_as_long_as_it_does(
             reset(connection)
 
     monkeypatch.setattr(ports, "time", SimpleNamespace(monotonic=lambda: now_s, sleep=sleep))
-    told: list[str] = []
-    hold_when_free(HERE, connection.getsockname()[1], SETTING, say=told.append).close()
+    reported: list[str] = []
+    hold_when_free(HERE, connection.getsockname()[1], SETTING, say=reported.append).close()
     assert now_s > 300
     assert max(waits) == ports.LAST_LOOK_S
-    assert 5 <= len(told) <= now_s / ports.SAY_AGAIN_S + 1, "once a minute"
+    assert 5 <= len(reported) <= now_s / ports.SAY_AGAIN_S + 1, "once a minute"
 
 
 def test_a_program_that_listens_on_another_of_our_addresses_is_not_waited_for() -> None:

@@ -52,6 +52,6 @@ def test_a_task_is_paused_and_goes_on() -> None:
     assert not is_legal(TaskStatus.PAUSED, TaskStatus.COMPLETED)
 
 
-def test_the_first_sight_of_a_task_is_news_and_a_missing_time_is_no_obstacle() -> None:
+def test_the_first_observation_of_a_task_is_accepted_also_without_a_time() -> None:
     assert is_news(None, a_task(TaskStatus.PENDING))
     assert is_news(a_task(TaskStatus.PENDING, None), a_task(TaskStatus.ASSIGNED, None))

@@ -40,7 +40,7 @@ def faults(body: str, **more: str) -> list[str]:
     return [str(fault) for fault in bad.value.faults]
 
 
-def test_an_activity_says_what_its_task_is() -> None:
+def test_an_activity_has_the_attributes_of_its_task() -> None:
     inner = (
         '<handover:involves expression="operator"/>'
         '<handover:happensAt location="Location:bin-1" function="source"/>'
@@ -294,7 +294,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("wrong", WRONG, ids=str)
-def test_a_wrong_drawing_is_refused_with_element_line_and_rule(wrong: str) -> None:
+def test_an_invalid_model_is_refused_with_element_line_and_rule(wrong: str) -> None:
     body, reason = WRONG[wrong]
     assert any(reason in fault for fault in faults(body)), faults(body)
 

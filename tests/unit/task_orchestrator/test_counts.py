@@ -67,7 +67,7 @@ def task(
     )
 
 
-def test_counts_tell_what_was_done_what_failed_and_how_long_it_took() -> None:
+def test_counts_have_completed_and_failed_tasks_and_their_duration() -> None:
     listed = [
         task(1, "scan", "completed", 4000),
         task(2, "scan", "completed", 1000),

@@ -263,7 +263,7 @@ def catch(name: str, text: str) -> str:
 
 
 @pytest.mark.parametrize("text", ["PT90S", "2026-05-04T08:01:30Z", "pause", "'PT' + seconds + 'S'"])
-def test_a_timer_waits_by_the_clock_it_is_told(text: str) -> None:
+def test_a_timer_uses_the_given_time(text: str) -> None:
     body = start() + catch("wait", text) + activity("work") + end() + path("start", "wait", "work", "end")
     driver = RunDriver(body, pause="PT90S", seconds="90")
     assert driver.run.next_due() == NOW + timedelta(seconds=90)
@@ -273,7 +273,7 @@ def test_a_timer_waits_by_the_clock_it_is_told(text: str) -> None:
     assert driver.run.next_due() is None
 
 
-def test_a_timer_in_a_loop_starts_anew_each_time() -> None:
+def test_a_timer_in_a_loop_restarts_in_each_iteration() -> None:
     body = start() + catch("wait", "PT10S") + activity("work") + gateway("g", default="g_wait") + end()
     driver = RunDriver(body + path("start", "wait", "work", "g", "wait") + flow("g", "end", "work.stop"))
     for visit in (1, 2, 3):

@@ -34,7 +34,7 @@ def opened(run: Run) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", ["parallel", "inclusive"])
-def test_in_a_loop_every_round_waits_for_all_whoever_comes_first(kind: str) -> None:
+def test_in_a_loop_every_iteration_waits_for_all_tokens_in_any_order(kind: str) -> None:
     run = round_trip(kind).start({}, NOW)
     for n, order in enumerate(["ab", "ab", "ba", "ba", "ab"], 1):
         do(run, order[0], n=n)
@@ -88,7 +88,7 @@ def test_a_snapshot_of_another_format_is_refused() -> None:
 
 @settings(max_examples=3 * settings.default.max_examples)
 @given(shape=SHAPES, go=st.booleans(), choices=st.data())
-def test_whatever_the_drawing_nothing_is_open_twice_and_the_last_result_counts(
+def test_for_any_model_no_activity_is_open_twice_and_the_last_result_counts(
     shape: Any, go: bool, choices: st.DataObject
 ) -> None:
     plan = Plan(read_bpmn(drawing(whole(shape))))

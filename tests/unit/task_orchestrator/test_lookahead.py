@@ -63,7 +63,7 @@ def after(definition: Definition, *waiting: str, **variables: Any) -> list[str]:
         (["no such element"], []),
     ],
 )
-def test_bin_picking_says_what_comes_next_the_way_forward_first(waiting: list[str], ahead: list[str]) -> None:
+def test_lookahead_of_bin_picking_has_the_main_path_first(waiting: list[str], ahead: list[str]) -> None:
     assert after(read_bpmn(BIN_PICKING.read_bytes()), *waiting) == ahead
 
 
@@ -112,7 +112,7 @@ def test_a_ring_of_gateways_comes_to_an_end_and_so_does_the_list() -> None:
 
 @settings(max_examples=3 * settings.default.max_examples)
 @given(shape=SHAPES, go=st.booleans(), choices=st.data())
-def test_whatever_is_reached_was_said_to_be_ahead(shape: Any, go: bool, choices: st.DataObject) -> None:
+def test_every_reached_activity_was_predicted(shape: Any, go: bool, choices: st.DataObject) -> None:
     plan = Plan(read_bpmn(drawing(whole(shape))))
     run = plan.start({"go": go}, NOW)
     for _ in range(25):

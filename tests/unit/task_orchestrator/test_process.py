@@ -80,16 +80,16 @@ def test_a_process_says_what_it_is_composed_of_and_how_it_ended() -> None:
     driver = ProcessDriver(TWO_STEPS, bin="bin-1")
     driver.receive("first-1", "completed", weight=3)
     assert created(driver.step) == [task_id("second-1")]
-    told = processes(driver.step)[-1]
-    assert [link["object"] for link in told["isComposedOf"]["value"]] == [
+    reported = processes(driver.step)[-1]
+    assert [link["object"] for link in reported["isComposedOf"]["value"]] == [
         task_id("first-1"),
         task_id("second-1"),
     ]
     driver.receive("second-1", "completed")
-    told = processes(driver.step)[-1]
-    assert told["status"]["value"] == "completed"
-    assert told["outputParameters"]["value"] == {"first": {"weight": 3}, "second": {}}
-    assert told["workParameters"]["value"] == {"bin": "bin-1"}
+    reported = processes(driver.step)[-1]
+    assert reported["status"]["value"] == "completed"
+    assert reported["outputParameters"]["value"] == {"first": {"weight": 3}, "second": {}}
+    assert reported["workParameters"]["value"] == {"bin": "bin-1"}
     assert driver.process.over
 
 
@@ -114,7 +114,7 @@ def test_a_finished_task_never_reopens() -> None:
     assert driver.open == ["second-1"]
 
 
-def test_news_heard_twice_moves_the_process_once() -> None:
+def test_a_change_received_twice_is_applied_once() -> None:
     driver = ProcessDriver(TWO_STEPS)
     assert driver.receive("first-1", "completed")
     assert not driver.receive("first-1", "completed")
@@ -247,7 +247,7 @@ def test_a_pending_task_the_broker_lost_is_posted_again() -> None:
     ]
 
 
-def test_a_begun_task_the_broker_lost_is_not_done_twice_but_told_once() -> None:
+def test_a_started_task_that_the_broker_lost_raises_one_alert_and_is_not_repeated() -> None:
     driver = ProcessDriver(ONE_STEP)
     driver.receive("work-1", "inProgress")
     said = []
@@ -280,7 +280,7 @@ def test_a_task_the_broker_refuses_counts_as_failed() -> None:
         ('<handover:involves expression="colour"/>', '"red" names no entity'),
     ],
 )
-def test_what_cannot_be_asked_fails_the_process_by_name(inner: str, reason: str) -> None:
+def test_an_invalid_activity_fails_the_process_with_its_name(inner: str, reason: str) -> None:
     driver = ProcessDriver(
         start() + activity("work", inner) + end() + path("start", "work", "end"), colour="red"
     )

@@ -61,10 +61,10 @@ def test_a_retried_task_is_a_new_one_and_the_process_goes_on() -> None:
         None,
     )
     assert record.acts == (Act(driver.now, ActKind.RETRY, "Ann", task_id("work-1")),)
-    told = processes(driver.step)[-1]
-    assert told["status"]["value"] == "inProgress"
-    assert told["outputParameters"]["value"] == {}
-    assert [link["object"] for link in told["isComposedOf"]["value"]] == [
+    reported = processes(driver.step)[-1]
+    assert reported["status"]["value"] == "inProgress"
+    assert reported["outputParameters"]["value"] == {}
+    assert [link["object"] for link in reported["isComposedOf"]["value"]] == [
         task_id("work-1"),
         task_id("work-2"),
     ]
@@ -86,7 +86,7 @@ def test_it_can_fail_and_be_retried_again_and_again() -> None:
     assert len(driver.process.record.acts) == 3
 
 
-def test_what_was_called_back_is_handed_out_anew_once_it_has_ended() -> None:
+def test_a_cancelled_task_is_posted_again_once_it_has_ended() -> None:
     driver = ProcessDriver(BRANCHES)
     driver.receive("b-1", "inProgress")
     driver.receive("a-1", "failed", reason="no")
@@ -100,7 +100,7 @@ def test_what_was_called_back_is_handed_out_anew_once_it_has_ended() -> None:
     assert driver.open == ["last-1"]
 
 
-def test_what_was_called_back_and_ended_before_is_handed_out_anew_at_once() -> None:
+def test_a_cancelled_task_that_has_ended_is_posted_again_at_once() -> None:
     driver = ProcessDriver(BRANCHES)
     driver.receive("a-1", "failed", reason="no")
     driver.after(seconds=6)
@@ -126,7 +126,7 @@ def test_what_was_completed_though_called_back_is_not_done_twice(when: str) -> N
     assert driver.process.record.variables["b"] == {"weight": 3}
 
 
-def test_a_branch_that_failed_after_the_process_had_is_handed_out_anew_too() -> None:
+def test_a_branch_that_failed_after_the_process_is_posted_again_too() -> None:
     driver = ProcessDriver(BRANCHES)
     driver.receive("b-1", "inProgress")
     driver.receive("a-1", "failed", reason="no")
@@ -135,7 +135,7 @@ def test_a_branch_that_failed_after_the_process_had_is_handed_out_anew_too() -> 
     assert driver.open == ["a-2", "b-2"]
 
 
-def test_a_timer_at_the_border_starts_anew_with_its_activity() -> None:
+def test_a_boundary_timer_restarts_with_its_activity() -> None:
     late = boundary("late", "work", timer("PT1M")) + activity("other") + path("late", "other", "end")
     driver = ProcessDriver(ONE_STEP + late)
     driver.after(seconds=50)
@@ -210,7 +210,7 @@ def test_only_the_task_that_ended_the_process_can_be_retried() -> None:
     assert task_id("a-1") in refusal(driver, "b-1").detail
 
 
-def test_a_state_that_this_release_cannot_read_is_said() -> None:
+def test_a_state_that_this_release_cannot_read_is_refused() -> None:
     driver = ProcessDriver(ONE_STEP)
     driver.receive("work-1", "failed", reason="no")
     driver.process._revise(state=b'{"version":99}')
@@ -218,7 +218,7 @@ def test_a_state_that_this_release_cannot_read_is_said() -> None:
 
 
 class Long:
-    """A driver whose process may be taken anew from what was written at any time, as after a crash."""
+    """A driver whose process may be restored from its records at any time, as after a crash."""
 
     def __init__(self, body: str) -> None:
         self.driver = ProcessDriver(body)

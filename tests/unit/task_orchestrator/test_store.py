@@ -211,7 +211,7 @@ def test_what_ended_long_ago_is_forgotten_with_all_that_belongs_to_it(store: Sto
 
 
 def test_only_a_process_of_which_nothing_is_open_can_be_archived(store: Store) -> None:
-    names = ("p-told", "p-pending", "p-busy", "p-young", "p-archived")
+    names = ("p-delivered", "p-pending", "p-busy", "p-young", "p-archived")
     ended = {name: NOW + timedelta(minutes=1 if name == "p-young" else 0) for name in names}
     records = [started(name, 0, ended_at=moment) for name, moment in ended.items()]
     records[4] = replace(records[4], archived_at=NOW)
@@ -222,26 +222,26 @@ def test_only_a_process_of_which_nothing_is_open_can_be_archived(store: Store) -
     waiting.enqueue("p-pending", MessageKind.UPSERT, "urn:p-pending", [])
     store.write(waiting)
     found = store.to_archive(NOW + timedelta(seconds=1), 10)
-    assert [(each.process.id, each.tasks) for each in found] == [("p-told", ("t-p-told",))]
+    assert [(each.process.id, each.tasks) for each in found] == [("p-delivered", ("t-p-delivered",))]
     step = Step(2, archived=[replace(found[0].process, archived_at=NOW, revision=2)])
-    step.enqueue("p-told", MessageKind.DELETE, "urn:p-told", ["t-p-told", "urn:p-told"])
+    step.enqueue("p-delivered", MessageKind.DELETE, "urn:p-delivered", ["t-p-delivered", "urn:p-delivered"])
     store.write(step)
     assert store.to_archive(NOW + timedelta(seconds=1), 10) == []
-    (record,) = store.processes(["p-told"])
+    (record,) = store.processes(["p-delivered"])
     assert (record.archived_at, record.revision, record.state) == (NOW, 2, PROCESS.state)
-    assert store.archived(["t-p-told", "t-p-busy", "no"], ["p-archived", "p-young"]) == {
-        "t-p-told": "p-told",
+    assert store.archived(["t-p-delivered", "t-p-busy", "no"], ["p-archived", "p-young"]) == {
+        "t-p-delivered": "p-delivered",
         "p-archived": "p-archived",
     }
     assert {each.task.id: each.archived for each in store.ended_tasks([task.id for task in tasks])} == {
-        "t-p-told": True,
+        "t-p-delivered": True,
         "t-p-pending": False,
         "t-p-young": False,
         "t-p-archived": True,
     }
     assert [each.process.id for each in store.ended_processes(["p-runs", "p-young"])] == ["p-young"]
     assert store.delete_ended(NOW + timedelta(days=1), 10, archived_only=True) == 2
-    assert store.processes(["p-told", "p-archived"]) == []
+    assert store.processes(["p-delivered", "p-archived"]) == []
 
 
 def test_a_process_that_was_retried_meanwhile_is_not_archived(store: Store) -> None:

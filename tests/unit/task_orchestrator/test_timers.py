@@ -23,7 +23,7 @@ SINCE = datetime(2024, 1, 31, 12, 0, tzinfo=UTC)
         ("2024-02-01T08:00:00Z", datetime(2024, 2, 1, 8, 0, tzinfo=UTC)),
     ],
 )
-def test_a_timer_is_due_when_its_text_says(text: str, moment: datetime) -> None:
+def test_a_timer_is_due_at_its_time(text: str, moment: datetime) -> None:
     assert due_at(text, SINCE) == moment
 
 

@@ -52,9 +52,9 @@ def test_sound_data_are_found_sound_also_while_a_broker_uses_them(data_dir: Path
     for is_used in (False, True):
         if is_used:
             journal.open()
-        told = checked(data_dir)
-        assert told.returncode == 0, told.stdout
-        assert told.stdout.splitlines() == [
+        reported = checked(data_dir)
+        assert reported.returncode == 0, reported.stdout
+        assert reported.stdout.splitlines() == [
             f"ok       {data_dir / 'broker.db'}",
             f"ok       {data_dir / 'orchestrator.db'}",
         ]
@@ -93,15 +93,15 @@ def cut(folder: Path) -> None:
 )
 def test_damage_is_listed_with_the_remedy(data_dir: Path, harm: Callable[[Path], None], words: str) -> None:
     harm(data_dir)
-    told = checked(data_dir)
-    assert told.returncode == 1, told.stdout + told.stderr
-    damaged = [line for line in told.stdout.splitlines() if line.startswith("damaged  ")]
-    assert any(words in line for line in damaged), told.stdout
-    assert "deploy/restore" in told.stdout.splitlines()[-1]
-    assert "Traceback" not in told.stderr
+    reported = checked(data_dir)
+    assert reported.returncode == 1, reported.stdout + reported.stderr
+    damaged = [line for line in reported.stdout.splitlines() if line.startswith("damaged  ")]
+    assert any(words in line for line in damaged), reported.stdout
+    assert "deploy/restore" in reported.stdout.splitlines()[-1]
+    assert "Traceback" not in reported.stderr
 
 
 def test_an_empty_folder_has_nothing_to_check(tmp_path: Path) -> None:
-    told: Any = checked(tmp_path)
-    assert told.returncode == 0
-    assert "there is no database in" in told.stdout
+    reported: Any = checked(tmp_path)
+    assert reported.returncode == 0
+    assert "there is no database in" in reported.stdout

@@ -1,4 +1,4 @@
-"""The story tells each thing once, in the words of the shop floor."""
+"""The progress on the terminal: each event is printed once, in plain words."""
 
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -48,7 +48,7 @@ def test_a_story_says_who_which_gesture_and_how_long_and_says_it_once() -> None:
     ]
 
 
-def test_a_pause_is_told_each_time_it_happens() -> None:
+def test_every_pause_is_printed() -> None:
     lines: list[str] = []
     progress = ProgressPrinter(BEGAN, lines.append)
     for at_s, status in enumerate(["pending", "inProgress", "paused", "inProgress", "paused", "inProgress"]):
@@ -58,7 +58,7 @@ def test_a_pause_is_told_each_time_it_happens() -> None:
     ]  # fmt: skip
 
 
-def test_a_failure_is_told_with_its_reason_and_the_sum_counts_both_hands() -> None:
+def test_a_failure_is_printed_with_its_reason_and_the_summary_counts_people_and_robots() -> None:
     lines: list[str] = []
     progress = ProgressPrinter(BEGAN, lines.append)
     robot = {"operation": "pick"}
@@ -75,7 +75,7 @@ def test_a_failure_is_told_with_its_reason_and_the_sum_counts_both_hands() -> No
     )
 
 
-def test_an_answer_other_than_ok_is_told_with_its_note() -> None:
+def test_another_outcome_than_ok_is_printed_with_its_note() -> None:
     lines: list[str] = []
     progress = ProgressPrinter(BEGAN, lines.append)
     shown = {"gesture": "Horns", "heldMs": 1520, "by": "gesture", "outcome": "notGood"}
