@@ -182,7 +182,7 @@ def _licence_of(name: str) -> str:
         raise LicenceError(f'"{name}" is not installed; install it with: make setup') from None
     if "License-Expression" in fields:
         return fields["License-Expression"]
-    named = (fields.get_all("License") or [""])[0].strip().partition("\n")[0].strip()
+    named = str((fields.get_all("License") or [""])[0]).strip().partition("\n")[0].strip()
     if named and len(named) <= MAX_NAME_LENGTH and "(" not in named:
         return SPDX.get(named.lower(), named)
     classifiers = [
