@@ -1,5 +1,5 @@
-"""The glove bridge: a glove becomes frames on a TCP stream.
+"""The glove bridge: sends the values of a glove as frames over TCP.
 
-It runs on the machine that the glove is paired with, Windows included, and needs nothing but Python
-(and pyserial, where the glove hangs on a serial port).
+It runs on the computer that the glove is paired with, also on Windows. It needs only Python, and pyserial for
+a glove on a serial port.
 """

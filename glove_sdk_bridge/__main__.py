@@ -10,31 +10,31 @@ from contextlib import contextmanager
 
 from glove_sdk_bridge.calibration import Calibrator
 from glove_sdk_bridge.command_line import parse
-from glove_sdk_bridge.controller import Controller
+from glove_sdk_bridge.controller_client import ControllerClient
 from glove_sdk_bridge.errors import BridgeError
 from glove_sdk_bridge.forward import STDIN
+from glove_sdk_bridge.frame_sender import FrameSender
 from glove_sdk_bridge.frames import HANDS, Hello
-from glove_sdk_bridge.link import Link
 from glove_sdk_bridge.recorder import Recorder
 from glove_sdk_bridge.source import stream
 from glove_sdk_bridge.sources import source_kinds
 
 LIFELINE = "HANDOVER_LIFELINE"
-"""Set by who starts us as a part of something larger: we end when our standard input does."""
+"""Set by a parent process; the bridge then stops when its standard input ends."""
 
 
 def main(words: list[str] | None = None, program: str = "glove_sdk_bridge") -> int:
-    """Do what `words` (those of the command line if None) ask for, and return the exit code.
+    """Run the command in `words` (the command line if None) and return the exit code.
 
-    0 when it is done or was stopped, 2 when it could not go on, which is said in one line.
+    0 after success or a stop, 2 after an error, which is reported in one line.
     """
     stop = threading.Event()
     try:
-        asked = parse(sys.argv[1:] if words is None else words, program)
+        args = parse(sys.argv[1:] if words is None else words, program)
         with _stopped_by_sigterm(stop):
-            if os.environ.get(LIFELINE) and asked.command != "forward":
+            if os.environ.get(LIFELINE) and args.command != "forward":
                 threading.Thread(target=_stop_with_parent, args=(stop,), daemon=True).start()
-            _do(asked, stop)
+            _run(args, stop)
     except BridgeError as error:
         _say(f"glove: {error}")
         return 2
@@ -45,21 +45,23 @@ def main(words: list[str] | None = None, program: str = "glove_sdk_bridge") -> i
     return 0
 
 
-def _do(asked: argparse.Namespace, stop: threading.Event) -> None:
-    if asked.command == "record":
-        Recorder(asked.file, asked.glove, Controller(asked.controller), say=_say).record(stop, asked.seconds)
+def _run(args: argparse.Namespace, stop: threading.Event) -> None:
+    if args.command == "record":
+        Recorder(args.file, args.glove, ControllerClient(args.controller), say=_say).record(
+            stop, args.seconds
+        )
         return
-    if asked.command == "calibrate":
-        calibrator = Calibrator(asked.glove, Controller(asked.controller), say=_say)
-        if asked.table is None:
+    if args.command == "calibrate":
+        calibrator = Calibrator(args.glove, ControllerClient(args.controller), say=_say)
+        if args.table is None:
             calibrator.from_hand(stop)
         else:
-            calibrator.from_table(asked.table, asked.fist, asked.open, asked.seconds)
+            calibrator.from_table(args.table, args.fist, args.open, args.seconds)
         return
-    source = source_kinds()[asked.command].make(asked, _say)
-    hello = Hello(asked.glove, asked.hand or getattr(source, "hand", None) or HANDS[0], asked.token)
-    with Link(hello, asked.host, asked.port, say=_say) as link:
-        stream(source, link, stop, _say)
+    source = source_kinds()[args.command].make(args, _say)
+    hello = Hello(args.glove, args.hand or getattr(source, "hand", None) or HANDS[0], args.token)
+    with FrameSender(hello, args.host, args.port, say=_say) as sender:
+        stream(source, sender, stop, _say)
 
 
 def _say(line: str) -> None:
@@ -68,7 +70,7 @@ def _say(line: str) -> None:
 
 @contextmanager
 def _stopped_by_sigterm(stop: threading.Event) -> Iterator[None]:
-    """End as calmly on SIGTERM as on anything else, where signals can be caught."""
+    """Set `stop` on SIGTERM, if this is the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""Values on the command line: each function returns what a word means, or raises `ArgumentTypeError`."""
+"""Types of command line arguments; each function returns the value or raises `ArgumentTypeError`."""
 
 import argparse
 import math
@@ -17,14 +17,14 @@ def add_controller(parser: argparse.ArgumentParser) -> None:
 
 
 def glove_name(text: str) -> str:
-    """Return `text` if it can be the name of a glove."""
+    """Return `text` if it is a valid name of a glove."""
     if not is_glove_name(text):
         raise argparse.ArgumentTypeError('a glove is named by 1 to 64 letters, digits, ".", "_" or "-"')
     return text
 
 
 def poses(text: str) -> tuple[str, ...]:
-    """Return the poses that `text` lists."""
+    """Return the poses in the comma-separated `text`."""
     listed = tuple(part.strip() for part in text.split(","))
     if not all(listed):
         raise argparse.ArgumentTypeError(f"{text!r} is no list of poses such as 1,2,8")

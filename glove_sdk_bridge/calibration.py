@@ -1,6 +1,6 @@
-"""Calibration: a fist for a second, an open hand for a second, and the glove fits whoever wears it.
+"""Calibration of a glove with a fist and an open hand, one second each.
 
-The frames come from the hand itself, as the controller receives them, or from a table of poses.
+The frames come from the hand, as the controller receives them, or from a table of poses.
 """
 
 import itertools
@@ -9,27 +9,27 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from glove_sdk_bridge.controller import Controller
+from glove_sdk_bridge.controller_client import ControllerClient
 from glove_sdk_bridge.errors import BridgeError, Dropped, Say
 from glove_sdk_bridge.frames import FINGERS
 from glove_sdk_bridge.replay import RATE_HZ, read_table
 
-GET_READY_S = 2.0
-KEEP_S = 1.5
-LOOK_EVERY_S = 0.02
-LEAST_FRAMES = 10
-SILENT_AFTER_S = 5.0
+PREPARATION_S = 2.0
+CAPTURE_S = 1.5
+POLL_INTERVAL_S = 0.02
+MIN_FRAMES = 10
+MAX_SILENCE_S = 5.0
 
 Frames = list[list[float]]
 
 
 class Calibrator:
-    """Has the controller make the thresholds of `glove`, and says what they are."""
+    """Sends frames to the controller, which calculates the thresholds of `glove`, and reports them."""
 
     def __init__(
         self,
         glove: str,
-        controller: Controller,
+        controller: ControllerClient,
         *,
         say: Say,
         clock: Callable[[], float] = time.monotonic,
@@ -42,40 +42,40 @@ class Calibrator:
         self._wait = wait
 
     def from_hand(self, stop: threading.Event) -> None:
-        """Ask for a fist and an open hand; raise `BridgeError` if the glove sends nothing or does not fit."""
+        """Ask for a fist and an open hand; raises `BridgeError`."""
         frames = {}
         for name, words in (("fist", "make a fist"), ("open", "open your hand, fingers straight")):
             self._say(f"{self._glove}: {words} and keep it …")
-            self._wait(GET_READY_S)
+            self._wait(PREPARATION_S)
             frames[name] = self._watch(stop)
             if stop.is_set():
                 return
         self._send(frames["fist"], frames["open"])
 
     def from_table(self, path: Path, fist: str, open_hand: str, seconds: float) -> None:
-        """Take the first `seconds` of the poses `fist` and `open_hand` of the table at `path`."""
+        """Use the first `seconds` of the poses `fist` and `open_hand` of the table at `path`."""
         self._send(self._pose(path, fist, seconds), self._pose(path, open_hand, seconds))
 
     def _watch(self, stop: threading.Event) -> Frames:
-        """Return what the controller receives within `KEEP_S`, counted from the first new frame."""
+        """Return the frames that the controller receives within `CAPTURE_S` from the first new one."""
         seen: Frames = []
         last = int(self._controller.glove(self._glove)["frames"])
-        until_s, silent_s = None, self._clock() + SILENT_AFTER_S
+        until_s, silent_s = None, self._clock() + MAX_SILENCE_S
         while not stop.is_set() and (until_s is None or self._clock() < until_s):
             view = self._controller.glove(self._glove)
             if view["frames"] != last and view["bend"] is not None:
                 last = int(view["frames"])
                 seen.append(list(view["bend"]))
-                until_s = until_s if until_s is not None else self._clock() + KEEP_S
+                until_s = until_s if until_s is not None else self._clock() + CAPTURE_S
             elif until_s is None and self._clock() > silent_s:
                 raise BridgeError(
                     f"{self._glove} sends nothing to {self._controller.url}; "
-                    "switch it on and see that its bridge runs"
+                    "switch it on and check that its bridge runs"
                 )
-            self._wait(LOOK_EVERY_S)
-        if len(seen) < LEAST_FRAMES and not stop.is_set():
+            self._wait(POLL_INTERVAL_S)
+        if len(seen) < MIN_FRAMES and not stop.is_set():
             raise BridgeError(
-                f"{self._glove} sent {len(seen)} frames in {KEEP_S:g} s; at least {LEAST_FRAMES} are needed"
+                f"{self._glove} sent {len(seen)} frames in {CAPTURE_S:g} s; at least {MIN_FRAMES} are needed"
             )
         return seen
 

@@ -1,4 +1,4 @@
-"""The words of the command line: which source, which glove, where the controller is."""
+"""The command line: source, glove and address of the controller."""
 
 import argparse
 import os
@@ -14,21 +14,21 @@ TOKEN = "HANDOVER_GLOVE_TOKEN"  # noqa: S105 - the name of a setting, no secret
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that says in one line what is wrong."""
+    """A parser that reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
         raise BridgeError(f"{self.prog}: {message}; {self.prog} --help explains it")
 
 
 def parse(words: list[str], program: str) -> argparse.Namespace:
-    """Return what `words` ask for; raise `BridgeError` if they make no sense, SystemExit for --help."""
+    """Return the parsed arguments; raise `BridgeError` if they are invalid, SystemExit for --help."""
     return parser(program).parse_args(words)
 
 
 def parser(program: str) -> argparse.ArgumentParser:
     """Return the parser of the command line, with one sub-parser for each command."""
     parser = _Parser(
-        prog=program, description="A glove becomes frames for the gesture controller.", allow_abbrev=False
+        prog=program, description="Sends the frames of a glove to the gesture controller.", allow_abbrev=False
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
@@ -37,15 +37,17 @@ def parser(program: str) -> argparse.ArgumentParser:
             name, help=summary, description=summary, parents=parents, allow_abbrev=False
         )
 
-    glove, link = _glove_words(), _link_words()
+    glove, connection = _glove_arguments(), _connection_arguments()
     for name, kind in source_kinds().items():
-        kind.add_arguments(add(name, kind.summary, glove, link))
-    _record_words(add("record", "Write what a connected glove sends to a file.", glove))
-    _calibrate_words(add("calibrate", "Fit a glove to its wearer: a fist, then an open hand.", glove))
+        kind.add_arguments(add(name, kind.summary, glove, connection))
+    _record_arguments(add("record", "Write what a connected glove sends to a file.", glove))
+    _calibrate_arguments(
+        add("calibrate", "Calibrate a glove for its wearer: a fist, then an open hand.", glove)
+    )
     return parser
 
 
-def _glove_words() -> _Parser:
+def _glove_arguments() -> _Parser:
     words = _Parser(add_help=False)
     words.add_argument(
         "--glove", default="glove-1", type=glove_name, help="name of the glove (default: %(default)s)"
@@ -53,26 +55,28 @@ def _glove_words() -> _Parser:
     return words
 
 
-def _link_words() -> _Parser:
+def _connection_arguments() -> _Parser:
     words = _Parser(add_help=False)
     words.add_argument("--hand", choices=HANDS, help="the hand that wears it (default: right)")
-    words.add_argument("--host", default="127.0.0.1", help="where the controller awaits gloves (%(default)s)")
+    words.add_argument(
+        "--host", default="127.0.0.1", help="address of the glove server (default: %(default)s)"
+    )
     words.add_argument("--port", default=54000, type=port, help="its TCP port (default: %(default)s)")
     words.add_argument(
         "--token",
         default=os.environ.get(TOKEN, ""),
-        help=f"the secret that lets gloves in; better in {TOKEN}, where other users cannot see it",
+        help=f"the token of the glove; better in {TOKEN}, where other users cannot see it",
     )
     return words
 
 
-def _record_words(parser: argparse.ArgumentParser) -> None:
+def _record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, help="where to write; an existing recording is continued")
     add_controller(parser)
-    parser.add_argument("--seconds", type=positive, help="stop after so long (default: with Ctrl-C)")
+    parser.add_argument("--seconds", type=positive, help="stop after this time (default: on Ctrl-C)")
 
 
-def _calibrate_words(parser: argparse.ArgumentParser) -> None:
+def _calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     add_controller(parser)
     parser.add_argument("--from", dest="table", type=Path, help="a table of poses (CSV) instead of the hand")
     parser.add_argument("--fist", default="0", metavar="POSE", help="its pose of a fist (%(default)s)")

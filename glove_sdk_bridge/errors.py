@@ -1,4 +1,4 @@
-"""What can go wrong with a glove, in words for the person who wears it."""
+"""Errors, with messages for the person who wears the glove."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -7,11 +7,11 @@ Say = Callable[[str], None]
 
 
 class BridgeError(Exception):
-    """Nothing can go on; the message is one line that names the thing, the rule and the way out."""
+    """The command failed; the message is one line that names the thing, the rule and the remedy."""
 
 
 class BadLine(ValueError):
-    """A line is no frame; `rule` says in a few words what it lacks, fit to count by."""
+    """A line is no valid frame; `rule` is one of a few fixed texts, used for counting."""
 
     def __init__(self, rule: str) -> None:
         super().__init__(rule)
@@ -19,7 +19,7 @@ class BadLine(ValueError):
 
 
 class Dropped:
-    """Counts the lines that were no frames; the first of each kind is said aloud, the rest only counted."""
+    """Counts invalid lines; only the first of each kind is reported."""
 
     def __init__(self, where: str, say: Say) -> None:
         self.by_rule: Counter[str] = Counter()

@@ -1,7 +1,7 @@
-"""Forward: frames on standard input become frames of a glove.
+"""The source `forward`: reads frames on standard input.
 
-So any vendor's program, on any system, can be piped in: it prints `{"bend":[…]}`, a whole frame, or five
-numbers with commas between them, one hand a line.
+So the output of any vendor program can be piped in. Each line is `{"bend":[…]}`, a complete frame, or five
+numbers separated by commas.
 """
 
 import os
@@ -17,7 +17,7 @@ _CHUNK_BYTES = 64 * 1024
 
 
 class Forward:
-    """Frames as they come on the file descriptor `stdin`; a line without a time is stamped on arrival."""
+    """Frames from the file descriptor `stdin`; a line without a time gets its arrival time."""
 
     patience_s = 3.0
 
@@ -27,7 +27,7 @@ class Forward:
         self._clock = clock
 
     def frames(self) -> Iterator[Frame]:
-        """Yield a frame a line until the input ends."""
+        """Yield a frame for each line until the input ends."""
         lines = Lines()
         while data := os.read(self._stdin, _CHUNK_BYTES):
             t_s = self._clock()
@@ -52,7 +52,7 @@ class Forward:
 
 
 def parse_forwarded(line: bytes, t_s: float) -> Frame | None:
-    """Return the frame in `line`, at `t_s` unless it has a time `t` of its own; None for a hello.
+    """Return the frame in `line`, at `t_s` unless the line has a time `t`; None for a hello.
 
     Raises `BadLine` if it is none of JSON with `bend`, a whole frame, or five numbers.
     """

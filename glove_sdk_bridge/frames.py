@@ -1,7 +1,7 @@
-"""Frames: what a glove says on the wire, one JSON object a line.
+"""The wire protocol of gloves: one JSON object a line.
 
-A hello first (who, which hand, the token), then frames: five bend values, thumb first, raw, higher is
-straighter, each stamped in seconds of the clock of the machine that the glove is paired with.
+A hello comes first (name, hand, token), then frames: five raw bend values, thumb first, higher is straighter,
+with a time in seconds on the clock of the computer that the glove is paired with.
 """
 
 import json
@@ -16,8 +16,8 @@ FINGERS: tuple[str, ...] = ("thumb", "index", "middle", "ring", "little")
 HANDS = ("right", "left")
 VERSION = 1
 MAX_LINE_BYTES = 64 * 1024
-LARGEST_VALUE = 1e12
-"""No sensor and no clock shows more; a greater number is a broken line."""
+MAX_VALUE = 1e12
+"""The largest valid number of a sensor or a clock."""
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
@@ -27,9 +27,9 @@ Five = tuple[Number, Number, Number, Number, Number]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """What a glove measured at `t_s` (monotonic seconds); `bend` is raw, thumb first, higher is straighter.
+    """Values measured at `t_s` (monotonic seconds); `bend` is raw, thumb first, higher is straighter.
 
-    `pressure` (raw, thumb first) and `battery` (0 to 1) are given by gloves that have them.
+    `pressure` (raw, thumb first) and `battery` (0 to 1) are None if the glove does not have them.
     """
 
     t_s: float
@@ -39,7 +39,7 @@ class Frame:
     battery: float | None = None
 
     def encode(self) -> bytes:
-        """Return the frame as a line of the wire."""
+        """Return the frame as a line."""
         words: dict[str, Any] = {"type": "frame", "seq": self.seq, "t": round(self.t_s, 6), "bend": self.bend}
         if self.pressure is not None:
             words["pressure"] = self.pressure
@@ -50,7 +50,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """How a glove introduces itself; `sensors` is the order in which its frames name the fingers."""
+    """The first line of a glove; `sensors` is the order of the fingers in its frames."""
 
     glove: str
     hand: str = "right"
@@ -58,7 +58,7 @@ class Hello:
     sensors: tuple[str, ...] = FINGERS
 
     def encode(self) -> bytes:
-        """Return the hello as a line of the wire, with the token if there is one."""
+        """Return the hello as a line, with the token if there is one."""
         words: dict[str, Any] = {"type": "hello", "version": VERSION, "glove": self.glove, "hand": self.hand}
         if self.token:
             words["token"] = self.token
@@ -66,9 +66,9 @@ class Hello:
 
 
 def parse_frame(line: bytes | str, sensors: tuple[str, ...] = FINGERS) -> Frame:
-    """Return the frame in `line`, whose values come in the order of `sensors`, thumb first.
+    """Return the frame in `line`, whose values are in the order of `sensors`.
 
-    Raises `BadLine` when it is no frame, or not all of its numbers are finite.
+    Raises `BadLine` if it is no frame, or if a number is not finite.
     """
     given = parse_object(line)
     if given.get("type") != "frame":
@@ -79,9 +79,9 @@ def parse_frame(line: bytes | str, sensors: tuple[str, ...] = FINGERS) -> Frame:
 
 
 def frame_of(given: dict[str, Any], t_s: float, sensors: tuple[str, ...] = FINGERS) -> Frame:
-    """Return the frame at `t_s` with the values in `given`; raise `BadLine` if they are no frame's."""
+    """Return the frame at `t_s` with the values in `given`; raises `BadLine`."""
     seq, pressure, battery = given.get("seq", 0), given.get("pressure"), given.get("battery")
-    if type(seq) is not int or not 0 <= seq <= LARGEST_VALUE:
+    if type(seq) is not int or not 0 <= seq <= MAX_VALUE:
         raise BadLine('"seq" counts 0, 1, 2, …')
     if battery is not None and not (is_number(battery) and 0 <= battery <= 1):
         raise BadLine('"battery" is a number from 0 to 1')
@@ -95,12 +95,12 @@ def frame_of(given: dict[str, Any], t_s: float, sensors: tuple[str, ...] = FINGE
 
 
 def parse_hello(line: bytes | str) -> Hello:
-    """Return the hello in `line`; raise `BadLine` if it is none."""
+    """Return the hello in `line`; raises `BadLine`."""
     given = parse_object(line)
     if given.get("type") != "hello":
         raise BadLine('a hello has the type "hello"')
     if given.get("version") != VERSION:
-        raise BadLine(f"only version {VERSION} is spoken here")
+        raise BadLine(f"only version {VERSION} is supported")
     name, hand, token = given.get("glove"), given.get("hand", HANDS[0]), given.get("token", "")
     if not is_glove_name(name):
         raise BadLine('"glove" must be 1 to 64 letters, digits, ".", "_" or "-"')
@@ -116,7 +116,7 @@ def parse_hello(line: bytes | str) -> Hello:
 
 
 def parse_object(line: bytes | str) -> dict[str, Any]:
-    """Return the JSON object in `line`; raise `BadLine` if it is none."""
+    """Return the JSON object in `line`; raises `BadLine`."""
     try:
         given = json.loads(line)
     except (ValueError, RecursionError):
@@ -127,7 +127,7 @@ def parse_object(line: bytes | str) -> dict[str, Any]:
 
 
 def five(values: object, what: str, sensors: tuple[str, ...] = FINGERS) -> Five:
-    """Return `values`, given in the order of `sensors`, thumb first; raise `BadLine` unless five numbers."""
+    """Return five `values`, which are in the order of `sensors`, thumb first; raises `BadLine`."""
     if not isinstance(values, list | tuple):
         raise BadLine(f'"{what}" must be a list of five numbers')
     if len(values) != len(FINGERS):
@@ -139,14 +139,14 @@ def five(values: object, what: str, sensors: tuple[str, ...] = FINGERS) -> Five:
 
 
 def is_number(value: object) -> TypeGuard[Number]:
-    """Say whether `value` is a finite number of a size that a sensor or a clock can show."""
+    """Return True if `value` is a finite number within the valid range."""
     if type(value) is int:
-        return -LARGEST_VALUE <= value <= LARGEST_VALUE
-    return type(value) is float and math.isfinite(value) and abs(value) <= LARGEST_VALUE
+        return -MAX_VALUE <= value <= MAX_VALUE
+    return type(value) is float and math.isfinite(value) and abs(value) <= MAX_VALUE
 
 
 def is_glove_name(name: object) -> TypeGuard[str]:
-    """Say whether `name` can name a glove: it becomes part of entity ids, URLs and file names."""
+    """Return True if `name` is valid for a glove: it becomes part of entity ids, URLs and file names."""
     return isinstance(name, str) and _NAME.fullmatch(name) is not None and name.strip(".") != ""
 
 

@@ -1,4 +1,4 @@
-"""Lines: bytes that arrive in pieces become lines, and a line of plain numbers becomes five of them."""
+"""Splits a byte stream into lines, and parses lines of five numbers."""
 
 import re
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ _NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?", re.ASCII)
 
 
 class Lines:
-    """Cuts a stream of bytes into lines; one longer than `limit` bytes is thrown away and counted."""
+    """Splits a byte stream into lines; a line longer than `limit` bytes is dropped and counted."""
 
     def __init__(self, limit: int = MAX_LINE_BYTES) -> None:
         self.too_long = 0
@@ -19,7 +19,7 @@ class Lines:
         self._skipping = False
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Yield the lines, without their ends, that are complete with `data`."""
+        """Yield the complete lines, without line ends."""
         *complete, rest = data.split(b"\n")
         for piece in complete:
             line = bytes(self._rest) + piece
@@ -38,7 +38,7 @@ class Lines:
                 self.too_long += 1
 
     def end(self) -> Iterator[bytes]:
-        """Yield what was left without a line end, if anything."""
+        """Yield the last line if it has no line end."""
         if self._rest and not self._skipping:
             yield bytes(self._rest).rstrip(b"\r")
         self._rest.clear()
@@ -46,7 +46,7 @@ class Lines:
 
 
 def five_numbers(text: str) -> Five:
-    """Return the five numbers of a comma-separated line, thumb first; raise `BadLine` if there are others."""
+    """Return the five numbers of a comma-separated line, thumb first; raises `BadLine`."""
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 5:
         raise BadLine("five numbers with commas between them are needed, thumb first")
@@ -54,7 +54,7 @@ def five_numbers(text: str) -> Five:
 
 
 def number(text: str) -> int | float:
-    """Return the decimal number in `text`; raise `BadLine` if it is none."""
+    """Return the decimal number in `text`; raises `BadLine`."""
     if not _NUMBER.fullmatch(text):
         raise BadLine("not a number")
     return float(text) if "." in text else int(text)

@@ -1,4 +1,4 @@
-"""The recorder: takes down what a glove sends, from the controller that it is connected to."""
+"""The recorder: writes the frames of a glove to a file, as the controller receives them."""
 
 import queue
 import threading
@@ -6,26 +6,26 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from glove_sdk_bridge.controller import Controller, Declined, Unreachable
+from glove_sdk_bridge.controller_client import ControllerClient, Declined, Unreachable
 from glove_sdk_bridge.errors import BadLine, BridgeError, Dropped, Say
 from glove_sdk_bridge.frames import FINGERS, Hello, parse_frame, parse_hello, parse_object
 from glove_sdk_bridge.recording import RecordingWriter
 
-AGAIN_AFTER_S = 1.0
-MOST_WAITING = 10_000
-"""Frames that may wait for a slow disk."""
+RECONNECT_INTERVAL_S = 1.0
+MAX_WAITING = 10_000
+"""The largest number of frames that wait for the disk."""
 
-_LOOK_EVERY_S = 0.2
+_CHECK_INTERVAL_S = 0.2
 
 
 class Recorder:
-    """Writes the frames of `glove` to the recording at `path`, however often the controller goes away."""
+    """Writes the frames of `glove` to the recording at `path`; reconnects to the controller."""
 
     def __init__(
         self,
         path: Path,
         glove: str,
-        controller: Controller,
+        controller: ControllerClient,
         *,
         say: Say,
         clock: Callable[[], float] = time.monotonic,
@@ -36,14 +36,14 @@ class Recorder:
         self._controller = controller
         self._say = say
         self._clock = clock
-        self._lines: queue.Queue[bytes | Exception] = queue.Queue(MOST_WAITING)
+        self._lines: queue.Queue[bytes | Exception] = queue.Queue(MAX_WAITING)
         self._sensors = FINGERS
 
     def record(self, stop: threading.Event, seconds: float | None = None) -> None:
         """Record until `stop` is set, or for `seconds`.
 
-        Raises `BridgeError` when the controller is not there to begin with or does not know the glove, when
-        it says that recording cannot go on, and when the file cannot be written.
+        Raises `BridgeError` if the controller does not respond at the start, does not know the glove or ends
+        the recording, and if the file cannot be written.
         """
         threading.Thread(target=self._follow, name="glove recorder", daemon=True).start()
         hello = self._hello(stop)
@@ -61,14 +61,14 @@ class Recorder:
                 self._say(f"{recording.frames} frames recorded, {len(self.dropped)} dropped")
 
     def _follow(self) -> None:
-        """Put the lines of the controller into the queue for as long as the program runs."""
+        """Put the lines of the controller into the queue until the program ends."""
         begun = False
         lost = False
         while True:
             try:
                 for line in self._controller.lines(self._glove):
                     if lost:
-                        self._say(f"{self._controller.url} is back")
+                        self._say(f"{self._controller.url} is available again")
                     begun, lost = True, False
                     self._lines.put(line)
             except (Unreachable, Declined) as error:
@@ -76,12 +76,12 @@ class Recorder:
                     self._lines.put(error)
                     return
             if not lost:
-                self._say(f"{self._controller.url} is gone; it is waited for")
+                self._say(f"{self._controller.url} is not available; waiting for it")
                 lost = True
-            time.sleep(AGAIN_AFTER_S)
+            time.sleep(RECONNECT_INTERVAL_S)
 
     def _hello(self, stop: threading.Event) -> Hello | None:
-        """Return how the glove introduces itself, or None if `stop` comes before it does."""
+        """Return the hello of the glove, or None if `stop` is set first."""
         while not stop.is_set():
             line = self._next()
             if line is not None:
@@ -89,16 +89,16 @@ class Recorder:
                     hello = parse_hello(line)
                 except BadLine as bad:
                     raise BridgeError(
-                        f"{self._controller.url} does not speak as a gesture controller does ({bad.rule})"
+                        f"{self._controller.url} does not respond as a gesture controller does ({bad.rule})"
                     ) from None
                 self._sensors = hello.sensors
                 return hello
         return None
 
     def _next(self) -> bytes | None:
-        """Return a line, or None if there is none for the moment; raise what the follower met."""
+        """Return a line, or None if there is none now; raise an exception of the reader thread."""
         try:
-            line = self._lines.get(timeout=_LOOK_EVERY_S)
+            line = self._lines.get(timeout=_CHECK_INTERVAL_S)
         except queue.Empty:
             return None
         if isinstance(line, Exception):

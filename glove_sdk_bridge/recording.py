@@ -1,7 +1,7 @@
-"""Recordings: a glove's frames in a file, one JSON object a line, a hello before each session's frames.
+"""Recordings: files with one JSON object a line, a hello before the frames of each session.
 
-Lines are only ever added at the end, each in one piece, so a recording that was cut off by a crash is
-whole but for its last line, which is left out by whoever reads or continues it.
+Lines are only appended, each with one write. After a crash only the last line can be incomplete; readers and
+writers skip it.
 """
 
 import os
@@ -14,20 +14,20 @@ from glove_sdk_bridge.errors import BadLine, BridgeError, Dropped
 from glove_sdk_bridge.frames import FINGERS, MAX_LINE_BYTES, Frame, Hello, parse_frame, parse_hello
 from glove_sdk_bridge.lines import Lines
 
-SAVE_EVERY_S = 1.0
-"""How much of a recording a power cut may cost."""
+SYNC_INTERVAL_S = 1.0
+"""How much of a recording may be lost in a power failure."""
 
 SESSION_GAP_S = 0.02
-"""The time set between the last frame of one session and the first of the next: nobody moved between."""
+"""The time set between the last frame of one session and the first frame of the next."""
 
 _CHUNK_BYTES = 64 * 1024
 
 
 class RecordingWriter:
-    """A recording that is open to be written; an existing one is continued with a new session.
+    """Writes a recording; an existing one is continued with a new session.
 
-    Frames are written thumb first, without the token that the glove may have said. Raises `BridgeError`
-    when `path` cannot be written, is no recording, or is one of another glove.
+    Frames are written thumb first and the hello without its token. Raises `BridgeError` if `path` cannot be
+    written, is no recording, or belongs to another glove.
     """
 
     def __init__(self, path: Path, hello: Hello, clock: Callable[[], float] = time.monotonic) -> None:
@@ -54,18 +54,18 @@ class RecordingWriter:
         self.close()
 
     def write(self, frame: Frame) -> None:
-        """Add `frame`; raise `BridgeError` when the disk does not take it."""
+        """Append `frame`; raise `BridgeError` if it cannot be written."""
         try:
             self._add(frame.encode())
             self.frames += 1
-            if self._clock() - self._saved_s >= SAVE_EVERY_S:
+            if self._clock() - self._saved_s >= SYNC_INTERVAL_S:
                 os.fsync(self._file.fileno())
                 self._saved_s = self._clock()
         except OSError as error:
             raise self._unwritable(error) from None
 
     def close(self) -> None:
-        """Have everything on disk, and close."""
+        """Sync the file to disk and close it."""
         if self._file.closed:
             return
         try:
@@ -76,7 +76,7 @@ class RecordingWriter:
             self._file.close()
 
     def _continue(self, hello: Hello) -> None:
-        """Go to the end of what is whole in the file, if it is a recording of the same glove."""
+        """Seek to the end of the last complete line, if it is a recording of the same glove."""
         first = self._file.readline(MAX_LINE_BYTES)
         try:
             before = parse_hello(first)
@@ -99,7 +99,7 @@ class RecordingWriter:
 
 
 def is_recording(path: Path) -> bool:
-    """Say whether the file at `path` is a recording: JSON lines, and no table."""
+    """Return True if the file at `path` is a recording (JSON lines), False for a table."""
     with path.open("rb") as file:
         return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
 
@@ -114,9 +114,9 @@ def hello_of(path: Path) -> Hello | None:
 
 
 def read_recording(path: Path, dropped: Dropped) -> Iterator[Frame]:
-    """Yield the frames of the recording at `path`, thumb first, on one clock that never runs backwards.
+    """Yield the frames of the recording at `path`, thumb first, with monotonic times over all sessions.
 
-    Lines that are no frames are dropped and counted.
+    Invalid lines are dropped and counted.
     """
     sensors = FINGERS
     shift_s = last_s = None
@@ -154,7 +154,7 @@ def _lines(descriptor: int, dropped: Dropped) -> Iterator[bytes]:
 
 
 def _end_of_last_line(path: Path) -> int:
-    """Return where the last complete line ends, in bytes from the beginning."""
+    """Return the offset of the end of the last complete line, in bytes."""
     with path.open("rb") as file:
         place = file.seek(0, os.SEEK_END)
         while place > 0:

@@ -1,7 +1,7 @@
-"""Replay: recorded frames, played again at the pace at which they were made.
+"""The source `replay`: plays recorded frames at their original pace.
 
-Two kinds of files are played: our own recordings (JSON lines) and tables (CSV) with the columns pose,
-thumb, index, middle, ring and little, which have no time and are played at a given rate.
+Two kinds of files are supported: recordings (JSON lines), and tables (CSV) with the columns pose, thumb,
+index, middle, ring and little, which have no time and are played at a given rate.
 """
 
 import csv
@@ -17,15 +17,15 @@ from glove_sdk_bridge.lines import number
 from glove_sdk_bridge.recording import hello_of, is_recording, read_recording
 
 RATE_HZ = 50.0
-LONGEST_GAP_S = 2.0
-"""A longer gap in a recording is shortened to this: the glove lay on the table."""
+MAX_GAP_S = 2.0
+"""Longer gaps in a recording are shortened to this."""
 
 
 class Replay:
-    """The frames of the file at `path`, again and again if `loop`, `speed` times as fast as recorded.
+    """The frames of the file at `path`, `speed` times as fast as recorded, repeated forever with `loop`.
 
-    The frames keep the spacing of the recording in their own time, whatever the speed. A table is played
-    at `rate_hz`, only those `poses` if any are given. Raises `BridgeError` if the file cannot be played.
+    The time stamps keep the spacing of the recording at any speed. A table is played at `rate_hz`, only the
+    `poses` if any are given. Raises `BridgeError` if the file cannot be played.
     """
 
     patience_s = None
@@ -53,7 +53,7 @@ class Replay:
         try:
             self._is_recording = is_recording(path)
             self.hand = (hello.hand if (hello := hello_of(path)) else None) if self._is_recording else None
-            """The hand that wore the glove, if the file says so."""
+            """The hand of the recording, if the file has it."""
         except OSError as error:
             raise BridgeError(f"{path} cannot be read ({error.strerror}); check its name") from None
         if self._is_recording and poses:
@@ -62,21 +62,21 @@ class Replay:
             raise BridgeError(self._nothing_to_play())
 
     def frames(self) -> Iterator[Frame]:
-        """Yield each frame when its time has come, stamped so that the first one is now."""
+        """Yield each frame at its time, with time stamps that begin now."""
         began_s = self._clock()
-        for frame in self._one_after_the_other():
+        for frame in self._with_relative_times():
             due_s = began_s + frame.t_s / self._speed
             if (early_s := due_s - self._clock()) > 0:
                 self._wait(early_s)
             yield replace(frame, t_s=began_s + frame.t_s)
 
-    def _one_after_the_other(self) -> Iterator[Frame]:
-        """Yield the frames with the time from the first one, without end if they are to be repeated."""
+    def _with_relative_times(self) -> Iterator[Frame]:
+        """Yield the frames with times relative to the first one; endless with `loop`."""
         at_s, last_s, step_s = 0.0, 0.0, 0.0
         for lap in itertools.count():
             for place, frame in enumerate(self._recorded()):
                 if place:
-                    step_s = min(max(frame.t_s - last_s, 0.0), LONGEST_GAP_S)
+                    step_s = min(max(frame.t_s - last_s, 0.0), MAX_GAP_S)
                 last_s = frame.t_s
                 if place or lap:
                     at_s += step_s or 1 / self._rate_hz
@@ -103,9 +103,9 @@ class Replay:
 def read_table(
     path: Path, dropped: Dropped, poses: Collection[str] = frozenset()
 ) -> Iterator[tuple[str, Frame]]:
-    """Yield pose and frame of each row of the table at `path`, of `poses` only if any are given.
+    """Yield pose and frame of each row of the table at `path`, only of `poses` if any are given.
 
-    Rows that are no frames are dropped and counted; a table without the columns raises `BridgeError`.
+    Invalid rows are dropped and counted; a table without the columns raises `BridgeError`.
     """
     with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
         rows = csv.reader((line.replace("\0", "") for line in file), strict=False)
@@ -141,7 +141,7 @@ def _row(row: list[str], places: dict[str, int]) -> tuple[str, Frame]:
 
 
 def _without_errors(rows: "Iterator[list[str]]", dropped: Dropped) -> Iterator[list[str]]:
-    """Yield rows; one that the csv module gives up on, such as an endless cell, is dropped and counted."""
+    """Yield rows; a row that the csv module rejects, such as one with a huge cell, is dropped and counted."""
     while True:
         try:
             yield next(rows)

@@ -1,23 +1,23 @@
-"""The screen: what the simulated operator sees of the controller, looked at a few times a second."""
+"""The screen of the simulated operator: the view of the controller, polled a few times a second."""
 
 import threading
 import time
 from enum import Enum
 
-from glove_sdk_bridge.controller import Controller, Declined, Unreachable
+from glove_sdk_bridge.controller_client import ControllerClient, Declined, Unreachable
 from glove_sdk_bridge.errors import Say
 from glove_sdk_bridge.frames import Five
 from glove_sdk_bridge.simulated_operator import View
 
-LOOK_EVERY_S = 0.2
-FORGET_AFTER_S = 2.0
-"""A screen that has shown nothing for so long is blank: the operator stops waiting for it."""
+POLL_INTERVAL_S = 0.2
+MAX_VIEW_AGE_S = 2.0
+"""An older view counts as empty."""
 
 _NOT_FOUND = 404
 
 
 class Calibrated(Enum):
-    """How far the calibration has come that was handed in last."""
+    """The state of the last calibration."""
 
     NOT_YET = "not yet"
     DONE = "done"
@@ -25,9 +25,9 @@ class Calibrated(Enum):
 
 
 class Screen:
-    """Looks at `glove` in a thread of its own, for as long as the program runs; `say` gets bad news."""
+    """Polls the view of `glove` in a thread until the program ends; `say` gets errors."""
 
-    def __init__(self, controller: Controller, glove: str, *, say: Say) -> None:
+    def __init__(self, controller: ControllerClient, glove: str, *, say: Say) -> None:
         self.calibrated = Calibrated.NOT_YET
         self._controller = controller
         self._glove = glove
@@ -35,19 +35,19 @@ class Screen:
         self._view = View()
         self._seen_s = 0.0
         self._levels: tuple[list[Five], list[Five]] | None = None
-        self._bad_news = ""
+        self._last_error = ""
 
     def start(self) -> None:
-        """Begin to look."""
+        """Start polling."""
         threading.Thread(target=self._watch, name="glove screen", daemon=True).start()
 
     @property
     def view(self) -> View:
-        """Return what is to be seen; nothing, once the screen has been blank for a while."""
-        return self._view if time.monotonic() - self._seen_s < FORGET_AFTER_S else View()
+        """The latest view; an empty one if it is too old."""
+        return self._view if time.monotonic() - self._seen_s < MAX_VIEW_AGE_S else View()
 
     def hand_in(self, fist: list[Five], open_hand: list[Five]) -> None:
-        """Have thresholds made from frames of a fist and of an open hand; `calibrated` tells the outcome."""
+        """Calibrate from frames of a fist and of an open hand; `calibrated` has the result."""
         self.calibrated = Calibrated.NOT_YET
         self._levels = (fist, open_hand)
 
@@ -57,13 +57,13 @@ class Screen:
                 self._calibrate()
                 self._view = View.of(self._controller.glove(self._glove))
                 self._seen_s = time.monotonic()
-                self._bad_news = ""
+                self._last_error = ""
             except Unreachable as error:
-                self._tell(str(error))
+                self._report(str(error))
             except Declined as error:
-                if error.status != _NOT_FOUND:  # a glove that has not said hello yet is not known: it will be
-                    self._tell(str(error))
-            time.sleep(LOOK_EVERY_S)
+                if error.status != _NOT_FOUND:  # the glove is unknown until its first hello
+                    self._report(str(error))
+            time.sleep(POLL_INTERVAL_S)
 
     def _calibrate(self) -> None:
         levels = self._levels
@@ -80,8 +80,8 @@ class Screen:
             return
         self._levels, self.calibrated = None, Calibrated.DONE
 
-    def _tell(self, news: str) -> None:
-        """Say bad news once, not five times a second."""
-        if news != self._bad_news:
-            self._say(news)
-        self._bad_news = news
+    def _report(self, error: str) -> None:
+        """Report an error once, not with every poll."""
+        if error != self._last_error:
+            self._say(error)
+        self._last_error = error

@@ -1,4 +1,4 @@
-"""A glove on a serial port (USB or Bluetooth): it writes a line a frame, and may be unplugged at any time."""
+"""The source `serial`: a glove on a serial port (USB or Bluetooth), which may be unplugged at any time."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from glove_sdk_bridge.errors import BadLine, BridgeError, Dropped, Say
 from glove_sdk_bridge.frames import Five, Frame
 from glove_sdk_bridge.lines import Lines
-from glove_sdk_bridge.serial_lines import LONGEST_LINE_BYTES, parse_serial_line
+from glove_sdk_bridge.serial_lines import MAX_SERIAL_LINE_BYTES, parse_serial_line
 
 if TYPE_CHECKING:
     from serial import Serial
@@ -16,15 +16,15 @@ BAUD = 115_200
 FULL_SCALE = 4095
 """The largest value of a 12-bit converter, which most gloves have."""
 
-REOPEN_EVERY_S = 0.5
-_READ_WITHIN_S = 0.5
+REOPEN_INTERVAL_S = 0.5
+_READ_TIMEOUT_S = 0.5
 
 
 class SerialGlove:
     """The glove on `port`, such as `/dev/ttyUSB0` or `COM3`.
 
-    With `invert` its values are counted from `full_scale` downwards: for sensors that fall when a finger
-    is stretched, as those of most OpenGloves firmware do. Raises `BridgeError` if the port cannot be opened.
+    With `invert`, values are subtracted from `full_scale`: for sensors whose values fall when a finger is
+    stretched, as with most OpenGloves firmware. Raises `BridgeError` if the port cannot be opened.
     """
 
     patience_s = 0.0
@@ -50,7 +50,7 @@ class SerialGlove:
         self._device = self._open()
 
     def frames(self) -> Iterator[Frame]:
-        """Yield a frame a line; a glove that is unplugged is waited for."""
+        """Yield a frame for each line; reopen the port after the glove was unplugged."""
         device = self._device
         self._say(f"reading {self._port}")
         while True:
@@ -58,13 +58,13 @@ class SerialGlove:
                 yield from self._read(device)
             except OSError:
                 device.close()
-                self._say(f"{self._port} is gone; plug the glove in again, it is waited for")
+                self._say(f"{self._port} is gone; plug the glove in again")
             device = self._reopen()
             self._say(f"{self._port} is back")
 
     def _read(self, device: "Serial") -> Iterator[Frame]:
-        """Yield frames until the device goes away, which raises OSError (pyserial's errors are such)."""
-        lines = Lines(LONGEST_LINE_BYTES)
+        """Yield frames until the device is removed, which raises OSError (as all errors of pyserial)."""
+        lines = Lines(MAX_SERIAL_LINE_BYTES)
         first = True
         while True:
             data = device.read(max(1, device.in_waiting))
@@ -75,11 +75,11 @@ class SerialGlove:
                     yield from self._frame(line, t_s)
                 first = False
             for _ in range(lines.too_long - too_long):
-                self.dropped.add(f"a line holds at most {LONGEST_LINE_BYTES} bytes", b"")
+                self.dropped.add(f"a line holds at most {MAX_SERIAL_LINE_BYTES} bytes", b"")
 
     @staticmethod
     def _is_torn(line: bytes) -> bool:
-        """Say whether the first line began before the port was opened: no fault, so not counted."""
+        """Return True if the first line began before the port was opened; it is not counted as an error."""
         try:
             parse_serial_line(line)
         except BadLine:
@@ -102,15 +102,15 @@ class SerialGlove:
                 "a serial glove needs pyserial; install it with: pip install pyserial"
             ) from None
         try:
-            device = Serial(self._port, self._baud, timeout=_READ_WITHIN_S, exclusive=True)
+            device = Serial(self._port, self._baud, timeout=_READ_TIMEOUT_S, exclusive=True)
         except (SerialException, ValueError) as error:
-            raise BridgeError(f"{self._port} cannot be opened ({_words(error)}); {_ports()}") from None
+            raise BridgeError(f"{self._port} cannot be opened ({_reason(error)}); {_ports()}") from None
         device.reset_input_buffer()
         return device
 
     def _reopen(self) -> "Serial":
         while True:
-            self._wait(REOPEN_EVERY_S)
+            self._wait(REOPEN_INTERVAL_S)
             try:
                 return self._open()
             except BridgeError:
@@ -122,8 +122,8 @@ def _inverted(bend: Five, full_scale: int) -> Five:
     return thumb, index, middle, ring, little
 
 
-def _words(error: Exception) -> str:
-    """Return why, without the port's name again: the system's own words if it has any."""
+def _reason(error: Exception) -> str:
+    """Return the reason without the name of the port, as the operating system describes it."""
     if isinstance(error, OSError) and isinstance(error.errno, int):
         import os  # noqa: PLC0415
 

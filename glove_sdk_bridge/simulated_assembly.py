@@ -1,8 +1,8 @@
-"""A simulated assembly: hands reach, grasp, hold tools and parts, fumble and rest, and mean nothing by it.
+"""A simulated assembly: a hand reaches, grasps, holds tools and parts and rests, without intended gestures.
 
 The grasps are the frequent ones of T. Feix, J. Romero, H. Schmiedmayer, A. Dollar, D. Kragic: The GRASP
-Taxonomy of Human Grasp Types (IEEE Trans. Human-Machine Systems 46, 2016). How straight fingers are in each
-is our estimate: an object keeps fingers from closing as far as in a fist, and from stretching fully.
+Taxonomy of Human Grasp Types (IEEE Trans. Human-Machine Systems 46, 2016). The finger positions of each grasp
+are estimates: an object keeps fingers from closing to a fist and from stretching fully.
 """
 
 import random
@@ -17,7 +17,7 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """A way to hold something: between which shares each finger is straight, and for how long it is kept."""
+    """A way to hold an object: the range of each finger position, and of the duration."""
 
     name: str
     fingers: tuple[Span, Span, Span, Span, Span]
@@ -34,18 +34,18 @@ GRASPS = (
     Grasp("plate", ((0.4, 0.65), (0.55, 0.72), (0.55, 0.72), (0.55, 0.72), (0.5, 0.7)), (1.0, 4.0)),
 )
 OPENED: Span = (0.7, 0.95)
-"""How far fingers open on the way to an object; they are not kept there."""
+"""The finger positions on the way to an object."""
 
 REACH_S, CLOSE_S, FUMBLE_S = (0.4, 0.8), (0.2, 0.5), (0.15, 0.4)
 FUMBLES = 0.08
-"""Standard deviation by which a finger shifts in an object that is turned or pressed home."""
+"""The standard deviation of finger movements while an object is turned or pressed in."""
 
 RESTS = 0.2
-"""The share of grasps after which the hand rests for a moment."""
+"""The share of grasps that are followed by a rest."""
 
 
 def assembly(hand: SimulatedHand, seed: int, seconds: float) -> Iterator[Five]:
-    """Yield what `hand` measures, thumb first, during `seconds` of work; the same `seed` does the same."""
+    """Yield the values of `hand`, thumb first, during `seconds` of work; `seed` makes it reproducible."""
     chance = random.Random(seed)  # noqa: S311 - a simulation, no secret
     left = round(seconds * hand.rate_hz)
     while left > 0:
@@ -57,7 +57,7 @@ def assembly(hand: SimulatedHand, seed: int, seconds: float) -> Iterator[Five]:
 
 
 def _one_part(chance: random.Random) -> Iterator[tuple[Posture, float]]:
-    """Yield the movements, each with how long it lasts, that one part or tool takes."""
+    """Yield the movements for one part or tool, with their durations."""
     yield _five([chance.uniform(*OPENED) for _ in range(5)]), chance.uniform(*REACH_S)
     grasp = chance.choice(GRASPS)
     held = [chance.uniform(*span) for span in grasp.fingers]

@@ -1,6 +1,6 @@
-"""A simulated glove: the simulated operator's hand, read as often as a real glove is.
+"""The source `simulate`: the hand of the simulated operator, at the frame rate of a real glove.
 
-Whoever puts a glove on calibrates it first: a fist for a moment, then the open hand.
+The operator calibrates the glove first: a fist for a moment, then the open hand.
 """
 
 import time
@@ -15,14 +15,14 @@ from glove_sdk_bridge.simulated_operator import SimulatedOperator
 MOVE_S = 0.4
 SETTLE_S = 0.2
 KEEP_S = 0.8
-"""How long the fist and the open hand are kept for the calibration."""
+"""How long the fist and the open hand are held for the calibration."""
 
 CALIBRATIONS = 3
-_FELL_ASLEEP_S = 0.5
+_MAX_LAG_S = 0.5
 
 
 class SimulatedGlove:
-    """The frames of `hand`, which `operator` moves by what `screen` shows, in real time, for ever."""
+    """The frames of `hand` in real time; `operator` moves it according to `screen`."""
 
     patience_s = 0.0
     dropped = None
@@ -48,7 +48,7 @@ class SimulatedGlove:
         self._due_s = 0.0
 
     def frames(self) -> Iterator[Frame]:
-        """Yield a frame at a time, at the rate of the hand; raise `BridgeError` if calibration fails."""
+        """Yield frames at the rate of the hand; raise `BridgeError` if the calibration fails."""
         self._screen.start()
         self._due_s = self._clock()
         if self._calibrate:
@@ -79,7 +79,7 @@ class SimulatedGlove:
         )
 
     def _keep(self, posture: Posture, kept: list[Five]) -> Iterator[Frame]:
-        """Move to `posture`, and put what is read there into `kept` once the hand has settled."""
+        """Move to `posture`, and append the values to `kept` once the hand has settled."""
         self._hand.move(posture, MOVE_S)
         unsettled = round((MOVE_S + SETTLE_S) * self._hand.rate_hz)
         for place in range(unsettled + max(10, round(KEEP_S * self._hand.rate_hz))):
@@ -89,11 +89,11 @@ class SimulatedGlove:
             yield frame
 
     def _next(self) -> Frame:
-        """Wait until a frame is due, and return it."""
+        """Wait until the next frame is due, and return it."""
         self._due_s += 1 / self._hand.rate_hz
         early_s = self._due_s - self._clock()
         if early_s > 0:
             self._wait(early_s)
-        elif early_s < -_FELL_ASLEEP_S:
+        elif early_s < -_MAX_LAG_S:
             self._due_s = self._clock()
         return Frame(self._clock(), self._hand.read())

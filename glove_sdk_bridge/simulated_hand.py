@@ -1,8 +1,8 @@
-"""A simulated hand in a glove: what five flex sensors show while fingers move, drag each other and drift.
+"""A simulated hand in a glove: the values of five flex sensors with movement, coupling of fingers and drift.
 
 Levels and noise are those of real recordings: three people, the ten Chinese number signs, about a
 thousand frames of each at 50 Hz (J. Cheng, Z. Sun, J. Wang, J. Zhang, "Chinese Number Gesture Recognition
-Glove Based on Flex Sensors"). How each figure was derived stands beside it.
+Glove Based on Flex Sensors"). The derivation of each number is documented beside it.
 """
 
 import math
@@ -13,13 +13,14 @@ from dataclasses import dataclass
 from glove_sdk_bridge.frames import Five
 
 Posture = tuple[float, float, float, float, float]
-"""How straight each finger is meant to be, thumb first: 0 as in a fist, 1 as in an open hand."""
+"""The intended position of each finger, thumb first: 0 as in a fist, 1 as in an open hand."""
 
 FIST: Posture = (0.0, 0.0, 0.0, 0.0, 0.0)
 OPEN_HAND: Posture = (1.0, 1.0, 1.0, 1.0, 1.0)
 AT_REST: Posture = (0.0, 0.18, 0.16, 0.16, 0.18)
-"""A hand that lies relaxed: loosely closed, the thumb on the fingers. Thumb included, it stays far enough
-from straight that no drift makes a gesture of it."""
+"""A relaxed hand: loosely closed, the thumb on the fingers. It is far enough from straight that no drift
+makes it a
+gesture."""
 
 HALF_BENT = 0.53
 RATE_HZ = 50.0
@@ -70,12 +71,12 @@ is 2.15 time constants of the two low-pass filters in a row that make it."""
 DRIFT_S = 30.0
 """Time constant of the drift: within one of the recordings it looks like a trend."""
 
-MOST_DRIFTS = 2.0
-"""Drift is bounded by so many of its standard deviations: in the recordings every level comes back."""
+MAX_DRIFT_SIGMAS = 2.0
+"""Drift is bounded by so many of its standard deviations: in the recordings every level returns."""
 
 
 class SimulatedHand:
-    """A hand whose sensors are read `rate_hz` times a second; the same `seed` gives the same values."""
+    """A hand whose sensors are read `rate_hz` times a second; `seed` makes the values reproducible."""
 
     def __init__(
         self,
@@ -94,12 +95,12 @@ class SimulatedHand:
 
     @property
     def posture(self) -> Posture:
-        """Return where the fingers are at this moment of their movement."""
+        """The present position of the fingers during the movement."""
         done = minimum_jerk(self._moved_s / self._duration_s) if self._duration_s > 0 else 1.0
         return _five(start + done * (end - start) for start, end in zip(self._from, self._to, strict=True))
 
     def move(self, to: Posture, duration_s: float) -> None:
-        """Begin to move the fingers from where they are, so that they arrive after `duration_s`."""
+        """Start a movement of the fingers to `to`, which takes `duration_s`."""
         self._from, self._to = self.posture, to
         self._moved_s, self._duration_s = 0.0, duration_s
 
@@ -115,7 +116,7 @@ class SimulatedHand:
 
 
 def minimum_jerk(done: float) -> float:
-    """Return how far a hand has come (0 to 1) after the share `done` of its time: it starts and ends gently.
+    """Return the progress of a movement (0 to 1) after the share `done` of its time.
 
     T. Flash, N. Hogan: The coordination of arm movements, J. Neurosci. 5 (1985).
     """
@@ -124,7 +125,7 @@ def minimum_jerk(done: float) -> float:
 
 
 def dragged(posture: Posture, sensors: tuple[FingerSensor, ...] = SENSORS) -> Posture:
-    """Return `posture` as the fingers really stand, with what they do to their neighbours."""
+    """Return the actual finger positions of `posture`, with the coupling of neighbours."""
     return _five(
         share
         + (1 - share) * (DRAG * _around(posture, place, 1) + FAR_DRAG * _around(posture, place, 2))
@@ -134,22 +135,22 @@ def dragged(posture: Posture, sensors: tuple[FingerSensor, ...] = SENSORS) -> Po
 
 
 def level(sensor: FingerSensor, share: float) -> float:
-    """Return the raw value of a finger that is straight by `share`, without any noise."""
+    """Return the raw value of a finger at `share`, without noise."""
     return sensor.bent + share * (sensor.straight - sensor.bent)
 
 
 def _around(posture: Posture, place: int, distance: int) -> float:
-    """Return how many fingers at `distance` are straight; one half straight counts half."""
+    """Return the sum of the positions of the fingers at `distance`."""
     return sum(posture[there] for there in (place - distance, place + distance) if 0 <= there < len(posture))
 
 
 def _beside(posture: Posture, place: int) -> float:
-    """Return how straight the finger is that pulls on the one at `place`: towards the middle of the hand."""
+    """Return the position of the neighbour of `place` towards the middle of the hand."""
     return posture[place + 1 if place == 0 else place - 1]
 
 
 class _Unsteadiness:
-    """What a finger that means to be still adds to its level: noise, wander and drift, in raw units."""
+    """The noise, wander and drift of a still finger, in raw units."""
 
     def __init__(self, sensor: FingerSensor, rate_hz: float, chance: random.Random) -> None:
         self._chance = chance
@@ -159,7 +160,7 @@ class _Unsteadiness:
         self._kick = sensor.wander * math.sqrt((1 - kept) ** 3 / (1 + kept))
         self._drift_keep = math.exp(-1 / (DRIFT_S * rate_hz))
         self._drift_kick = sensor.drift * math.sqrt(1 - self._drift_keep**2)
-        self._drift_most = MOST_DRIFTS * sensor.drift
+        self._drift_most = MAX_DRIFT_SIGMAS * sensor.drift
         self._push = self._wander = 0.0
         self._drift = chance.gauss(0, sensor.drift) * 0.5
         for _ in range(round(10 * WANDER_S * rate_hz)):

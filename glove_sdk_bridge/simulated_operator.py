@@ -1,8 +1,9 @@
-"""The simulated operator: a person who looks at the screen and shows what the Task asks for.
+"""The simulated operator: a person who reads the screen and shows the gesture that the Task asks for.
 
-Reads, thinks, moves, holds until the Task is done, and relaxes. Now and then shows something else or lets
-go too early, sees on the screen that it did not count, and tries again. Pure: it is told the time and what
-the screen shows, and answers with how the hand moves.
+The operator reads, thinks, moves, holds the gesture until the Task is completed, and relaxes. Sometimes the
+operator shows a wrong gesture or releases too early, sees on the screen that it did not count, and tries
+again. The class has no side effects: its inputs are the time and the view, its output is the movement of the
+hand.
 """
 
 import random
@@ -16,50 +17,51 @@ from glove_sdk_bridge.simulated_hand import AT_REST, HALF_BENT, Posture
 
 REACTION_MEDIAN_S, REACTION_SPREAD = 0.95, 0.25
 """Lognormal: two of three reactions to a new Task take 0.74 to 1.22 s, reading included."""
-LEAST_REACTION_S, MOST_REACTION_S = 0.6, 1.5
+MIN_REACTION_S, MAX_REACTION_S = 0.6, 1.5
 MOVEMENT_S = (0.25, 0.5)
 NOTICE_S = (0.2, 0.5)
-"""From what the screen shows to the hand that follows, when a person waits for just that."""
+"""The reaction time to an expected change of the screen."""
 
 CARELESSNESS = 0.04
-"""The standard deviation of how straight a finger is made, as a share of its span."""
+"""The standard deviation of finger positions, as a share of the span."""
 
 CORRECTION = 0.25
-MOST_CORRECTION = 0.5
+MAX_CORRECTION = 0.5
 CORRECT_AFTER_S = 0.4
-"""A finger that the screen sees otherwise than asked is moved further by a share of its span, again and
-again after so long: soon enough that no other gesture is held until it counts."""
+"""A finger that the screen shows with a wrong state is moved further by a share of its span, repeatedly after
+this
+time, before another gesture counts."""
 
-GIVE_UP_AFTER_HOLDS = 3.0
-"""A gesture that has not counted after so many times the hold is let go and shown again."""
+MAX_HOLDS = 3.0
+"""A gesture that has not counted after this multiple of the hold time is released and shown again."""
 
-KEEPS_STILL_S = 20.0
-"""How long a person who is being measured keeps a shape, unless the screen asks for the next."""
+MAX_STILL_S = 20.0
+"""How long a shape is held during a calibration, unless the screen asks for the next one."""
 
 WRONG_FOR = (0.3, 0.42)
 SHORT_FOR = (0.3, 0.6)
-"""How long a wrong and a too short gesture are held, as shares of what confirms: never long enough."""
+"""How long wrong and too short gestures are held, as shares of the confirmation time."""
 
-MOST_MISTAKES = 2
-"""Mistakes in a row; after so many even a careless person takes care."""
+MAX_MISTAKES = 2
+"""The largest number of consecutive mistakes."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the screen shows of a glove: the Task, if there is one, and the finger states it sees."""
+    """The view of a glove: the Task, if there is one, and the recognized finger states."""
 
     task: str | None = None
     code: str = ""
     states: str = ""
     confirm_s: float = 1.5
     waits: bool = False
-    """True when nothing that is shown would count: the work is paused, or the glove is tried out."""
+    """True if no gesture would count: the work is paused, or the glove is in testing mode."""
     keeps_still: bool = False
-    """True while the hand is measured: a person makes no mistakes then, and does not fidget."""
+    """True during a calibration: the operator makes no mistakes then."""
 
     @classmethod
     def of(cls, shown: Mapping[str, Any]) -> Self:
-        """Return the view in the controller's JSON; what is missing or makes no sense is not seen."""
+        """Return the view from the controller's JSON; missing or invalid values are ignored."""
         hold, states = _mapping(shown.get("hold")), shown.get("states")
         confirm_ms = hold.get("confirmMs")
         asked, code = _asked(shown)
@@ -75,14 +77,14 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Movement:
-    """Where the fingers go, and how long they take."""
+    """The target of the fingers, and the duration."""
 
     to: Posture
     duration_s: float
 
 
 class Stage(Enum):
-    """What the operator is doing."""
+    """The stage of an attempt."""
 
     AT_REST = "at rest"
     ABOUT_TO = "about to show"
@@ -91,7 +93,7 @@ class Stage(Enum):
 
 
 class Attempt(Enum):
-    """What the operator shows."""
+    """The kind of an attempt."""
 
     RIGHT = "right"
     WRONG = "wrong"
@@ -100,9 +102,9 @@ class Attempt(Enum):
 
 @dataclass(slots=True)
 class SimulatedOperator:
-    """A person; `mistakes` is the share of attempts that go wrong, `speed` how much quicker than usual.
+    """A person; `mistakes` is the share of wrong attempts, `speed` the factor of reactions and movements.
 
-    How long a gesture must be held is up to the controller, whatever the speed.
+    The controller determines how long a gesture must be held, at any speed.
     """
 
     seed: int | None = None
@@ -121,7 +123,7 @@ class SimulatedOperator:
         self._chance = random.Random(self.seed)  # noqa: S311 - a simulation, no secret
 
     def look(self, view: View, at_s: float) -> Movement | None:
-        """Return how the hand moves now that the screen shows `view`, or None if it goes on as before."""
+        """Return the movement for `view`, or None if the hand continues as before."""
         wanted = None if view.waits else view.task
         if wanted != self._task:
             self._notice(wanted, at_s)
@@ -136,7 +138,7 @@ class SimulatedOperator:
         return None
 
     def _notice(self, wanted: str | None, at_s: float) -> None:
-        """Take in that there is another Task, or none: a hand that shows something is let go first."""
+        """React to another Task, or none: a shown gesture is released first."""
         self._task, self._made = wanted, 0
         if self.stage is Stage.SHOWING:
             self.stage, self._due_s = Stage.LETTING_GO, at_s + self._takes(*NOTICE_S)
@@ -156,7 +158,7 @@ class SimulatedOperator:
         self.stage, self.attempt = Stage.SHOWING, Attempt.RIGHT if view.keeps_still else self._choose()
         self._effort = [self._chance.gauss(0, CARELESSNESS) for _ in FINGERS]
         duration_s = self._takes(*MOVEMENT_S)
-        code, hold_s = view.code, KEEPS_STILL_S if view.keeps_still else GIVE_UP_AFTER_HOLDS * view.confirm_s
+        code, hold_s = view.code, MAX_STILL_S if view.keeps_still else MAX_HOLDS * view.confirm_s
         if self.attempt is Attempt.WRONG:
             code, hold_s = self._mistaken(code), self._chance.uniform(*WRONG_FOR) * view.confirm_s
         elif self.attempt is Attempt.TOO_SHORT:
@@ -166,7 +168,7 @@ class SimulatedOperator:
         return Movement(self._posture(code), duration_s)
 
     def _correct(self, view: View, at_s: float) -> Movement | None:
-        """Bend or stretch more the fingers that the screen sees otherwise than the Task asks for."""
+        """Bend or stretch the fingers further that differ from the Task on the screen."""
         if (
             self.attempt is not Attempt.RIGHT
             or view.keeps_still
@@ -182,18 +184,18 @@ class SimulatedOperator:
             return None
         for place in differs:
             push = CORRECTION if view.states[place] > view.code[place] else -CORRECTION
-            self._effort[place] = max(-MOST_CORRECTION, min(MOST_CORRECTION, self._effort[place] + push))
+            self._effort[place] = max(-MAX_CORRECTION, min(MAX_CORRECTION, self._effort[place] + push))
         self._corrected_s = at_s
         return Movement(self._posture(view.code), self._takes(*MOVEMENT_S))
 
     def _choose(self) -> Attempt:
-        if self._made >= MOST_MISTAKES or self._chance.random() >= self.mistakes:
+        if self._made >= MAX_MISTAKES or self._chance.random() >= self.mistakes:
             return Attempt.RIGHT
         self._made += 1
         return self._chance.choice((Attempt.WRONG, Attempt.TOO_SHORT))
 
     def _mistaken(self, code: str) -> str:
-        """Return `code` with a finger wrong: a bent one beside a straight one comes up with it."""
+        """Return `code` with one wrong finger, usually a bent one beside a straight one."""
         bent = [place for place, state in enumerate(code) if state != "0"]
         beside = [place for place in bent if "0" in code[max(0, place - 1) : place + 2]]
         place = self._chance.choice(beside or bent or range(len(code)))
@@ -209,7 +211,7 @@ class SimulatedOperator:
 
     def _reaction_s(self) -> float:
         reaction_s = REACTION_MEDIAN_S * self._chance.lognormvariate(0, REACTION_SPREAD)
-        return min(max(reaction_s, LEAST_REACTION_S), MOST_REACTION_S) / self.speed
+        return min(max(reaction_s, MIN_REACTION_S), MAX_REACTION_S) / self.speed
 
     def _takes(self, least_s: float, most_s: float) -> float:
         return self._chance.uniform(least_s, most_s) / self.speed
@@ -220,9 +222,9 @@ def _mapping(given: object) -> Mapping[str, Any]:
 
 
 def _asked(shown: Mapping[str, Any]) -> tuple[str | None, str]:
-    """Return what the screen asks for, by a name that is new with each asking, and its code.
+    """Return an identifier of the present request, and its code.
 
-    A calibration comes before a test, a test before a Task, as on the screen.
+    A calibration counts before a test, a test before a Task, as on the screen.
     """
     if _is_guided(shown):
         guide = _mapping(shown["calibration"])
@@ -244,7 +246,7 @@ def _is_guided(shown: Mapping[str, Any]) -> bool:
 
 
 def _is_tried(shown: Mapping[str, Any]) -> bool:
-    """Say whether what is shown in testing mode is asked for: by a calibration, or by an accuracy test."""
+    """Return True if a calibration or an accuracy test asks for a gesture in testing mode."""
     return _is_guided(shown) or bool(_mapping(_mapping(shown.get("examination")).get("asked")))
 
 

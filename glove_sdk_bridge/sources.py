@@ -13,7 +13,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from glove_sdk_bridge.arguments import add_controller, count, poses, positive, rate, share
-from glove_sdk_bridge.controller import Controller
+from glove_sdk_bridge.controller_client import ControllerClient
 from glove_sdk_bridge.errors import BridgeError, Say
 from glove_sdk_bridge.forward import Forward
 from glove_sdk_bridge.replay import RATE_HZ, Replay
@@ -131,7 +131,7 @@ def _simulate(given: argparse.Namespace, say: Say) -> Source:
     return SimulatedGlove(
         SimulatedHand(given.seed, rate_hz=given.rate),
         SimulatedOperator(given.seed, given.mistakes, given.speed),
-        Screen(Controller(given.controller), given.glove, say=say),
+        Screen(ControllerClient(given.controller), given.glove, say=say),
         say=say,
         calibrate=given.calibrate,
     )

@@ -35,14 +35,14 @@ class Visit:
             self.line.shutdown(socket.SHUT_RDWR)
 
     def say(self, line: bytes) -> None:
-        """Tell the glove something."""
+        """Send a message to the glove."""
         self.line.sendall(line)
 
 
 class Desk:
     """A TCP server that answers each hello with `answer` and takes down the frames that follow.
 
-    Until it opens, it holds its port, where whoever connects is refused.
+    Until it opens, it holds its port, where connections are refused.
     """
 
     def __init__(self, port: int = 0) -> None:

@@ -8,17 +8,17 @@ import httpx
 import pytest
 
 from glove_sdk_bridge.calibration import Calibrator
-from glove_sdk_bridge.controller import Controller, Declined
+from glove_sdk_bridge.controller_client import ControllerClient, Declined
 from glove_sdk_bridge.errors import BridgeError
+from glove_sdk_bridge.frame_sender import FrameSender
 from glove_sdk_bridge.frames import Frame, Hello
-from glove_sdk_bridge.link import Link
 from tests.kit.cell import Cell
 
 FIST, OPEN = [301, 402, 503, 404, 305], [701, 802, 903, 804, 705]
 
 
 class WornGlove:
-    """A glove that sends what its wearer is told to do, a little unsteadily."""
+    """A glove that follows the instructions, with some noise."""
 
     def __init__(self, port: int) -> None:
         self.said: list[str] = []
@@ -38,12 +38,12 @@ class WornGlove:
         self._thread.join(timeout=120)
 
     def _send(self) -> None:
-        with Link(Hello("glove-1"), "127.0.0.1", self._port, say=lambda _: None) as link:
+        with FrameSender(Hello("glove-1"), "127.0.0.1", self._port, say=lambda _: None) as link:
             place = 0
             while not self._stop.wait(0.01):
                 place += 1
-                told = self.said[-1] if self.said else ""
-                hand = OPEN if "open" in told else FIST
+                instruction = self.said[-1] if self.said else ""
+                hand = OPEN if "open" in instruction else FIST
                 link.send(Frame(time.monotonic(), tuple(value + place % 3 for value in hand)))
 
 
@@ -54,13 +54,13 @@ def cell(shared_cell: Cell) -> Cell:
 
 
 @pytest.fixture
-def controller(cell: Cell) -> Controller:
+def controller(cell: Cell) -> ControllerClient:
     cell.run("context_broker", "gesture_controller")
-    return Controller(cell.url("gesture_controller"))
+    return ControllerClient(cell.url("gesture_controller"))
 
 
 def test_a_person_makes_a_fist_and_opens_the_hand_and_the_glove_fits(
-    cell: Cell, controller: Controller
+    cell: Cell, controller: ControllerClient
 ) -> None:
     with WornGlove(cell.ports["glove"]) as glove:
         calibrator = Calibrator("glove-1", controller, say=glove.listen, wait=lambda s: time.sleep(s / 4))
@@ -73,7 +73,7 @@ def test_a_person_makes_a_fist_and_opens_the_hand_and_the_glove_fits(
         assert bent < made[finger]["lower"] < made[finger]["upper"] < straight
 
 
-def test_a_glove_that_sends_nothing_is_told_to_be_switched_on(controller: Controller) -> None:
+def test_the_error_for_a_silent_glove_says_to_switch_it_on(controller: ControllerClient) -> None:
     ticks = iter(range(1_000_000))
     calibrator = Calibrator(
         "glove-1", controller, say=lambda _: None, clock=lambda: next(ticks) / 10, wait=lambda _: None
@@ -83,7 +83,7 @@ def test_a_glove_that_sends_nothing_is_told_to_be_switched_on(controller: Contro
 
 
 def test_a_table_without_the_pose_or_with_a_hand_that_never_moves_is_refused(
-    controller: Controller, tmp_path: Path
+    controller: ControllerClient, tmp_path: Path
 ) -> None:
     table = tmp_path / "still.csv"
     rows = [f"{pose},500,500,500,500,500" for pose in (0, 5) for _ in range(50)]

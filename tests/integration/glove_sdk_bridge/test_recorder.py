@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from glove_sdk_bridge.__main__ import main
-from glove_sdk_bridge.controller import Controller, Declined
+from glove_sdk_bridge.controller_client import ControllerClient, Declined
 from glove_sdk_bridge.errors import Dropped
+from glove_sdk_bridge.frame_sender import FrameSender
 from glove_sdk_bridge.frames import Frame, Hello
-from glove_sdk_bridge.link import Link
 from glove_sdk_bridge.recorder import Recorder
 from glove_sdk_bridge.recording import hello_of, read_recording
 from tests.kit.cell import Cell
@@ -31,13 +31,13 @@ def cell(shared_cell: Cell) -> Cell:
 
 
 @pytest.fixture
-def worn(cell: Cell) -> Iterator[Callable[..., Link]]:
+def worn(cell: Cell) -> Iterator[Callable[..., FrameSender]]:
     """Put a glove on that is on the line of a running controller."""
     cell.run("context_broker", "gesture_controller")
-    links: list[Link] = []
+    links: list[FrameSender] = []
 
-    def put_on(hello: Hello) -> Link:
-        link = Link(hello, "127.0.0.1", cell.ports["glove"], say=lambda _: None)
+    def put_on(hello: Hello) -> FrameSender:
+        link = FrameSender(hello, "127.0.0.1", cell.ports["glove"], say=lambda _: None)
         links.append(link.__enter__())
         assert link.wait_until_connected(20)
         return link
@@ -52,7 +52,7 @@ def test_what_a_glove_sends_is_recorded_and_can_be_replayed(
 ) -> None:
     path, stop, said = tmp_path / "hand.jsonl", threading.Event(), list[str]()
     link = worn(Hello("glove-5", "left"))
-    recorder = Recorder(path, "glove-5", Controller(cell.url("gesture_controller")), say=said.append)
+    recorder = Recorder(path, "glove-5", ControllerClient(cell.url("gesture_controller")), say=said.append)
     recording = threading.Thread(target=recorder.record, args=(stop,))
     recording.start()
     sent = 0
@@ -81,7 +81,7 @@ def test_a_controller_that_was_killed_is_waited_for_and_the_recording_goes_on(
 ) -> None:
     path, stop, said = tmp_path / "hand.jsonl", threading.Event(), list[str]()
     link = worn(Hello("glove-1"))
-    recorder = Recorder(path, "glove-1", Controller(cell.url("gesture_controller")), say=said.append)
+    recorder = Recorder(path, "glove-1", ControllerClient(cell.url("gesture_controller")), say=said.append)
     recording = threading.Thread(target=recorder.record, args=(stop,))
     recording.start()
     clock = iter(range(1_000_000))
@@ -92,14 +92,14 @@ def test_a_controller_that_was_killed_is_waited_for_and_the_recording_goes_on(
 
     eventually(lambda: more_than(20))
     cell.kill("gesture_controller")
-    eventually(lambda: any("is gone" in line for line in said))
+    eventually(lambda: any("is not available" in line for line in said))
     before = len(frames_in(path))
     cell.start("gesture_controller")
     eventually(lambda: more_than(before + 20))
     stop.set()
     recording.join(timeout=120)
     assert not recording.is_alive()
-    assert any("is back" in line for line in said)
+    assert any("is available again" in line for line in said)
 
 
 def test_recording_for_some_seconds_ends_by_itself(cell: Cell, worn: Any, tmp_path: Path) -> None:
@@ -120,5 +120,5 @@ def test_a_glove_that_the_controller_does_not_know_is_said_in_one_line(
     assert 'there is no glove "nobodys"' in capsys.readouterr().err
     assert not path.exists()
     with pytest.raises(Declined) as declined:
-        Controller(url).glove("nobodys")
+        ControllerClient(url).glove("nobodys")
     assert declined.value.status == 404

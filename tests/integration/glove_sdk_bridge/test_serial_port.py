@@ -55,9 +55,9 @@ class Conversation:
     def __init__(self, wire: Wire, when: dict[str, Callable[[], None]], **options: Any) -> None:
         self.said: list[str] = []
         self._when = when
-        self.glove = SerialGlove(str(wire.path), say=self._hear, wait=lambda _: None, **options)
+        self.glove = SerialGlove(str(wire.path), say=self._on_message, wait=lambda _: None, **options)
 
-    def _hear(self, line: str) -> None:
+    def _on_message(self, line: str) -> None:
         self.said.append(line)
         for words, act in list(self._when.items()):
             if words in line:
@@ -68,7 +68,7 @@ class Conversation:
         return [frame.bend for frame in islice(self.glove.frames(), count)]
 
 
-def test_letters_and_numbers_and_garbage_in_any_pieces_are_read(wire: Wire) -> None:
+def test_both_encodings_are_read_among_garbage_in_any_pieces(wire: Wire) -> None:
     def speak() -> None:
         wire.write(b"5D6E7\n")  # the end of a line that began before the port was opened
         wire.write(b"A1B2C3D4E5F512G400H\r\n6,7,8")
@@ -109,7 +109,7 @@ def test_a_glove_that_is_unplugged_is_said_waited_for_and_read_again(wire: Wire)
     wire.unplug()
     assert next(frames).bend == (6, 7, 8, 9, 10)
     assert [line.removeprefix(str(wire.path)) for line in talk.said[1:]] == [
-        " is gone; plug the glove in again, it is waited for",
+        " is gone; plug the glove in again",
         " is back",
     ]
 

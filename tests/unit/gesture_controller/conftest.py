@@ -30,7 +30,7 @@ SAME = Thresholds((Threshold(600, 400),) * 5)
 
 @dataclass
 class ListenerLog:
-    """Writes down what gloves tell."""
+    """Records the events of gloves."""
 
     states: list[str] = field(default_factory=list)
     silent: list[str] = field(default_factory=list)
@@ -102,7 +102,7 @@ def pytest_asyncio_loop_factories(item: pytest.Item) -> dict[str, Callable[[], A
 
 @pytest.fixture
 def listener_log() -> ListenerLog:
-    """What gloves have told."""
+    """The events of gloves."""
     return ListenerLog()
 
 

@@ -26,7 +26,7 @@ def test_the_token_is_not_shown() -> None:
     assert "hush" not in repr(ControllerSettings.load(glove_token="hush"))
 
 
-def test_the_broker_is_told_an_address_it_can_reach() -> None:
+def test_the_broker_gets_an_address_it_can_reach() -> None:
     assert ControllerSettings.load(controller_port=5).notify_url == "http://127.0.0.1:5/notifications"
     assert ControllerSettings.load(host="0.0.0.0", controller_port=5).notify_url.startswith("http://127.")
     elsewhere = ControllerSettings.load(controller_url="http://gestures:54210/")

@@ -1,4 +1,4 @@
-"""What serial gloves write: OpenGloves' letters and plain numbers."""
+"""Lines of serial gloves: the OpenGloves protocol and plain numbers."""
 
 from contextlib import suppress
 
@@ -18,8 +18,10 @@ other_keys = st.lists(
 
 
 @given(hands, other_keys, st.sampled_from(["", "\r", " "]))
-def test_letters_are_read_whatever_else_the_glove_has(hand: tuple[int, ...], others: str, end: str) -> None:
-    line = "".join(f"{letter}{value}" for letter, value in zip("ABCDE", hand, strict=True)) + others + end
+def test_opengloves_lines_are_read_with_any_other_values(
+    hand: tuple[int, ...], others: str, end: str
+) -> None:
+    line = "".join(f"{key}{value}" for key, value in zip("ABCDE", hand, strict=True)) + others + end
     assert parse_serial_line(line.encode()) == hand
 
 

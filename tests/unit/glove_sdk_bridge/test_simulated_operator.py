@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from glove_sdk_bridge.simulated_hand import AT_REST, FIST, OPEN_HAND, SENSORS, SimulatedHand, level
 from glove_sdk_bridge.simulated_operator import (
-    LEAST_REACTION_S,
-    MOST_REACTION_S,
+    MAX_REACTION_S,
+    MIN_REACTION_S,
     Attempt,
     Movement,
     SimulatedOperator,
@@ -90,7 +90,7 @@ def test_every_gesture_is_confirmed_and_no_other(gesture: str) -> None:
         tried = bench(seed)
         took_s = tried.do("task-1", gesture)
         assert tried.confirmed == [gesture]
-        assert took_s > LEAST_REACTION_S + 1.5
+        assert took_s > MIN_REACTION_S + 1.5
 
 
 def test_an_operator_who_has_calibrated_once_confirms_every_gesture_while_the_sensors_drift() -> None:
@@ -174,7 +174,7 @@ ASKED = View("task-1", "02222", "02222")
 def test_nothing_moves_before_a_person_could_have_read_it() -> None:
     for seed in range(50):
         (at_s, movement), *_ = looked(SimulatedOperator(seed, 0.0), ASKED, 0, 3)
-        assert LEAST_REACTION_S <= at_s <= MOST_REACTION_S + 0.02
+        assert MIN_REACTION_S <= at_s <= MAX_REACTION_S + 0.02
         assert 0.25 <= movement.duration_s <= 0.5
 
 

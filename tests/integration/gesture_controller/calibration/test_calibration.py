@@ -55,8 +55,8 @@ def guide(bench: Any, **new: Any) -> dict[str, Any]:
 
 
 def outcome(bench: Any) -> dict[str, Any] | None:
-    told: dict[str, Any] | None = bench.view()["calibration"]["outcome"]
-    return told
+    outcome: dict[str, Any] | None = bench.view()["calibration"]["outcome"]
+    return outcome
 
 
 async def test_a_hand_is_guided_and_read_by_what_it_showed_after_a_crash_too(
@@ -86,9 +86,9 @@ async def test_a_hand_is_guided_and_read_by_what_it_showed_after_a_crash_too(
     again.show(POINT, 1.5)
     eventually(lambda: bench.view()["gesture"] == "Point with index")
     assert bench.view()["recognizer"] == {"name": "personal", "missing": None}
-    told = bench.screen.get("/gloves/glove-1/recognition").json()
-    assert told["odds"]["Point with index"] > 0.9
-    assert "index" in told["why"]
+    recognition = bench.screen.get("/gloves/glove-1/recognition").json()
+    assert recognition["odds"]["Point with index"] > 0.9
+    assert "index" in recognition["why"]
 
 
 async def test_a_drift_that_was_followed_outlives_a_crash_and_ends_with_the_next_calibration(
@@ -121,7 +121,7 @@ async def test_a_drift_that_was_followed_outlives_a_crash_and_ends_with_the_next
     assert set(bench.view()["drift"].values()) == {0.0}, "it belonged to the calibration before"
 
 
-async def test_a_guide_that_a_crash_interrupted_is_told_of_until_another_begins(
+async def test_an_interrupted_calibration_is_reported_until_the_next_one_begins(
     bench: Any,
     wearer: SimulatedWearer,
     put_on: Callable[..., Any],

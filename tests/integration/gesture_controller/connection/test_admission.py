@@ -44,8 +44,8 @@ async def test_after_a_network_cut_a_glove_takes_its_place_again_and_its_task_go
         return False
 
     await until(is_admitted, 60, "the glove is admitted again")
-    told = await asyncio.to_thread(half_open.link.recv, 4096)
-    assert "since this connection was silent" in orjson.loads(told)["reason"]
+    answer = await asyncio.to_thread(half_open.link.recv, 4096)
+    assert "since this connection was silent" in orjson.loads(answer)["reason"]
     back[0].show(OPEN, 0.2)
     back[0].show(UP, 1.8)
 

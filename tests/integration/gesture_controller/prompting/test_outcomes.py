@@ -103,11 +103,11 @@ async def test_a_problem_on_the_screen_ends_the_task_as_failed_with_its_note(ben
     assert refused.status_code == 422
     assert bench.press("complete", by="Anna", outcome="maybe").status_code == 422
     assert await bench.status(task) == "inProgress"
-    assert bench.press("complete", by="Anna", outcome="problem", note=" oil\non the floor ").is_success
+    assert bench.press("complete", by="Anna", outcome="problem", note=" oil\non the belt ").is_success
     status, outputs = await ended(bench, task)
     assert status == "failed"
-    assert outputs["note"] == "oil\non the floor"
-    assert outputs["reason"] == 'answered "problem": oil\non the floor'
+    assert outputs["note"] == "oil\non the belt"
+    assert outputs["reason"] == 'answered "problem": oil\non the belt'
 
 
 async def test_a_task_whose_definition_handles_outcomes_is_completed_with_them(bench: Any) -> None:

@@ -99,10 +99,10 @@ async def test_one_hold_completes_one_task_and_tasks_come_in_order(bench: Any, p
     await asked(bench, second)
     glove.show(UP, 5)
 
-    async def told() -> bool:
+    async def is_raised() -> bool:
         return "Let go" in bench.view()["message"]["text"]
 
-    await until(told)
+    await until(is_raised)
     assert await bench.status(second) == "inProgress"
     glove.show(OPEN, 0.3)
     glove.show(UP, 1.6)
@@ -339,7 +339,7 @@ async def test_the_screen_follows_the_hand_and_the_recorder_takes_its_frames(
         assert frames[-1]["t"] == 1.0
 
 
-async def test_a_screen_for_an_unknown_glove_is_told(bench: Any) -> None:
+async def test_a_screen_for_an_unknown_glove_is_closed_with_the_reason(bench: Any) -> None:
     base = bench.cell.ports["gesture_controller"]
     async with websockets.connect(f"ws://127.0.0.1:{base}/gloves/nowhere/live") as live:
         with pytest.raises(websockets.ConnectionClosedError) as closed:
@@ -351,7 +351,7 @@ async def test_a_screen_for_an_unknown_glove_is_told(bench: Any) -> None:
     assert answer.headers["content-type"] == "application/problem+json"
 
 
-async def test_wrong_requests_are_told_what_is_wrong(bench: Any) -> None:
+async def test_invalid_requests_get_the_reason(bench: Any) -> None:
     put = bench.screen.put
     assert put("/gloves/glove-1/modes", json={"testing": True, "colour": 1}).status_code == 422
     assert put("/gloves/glove-1/thresholds", json={"pinky": {"upper": 1}}).status_code == 422

@@ -67,7 +67,7 @@ async def test_task_broker_and_database_are_asked_in_that_order(
     await ends(bench, third, "completed")
 
 
-async def test_a_broken_database_is_told_of_stops_nothing_and_is_back_by_itself(
+async def test_an_unavailable_database_raises_an_alert_and_recovers(
     bench: Any, fill: Callable[[str], None], tmp_path: Path
 ) -> None:
     (tmp_path / "plans.db").write_text("this is no database, whatever its name says" * 100)

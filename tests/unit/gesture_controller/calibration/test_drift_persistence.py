@@ -24,7 +24,7 @@ Start = Callable[[], tuple[GloveRegistry, DriftPersistence]]
 
 @pytest.fixture
 def start(database: Engine, listener_log: Any) -> Start:
-    """Start a controller's gloves anew."""
+    """Start the gloves of a controller again."""
 
     def begin() -> tuple[GloveRegistry, DriftPersistence]:
         people = People(built_in(), PeopleStore(database))

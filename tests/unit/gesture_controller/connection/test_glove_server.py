@@ -1,4 +1,4 @@
-"""Gloves on TCP: what is well said is answered, anything else is told why or dropped, and nothing stops."""
+"""The glove server acknowledges hellos, refuses or drops invalid lines, and keeps serving."""
 
 import asyncio
 import resource
@@ -43,7 +43,7 @@ class Line:
         self.writer.write(what if isinstance(what, bytes) else orjson.dumps(what) + b"\n")
         await self.writer.drain()
 
-    async def hear(self) -> dict[str, Any] | None:
+    async def receive(self) -> dict[str, Any] | None:
         """Return the next line, None at the end."""
         async with asyncio.timeout(WITHIN_S):
             line = await self.reader.readline()
@@ -116,7 +116,7 @@ async def _hang_up(site: Site) -> None:
 async def test_a_hello_is_acknowledged_and_frames_are_taken(open_site: OpenSite) -> None:
     site = await open_site()
     line = await site.connect(HELLO)
-    assert await line.hear() == {"type": "ack", "version": 1, "glove": "glove-1"}
+    assert await line.receive() == {"type": "ack", "version": 1, "glove": "glove-1"}
     for count in range(100):
         await line.say(FRAME % (count / 50))
     glove = site.gloves.known.named("glove-1")
@@ -130,14 +130,14 @@ async def test_a_hello_is_acknowledged_and_frames_are_taken(open_site: OpenSite)
 async def test_a_glove_nobody_knew_is_taken_in(open_site: OpenSite) -> None:
     site = await open_site()
     line = await site.connect({**HELLO, "glove": "glove-7", "hand": "left"})
-    assert (await line.hear() or {})["type"] == "ack"
+    assert (await line.receive() or {})["type"] == "ack"
     assert site.gloves.known.named("glove-7").hand == "left"
 
 
 async def test_frames_in_pieces_and_in_bundles_are_read_alike(open_site: OpenSite) -> None:
     site = await open_site()
     line = await site.connect(HELLO)
-    await line.hear()
+    await line.receive()
     glove = site.gloves.known.named("glove-1")
     stream = b"".join(FRAME % (count / 50) for count in range(20))
     for at in range(0, len(stream), 7):
@@ -152,14 +152,14 @@ async def test_frames_in_pieces_and_in_bundles_are_read_alike(open_site: OpenSit
 async def test_a_half_frame_at_the_end_of_a_connection_is_no_frame(open_site: OpenSite) -> None:
     site = await open_site()
     line = await site.connect(HELLO)
-    await line.hear()
+    await line.receive()
     await line.say(FRAME % 1.0 + b'{"type":"frame","t":1.02,"ben')
     glove = site.gloves.known.named("glove-1")
     await site.until(lambda: glove.connection.traffic.frames == 1)
     await line.close()
     await site.until(lambda: glove.connection.link is None)
     again = await site.connect(HELLO)
-    await again.hear()
+    await again.receive()
     await again.say(FRAME % 2.0)
     await site.until(lambda: glove.connection.traffic.frames == 2)
     assert not glove.connection.traffic.dropped
@@ -168,7 +168,7 @@ async def test_a_half_frame_at_the_end_of_a_connection_is_no_frame(open_site: Op
 async def test_bad_lines_are_counted_by_reason_and_good_ones_go_on(open_site: OpenSite) -> None:
     site = await open_site()
     line = await site.connect(HELLO)
-    await line.hear()
+    await line.receive()
     await line.say(b"garbage\n\n\r\n")
     await line.say(b'{"type":"frame","t":1,"bend":[1,2,NaN,4,5]}\n')
     await line.say(b'{"type":"frame","t":1,"bend":[1,2,3]}\n')
@@ -184,15 +184,15 @@ async def test_bad_lines_are_counted_by_reason_and_good_ones_go_on(open_site: Op
 async def test_a_ten_megabyte_line_is_refused_and_does_not_grow_memory(open_site: OpenSite) -> None:
     site = await open_site()
     working = await site.connect({**HELLO, "glove": "working"})
-    await working.hear()
+    await working.receive()
     line = await site.connect(HELLO)
-    await line.hear()
+    await line.receive()
     megabyte = b"x" * 1_000_000
     tracemalloc.start()
     try:
         for _ in range(10):
             await line.say(megabyte)
-        answer = await line.hear()
+        answer = await line.receive()
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -202,7 +202,7 @@ async def test_a_ten_megabyte_line_is_refused_and_does_not_grow_memory(open_site
         "retry": True,
     }
     assert peak < 5_000_000  # what the sender itself has in flight included
-    assert await line.hear() is None
+    assert await line.receive() is None
     await working.say(FRAME % 1.0)
     await site.until(lambda: site.gloves.known.named("working").connection.traffic.frames == 1)
 
@@ -210,15 +210,15 @@ async def test_a_ten_megabyte_line_is_refused_and_does_not_grow_memory(open_site
 async def test_a_long_line_with_an_end_is_refused_too(open_site: OpenSite) -> None:
     site = await open_site()
     line = await site.connect(HELLO)
-    await line.hear()
+    await line.receive()
     await line.say(b"x" * (MAX_LINE_BYTES + 1) + b"\n")
-    assert (await line.hear() or {})["type"] == "error"
+    assert (await line.receive() or {})["type"] == "error"
 
 
 async def test_a_line_of_just_the_limit_is_read(open_site: OpenSite) -> None:
     site = await open_site()
     line = await site.connect(HELLO)
-    await line.hear()
+    await line.receive()
     await line.say(b"x" * MAX_LINE_BYTES + b"\n" + FRAME % 1.0)
     glove = site.gloves.known.named("glove-1")
     await site.until(lambda: glove.connection.traffic.frames == 1)
@@ -234,25 +234,25 @@ async def test_a_line_of_just_the_limit_is_read(open_site: OpenSite) -> None:
         (b"x" * 70_000, "at most 65536 bytes"),
     ],
 )
-async def test_who_does_not_say_hello_is_told_why_and_let_go(
+async def test_a_connection_without_a_hello_gets_the_reason_and_is_closed(
     open_site: OpenSite, first: bytes, words: str
 ) -> None:
     site = await open_site()
     line = await site.connect()
     await line.say(first)
-    answer = await line.hear() or {}
+    answer = await line.receive() or {}
     assert answer["type"] == "error"
     assert words in answer["reason"]
-    assert await line.hear() is None
+    assert await line.receive() is None
 
 
-async def test_who_says_nothing_is_let_go(open_site: OpenSite) -> None:
+async def test_a_silent_connection_is_closed(open_site: OpenSite) -> None:
     site = await open_site(hello_timeout_s=0.05)
     line = await site.connect()
-    assert await line.hear() == {"type": "error", "reason": "no hello within 0.05 s", "retry": True}
-    assert await line.hear() is None
+    assert await line.receive() == {"type": "error", "reason": "no hello within 0.05 s", "retry": True}
+    assert await line.receive() is None
     slow_but_there = await site.connect(HELLO)
-    assert (await slow_but_there.hear() or {})["type"] == "ack"
+    assert (await slow_but_there.receive() or {})["type"] == "ack"
     await site.until(lambda: not site.server.waiting)
     await slow_but_there.say(FRAME % 1.0)
     await site.until(lambda: site.gloves.known.named("glove-1").connection.traffic.frames == 1)
@@ -262,13 +262,13 @@ async def test_a_wrong_token_is_refused(open_site: OpenSite) -> None:
     site = await open_site(glove_token="open sesame")
     for token in ("open barley", "", "open sesame ", "öffne dich"):
         line = await site.connect({**HELLO, "token": token})
-        answer = await line.hear() or {}
+        answer = await line.receive() or {}
         assert answer["type"] == "error"
         assert "the token is wrong" in answer["reason"]
         assert answer["retry"] is False
         assert "sesame" not in answer["reason"]
     line = await site.connect({**HELLO, "token": "open sesame"})
-    assert (await line.hear() or {})["type"] == "ack"
+    assert (await line.receive() or {})["type"] == "ack"
 
 
 async def test_a_connection_in_use_keeps_its_glove(
@@ -279,11 +279,11 @@ async def test_a_connection_in_use_keeps_its_glove(
     )  # else a slow machine would count as silence
     site = await open_site()
     older, newer = await site.connect(HELLO), await site.connect(HELLO)
-    await older.hear()
-    refused = await newer.hear() or {}
+    await older.receive()
+    refused = await newer.receive() or {}
     assert "another connection of glove-1 is in use; end it, or connect again" in refused["reason"]
     assert refused["retry"] is True
-    assert await newer.hear() is None
+    assert await newer.receive() is None
     await older.say(FRAME % 1.0)
     await site.until(lambda: site.gloves.known.named("glove-1").connection.traffic.frames == 1)
 
@@ -294,11 +294,11 @@ async def test_a_connection_that_was_silent_gives_way(
     monkeypatch.setattr(connection_state, "TAKEOVER_SILENCE_S", 0.0)
     site = await open_site()
     older, newer = await site.connect(HELLO), await site.connect()
-    await older.hear()
+    await older.receive()
     await newer.say(HELLO)
-    assert (await newer.hear() or {})["type"] == "ack"
-    assert "since this connection was silent" in (await older.hear() or {})["reason"]
-    assert await older.hear() is None
+    assert (await newer.receive() or {})["type"] == "ack"
+    assert "since this connection was silent" in (await older.receive() or {})["reason"]
+    assert await older.receive() is None
     await newer.say(FRAME % 1.0)
     await site.until(lambda: site.gloves.known.named("glove-1").connection.traffic.frames == 1)
 
@@ -306,68 +306,68 @@ async def test_a_connection_that_was_silent_gives_way(
 async def test_a_glove_with_a_token_of_its_own_connects_with_it_only(open_site: OpenSite) -> None:
     site = await open_site(glove_token="open sesame")
     before = await site.connect({**HELLO, "token": "open sesame"})
-    assert (await before.hear() or {})["type"] == "ack"
+    assert (await before.receive() or {})["type"] == "ack"
     token = await site.gloves.set_token("glove-1")
-    assert "the token of glove-1 was changed" in (await before.hear() or {})["reason"]
-    assert await before.hear() is None
+    assert "the token of glove-1 was changed" in (await before.receive() or {})["reason"]
+    assert await before.receive() is None
     await site.until(lambda: site.gloves.known.named("glove-1").connection.link is None)
     for wrong in ("open sesame", "", token + "x"):
         line = await site.connect({**HELLO, "token": wrong})
-        answer = await line.hear() or {}
+        answer = await line.receive() or {}
         assert "glove-1 has a token of its own" in answer["reason"]
         assert "handover glove token glove-1" in answer["reason"]
         assert answer["retry"] is False
         assert token not in answer["reason"]
     line = await site.connect({**HELLO, "token": token})
-    assert (await line.hear() or {})["type"] == "ack"
+    assert (await line.receive() or {})["type"] == "ack"
     other = await site.connect({**HELLO, "glove": "other", "token": "open sesame"})
-    assert (await other.hear() or {})["type"] == "ack"
+    assert (await other.receive() or {})["type"] == "ack"
 
 
 async def test_beyond_loopback_every_glove_needs_a_token(open_site: OpenSite) -> None:
     site = await open_site(glove_host="0.0.0.0")
     line = await site.connect(HELLO)
-    answer = await line.hear() or {}
+    answer = await line.receive() or {}
     assert "glove-1 has no token, and others can reach this port; make one with" in answer["reason"]
     assert answer["retry"] is False
     token = await site.gloves.set_token("glove-1")
     line = await site.connect({**HELLO, "token": token})
-    assert (await line.hear() or {})["type"] == "ack"
+    assert (await line.receive() or {})["type"] == "ack"
 
 
 async def test_invented_names_leave_slots_to_gloves_that_are_known(open_site: OpenSite) -> None:
     site = await open_site(max_undeclared_gloves=2, max_gloves=5)
     for name in ("a", "b"):
         line = await site.connect({**HELLO, "glove": name})
-        assert (await line.hear() or {})["type"] == "ack"
+        assert (await line.receive() or {})["type"] == "ack"
     refused = await site.connect({**HELLO, "glove": "c"})
-    answer = await refused.hear() or {}
+    answer = await refused.receive() or {}
     assert "2 gloves that nobody declared are known already" in answer["reason"]
     assert "handover glove token c" in answer["reason"]
     token = await site.gloves.set_token("c")
     for hello in ({**HELLO, "glove": "c", "token": token}, HELLO):
         line = await site.connect(hello)
-        assert (await line.hear() or {})["type"] == "ack"
+        assert (await line.receive() or {})["type"] == "ack"
 
 
 async def test_there_is_an_end_to_new_gloves_but_not_to_known_ones(open_site: OpenSite) -> None:
     site = await open_site(max_gloves=3)
     for name in ("a", "b"):
         line = await site.connect({**HELLO, "glove": name})
-        assert (await line.hear() or {})["type"] == "ack"
+        assert (await line.receive() or {})["type"] == "ack"
     refused = await site.connect({**HELLO, "glove": "c"})
-    answer = await refused.hear() or {}
+    answer = await refused.receive() or {}
     assert "serves 3 gloves at most; raise HANDOVER_MAX_GLOVES" in answer["reason"]
     expected = await site.connect(HELLO)
-    assert (await expected.hear() or {})["type"] == "ack"
+    assert (await expected.receive() or {})["type"] == "ack"
 
 
-async def test_when_the_server_stops_gloves_are_told(open_site: OpenSite) -> None:
+async def test_when_the_server_stops_gloves_get_the_reason(open_site: OpenSite) -> None:
     site = await open_site()
     line = await site.connect(HELLO)
-    await line.hear()
+    await line.receive()
     await site.server.__aexit__()
-    assert "the controller stops" in (await line.hear() or {})["reason"]
+    assert "the controller stops" in (await line.receive() or {})["reason"]
 
 
 async def test_a_port_that_is_taken_is_one_line(open_site: OpenSite) -> None:
@@ -389,16 +389,16 @@ async def test_two_thousand_silent_connections_keep_no_glove_from_working(open_s
     async with many_files():
         site = await open_site(hello_timeout_s=60)
         working = await site.connect({**HELLO, "glove": "working"})
-        await working.hear()
+        await working.receive()
         glove = site.gloves.known.named("working")
         first = await site.connect()
         for count in range(2000):
             await site.connect()
             await working.say(FRAME % (count / 50))
-        assert "connections have sent no hello" in (await first.hear() or {})["reason"]
+        assert "connections have sent no hello" in (await first.receive() or {})["reason"]
         await site.until(lambda: glove.connection.traffic.frames == 2000)
         assert len(site.server.waiting) <= MAX_WAITING_FOR_HELLO
         late = await site.connect(HELLO)
-        assert (await late.hear() or {})["type"] == "ack"
+        assert (await late.receive() or {})["type"] == "ack"
         await site.until(lambda: len(site.server.open) <= MAX_WAITING_FOR_HELLO + 2)
         assert glove.is_connected

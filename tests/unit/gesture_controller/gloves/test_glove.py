@@ -50,7 +50,7 @@ async def test_the_asked_gesture_is_announced_at_500_ms(glove: Glove, hand: Any,
     }
 
 
-async def test_another_gesture_never_answers_and_is_told_which_finger_differs(
+async def test_a_wrong_gesture_never_answers_and_the_message_names_the_finger(
     glove: Glove, hand: Any, ask: Ask
 ) -> None:
     prompt = ask("Thumbs up")
@@ -402,16 +402,16 @@ async def test_an_answer_gesture_counts_as_little_as_any_while_paused_or_testing
 
 async def test_an_outcome_on_the_screen_is_kept_with_its_note(glove: Glove, hand: Any, ask: Ask) -> None:
     prompt = ask("Thumbs up")
-    glove.responder.complete_on_screen("Anna", hand.now_s, outcome=Outcome.PROBLEM, note="oil on the floor")
+    glove.responder.complete_on_screen("Anna", hand.now_s, outcome=Outcome.PROBLEM, note="oil on the belt")
     answer = prompt.answer.result()
     outputs = {
         "heldMs": 0,
         "by": "screen",
         "operator": "Anna",
         "outcome": "problem",
-        "note": "oil on the floor",
+        "note": "oil on the belt",
     }
     assert answer.outputs() == outputs
-    assert answer.failure().reason == 'answered "problem": oil on the floor'
+    assert answer.failure().reason == 'answered "problem": oil on the belt'
     assert answer.failure().outputs == {**outputs, "errorCode": "problem"}
     assert glove.responder.command is None

@@ -41,7 +41,7 @@ def test_the_fingers_that_differ_are_named_thumb_first() -> None:
     assert wording.differing("02222", "02222") == []
 
 
-def test_a_finger_is_told_which_way_to_go() -> None:
+def test_the_message_names_the_direction_of_a_finger() -> None:
     assert str(wording.advice(["ring"], "22202")) == "stretch your ring finger"
     assert str(wording.advice(["thumb"], "20222")) == "bend your thumb"
     both = wording.advice(["thumb", "ring"], "02222")

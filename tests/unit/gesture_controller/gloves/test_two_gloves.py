@@ -1,4 +1,4 @@
-"""Composed gestures answer Tasks: both hands at once, or one hand in turn; the page is told what is next."""
+"""Composite gestures answer Tasks: two hands at once, or a sequence; the page shows what is next."""
 
 import asyncio
 from collections.abc import Callable
@@ -36,23 +36,23 @@ def begin(pair: Pair, make_job: Callable[..., Any]) -> Begin:
     return ask
 
 
-def told(pair: Pair, hand: str = "right") -> dict[str, Any]:
+def view(pair: Pair, hand: str = "right") -> dict[str, Any]:
     return view_of(pair.right if hand == "right" else pair.left, pair.now_s)
 
 
-async def test_both_hands_answer_and_both_pages_are_told_what_to_do(pair: Pair, begin: Begin) -> None:
+async def test_both_hands_answer_and_both_pages_show_what_to_do(pair: Pair, begin: Begin) -> None:
     prompt = begin("Both thumbs up", both=True)
     pair.show(OPEN, OPEN, 0.3)
     invitation = "Show with both hands: Thumbs up with the left, Thumbs up with the right."
-    assert told(pair)["message"]["text"] == told(pair, "left")["message"]["text"] == invitation
+    assert view(pair)["message"]["text"] == view(pair, "left")["message"]["text"] == invitation
     pair.show(OPEN, UP, 0.6)
-    view = told(pair)
-    assert view["message"]["text"] == "Right. Now your left hand as well: Thumbs up."
-    assert [part["state"] for part in view["task"]["parts"]] == ["now", "held"]
-    assert told(pair, "left")["differs"] == ["index", "middle", "ring", "little"]
+    shown = view(pair)
+    assert shown["message"]["text"] == "Right. Now your left hand as well: Thumbs up."
+    assert [part["state"] for part in shown["task"]["parts"]] == ["now", "held"]
+    assert view(pair, "left")["differs"] == ["index", "middle", "ring", "little"]
     pair.show(UP, UP, 0.6)
-    assert told(pair, "left")["message"]["key"] == "holdOn"
-    assert told(pair)["hold"]["heldMs"] == told(pair, "left")["hold"]["heldMs"] == 580
+    assert view(pair, "left")["message"]["key"] == "holdOn"
+    assert view(pair)["hold"]["heldMs"] == view(pair, "left")["hold"]["heldMs"] == 580
     assert not prompt.answer.done()
     pair.show(UP, UP, 1.0)
     assert prompt.answer.result().outputs() == {
@@ -86,7 +86,7 @@ async def test_without_the_other_glove_the_page_says_so_and_the_screen_still_com
 ) -> None:
     prompt = begin("Cross")
     pair.show(OPEN, OPEN, 0.2)
-    assert told(pair)["message"]["text"].startswith(
+    assert view(pair)["message"]["text"].startswith(
         "Cross needs both hands. Also put on the left glove and assign it to anna"
     )
     pair.show(HORNS, FIST, 3)
@@ -103,7 +103,7 @@ async def test_a_hand_that_rested_in_its_part_must_begin_with_the_other(pair: Pa
     pair.show(UP, UP, 3)
     assert not prompt.answer.done()
     assert (
-        told(pair)["message"]["text"] == "Let go, then show Both thumbs up with both hands at the same time."
+        view(pair)["message"]["text"] == "Let go, then show Both thumbs up with both hands at the same time."
     )
 
 
@@ -123,7 +123,7 @@ async def test_while_either_glove_is_testing_paused_or_silent_nothing_answers(
     assert prompt.job.requested_action is RequestedAction.RUN
     pair.show(None, UP, 2.2)
     assert prompt.job.requested_action is RequestedAction.PAUSE
-    assert told(pair, "left")["lost"] is True
+    assert view(pair, "left")["lost"] is True
     assert not prompt.answer.done()
     pair.show(OPEN, OPEN, 0.2)
     pair.right.responder.listen()
@@ -132,23 +132,23 @@ async def test_while_either_glove_is_testing_paused_or_silent_nothing_answers(
     assert prompt.answer.done()
 
 
-async def test_two_in_turn_answer_and_the_page_is_told_which_is_next(pair: Pair, begin: Begin) -> None:
+async def test_a_sequence_answers_and_the_page_shows_the_next_gesture(pair: Pair, begin: Begin) -> None:
     prompt = begin("Wave off")
     pair.show(OPEN, OPEN, 0.2)
-    view = told(pair)
-    assert view["message"]["text"] == "Show Wave off. First: Point with index."
-    assert (view["task"]["code"], view["hold"]["confirmMs"]) == (POINT, 500)
+    shown = view(pair)
+    assert shown["message"]["text"] == "Show Wave off. First: Point with index."
+    assert (shown["task"]["code"], shown["hold"]["confirmMs"]) == (POINT, 500)
     pair.show(OPEN, POINT, 0.54)
-    view = told(pair)
-    assert view["message"]["text"] == "Right. Now: Horns."
-    assert (view["task"]["code"], view["hold"]["confirmMs"]) == (HORNS, 1000)
-    assert view["task"]["parts"] == [
+    shown = view(pair)
+    assert shown["message"]["text"] == "Right. Now: Horns."
+    assert (shown["task"]["code"], shown["hold"]["confirmMs"]) == (HORNS, 1000)
+    assert shown["task"]["parts"] == [
         {"gesture": "Point with index", "code": POINT, "hand": None, "state": "done"},
         {"gesture": "Horns", "code": HORNS, "hand": None, "state": "now"},
     ]
     pair.show(OPEN, OPEN, 1)
     pair.show(OPEN, HORNS, 0.8)
-    assert told(pair)["message"]["key"] == "holdOn"
+    assert view(pair)["message"]["key"] == "holdOn"
     pair.show(OPEN, HORNS, 0.3)
     assert prompt.answer.result().gesture == "Wave off"
     assert prompt.answer.result().held_ms >= 1500
@@ -169,7 +169,7 @@ async def test_a_part_alone_neither_answers_nor_gives_its_own_command(pair: Pair
 async def test_without_filtering_composed_gestures_are_commands_and_their_parts_are_not(pair: Pair) -> None:
     for glove in (pair.left, pair.right):
         glove.switch(testing=None, filtering=False)
-    assert told(pair)["warning"]["text"].startswith("Filtering is off: every gesture with a command")
+    assert view(pair)["warning"]["text"].startswith("Filtering is off: every gesture with a command")
     pair.show(UP, UP, 3)
     assert [glove.responder.command and glove.responder.command[0] for glove in (pair.left, pair.right)] == [
         3,
@@ -186,7 +186,7 @@ async def test_without_filtering_composed_gestures_are_commands_and_their_parts_
     assert pair.left.responder.command[0] == 1
     pair.show(OPEN, OPEN, 0.3)
     pair.left.switch(testing=None, filtering=True)
-    assert told(pair, "left")["warning"] is None
+    assert view(pair, "left")["warning"] is None
 
 
 async def test_what_is_asked_stays_when_somebody_else_wears_the_glove(pair: Pair, begin: Begin) -> None:

@@ -123,7 +123,7 @@ async def test_a_deleted_gesture_gives_its_command_back_but_not_while_another_ne
     assert (await refused(people.drop_gesture("anna", "Mine"))).status == 404
 
 
-async def test_what_no_longer_fits_the_site_is_told_and_the_rest_still_works(open_people: Open) -> None:
+async def test_conflicts_with_the_site_are_reported_and_the_rest_still_works(open_people: Open) -> None:
     people = open_people()
     await people.add("anna", None)
     await people.define("anna", "Mine", MINE)

@@ -1,4 +1,4 @@
-"""REST of people: what a screen sends is done or refused in a sentence, and doubtful fingers are heeded."""
+"""The REST routes of people apply requests or refuse them with a reason, and respect sensor faults."""
 
 from collections.abc import AsyncIterator
 from typing import Any
@@ -44,7 +44,7 @@ async def screen(gloves: GloveRegistry) -> AsyncIterator[httpx.AsyncClient]:
         yield client
 
 
-async def test_a_finger_that_hardly_moves_does_not_tell_two_gestures_apart(
+async def test_a_finger_with_a_small_span_does_not_separate_two_gestures(
     screen: httpx.AsyncClient, gloves: GloveRegistry
 ) -> None:
     weak_index = [700.0, 360.0, 700.0, 700.0, 700.0]
@@ -89,7 +89,7 @@ async def test_a_gesture_that_cannot_be_kept_is_refused_in_a_sentence(
     assert words in answer.json()["detail"]
 
 
-async def test_nobody_and_no_glove_are_told_apart(screen: httpx.AsyncClient) -> None:
+async def test_a_missing_person_and_a_missing_glove_are_distinguished(screen: httpx.AsyncClient) -> None:
     for method, path, body in (
         ("GET", "/people/anna", None),
         ("GET", "/people/anna/profile.yaml", None),

@@ -30,7 +30,7 @@ def test_noise_is_measured_from_frame_to_frame() -> None:
     assert sample.noise[0] == pytest.approx(1.4826 * 10 / 2**0.5, rel=0.02)
 
 
-def test_a_hand_that_moved_is_told_which_finger() -> None:
+def test_the_error_for_a_moving_hand_names_the_finger() -> None:
     with pytest.raises(
         UnclearSample, match=r"the hand moved: index and ring changed, .* only 60 % of"
     ) as unclear:

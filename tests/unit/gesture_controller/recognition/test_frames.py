@@ -142,12 +142,12 @@ def test_a_hello_that_is_passed_on_keeps_the_token_to_itself() -> None:
         ({"sensors": [1, 2, 3, 4, 5]}, "a list of fingers"),
     ],
 )
-def test_a_wrong_hello_is_told_what_to_change(change: dict[str, Any], words: str) -> None:
+def test_an_invalid_hello_gets_the_reason(change: dict[str, Any], words: str) -> None:
     with pytest.raises(BadHello, match=words):
         parse_hello(orjson.dumps({**HELLO, **change}))
 
 
 @pytest.mark.parametrize("line", [b"", b"GET / HTTP/1.1", b"\x16\x03\x01", b"[]", b"null"])
-def test_who_speaks_another_protocol_is_told_to_say_hello(line: bytes) -> None:
+def test_another_protocol_gets_the_hint_to_send_a_hello(line: bytes) -> None:
     with pytest.raises(BadHello, match="hello"):
         parse_hello(line)

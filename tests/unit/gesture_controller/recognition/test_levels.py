@@ -45,12 +45,12 @@ def test_a_finger_that_stayed_bent_is_named() -> None:
     assert "calibrate again" in str(failed.value)
 
 
-def test_poses_that_were_exchanged_are_told() -> None:
+def test_exchanged_poses_are_reported() -> None:
     with pytest.raises(CalibrationFailed, match="check that fist and open hand are not exchanged"):
         calibrate(shown(OPEN), shown(FIST))
 
 
-def test_a_finger_that_moved_in_the_fist_is_told_to_keep_still() -> None:
+def test_the_error_for_a_finger_that_moved_in_the_fist_says_to_keep_still() -> None:
     frames = shown(FIST)
     for frame in frames[:20]:
         frame[1] = OPEN[1]
@@ -58,7 +58,7 @@ def test_a_finger_that_moved_in_the_fist_is_told_to_keep_still() -> None:
         calibrate(frames, shown(OPEN))
 
 
-def test_a_finger_that_moved_in_the_open_hand_is_told_to_keep_still() -> None:
+def test_the_error_for_a_finger_that_moved_in_the_open_hand_says_to_keep_still() -> None:
     frames = shown(OPEN)
     for frame in frames[:20]:
         frame[4] = FIST[4]

@@ -93,7 +93,7 @@ def test_another_gesture_is_seen_within_a_third_of_a_second() -> None:
     assert next(number for number, one in enumerate(seen) if one.gesture == "Horns") <= 17
 
 
-def test_after_a_gap_or_a_clock_that_began_anew_the_hand_is_looked_at_again() -> None:
+def test_a_gap_or_a_restarted_clock_resets_the_probabilities() -> None:
     recognizer = PersonalRecognizer(calibrated(), GESTURES)
     before = look(recognizer, frames(posture("02222"), 1, 50, seed=3), from_s=100)[-1]
     horns = Frame(0.0, list(frames(posture("20220"), 0.1, 50, seed=3)[0]))

@@ -78,11 +78,11 @@ def test_no_frame_of_a_person_but_the_stated_seconds_tunes_anything_for_them(
     answers = []
     for person in (honest, spoilt):
         config = config_for(person, [person, *others], recognizer, samples=samples)
-        reader, seen, told = config.recognizer, None, []
+        reader, seen, results = config.recognizer, None, []
         for number, bend in enumerate(probes()):
             seen = reader.see(seen, Frame(number / 50, bend))
-            told.append((seen.gesture, seen.states, seen.certainty))
-        answers.append((config.thresholds, config.calibration, told))
+            results.append((seen.gesture, seen.states, seen.certainty))
+        answers.append((config.thresholds, config.calibration, results))
     assert answers[0] == answers[1]
 
 
@@ -187,11 +187,11 @@ def test_any_folder_is_measured_and_what_cannot_be_is_named(
     (tmp_path / "e.csv").write_text("pose,thumb\n0,1\n")
     (tmp_path / "f.csv").write_text(header + "0,1,2,3,4,x\n")
     (tmp_path / "g.csv").write_text(header + "0,1,2,3,4,5\n")
-    told = list(report(tmp_path))
-    assert "left out: e.csv: no column index, little, middle, ring" in told[0]
-    assert "f.csv:2: not five numbers" in told[1]
-    assert "more than a second of pose 0 (fist) is needed" in told[2]
-    assert any(line.strip().startswith("personal: d") and "100.00%" in line for line in told)
+    lines = list(report(tmp_path))
+    assert "left out: e.csv: no column index, little, middle, ring" in lines[0]
+    assert "f.csv:2: not five numbers" in lines[1]
+    assert "more than a second of pose 0 (fist) is needed" in lines[2]
+    assert any(line.strip().startswith("personal: d") and "100.00%" in line for line in lines)
     with pytest.raises(WrongRecording):
         read(tmp_path / "e.csv")
 

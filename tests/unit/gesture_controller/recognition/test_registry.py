@@ -65,8 +65,8 @@ def test_the_example_is_found_by_its_entry_point_and_works(
 
 
 def test_an_unknown_name_is_answered_with_those_there_are() -> None:
-    with pytest.raises(UnknownRecognizer, match='no recognizer "thresolds"; there are thresholds, personal'):
-        factory_of("thresolds")
+    with pytest.raises(UnknownRecognizer, match='no recognizer "threshold"; there are thresholds, personal'):
+        factory_of("threshold")
 
 
 def test_a_package_that_cannot_be_imported_is_named(installed: Path) -> None:

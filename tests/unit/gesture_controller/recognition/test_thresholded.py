@@ -172,7 +172,7 @@ def test_hands_that_stand_anyhow_but_half_closed_show_no_gesture() -> None:
 
 
 def test_thresholds_stand_where_people_at_large_say() -> None:
-    """Whoever is left out of the population, its numbers are near: nobody's own hand was needed for them."""
+    """The numbers of the population hardly change if one person is left out."""
     kinds = BEFOREHAND.kinds
     dragged = kinds["bent beside"]
     assert BENT_BELOW[1] == pytest.approx(dragged.share + 3 * dragged.spread, abs=0.02)

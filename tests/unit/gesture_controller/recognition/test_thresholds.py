@@ -1,4 +1,4 @@
-"""Thresholds are changed finger by finger, and refused when they could not tell bent from straight."""
+"""Thresholds are changed finger by finger, and refused if they cannot separate bent from straight."""
 
 import pytest
 

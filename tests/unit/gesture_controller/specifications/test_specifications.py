@@ -1,4 +1,4 @@
-"""What a Task does not say is looked up: by its URN, then by the last part of it; a broken one is told."""
+"""Missing values of a Task are looked up by URN or its last part; a failure is reported."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -54,19 +54,19 @@ async def test_a_definition_is_found_by_its_urn_before_the_last_part(
     assert table.every(engine) == {"confirm": GRIP, URN: BIN}
 
 
-async def test_a_table_that_is_not_there_is_told_of_and_found_when_it_is(
+async def test_a_missing_table_is_reported_and_found_after_it_was_created(
     url: str, fill: Callable[..., Engine]
 ) -> None:
     connect(url).dispose()  # as an empty database
-    told: list[str] = []
-    database = SpecificationDatabase(url, lambda state: told.append(state.name))
+    states: list[str] = []
+    database = SpecificationDatabase(url, lambda state: states.append(state.name))
     assert await database.look_up(URN) == Definition()
     assert database.state.name == "away"
     assert "task_definitions" in database.state.detail
     assert "handover specification import" in database.state.detail
     fill(confirm=GRIP)
     assert await database.look_up(URN, timeout_s=10) == GRIP
-    assert told == ["away", "ok"]
+    assert states == ["away", "ok"]
 
 
 async def test_a_database_that_nobody_made_is_no_fault_and_is_not_created(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ async def test_a_database_that_nobody_made_is_no_fault_and_is_not_created(tmp_pa
         ("postgresql://u:secret@127.0.0.1:1/x", "postgresql+psycopg://u:***@127.0.0.1:1/x cannot be used"),
     ],
 )
-async def test_a_database_that_does_not_answer_is_told_of_without_its_password(url: str, words: str) -> None:
+async def test_an_unavailable_database_is_reported_without_its_password(url: str, words: str) -> None:
     database = SpecificationDatabase(url)
     assert await database.look_up(URN) == Definition()
     assert words in database.state.detail

@@ -1,7 +1,7 @@
-"""The link: carries the frames of a glove to the gesture controller, and mends itself.
+"""The frame sender: sends the frames of a glove to the gesture controller, and reconnects by itself.
 
-Whoever has frames never waits for it. A frame that has waited half a second is dropped and counted: a
-stale hand is worse than none, for it would show what the person has long ceased to do.
+The caller never waits. A frame that has waited for half a second is dropped and counted, because an old frame
+would show a gesture that the person no longer makes.
 """
 
 import contextlib
@@ -18,34 +18,34 @@ from glove_sdk_bridge.errors import BadLine, BridgeError, Say
 from glove_sdk_bridge.frames import Frame, Hello, parse_object
 from glove_sdk_bridge.lines import Lines
 
-FIRST_WAIT_S, LAST_WAIT_S = 0.2, 5.0
-STALE_S = 0.5
-MOST_WAITING = 2048
-"""Frames kept at most, however quickly they come."""
+INITIAL_RETRY_S, MAX_RETRY_S = 0.2, 5.0
+MAX_FRAME_AGE_S = 0.5
+MAX_WAITING = 2048
+"""The largest number of frames that wait to be sent."""
 
-CONNECT_WITHIN_S = 5.0
-ACK_WITHIN_S = 5.0
-SEND_WITHIN_S = 2.0
-SETTLED_S = 5.0
-"""A connection that lasted so long was a good one: the next wait is short again."""
+CONNECT_TIMEOUT_S = 5.0
+ACK_TIMEOUT_S = 5.0
+SEND_TIMEOUT_S = 2.0
+MIN_STABLE_S = 5.0
+"""A connection that lasted this long resets the retry delay."""
 
 SEND_BUFFER_BYTES = 16 * 1024
-"""Small, so that frames for a dead controller grow old here, where they are dropped, not in the system."""
+"""Small, so that frames for an unresponsive controller wait here and are dropped, not in the kernel."""
 
-_LOOK_EVERY_S = 0.05
-_PART_WITHIN_S = 0.5
+_CHECK_INTERVAL_S = 0.05
+_CLOSE_TIMEOUT_S = 0.5
 
 
 class Refused(BridgeError):
-    """The controller does not want this glove; `lasting` when trying again would not help."""
+    """The controller refuses this glove; with `lasting`, a retry would not help."""
 
     def __init__(self, reason: str, *, lasting: bool) -> None:
         super().__init__(reason)
         self.lasting = lasting
 
 
-class Link:
-    """A connection that is held while the context lasts; `say` gets a line when a person should know."""
+class FrameSender:
+    """Keeps a connection during the context; `say` gets messages for a person."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class Link:
         self.sent = 0
         self.dropped = 0
         self.failure: Refused | None = None
-        """Why the controller does not want this glove, once it has said so."""
+        """Why the controller refuses this glove for good, if it does."""
         self._hello = hello
         self._address = (host, port)
         self._where = f"{host}:{port}"
@@ -75,7 +75,7 @@ class Link:
         self._stopping = threading.Event()
         self._outage = False
         self._dropped_before = 0
-        self._thread = threading.Thread(target=self._run, name="glove link", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="frame sender", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -85,17 +85,17 @@ class Link:
         self._stopping.set()
         with self._changed:
             self._changed.notify_all()
-        self._thread.join(timeout=2 * _PART_WITHIN_S)
+        self._thread.join(timeout=2 * _CLOSE_TIMEOUT_S)
 
     @property
     def connected(self) -> bool:
-        """Say whether the controller has welcomed the glove and is still there."""
+        """True while the controller has accepted the hello and the connection is open."""
         return self._connected.is_set()
 
     def send(self, frame: Frame) -> None:
-        """Take `frame`, give it the next number, and send it soon; never waits."""
+        """Send `frame` soon with the next sequence number; never waits."""
         with self._changed:
-            if len(self._waiting) >= MOST_WAITING:
+            if len(self._waiting) >= MAX_WAITING:
                 self._waiting.popleft()
                 self.dropped += 1
             self._waiting.append((self._clock(), replace(frame, seq=self._number)))
@@ -103,11 +103,11 @@ class Link:
             self._changed.notify_all()
 
     def wait_until_connected(self, within_s: float) -> bool:
-        """Wait until the glove is welcome, `within_s` at most; return whether it is."""
+        """Wait up to `within_s` for the connection; return True if there is one."""
         return self._connected.wait(within_s)
 
     def finish(self, within_s: float) -> None:
-        """Wait until every frame has been sent or dropped, `within_s` at most."""
+        """Wait up to `within_s` until every frame has been sent or dropped."""
         with self._changed:
             self._changed.wait_for(
                 lambda: (not self._waiting and not self._busy) or self.failure is not None, within_s
@@ -120,77 +120,77 @@ class Link:
         while not self._stopping.is_set():
             began_s = self._clock()
             try:
-                self._hold()
+                self._run_connection()
             except Refused as refused:
                 if refused.lasting:
                     self._fail(refused)
                     return
-                self._tell_outage(str(refused))
+                self._report_outage(str(refused))
             except OSError as error:
-                self._tell_outage(error.strerror or str(error) or type(error).__name__)
+                self._report_outage(error.strerror or str(error) or type(error).__name__)
             finally:
                 self._connected.clear()
-            if self._clock() - began_s >= SETTLED_S:
+            if self._clock() - began_s >= MIN_STABLE_S:
                 waits = self._waits()
-            self._rest(next(waits))
+            self._wait_before_retry(next(waits))
 
     def _waits(self) -> Iterator[float]:
-        wait_s = FIRST_WAIT_S
+        wait_s = INITIAL_RETRY_S
         while True:
             yield wait_s * self._chance.uniform(0.5, 1.0)
-            wait_s = min(2 * wait_s, LAST_WAIT_S)
+            wait_s = min(2 * wait_s, MAX_RETRY_S)
 
-    def _rest(self, wait_s: float) -> None:
-        """Wait before the next try; what grows stale meanwhile is dropped."""
+    def _wait_before_retry(self, wait_s: float) -> None:
+        """Wait before the next attempt, and drop old frames meanwhile."""
         until_s = time.monotonic() + wait_s
         while not self._stopping.is_set() and (left_s := until_s - time.monotonic()) > 0:
-            self._stopping.wait(min(left_s, STALE_S))
-            self._drop_stale()
+            self._stopping.wait(min(left_s, MAX_FRAME_AGE_S))
+            self._drop_old()
 
-    def _hold(self) -> None:
-        """Connect, say hello and send frames until the link breaks (OSError, `Refused`) or is to stop."""
-        with socket.create_connection(self._address, timeout=CONNECT_WITHIN_S) as line:
-            _prepare(line)
+    def _run_connection(self) -> None:
+        """Connect, send hello and frames until the connection breaks (OSError, `Refused`) or stops."""
+        with socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S) as connection:
+            _prepare(connection)
             answers = Lines()
-            line.sendall(self._hello.encode())
-            self._await_welcome(line, answers)
-            self._drop_stale()
+            connection.sendall(self._hello.encode())
+            self._await_ack(connection, answers)
+            self._drop_old()
             self._connected.set()
-            self._tell_connection()
+            self._report_connection()
             while not self._stopping.is_set():
-                self._listen(line, answers)
-                self._send_waiting(line)
-            _part(line)
+                self._listen(connection, answers)
+                self._send_waiting(connection)
+            _close(connection)
 
-    def _await_welcome(self, line: socket.socket, answers: Lines) -> None:
-        until_s = time.monotonic() + ACK_WITHIN_S
+    def _await_ack(self, connection: socket.socket, answers: Lines) -> None:
+        until_s = time.monotonic() + ACK_TIMEOUT_S
         while (left_s := until_s - time.monotonic()) > 0:
-            line.settimeout(left_s)
-            data = line.recv(4096)
+            connection.settimeout(left_s)
+            data = connection.recv(4096)
             if not data:
                 raise ConnectionResetError("it hung up on the hello")
             for answer in answers.feed(data):
                 if _read(answer).get("type") == "ack":
                     return
-                self._heed(answer, welcome=False)
-        raise TimeoutError(f"no answer to the hello within {ACK_WITHIN_S:g} s; is it a gesture controller?")
+                self._check_error(answer, is_acknowledged=False)
+        raise TimeoutError(f"no answer to the hello within {ACK_TIMEOUT_S:g} s; is it a gesture controller?")
 
-    def _listen(self, line: socket.socket, answers: Lines) -> None:
-        """Take what the controller says, without waiting for it."""
-        line.setblocking(False)
+    def _listen(self, connection: socket.socket, answers: Lines) -> None:
+        """Process messages of the controller without waiting."""
+        connection.setblocking(False)
         try:
-            while data := line.recv(4096):
+            while data := connection.recv(4096):
                 for answer in answers.feed(data):
-                    self._heed(answer, welcome=True)
+                    self._check_error(answer, is_acknowledged=True)
         except BlockingIOError:
             return
         raise ConnectionResetError("it hung up")
 
-    def _heed(self, answer: bytes, *, welcome: bool) -> None:
-        """Raise `Refused` if the controller says that something is wrong.
+    def _check_error(self, answer: bytes, *, is_acknowledged: bool) -> None:
+        """Raise `Refused` if `answer` is an error.
 
-        It may say itself whether trying again helps (`retry`); otherwise a hello that is refused is refused
-        for good, while what goes wrong later is worth another try.
+        The controller may say whether a retry helps (`retry`). Otherwise a refused hello is final, and a
+        later error is retried.
         """
         words = _read(answer)
         if words.get("type") != "error":
@@ -198,13 +198,13 @@ class Link:
         reason = str(words.get("reason", "it gave no reason"))[:300]
         retry = words.get("retry")
         if not isinstance(retry, bool):
-            retry = welcome
+            retry = is_acknowledged
         raise Refused(f"{self._where} refuses {self._hello.glove}: {reason}", lasting=not retry)
 
-    def _send_waiting(self, line: socket.socket) -> None:
+    def _send_waiting(self, connection: socket.socket) -> None:
         with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._stopping.is_set(), _LOOK_EVERY_S)
-            self._forget_stale()
+            self._changed.wait_for(lambda: self._waiting or self._stopping.is_set(), _CHECK_INTERVAL_S)
+            self._remove_old()
             frames = [frame for _, frame in self._waiting]
             self._waiting.clear()
             self._busy = bool(frames)
@@ -212,8 +212,8 @@ class Link:
             return
         gone = 0
         try:
-            line.settimeout(SEND_WITHIN_S)
-            line.sendall(b"".join(frame.encode() for frame in frames))
+            connection.settimeout(SEND_TIMEOUT_S)
+            connection.sendall(b"".join(frame.encode() for frame in frames))
             gone = len(frames)
         finally:
             with self._changed:
@@ -222,13 +222,13 @@ class Link:
                 self._busy = False
                 self._changed.notify_all()
 
-    def _drop_stale(self) -> None:
+    def _drop_old(self) -> None:
         with self._changed:
-            self._forget_stale()
+            self._remove_old()
             self._changed.notify_all()
 
-    def _forget_stale(self) -> None:
-        oldest_s = self._clock() - STALE_S
+    def _remove_old(self) -> None:
+        oldest_s = self._clock() - MAX_FRAME_AGE_S
         while self._waiting and self._waiting[0][0] < oldest_s:
             self._waiting.popleft()
             self.dropped += 1
@@ -238,14 +238,14 @@ class Link:
             self.failure = refused
             self._changed.notify_all()
 
-    def _tell_outage(self, reason: str) -> None:
+    def _report_outage(self, reason: str) -> None:
         if not self._outage and not self._stopping.is_set():
             self._say(
                 f"{self._where} does not take the glove's frames ({reason}); trying again until it does"
             )
         self._outage = True
 
-    def _tell_connection(self) -> None:
+    def _report_connection(self) -> None:
         lost = self.dropped - self._dropped_before
         meanwhile = f"; {lost} frames were dropped meanwhile" if lost else ""
         self._say(f"{self._hello.glove} is connected to {self._where}{meanwhile}")
@@ -253,25 +253,25 @@ class Link:
         self._dropped_before = self.dropped
 
 
-def _prepare(line: socket.socket) -> None:
-    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    line.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+def _prepare(connection: socket.socket) -> None:
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     if hasattr(socket, "TCP_USER_TIMEOUT"):
-        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(CONNECT_WITHIN_S * 1000))
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(CONNECT_TIMEOUT_S * 1000))
 
 
-def _part(line: socket.socket) -> None:
-    """Hang up so that the last frames arrive: close our half, and hear the other side out."""
+def _close(connection: socket.socket) -> None:
+    """Close so that the last frames arrive: shut down our direction, then read until the end."""
     with contextlib.suppress(OSError):
-        line.shutdown(socket.SHUT_WR)
-        line.settimeout(_PART_WITHIN_S)
-        while line.recv(4096):
+        connection.shutdown(socket.SHUT_WR)
+        connection.settimeout(_CLOSE_TIMEOUT_S)
+        while connection.recv(4096):
             pass
 
 
 def _read(answer: bytes) -> dict[str, Any]:
-    """Return what the controller said; nothing, if it makes no sense."""
+    """Return the message of the controller; empty if it is invalid."""
     try:
         return parse_object(answer)
     except BadLine:

@@ -1,4 +1,4 @@
-"""The gesture controller as its screen and its recorder see it: over HTTP."""
+"""An HTTP client of the gesture controller."""
 
 import http.client
 import json
@@ -10,23 +10,23 @@ from urllib.parse import quote, urlsplit
 from glove_sdk_bridge.errors import BridgeError
 from glove_sdk_bridge.frames import MAX_LINE_BYTES
 
-ANSWER_WITHIN_S = 5.0
-LARGEST_ANSWER_BYTES = 1024 * 1024
+RESPONSE_TIMEOUT_S = 5.0
+MAX_RESPONSE_BYTES = 1024 * 1024
 
 
 class Unreachable(BridgeError):
-    """The controller does not answer at the moment."""
+    """The controller does not respond."""
 
 
 class Declined(BridgeError):
-    """The controller answers that it cannot do this; `status` is that of HTTP."""
+    """The controller rejects a request; `status` is the HTTP status."""
 
     def __init__(self, message: str, status: int) -> None:
         super().__init__(message)
         self.status = status
 
 
-class Controller:
+class ControllerClient:
     """The controller at `url`, such as `http://127.0.0.1:54210`; raises `BridgeError` if that is no URL."""
 
     def __init__(self, url: str) -> None:
@@ -41,18 +41,18 @@ class Controller:
             raise BridgeError(f"{url} is no URL of a controller; give one such as http://127.0.0.1:54210")
 
     def glove(self, name: str) -> dict[str, Any]:
-        """Return what the screen shows for a glove; raise `Unreachable` or `Declined` (404: not known)."""
-        return self._ask("GET", f"/gloves/{quote(name)}")
+        """Return the view of a glove; raise `Unreachable` or `Declined` (404: unknown)."""
+        return self._request("GET", f"/gloves/{quote(name)}")
 
     def calibrate(self, name: str, fist: list[list[float]], open_hand: list[list[float]]) -> dict[str, Any]:
-        """Have thresholds made from frames of a fist and an open hand, and return what was made.
+        """Calibrate a glove from frames of a fist and an open hand; return the result.
 
         Raises `Unreachable` or `Declined`.
         """
-        return self._ask("POST", f"/gloves/{quote(name)}/calibration", {"fist": fist, "open": open_hand})
+        return self._request("POST", f"/gloves/{quote(name)}/calibration", {"fist": fist, "open": open_hand})
 
     def lines(self, name: str) -> Iterator[bytes]:
-        """Yield what a glove sends, hello first, until the connection ends; may block between two lines.
+        """Yield the lines of a glove, hello first, until the connection ends; blocks between two lines.
 
         Raises `Unreachable` or `Declined` before the first line only.
         """
@@ -60,11 +60,11 @@ class Controller:
         try:
             try:
                 connection.request("GET", f"{self._path}/gloves/{quote(name)}/frames")
-                line = connection.sock
+                raw_socket = connection.sock
                 answer = connection.getresponse()
                 if answer.status >= http.client.BAD_REQUEST:
-                    raise self._declined(answer.status, answer.read(LARGEST_ANSWER_BYTES))
-                _wait_for_ever(line)
+                    raise self._declined(answer.status, answer.read(MAX_RESPONSE_BYTES))
+                _disable_timeout(raw_socket)
             except (OSError, http.client.HTTPException) as error:
                 raise self._unreachable(error) from None
             try:
@@ -75,13 +75,13 @@ class Controller:
         finally:
             connection.close()
 
-    def _ask(self, method: str, path: str, body: object = None) -> dict[str, Any]:
+    def _request(self, method: str, path: str, body: object = None) -> dict[str, Any]:
         connection = self._connection()
         try:
             given = None if body is None else json.dumps(body)
             connection.request(method, self._path + path, given, {"Content-Type": "application/json"})
             answer = connection.getresponse()
-            status, text = answer.status, answer.read(LARGEST_ANSWER_BYTES)
+            status, text = answer.status, answer.read(MAX_RESPONSE_BYTES)
         except (OSError, http.client.HTTPException) as error:
             raise self._unreachable(error) from None
         finally:
@@ -95,7 +95,7 @@ class Controller:
 
     def _connection(self) -> http.client.HTTPConnection:
         kind = http.client.HTTPSConnection if self._secure else http.client.HTTPConnection
-        return kind(self._host, self._port, timeout=ANSWER_WITHIN_S)
+        return kind(self._host, self._port, timeout=RESPONSE_TIMEOUT_S)
 
     def _unreachable(self, error: Exception) -> Unreachable:
         words = getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -106,11 +106,11 @@ class Controller:
         return Declined(str(detail) if detail else f"{self.url} answers with status {status}", status)
 
 
-def _wait_for_ever(line: socket.socket | None) -> None:
-    """Let reads last: a hand at rest, or a glove that is switched off, sends nothing for a long time."""
-    if line is not None:
-        line.settimeout(None)
-        line.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+def _disable_timeout(connection: socket.socket | None) -> None:
+    """Remove the timeout: a glove that is switched off sends nothing for a long time."""
+    if connection is not None:
+        connection.settimeout(None)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
 
 
 def _object(text: bytes) -> dict[str, Any] | None:
