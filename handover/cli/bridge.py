@@ -66,7 +66,7 @@ def graph(wait_s: WaitS = DISCOVERY_WAIT_S) -> None:
     view = _asked_of_bridge("/graph")
     if view is not None and view.get("domain") not in {None, settings.ros_domain_id}:
         print(
-            f"the ROS bridge that runs here is in ROS domain {view['domain']}; this is domain "
+            f"the running ROS bridge uses ROS domain {view['domain']}; this is domain "
             f"{settings.ros_domain_id} (ROS_DOMAIN_ID), without it",
             file=sys.stderr,
         )
@@ -107,7 +107,7 @@ def scaffold(
     found = asyncio.run(_on_the_graph(settings, store, wait_s, look))
     if found is None:
         raise UsageError(
-            f"nobody publishes {wanted} in ROS domain {settings.ros_domain_id}; start its node, set "
+            f"no node publishes {wanted} in ROS domain {settings.ros_domain_id}; start its node, set "
             "ROS_DOMAIN_ID, or name its type with --type"
         )
     if len(found.type_names) > 1:

@@ -141,7 +141,7 @@ class Served(Protocol):
 
 
 class GoalStatus(IntEnum):
-    """How a goal stands (`action_msgs/msg/GoalStatus`)."""
+    """The state of a goal (`action_msgs/msg/GoalStatus`)."""
 
     UNKNOWN = 0
     ACCEPTED = 1
@@ -198,7 +198,7 @@ class ActionClient(Protocol):
     type_name: str
 
     async def available(self, timeout_s: float) -> bool:
-        """Wait until a server of the action is there; False if none came in time."""
+        """Wait until a server of the action is available; False if none was found in time."""
 
     async def send_goal(
         self, goal: Message, *, on_feedback: Callable[[Message], None] | None = None, timeout_s: float = 5.0

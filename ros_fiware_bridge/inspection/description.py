@@ -45,7 +45,7 @@ def problems(plan: Plan, graph: RosGraph) -> Iterator[str]:
         fitting = [topic for name, topic in topics.items() if pattern.fullmatch(name)]
         speakers = [one for topic in fitting for one in topic.publishers if not one.ours]
         if not speakers:
-            yield f"{planned.name}: nobody publishes {planned.rule.topic} now"
+            yield f"{planned.name}: no node publishes {planned.rule.topic} now"
         type_name = planned.extractor.type_name if planned.extractor else None
         for one in speakers:
             if type_name is not None and (why := _other_type(plan, type_name, one, "publishes")) is not None:
@@ -89,7 +89,7 @@ def _request_problems(asked: PlannedRequest, graph: RosGraph) -> Iterator[str]:
         name, carrier, type_name = rule.action, f"{rule.action}/_action/send_goal", f"{rule.type}_SendGoal"
         found = [one for one in graph.actions() if one.name == name]
     if not any(one.servers for one in found):
-        yield f"{asked.name}: nobody serves {name} now"
+        yield f"{asked.name}: no node serves {name} now"
         return
     others = sorted({kind for one in found for kind in one.type_names} - {rule.type})
     if others:
@@ -103,7 +103,7 @@ def _request_problems(asked: PlannedRequest, graph: RosGraph) -> Iterator[str]:
 def _topic_rule(plan: Plan, planned: PlannedRosToNgsild) -> Iterator[str]:
     rule = planned.rule
     to = str(rule.entity.id.with_settings(plan.settings)) if rule.entity else "an Alert"
-    kind = planned.extractor.type_name if planned.extractor else "type unknown: nobody publishes it"
+    kind = planned.extractor.type_name if planned.extractor else "type unknown: no node publishes it"
     qos = f"as published, keep_last {planned.qos.depth}" if planned.match else str(planned.qos)
     yield f"{planned.name}: {rule.topic} ({kind}; {qos}) -> {to}{_rate(rule)}"
     made = planned.extractor.attributes if planned.extractor else ()

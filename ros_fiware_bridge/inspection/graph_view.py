@@ -50,7 +50,7 @@ def lines(view: dict[str, Any]) -> Iterable[str]:
                 yield f"            {verb} {one['node'] or 'a node without a name yet'} ({one['qos']})"
     for kind in ("services", "actions"):
         for one in view[kind]:
-            served = ", ".join(filter(None, one["servers"])) or "nobody yet"
+            served = ", ".join(filter(None, one["servers"])) or "no node yet"
             yield f"{kind[:-1]:<9} {one['name']}  {', '.join(one['types'])}, served by {served}"
     for problem in view["problems"]:
         yield f"problem   {problem}"

@@ -90,7 +90,7 @@ class MessageBuilder:
         steps: list[_Step] = []
         for place, step in enumerate(path.steps):
             if not isinstance(step, Field | Index):
-                raise InvalidRule(f"{path}: what is filled is named without {step}; use a number, as in [0]")
+                raise InvalidRule(f"{path}: a target cannot contain {step}; use a number, as in [0]")
             here = schema.target(Path(path.steps[: place + 1])).type
             assert here is not None  # noqa: S101 - fields of JSON text cannot be set
             following = path.steps[place + 1] if place + 1 < len(path.steps) else None

@@ -111,7 +111,7 @@ class Outbox:
         return batches
 
     def acknowledge(self, batches: Iterable[Batch]) -> None:
-        """Release batches that the broker has accepted, or has refused for good."""
+        """Release batches that the broker has accepted, or has refused permanently."""
         for batch in batches:
             self._release(batch)
 

@@ -16,11 +16,7 @@ from handover.settings import Settings
 from handover.telemetry import get_logger
 from ros_fiware_bridge.errors import GraphError
 from ros_fiware_bridge.graph.port import RosGraph
-from ros_fiware_bridge.metrics import TOPIC_SILENT
-from ros_fiware_bridge.rules import plan as planning
 from ros_fiware_bridge.rules.entity_extractor import AlertState
-from ros_fiware_bridge.rules.message_schema import InvalidRule
-from ros_fiware_bridge.rules.outbox import Update
 from ros_fiware_bridge.rules.plan import Plan, PlannedRosToNgsild
 from ros_fiware_bridge.running.alert_publisher import AlertPublisher
 from ros_fiware_bridge.running.broker_writer import BrokerWriter
@@ -32,13 +28,11 @@ from ros_fiware_bridge.running.ros_requests import ChangeTrigger, RosRequest, Ro
 from ros_fiware_bridge.running.rule_stats import DropReporter, RuleStats
 from ros_fiware_bridge.running.served_services import ServedService
 from ros_fiware_bridge.running.topic_forwarder import PatternForwarder, TopicForwarder
+from ros_fiware_bridge.running.topic_rules import TopicRules
 
 log = get_logger(__name__)
 
 CHECK_INTERVAL_S = 1.0
-SILENT_AFTER_S = 5.0
-
-
 MIN_LASTING_CHECKS = 3
 """A mismatch with a peer is reported after so many checks in a row: discovery takes a while."""
 
@@ -72,12 +66,15 @@ class Bridge:
         self.broker = broker
         self._serves_parameters = parameters
         self.stats = {rule: RuleStats(rule, section) for section, rule, _ in plan.document.mapping.rules()}
+        self.topic_rules = TopicRules(
+            plan, graph, self.stats, make=self._make_forwarder, restart=self._start, alert=self._alert
+        )
         self.broker_writer = BrokerWriter(
             broker,
             plan.document.mapping.batch_ms / 1000,
-            on_accepted=self._accepted,
-            on_refused=self._refused,
-            on_dropped=self._dropped,
+            on_accepted=self.topic_rules.accepted,
+            on_refused=self.topic_rules.refused,
+            on_dropped=self.topic_rules.dropped,
         )
         self.drops = DropReporter(
             self.stats.values(),
@@ -88,12 +85,9 @@ class Bridge:
         self.tasks = RosTaskPerformer(name, settings, broker, notify_url=f"{url}/notifications-of-tasks")
         self.alerts = AlertPublisher(broker, settings)
         self._disabled_rules = DisabledRules(settings.data_dir / f"{name}.json")
-        self._forwarders: dict[str, TopicForwarder] = {}
-        self._pattern_forwarders: dict[str, PatternForwarder] = {}
         self._entity_forwarders: dict[str, EntityForwarder] = {}
         self._changes: dict[str, ChangeTrigger] = {}
         self._served: dict[str, ServedService] = {}
-        self._silent_since_s: dict[str, float] = {}
         self._problems: dict[str, int] = {}
         """The number of consecutive checks in which each problem of the graph was seen."""
         self._tasks: list[asyncio.Task[None]] = []
@@ -181,33 +175,8 @@ class Bridge:
         )
 
     def _details(self, name: str) -> dict[str, Any]:
-        if (pattern_forwarder := self._pattern_forwarders.get(name)) is not None:
-            rule = pattern_forwarder.planned.rule
-            read = [
-                one.subscription for one in pattern_forwarder.members.values() if one.subscription is not None
-            ]
-            return {
-                "from": rule.topic,
-                "to": str(rule.entity.id.with_settings(self.plan.settings)) if rule.entity else "Alert",
-                "type": rule.type,
-                "qos": str(read[0].qos if read else pattern_forwarder.planned.qos),
-                "topics": sorted(pattern_forwarder.members),
-                "publishers": sum(one.publishers() for one in read),
-                "unreadable": sum(one.refused for one in read),
-                "lastUnreadable": next((one.last_error for one in read if one.last_error), None),
-            }
-        if (forwarder := self._forwarders.get(name)) is not None:
-            subscription = forwarder.subscription
-            rule = forwarder.planned.rule
-            return {
-                "from": rule.topic,
-                "to": str(rule.entity.id.with_settings(self.plan.settings)) if rule.entity else "Alert",
-                "type": forwarder.extractor.type_name if forwarder.extractor else None,
-                "qos": str(subscription.qos if subscription else forwarder.planned.qos),
-                "publishers": subscription.publishers() if subscription else 0,
-                "unreadable": subscription.refused if subscription else 0,
-                "lastUnreadable": subscription.last_error if subscription else None,
-            }
+        if (details := self.topic_rules.details(name)) is not None:
+            return details
         if (entity_forwarder := self._entity_forwarders.get(name)) is not None:
             chosen = entity_forwarder.planned.selector
             return {
@@ -246,13 +215,7 @@ class Bridge:
             else:
                 self.tasks.add(request)
                 await self.tasks.act_for(planned.resource or "")
-        for planned_topic_rule in plan.ros_to_ngsild:
-            if planned_topic_rule.pattern is not None:
-                self._pattern_forwarders[planned_topic_rule.name] = PatternForwarder(
-                    planned_topic_rule, plan, graph, self._make_forwarder
-                )
-            else:
-                self._forwarders[planned_topic_rule.name] = self._make_forwarder(planned_topic_rule)
+        self.topic_rules.create()
         for offer in plan.served_services:
             self._served[offer.name] = ServedService(
                 offer, self.stats[offer.name], graph, self.broker, settings=self.settings, plan=plan
@@ -268,17 +231,10 @@ class Bridge:
             echoes=self.listeners,
         )
 
-    def _forwarders_of(self, rule: str) -> Sequence[TopicForwarder]:
-        """Return the forwarders of a rule from ROS to NGSI-LD."""
-        if (pattern_forwarder := self._pattern_forwarders.get(rule)) is not None:
-            return list(pattern_forwarder.members.values())
-        return [self._forwarders[rule]] if rule in self._forwarders else []
-
     def _startable(
         self, name: str
     ) -> "TopicForwarder | PatternForwarder | EntityForwarder | ServedService | None":
-        forwarder = self._forwarders.get(name) or self._pattern_forwarders.get(name)
-        return forwarder or self._entity_forwarders.get(name) or self._served.get(name)
+        return self.topic_rules.get(name) or self._entity_forwarders.get(name) or self._served.get(name)
 
     async def _start(self, name: str) -> None:
         rule = self._startable(name)
@@ -291,133 +247,21 @@ class Bridge:
                 self.stats[name].record_error(str(error), asyncio.get_running_loop().time())
 
     async def _stop(self, name: str) -> None:
-        rule = self._startable(name)
         if (listener := self.listeners.named(name)) is not None:
             listener.enabled = False
-        silent = (
-            [name, *(f"{name} {topic}" for topic in rule.members)]
-            if isinstance(rule, PatternForwarder)
-            else [name]
-        )
+        await self.topic_rules.stop(name)
+        rule = self._entity_forwarders.get(name) or self._served.get(name)
         if rule is not None:
             await rule.stop()
-        for key in silent:
-            self._clear_silence(key)
-
-    def _accepted(self, update: Update) -> None:
-        if update.shown is not None:
-            for forwarder in self._forwarders_of(update.rule)[
-                :1
-            ]:  # all of them share the statistics of the rule
-                forwarder.accepted(update)
-
-    def _dropped(self, rule: str, number: int, cause: str) -> None:
-        if any(one.planned.rule.buffer.keep > 1 for one in self._forwarders_of(rule)):
-            self.stats[rule].count_dropped(cause, number)
-        else:
-            self.stats[rule].count_conflated(number)
-
-    def _refused(self, update: Update, why: str) -> None:
-        self.stats[update.rule].record_error(f"{update.entity_id}: {why}", asyncio.get_running_loop().time())
-        self.stats[update.rule].count_dropped("refused")
-        for forwarder in self._forwarders_of(update.rule):
-            forwarder.refused(update)
 
     # Supervision
 
     async def _supervise(self) -> None:
-        """Check every second: unknown types, changed QoS, new topics, silent topics, losses, mismatches."""
-        clock = asyncio.get_running_loop().time
-        active: set[str] = set()
         while True:
             await asyncio.sleep(CHECK_INTERVAL_S)
-            for name, pattern_forwarder in self._pattern_forwarders.items():
-                if self.stats[name].enabled:
-                    await self._check_pattern(name, pattern_forwarder, active)
-            for name, forwarder in self._forwarders.items():
-                if not self.stats[name].enabled:
-                    continue
-                forwarder.count_reader_losses()
-                if forwarder.planned.match:
-                    await self._match(name, forwarder)
-                if forwarder.extractor is None:
-                    await self._learn_type(name, forwarder)
-                elif forwarder.subscription is not None:
-                    if forwarder.subscription.publishers() > 0:
-                        active.add(name)
-                        self._clear_silence(name)
-                    elif name in active:
-                        self._report_silence(name, forwarder, clock())
-            self.drops.report(clock())
+            await self.topic_rules.check()
+            self.drops.report(asyncio.get_running_loop().time())
             self._report_problems()
-
-    async def _check_pattern(self, name: str, pattern_forwarder: PatternForwarder, active: set[str]) -> None:
-        clock = asyncio.get_running_loop().time
-        try:
-            await pattern_forwarder.add_topics()
-        except GraphError as error:
-            self.stats[name].record_error(str(error), clock())
-        for topic, member in tuple(
-            pattern_forwarder.members.items()
-        ):  # a rule may be switched on or off meanwhile
-            key = f"{name} {topic}"
-            member.count_reader_losses()
-            if member.planned.match:
-                await self._match(name, member)
-            if member.subscription is not None and member.subscription.publishers() > 0:
-                active.add(key)
-                self._clear_silence(key)
-            elif key in active:
-                self._report_silence(key, member, clock())
-
-    async def _match(self, name: str, forwarder: TopicForwarder) -> None:
-        try:
-            await forwarder.match()
-        except GraphError as error:
-            self.stats[name].record_error(str(error), asyncio.get_running_loop().time())
-
-    async def _learn_type(self, name: str, forwarder: TopicForwarder) -> None:
-        types = {topic.name: topic.type_names for topic in self.graph.topics()}
-        topic = forwarder.planned.rule.topic
-        found = types.get(topic, ())
-        if not found:
-            return
-        wrong: list[str] = []
-        if len(found) > 1:
-            wrong.append(f"{topic} has the types {' and '.join(found)}; set one of them (type: …)")
-            self._report_type_errors(name, wrong)
-            return
-
-        def report(where: tuple[str, ...], why: InvalidRule) -> None:
-            wrong.append(f"{'.'.join(where)}: {why}")
-
-        try:
-            made = planning.compile_rule(self.plan, forwarder.planned.rule, found[0], report)
-        except (GraphError, InvalidRule) as error:
-            wrong.append(str(error))
-        else:
-            if not wrong:
-                forwarder.set_type(made)
-                await self._start(name)
-        self._report_type_errors(name, wrong)
-
-    def _report_type_errors(self, name: str, wrong: Sequence[str]) -> None:
-        for why in wrong:
-            self.stats[name].record_error(why, asyncio.get_running_loop().time())
-        self._alert(f"type {name}", "; ".join(wrong), active=bool(wrong))
-
-    def _report_silence(self, name: str, forwarder: TopicForwarder, now_s: float) -> None:
-        since_s = self._silent_since_s.setdefault(name, now_s)
-        if now_s - since_s >= SILENT_AFTER_S:
-            TOPIC_SILENT.labels(name).set(1)
-            topic = forwarder.planned.rule.topic
-            words = f"nobody publishes {topic} any more; start its node, or switch the rule off"
-            self._alert(f"silent {name}", words, active=True)
-
-    def _clear_silence(self, name: str) -> None:
-        if self._silent_since_s.pop(name, None) is not None:
-            TOPIC_SILENT.labels(name).set(0)
-            self._alert(f"silent {name}", "", active=False)
 
     def _report_call(self, name: str, why: str | None) -> None:
         words = f'the rule "{name}" could not call the graph: {why}' if why is not None else ""

@@ -27,7 +27,7 @@ OnDropped = Callable[[str, int, str], None]
 
 
 class BrokerWriter:
-    """Writes what is put into it, while it is entered as an asynchronous context manager.
+    """Writes queued updates, while it is entered as an asynchronous context manager.
 
     `on_accepted` is called with updates that the broker has accepted, `on_refused` with those that it
     refuses, `on_dropped` with the number of updates that newer ones have replaced.

@@ -95,7 +95,7 @@ class Listener:
     async def read(self, notified: Iterable[Mapping[str, Any]], receiver: NotificationReceiver) -> None:
         """Retrieve the entities of a notification and pass on changes. Raises `BrokerError`.
 
-        The content of the notification itself is used only where the rule says so, since a change may move a
+        The content of the notification itself is used only with `every_value`, since a change may move a
         robot.
         """
         if self._trust_notifications:

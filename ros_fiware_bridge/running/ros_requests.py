@@ -34,7 +34,7 @@ CANCEL_TIMEOUT_S = 5.0
 
 
 class RequestFailed(HandoverError):
-    """A service or an action reported failure; `outputs` are the outputs that it returned all the same."""
+    """A service or an action reported failure; `outputs` are its outputs."""
 
     def __init__(self, why: str, outputs: Mapping[str, Any]) -> None:
         super().__init__(why)

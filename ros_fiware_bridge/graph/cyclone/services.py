@@ -207,7 +207,7 @@ class CycloneClient:
         start_s = self._loop.time()
         if not await self.available(5.0 if timeout_s is None else timeout_s):
             raise ServiceUnavailable(
-                f"nobody serves {self.service} ({self.base}); start its node, or check the name and the "
+                f"no node serves {self.service} ({self.base}); start its node, or check the name and the "
                 "number of the domain (ROS_DOMAIN_ID)"
             )
         if timeout_s is None:  # the result of a goal, which may take any time

@@ -108,7 +108,7 @@ class RosActionClient:
         start_s = self._loop.time()
         if not await self.available(timeout_s):
             raise ServiceUnavailable(
-                f"nobody serves {self.name} ({self.type_name}); start its node, or check the name and the "
+                f"no node serves {self.name} ({self.type_name}); start its node, or check the name and the "
                 "number of the domain (ROS_DOMAIN_ID)"
             )
 

@@ -39,8 +39,8 @@ class RosClient:
         asked = self._node.to_ros(self._interface.Request, f"{self.type_name}_Request", request)
         if not await until(self._client.service_is_ready, timeout_s):
             raise ServiceUnavailable(
-                f"nobody serves {self.service} ({self.type_name}); start its node, or check the name and the "
-                "number of the domain (ROS_DOMAIN_ID)"
+                f"no node serves {self.service} ({self.type_name}); start its node, or check the name and "
+                "the number of the domain (ROS_DOMAIN_ID)"
             )
         try:
             async with asyncio.timeout_at(start_s + timeout_s), self._free:

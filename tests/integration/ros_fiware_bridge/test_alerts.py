@@ -38,7 +38,7 @@ async def want(shop: Any, wanted: bool) -> None:
 async def test_a_failed_call_for_a_changed_attribute_raises_an_alert_until_one_succeeds(shop: Any) -> None:
     await want(shop, True)
     words = f'the rule "light" could not call the graph: {LAMP}: '
-    await shop.until(lambda: alerts(shop, f"{words}nobody serves /lamp/on"), 60.0)
+    await shop.until(lambda: alerts(shop, f"{words}no node serves /lamp/on"), 60.0)
 
     async def no(_: dict[str, Any]) -> dict[str, Any]:
         return {"success": False, "message": "the lamp is broken"}

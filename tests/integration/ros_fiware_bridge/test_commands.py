@@ -101,7 +101,7 @@ async def test_scaffold_writes_a_mapping_for_a_topic(own_shop: Any, handover: Ha
     file.write_text(scaffold)
     code, live, wrong = await handover("check", "cell.yaml", "--live", *LOOK)
     assert code == 0, wrong
-    assert "nobody" not in live
+    assert "no node" not in live
     file.write_text(scaffold.replace("qos: sensor_data", "qos: default"))
     _, unmatched, _ = await handover("check", "cell.yaml", "--live", *LOOK)
     assert (
@@ -113,7 +113,7 @@ async def test_scaffold_writes_a_mapping_for_a_topic(own_shop: Any, handover: Ha
     assert "the broker cannot be asked" in seen
     code, _, wrong = await handover("scaffold", "/nothing", "--wait", "0.2")
     assert code == 2
-    assert "nobody publishes /nothing" in wrong
+    assert "no node publishes /nothing" in wrong
 
 
 CALLS = """
@@ -143,7 +143,7 @@ async def test_check_live_reports_rules_that_cannot_work(own_shop: Any, handover
     assert code == 0, wrong
     assert "trigger: /trigger: a node serves std_srvs/srv/Trigger with the type hash RIHS01_0000" in live
     assert "other: /other has the type std_srvs/srv/SetBool, not std_srvs/srv/Trigger" in live
-    assert "absent: nobody serves /absent now" in live
+    assert "absent: no node serves /absent now" in live
     assert "count: /fibonacci has the type test_msgs/action/Fibonacci, not example_interfaces" in live
     assert "speed: /robot will not receive messages: the reader wants transient_local" in live
 
@@ -161,4 +161,4 @@ async def test_graph_shows_the_configured_domain(
     monkeypatch.setenv("HANDOVER_ROS_DOMAIN_ID", str(other))
     _, seen, said = await handover("graph", *LOOK)
     assert "/robot" not in seen
-    assert f"the ROS bridge that runs here is in ROS domain {own_shop.domain}" in said
+    assert f"the running ROS bridge uses ROS domain {own_shop.domain}" in said

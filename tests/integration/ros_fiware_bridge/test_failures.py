@@ -165,7 +165,7 @@ async def test_a_silent_topic_raises_an_alert_until_it_has_a_publisher(shop: Any
     await asyncio.sleep(1.5)  # the bridge checks the topics every second, which is not observable
     await words.close()
     await shop.until(stands, 25.0, "no Alert reports the silence")
-    assert "nobody publishes /words any more" in (await alert())["description"]["value"]
+    assert "no node publishes /words any more" in (await alert())["description"]["value"]
     words = await shop.publisher("/words", "std_msgs/msg/String")
     await shop.until(is_over, 25.0, "the Alert is not cleared")
     await words.close()
@@ -214,9 +214,9 @@ async def test_a_peer_with_another_definition_is_reported(shop: Any, tmp_path: P
 
 async def test_a_refused_update_is_reported_and_the_rule_continues(shop: Any) -> None:
     done = await shop.publisher("/done", "std_msgs/msg/String")
-    done.publish({"data": "nobody-knows-it"})
+    done.publish({"data": "unknown-task"})
     await shop.until(lambda: shop.rule("task")["errors"] == 1)
-    assert "urn:ngsi-ld:Task:demo:nobody-knows-it" in shop.rule("task")["lastError"]
+    assert "urn:ngsi-ld:Task:demo:unknown-task" in shop.rule("task")["lastError"]
     done.publish({"data": ""})
     await shop.until(lambda: shop.rule("task")["errors"] == 2)
     assert "data is empty" in shop.rule("task")["lastError"]

@@ -34,7 +34,7 @@ async def test_a_service_answers(graph: RosGraph) -> None:
 async def test_a_timeout_and_a_missing_service_raise_different_errors(
     graph: RosGraph,
 ) -> None:
-    with pytest.raises(ServiceUnavailable, match="nobody serves /subtract"):
+    with pytest.raises(ServiceUnavailable, match="no node serves /subtract"):
         await graph.call("/subtract", REPEAT, {}, 0.2)
     assert await repeated(graph, "a", 1) == ["a"]
     with pytest.raises(CallTimeout, match=r"/repeat did not answer within 0\.3 s"):
