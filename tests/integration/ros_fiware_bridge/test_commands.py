@@ -110,7 +110,7 @@ async def test_scaffold_writes_a_mapping_for_a_topic(own_shop: Any, handover: Ha
     _, seen, _ = await handover("graph", *LOOK)
     assert "topic     /joint_states  sensor_msgs/msg/JointState" in seen
     assert "from /robot (best_effort, volatile" in seen
-    assert "the broker cannot be asked" in seen
+    assert "the broker does not answer" in seen
     code, _, wrong = await handover("scaffold", "/nothing", "--wait", "0.2")
     assert code == 2
     assert "no node publishes /nothing" in wrong
